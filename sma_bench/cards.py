@@ -4,7 +4,6 @@ Results hold facts; every sentence is made last, by the template of the result's
 `templates/`, and no program reads one.
 """
 
-import html
 import math
 import shlex
 import textwrap
@@ -169,16 +168,6 @@ def _table(rows: list[tuple[str, ...]]) -> list[str]:
 
 def card_html(result: Any, asked: Invocation | None = None) -> str:
     """The same as tables, every text escaped."""
-    shown, numbers = card(result, asked), number_rows(result)
-
-    def row(cells: tuple[str, ...], tag: str) -> str:
-        return f"<tr>{''.join(f'<{tag}>{html.escape(cell)}</{tag}>' for cell in cells)}</tr>"
-
-    above = "".join([row(NUMBER_HEADER, "th"), *(row(cells, "td") for cells in numbers)])
-    rows = "".join(
-        f"<tr><th>{label}</th><td>{html.escape(text)}</td></tr>" for label, text in shown.rows
-    )
-    return (
-        f'<div class="card"><p><strong>{html.escape(shown.title)}</strong></p>'
-        f"{f'<table>{above}</table>' if numbers else ''}<table>{rows}</table></div>"
+    return _templates(TEMPLATES).get_template("card.html.j2").render(
+        card=card(result, asked), header=NUMBER_HEADER, numbers=number_rows(result)
     )

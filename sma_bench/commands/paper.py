@@ -46,8 +46,8 @@ def run(args: SimpleNamespace) -> int:
     """Write index.html, one PNG a figure and one CSV a table."""
     from sma_bench.commands.paper_drawing import paper_page, to_json
     from sma_bench.records import open_record
-    from sma_bench.report.page import Made, write_report
-    from sma_bench.report.paper_page import csv_text
+    from sma_bench.report.page import Made, csv_text, write_report
+    from sma_bench.report.paper_page import csv_table
 
     started = time.monotonic()
     parameters, column = options.parameters_from_options(args), options.column_of(args)
@@ -70,7 +70,7 @@ def run(args: SimpleNamespace) -> int:
             report=drawing,
         )
     for name, rows in page.tables.items():
-        write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(rows))
+        write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(csv_table(rows)).decode())
     if args.json:
         write_json(args.json, to_json(page))
     print_findings(page.notes)

@@ -296,7 +296,7 @@ def _validation(
     channel = next(c for c in record.channels if f"{c}.voltage" in record.signals)
     wire = wire_rig(identified_parameters(parameters, alike))
     try:
-        return validation_picture(record, wire.replace({"bench.channels": (channel,)}))[0]
+        return validation_picture(record, wire.replace({"bench.channels": (channel,)}))
     except InputError as error:
         notes.append(Finding("warning", "E4", str(error)))
         return None

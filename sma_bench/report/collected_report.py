@@ -11,8 +11,7 @@ from sma_bench.border import read_json, read_text
 from sma_bench.cards import card, sentences
 from sma_bench.diagnose.result import DiagnosisResult, diagnosis_from
 from sma_bench.errors import InputError
-from sma_bench.findings import Finding
-from sma_bench.identify.result import Experiment, Identification, identification_from
+from sma_bench.identify.result import Identification, identification_from
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.table import TABLE
 from sma_bench.progress import Report, silent
@@ -95,11 +94,8 @@ def counted(shown: Sequence[ReportedInput]) -> str:
     """How many of each kind: "2 bags, 1 diagnosis"."""
     kinds = [one.kind for one in shown]
     counts = {kind: kinds.count(kind) for kind in dict.fromkeys(kinds)}
-    return ", ".join(f"{n} {_several(kind) if n > 1 else kind}" for kind, n in counts.items())
-
-
-def _several(kind: str) -> str:
-    return "diagnoses" if kind == "diagnosis" else f"{kind}s"
+    several = {kind: f"{kind}s" for kind in kinds} | {"diagnosis": "diagnoses"}
+    return ", ".join(f"{n} {several[kind] if n > 1 else kind}" for kind, n in counts.items())
 
 
 def document(shown: Sequence[ReportedInput], command: str, page: Path) -> dict[str, Any]:
@@ -282,11 +278,15 @@ def write_identification_report(
     drawn = (agreement_picture(result, "agreement"), correlation_picture(result, "correlation"))
     sections = [
         Section(
-            "", notes=_lines(result.notes),
+            "", notes=list(map(str, result.notes)),
             pictures=[picture for picture in drawn if picture is not None],
             card=card(result, numbers=True),
         ),
-        *(experiment_section(experiment) for experiment in result.experiments),
+        *(
+            Section(f"{e.name} {e.title}", [e.source], list(map(str, e.findings)),
+                    pictures=experiment_pictures(e))
+            for e in result.experiments
+        ),
         Section("How each number was found", tables=[estimate_table(result.estimates, "numbers")]),
         made.section(),
     ]
@@ -295,17 +295,3 @@ def write_identification_report(
         directory, "Identified parameters", f"From {sources}. {made.head}", sections,
         column=column, report=report,
     )
-
-
-def experiment_section(experiment: Experiment) -> Section:
-    """Remarks and figures of one experiment."""
-    return Section(
-        f"{experiment.name} {experiment.title}",
-        paragraphs=[experiment.source],
-        notes=_lines(experiment.findings),
-        pictures=experiment_pictures(experiment),
-    )
-
-
-def _lines(findings: tuple[Finding, ...]) -> list[str]:
-    return [str(finding) for finding in findings]

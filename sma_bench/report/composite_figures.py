@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import find_rig
@@ -19,8 +20,8 @@ from sma_bench.physics.linearised import Linearised
 from sma_bench.physics.operating_point import Branch, OperatingPoint
 from sma_bench.records.record import Record
 from sma_bench.records.samples import drive_of
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
-from sma_bench.report.page import Picture
+from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure, one_panel
+from sma_bench.report.page import Picture, captions, pictured
 
 # --- Figs. 15 and 16 of the paper: voltages of the composite and the deflections they lead to.
 
@@ -96,26 +97,17 @@ def composite_run(
 
 def composite_voltage_picture(runs: Sequence[CompositeRun]) -> Picture:
     """Fig. 15: input voltages, one panel a record."""
-    figure, axes = new_figure(len(runs), 1.0 + 2.1 * len(runs), shared=False)
-    for letter, ax, run in zip("abcdefgh", axes, runs, strict=False):
-        _shade(ax, run)
+    figure, axes = _panels(runs, "voltage [V]", 2.1)
+    for ax, run in zip(axes, runs, strict=True):
         ax.plot(run.time, run.voltage, color=MEASURED, lw=1.2)
         ax.axhline(0.0, color=FAINT, lw=0.6)
-        ax.set(xlabel="time [s]", ylabel="voltage [V]")
-        ax.set_title(f"({letter})", loc="left", fontsize=10)
-        _label_sides(ax)
-    caption = (
-        "Input of eq. (2): positive voltages drive the front wires, negative ones stand for the "
-        f"back wires; shaded: zero voltage, the wires cool. {_sources(runs)}"
-    )
-    return Picture("figure_15_voltage", "Input voltage of the composite", caption, figure)
+    return pictured("figure_15_voltage", figure, source=_sources(runs))
 
 
 def composite_deflection_picture(runs: Sequence[CompositeRun]) -> Picture:
     """Fig. 16: deflections, measured and simulated, one panel a record."""
-    figure, axes = new_figure(len(runs), 1.0 + 2.4 * len(runs), shared=False)
-    for letter, ax, run in zip("abcdefgh", axes, runs, strict=False):
-        _shade(ax, run)
+    figure, axes = _panels(runs, "deflection [mm]", 2.4)
+    for ax, run in zip(axes, runs, strict=True):
         time, deflection = run.measured
         ax.plot(time, 1e3 * deflection, color=MEASURED, lw=3, alpha=0.45, label="measured")
         ax.plot(run.time, 1e3 * run.simulated, color=MODEL, lw=1.1, label="simulated")
@@ -125,16 +117,13 @@ def composite_deflection_picture(runs: Sequence[CompositeRun]) -> Picture:
                 label="with residual strain and heat from the other side",
             )
         ax.axhline(0.0, color=FAINT, lw=0.6)
-        ax.set(xlabel="time [s]", ylabel="deflection [mm]")
-        ax.set_title(f"({letter})", loc="left", fontsize=10)
-        _label_sides(ax)
     axes[0].legend(loc="upper right", fontsize=8)
-    _annotate_rest(axes[0], runs[0])
-    caption = (
-        "Eqs. (2), (6), (7), (9) to (11) of every wire, bent together by the corrected eqs. (15) "
-        f"and (17). {_left_over_text(runs)} {_sources(runs)}"
-    )
-    return Picture("figure_16_deflection", "Deflection of the composite", caption, figure)
+    if runs[0].rests:
+        middle = sum(runs[0].rests[0]) / 2.0
+        axes[0].text(middle, 0.97, "zero voltage", ha="center", va="top", fontsize=8, color=FAINT,
+                     transform=axes[0].get_xaxis_transform())
+    left_over = _left_over_text(runs)
+    return pictured("figure_16_deflection", figure, left_over=left_over, source=_sources(runs))
 
 
 def _largest(voltage: Array) -> Array:
@@ -159,27 +148,19 @@ def _mean(time: Array, values: Array, start: float, stop: float) -> float:
     return float(np.mean(values[inside])) if inside.any() else float("nan")
 
 
-def _shade(ax: Axes, run: CompositeRun) -> None:
-    for start, stop in run.rests:
-        ax.axvspan(start, stop, color=FAINT, alpha=0.13, lw=0)
-
-
-def _label_sides(ax: Axes) -> None:
-    for text, height, align in (("front", 0.97, "top"), ("back", 0.03, "bottom")):
-        ax.text(
-            0.008, height, text, transform=ax.transAxes, fontsize=8, color=FAINT, va=align,
-        )
-
-
-def _annotate_rest(ax: Axes, run: CompositeRun) -> None:
-    if not run.rests:
-        return
-    start, stop = run.rests[0]
-    ax.annotate(
-        "zero voltage", (0.5 * (start + stop), 0.97), xycoords=("data", "axes fraction"),
-        xytext=(0, 0), textcoords="offset points", ha="center", va="top", fontsize=8,
-        color=FAINT,
-    )
+def _panels(
+    runs: Sequence[CompositeRun], label: str, height: float
+) -> tuple[Figure, Sequence[Axes]]:
+    """A panel a record, its rests shaded, the sides named where they are drawn."""
+    figure, axes = new_figure(len(runs), 1.0 + height * len(runs), shared=False)
+    for letter, ax, run in zip("abcdefgh", axes, runs, strict=False):
+        for start, stop in run.rests:
+            ax.axvspan(start, stop, color=FAINT, alpha=0.13, lw=0)
+        ax.set(xlabel="time [s]", ylabel=label)
+        ax.set_title(f"({letter})", loc="left", fontsize=10)
+        for text, place, align in (("front", 0.97, "top"), ("back", 0.03, "bottom")):
+            ax.text(0.008, place, text, transform=ax.transAxes, fontsize=8, color=FAINT, va=align)
+    return figure, axes
 
 
 def _left_over_text(runs: Sequence[CompositeRun]) -> str:
@@ -191,17 +172,13 @@ def _left_over_text(runs: Sequence[CompositeRun]) -> str:
         abs(_mean(run.time, run.lifelike, stop - _LAST_PART * (stop - start), stop))
         for run in runs if run.lifelike is not None for start, stop in run.rests
     ]
+    text = captions()["figure_16_deflection"]
+    said = text["left_over"].format(measured=measured, simulated=simulated)
+    if not bent:
+        return said
     sizes = ", ".join(f"{name.removeprefix('effect.')} {x:g}" for name, x in RESTS_BENT.items())
-    beside = (
-        f" Dashed, what it may have seen: residual strain and heat from the other side ({sizes} "
-        f"{BY_NAME['effect.side_heat_coupling.conductance'].unit}, assumed) leave up to "
-        f"{1e3 * max(bent):.2g} mm." if bent else ""
-    )
-    return (
-        f"At the end of the zero-voltage intervals up to {measured:.2g} mm are left in the record "
-        f"and {simulated:.2g} mm in the simulation. The paper saw its simulation return to zero "
-        f"there and its specimen not.{beside}"
-    )
+    unit = BY_NAME["effect.side_heat_coupling.conductance"].unit
+    return f"{said} {text['bent'].format(sizes=sizes, unit=unit, bent=1e3 * max(bent))}"
 
 
 def _sources(runs: Sequence[CompositeRun]) -> str:
@@ -244,12 +221,7 @@ def errata_picture(parameters: Parameters | None = None) -> Picture:
     )
     deflection.set(xlabel="contraction of the active layer [%]", ylabel="deflection [mm]")
     deflection.legend(fontsize=8)
-    caption = (
-        "Errata 6 and 2: the tangent that eq. (20) is meant to be, at no stress and half of the "
-        "transformation; and eq. (17). Data: none, evaluated from the equations with Table II and "
-        "an assumed geometry."
-    )
-    return Picture("errata", "Two of the errata", caption, figure)
+    return pictured("errata", figure)
 
 
 def _integrated_twice(strain: float, beam: Beam) -> float:
@@ -273,7 +245,7 @@ def operating_point_picture(model: Linearised) -> Picture:
     slope = float(model.deflection_per_kelvin[together].sum())
     around = np.linspace(max(kelvin - _AROUND, point.parameters[
         "environment.ambient_temperature"]), kelvin + _AROUND, 121)
-    figure, (ax,) = new_figure(height=4.2)
+    figure, ax = one_panel("temperature of the driven wires [K]", "deflection [mm]", 4.2)
     branches: tuple[tuple[Branch, str], ...] = (("heating", SECOND), ("cooling", MEASURED))
     for branch, colour in branches:
         steady = [_steady(point, together, t, branch) for t in around]
@@ -282,14 +254,11 @@ def operating_point_picture(model: Linearised) -> Picture:
     here = np.abs(drawn - 1e3 * point.deflection) < 0.7 * max(np.ptp(drawn), 1e-9)
     ax.plot(around[here], drawn[here], "--", color=MODEL, lw=1.4, label="linearised")
     ax.plot([kelvin], [1e3 * point.deflection], "o", color=MODEL, ms=6)
-    ax.set(xlabel="temperature of the driven wires [K]", ylabel="deflection [mm]")
     ax.legend(fontsize=8)
-    caption = (
-        f"About {point.voltage[wire]:.4g} V on the {point.branch} branch: "
-        f"{1e3 * slope:.4g} mm per kelvin of the wires that share {kelvin:.2f} K. "
-        "Data: none, computed from the parameters."
+    return pictured(
+        "linearised", figure, volts=point.voltage[wire], branch=point.branch, slope=1e3 * slope,
+        kelvin=kelvin,
     )
-    return Picture("linearised", "Steady states and their tangent", caption, figure)
 
 
 def _steady(point: OperatingPoint, together: np.ndarray, kelvin: float, branch: Branch) -> float:

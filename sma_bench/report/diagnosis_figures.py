@@ -1,7 +1,6 @@
 """Figures of a diagnosis: signals, where the gap lies, candidates, evidence, what is missing."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -25,13 +24,17 @@ from sma_bench.report.drawing import (
     MEASURED,
     MODEL,
     SECOND,
+    cell_texts,
     legend_above,
+    named_rows,
     new_figure,
     noise_band,
+    one_panel,
     plain,
     plain_axes,
+    read_and_error,
 )
-from sma_bench.report.page import Picture
+from sma_bench.report.page import Picture, pictured
 from sma_bench.report.tables import LEAST_SHOWN
 from sma_bench.results import scale_of
 
@@ -60,47 +63,32 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
         # Of each side the signal that the belief misses most.
         before = obs.readings(obs.simulate(result.parameters))
         after = obs.readings(obs.simulate(result.improved))
-        worst: dict[str, tuple[float, tuple[BinnedSignal, Array, Array]]] = {}
-        for signal, old, new in zip(obs.signals, before, after, strict=True):
-            if signal.quantity == quantity:
-                miss = float(np.mean((signal.value - old) ** 2))
-                side = obs.sides[signal.wire]
-                if side not in worst or miss > worst[side][0]:
-                    worst[side] = (miss, (signal, old, new))
-        shown = [row for _, row in worst.values()]
+        worst: dict[str, tuple[BinnedSignal, Array, Array]] = {}
+        every = zip(obs.signals, before, after, strict=True)
+        rows = [row for row in every if row[0].quantity == quantity]
+        for row in sorted(rows, key=lambda r: float(np.mean((r[0].value - r[1]) ** 2))):
+            worst[obs.sides[row[0].wire]] = row
+        shown = [worst[side] for side in dict.fromkeys(obs.sides[r[0].wire] for r in rows)]
 
         # Readings, and below them their errors with the band of the noise.
-        figure = Figure(figsize=(7.2, 0.8 + 2.9 * len(shown)), layout="constrained")
-        axes = figure.subplots(
-            2 * len(shown), 1, sharex=True, gridspec_kw={"height_ratios": (1.6, 1.0) * len(shown)}
-        )
-        for upper, lower, (signal, old, new) in zip(axes[::2], axes[1::2], shown, strict=True):
+        figure, axes = read_and_error(len(shown), 0.8 + 2.9 * len(shown))
+        for (upper, lower), (signal, old, new) in zip(axes, shown, strict=True):
             time, value = signal.time, factor * signal.value
             upper.plot(time, value, color=MEASURED, lw=2.6, alpha=0.45, label="measured")
             noise_band(lower, 2.0 * factor * sample_noise(result.model.problem, signal.name))
-            for simulated, label, look in (
-                (factor * old, "as believed", {"color": FAINT, "lw": 1.0, "ls": "--"}),
-                (factor * new, "improved", {"color": MODEL, "lw": 1.0}),
+            for simulated, label, colour, dash in (
+                (factor * old, "as believed", FAINT, "--"), (factor * new, "improved", MODEL, "-"),
             ):
-                upper.plot(time, simulated, label=label, **look)
-                lower.plot(time, value - simulated, **look)
+                upper.plot(time, simulated, label=label, color=colour, lw=1.0, ls=dash)
+                lower.plot(time, value - simulated, color=colour, lw=1.0, ls=dash)
             upper.set_ylabel(f"[{unit}]")
             upper.set_title(signal.name, loc="left", fontsize=9)
             lower.set_ylabel(f"error [{unit}]")
-        axes[0].legend(
-            fontsize=8, ncols=3, loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False
-        )
-        axes[-1].set_xlabel("time [s]")
-        plain_axes(*axes)
-        caption = (
-            f"{obs.path}, held out; means over {shown[0][0].period:.2g} s; of each side the signal "
-            "with the largest error. Error: measured less simulated, the band is twice the noise "
-            "of a sample. The improved parameters are those of --out, fitted to all records."
-        )
-        title = f"Measured and simulated {quantity}"
-        pictures.append(
-            Picture(f"diagnosis_{quantity}", title, caption, figure, over_time=True)
-        )
+        legend_above(axes[0][0])
+        pictures.append(pictured(
+            "diagnosis_signals", figure, f"diagnosis_{quantity}", over_time=True,
+            quantity=quantity, path=obs.path, period=shown[0][0].period,
+        ))
     return pictures
 
 
@@ -113,39 +101,30 @@ def candidate_picture(
         if c.name in _RIVALS or (k < _MOST_BARS and c.probability >= LEAST_SHOWN)
     ]
     figure, (ax,) = new_figure(height=1.2 + 0.32 * len(shown))
-    place = np.arange(len(shown))[::-1]
+    place = named_rows(ax, [f"{c.name} *" if c.name in result.credible else c.name for c in shown])
     stages = [[part for part in c.stage.split(JOIN) if part] for c in shown]
     ax.barh(place, [c.probability for c in shown], color=list(map(_colour, stages)), height=0.7)
     for y, c in zip(place, shown, strict=True):
         ax.text(c.probability + 0.01, y, f"{c.probability:.3f}", va="center", fontsize=8)
-    ax.set_yticks(
-        place, [f"{c.name} *" if c.name in result.credible else c.name for c in shown], fontsize=8
-    )
     ax.set(xlabel="probability", xlim=(0.0, 1.12))
     _stage_legend(ax, filter(None, stages))
-    caption = (
-        "They sum to 1 over all effects, their pairs, and three rivals that name no effect. "
-        "Marked *: the fewest that make 90 % together."
-    )
-    return Picture(name, "Candidates", caption, plain(figure))
+    return pictured("diagnosis_candidates", plain(figure), name)
 
 
 def chain_picture(result: DiagnosisResult, name: str) -> Picture:
     """The gap of every block of the chain."""
     chain = result.where.chain
     figure, (ax,) = new_figure(height=1.2 + 0.4 * len(chain))
-    place = np.arange(len(chain))[::-1]
+    place = named_rows(ax, [link.block for link in chain])
     gap = np.array([link.gap for link in chain])
     low, high = np.array([link.ci90 for link in chain]).T
     ax.errorbar(gap, place, xerr=np.maximum([gap - low, high - gap], 0.0), fmt="o", color=MEASURED,
                 capsize=4)  # fmt: skip
     ax.axvline(0.0, color=FAINT, lw=0.8)
     ax.axvline(1.0, color=SECOND, lw=0.8, ls="--")
-    ax.set_yticks(place, [link.block for link in chain], fontsize=8)
     ax.set_ylim(-0.6, len(chain) - 0.4)
     ax.set_xlabel("gap over noise, 90 % interval")
-    caption = "Each block of the model driven by what was measured before it; dashed: the noise."
-    return Picture(name, "Where the chain breaks", caption, plain(figure))
+    return pictured("chain", plain(figure), name)
 
 
 def evidence_picture(result: Diagnosis) -> Picture:
@@ -160,7 +139,7 @@ def evidence_picture(result: Diagnosis) -> Picture:
     gains["response of free form"] = search.flexible.gain
     ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
     figure, (ax,) = new_figure(height=1.2 + 0.28 * len(ranked))
-    place = np.arange(len(ranked))[::-1]
+    place = named_rows(ax, ranked)
     stages = [
         list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS)) for n in ranked
     ]
@@ -175,15 +154,8 @@ def evidence_picture(result: Diagnosis) -> Picture:
     ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
     ax.xaxis.set_minor_locator(NullLocator())
     ax.axvline(0.0, color=FAINT, lw=0.8)
-    ax.set_yticks(place, ranked, fontsize=8)
     ax.set_xlabel("log evidence over recalibration alone [nats]")
-    caption = (
-        "Each effect fitted together with all parameters, its freedom charged (Laplace). Below 0: "
-        f"the records do better without it (cut at {-_AS_BAD:g}). Pairs are shown where they beat "
-        "every single effect. The response of free form names nothing; what it gains beyond the "
-        "best effect is structure that the library does not have."
-    )
-    return Picture("diagnosis_evidence", "What each candidate would explain", caption, figure)
+    return pictured("diagnosis_evidence", figure, cut=-_AS_BAD)
 
 
 def shrinkage_picture(result: Diagnosis) -> Picture:
@@ -191,7 +163,7 @@ def shrinkage_picture(result: Diagnosis) -> Picture:
     names, found = zip(*result.worst_first, strict=True)
     figure = Figure(figsize=(7.2, 1.4 + 0.6 * len(names)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)
-    place = np.arange(len(names))[::-1]
+    place = named_rows(left, names)
     before = [s.rmse_before / s.noise_floor for s in found]
     after = [s.rmse_after / s.noise_floor for s in found]
     left.barh(place + 0.18, before, height=0.34, color=FAINT, label="as believed")
@@ -201,7 +173,6 @@ def shrinkage_picture(result: Diagnosis) -> Picture:
     left.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     left.xaxis.set_minor_formatter(NullFormatter())
-    left.set_yticks(place, names)
     left.set_xlabel("rms error over the sensor's noise")
     left.legend(fontsize=8)
     left.set_xlim(left=0.7)
@@ -217,12 +188,7 @@ def shrinkage_picture(result: Diagnosis) -> Picture:
     right.axvline(0.0, color=FAINT, lw=0.8)
     right.set_xlabel("gap that is gone [%], 90 % interval")
     plain_axes(left, right)
-    caption = (
-        "On data that no fit saw. Fraction: 1 - sqrt((after² - noise²)/(before² - noise²)), "
-        "so that a perfect model reaches 100 %, whatever the sensor; interval by drawing "
-        "stretches of time anew."
-    )
-    return Picture("diagnosis_shrinkage", "How far the gap shrinks", caption, figure)
+    return pictured("diagnosis_shrinkage", figure)
 
 
 def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Picture | None:
@@ -236,14 +202,12 @@ def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Pictur
     protocol = parse_protocol(dict(result.next_experiment.protocol), parameters)
     time, voltage = protocol.sample(_PROTOCOL_STEP)
     sides = np.array(parameters["bench.channel_sides"])
-    figure, (ax,) = new_figure(height=2.8)
+    figure, ax = one_panel("time [s]", "voltage [V]", 2.8)
     for side, colour in zip(dict.fromkeys(sides), (MEASURED, MODEL), strict=False):
         ax.plot(time, voltage[:, sides == side].max(axis=1), color=colour, lw=1.2, label=side)
-    ax.set(xlabel="time [s]", ylabel="voltage [V]")
     ax.legend(fontsize=8)
     separates = ", ".join(result.next_experiment.separates)
-    caption = f"Separates {separates}; within the bench's limits, as the experiment node runs it."
-    return Picture("diagnosis_next_experiment", "The next experiment", caption, figure)
+    return pictured("diagnosis_next_experiment", figure, separates=separates)
 
 
 def _colour(stages: Sequence[str]) -> str:
@@ -299,18 +263,12 @@ def gap_picture(result: Diagnosis) -> Picture:
             for c in cells
         }
         table = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
-        image = _draw(ax, table, LogNorm(_LOWEST, _HIGHEST), _HEAT)
+        image = _draw(ax, table, LogNorm(_LOWEST, _HIGHEST), "YlOrRd")
         ax.set_title(title, fontsize=8)
         ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)
     axes[0].set_yticks(range(len(rows)), rows, fontsize=8)
     figure.colorbar(image, ax=axes, label="rms over noise", fraction=0.04, format="%g")
-    caption = (
-        "Each signal in each phase; the deflection is counted to the side driven last. 1 is the "
-        "noise of one sample, so that means of many samples may lie below it. Sensors' zeros, "
-        "clock delays and the moments of the jumps are taken off first and last; the middle is "
-        "between two simulations."
-    )
-    return Picture("diagnosis_where", "Where the gap lies", caption, figure)
+    return pictured("diagnosis_where", figure)
 
 
 def stage_picture(result: Diagnosis) -> Picture:
@@ -334,7 +292,7 @@ def stage_picture(result: Diagnosis) -> Picture:
     largest = max(float(np.nanmax(np.abs(table), initial=0.0)), 2.0 * _NATS)
     norm = SymLogNorm(_NATS, vmin=-largest, vmax=largest)
     for k, (ax, quantity) in enumerate(zip(axes, quantities, strict=True)):
-        image = _draw(ax, table[:, k * len(PHASES) : (k + 1) * len(PHASES)], norm, _EVIDENCE)
+        image = _draw(ax, table[:, k * len(PHASES) : (k + 1) * len(PHASES)], norm, "RdBu_r")
         ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)
         ax.set_title(quantity, fontsize=9)
     names = [f"{stage}: {name}" for stage, (name, _) in best.items()]
@@ -343,13 +301,7 @@ def stage_picture(result: Diagnosis) -> Picture:
     bar.set_ticks([-largest, -_NATS, 0.0, _NATS, largest])
     most = _short(largest).removesuffix(".0")
     bar.ax.set_yticklabels([f"-{most}", f"{-_NATS:g}", "0", f"{_NATS:g}", most])
-    caption = (
-        "The effect with the most evidence at each stage of the chain, and where it earns it: "
-        "half the drop of the whitened squared error against recalibration, all with the noise "
-        "that the best model leaves. An effect of the wrong stage gains in one signal what it "
-        "loses in another, or little anywhere."
-    )
-    return Picture("diagnosis_stages", "What each stage explains", caption, figure)
+    return pictured("diagnosis_stages", figure)
 
 
 def _power(result: Diagnosis, fitted: Fit) -> Mapping[tuple[str, str], float]:
@@ -374,28 +326,19 @@ def _quantities(result: Diagnosis) -> list[str]:
     return [q for q in dict.fromkeys((*held_out, *QUANTITIES)) if q in compared]
 
 
-class _Look(NamedTuple):
-    """Colour map, and from where to where on it black letters can be read."""
-
-    colours: str
-    readable: tuple[float, float]
+# Colour maps, and from where to where on them black letters can be read.
+_READABLE = {"YlOrRd": (0.0, 0.65), "RdBu_r": (0.2, 0.8)}
 
 
-_HEAT = _Look("YlOrRd", (0.0, 0.65))
-_EVIDENCE = _Look("RdBu_r", (0.2, 0.8))
-
-
-def _draw(ax: Axes, table: Array, norm: Normalize, look: _Look) -> AxesImage:
+def _draw(ax: Axes, table: Array, norm: Normalize, colours: str) -> AxesImage:
     shown = np.clip(table, norm.vmin, norm.vmax)
-    image = ax.imshow(shown, aspect="auto", cmap=look.colours, norm=norm)
+    image = ax.imshow(shown, aspect="auto", cmap=colours, norm=norm)
     vars(image)["table"] = table
-    for (row, column), value in np.ndenumerate(table):
-        if np.isfinite(value):
-            shade = float(norm(shown[row, column]))
-            dark = not look.readable[0] <= shade <= look.readable[1]
-            ax.text(column, row, _short(value), ha="center", va="center", fontsize=8,
-                    color="white" if dark else "black")
-    ax.spines[:].set_visible(False)
+    low, high = _READABLE[colours]
+    cell_texts(ax, {
+        cell: (_short(value), not low <= float(norm(shown[cell])) <= high)
+        for cell, value in np.ndenumerate(table) if np.isfinite(value)
+    }, 8)
     ax.tick_params(length=0)
     return image
 
@@ -472,13 +415,8 @@ def _missing(result: Diagnosis, name: str) -> Picture:
     )
     for ax in (over_time, temperature, voltage):
         ax.set_ylabel(f"missing [{unit}]")
-    caption = (
-        f"What recalibration leaves of the {name}, sensors' zeros taken off: over time ({shown}), "
-        "over simulated temperature and over voltage (all records). A curve means a dependence, a "
-        "loop means memory, a spread over both means that its cause lies elsewhere."
-    )
-    title = f"What is missing in {name}"
-    return Picture(f"diagnosis_missing_{name.replace('.', '_')}", title, caption, figure)
+    return pictured("diagnosis_missing", figure, f"diagnosis_missing_{name.replace('.', '_')}",
+                    signal=name, shown=shown)
 
 
 # --- The response of free form, as far as the records separate it from wrong parameters.

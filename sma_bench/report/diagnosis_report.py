@@ -23,7 +23,7 @@ from sma_bench.report.diagnosis_figures import (
     stage_picture,
 )
 from sma_bench.report.drawing import PaperColumn
-from sma_bench.report.page import Made, Picture, Section, write_report
+from sma_bench.report.page import Made, Section, write_report
 from sma_bench.report.tables import Table, diagnosis_tables
 from sma_bench.results import scale_of, signed, with_error
 
@@ -42,10 +42,35 @@ def write_diagnosis_report(
     Raises:
         InputError: the folder cannot be written.
     """
-    sections = [_gap(result), _where(result), _which(result)]
+    tables = diagnosis_tables(result)
+    reading = reading_of(result.where.chain) if result.cause else ""
+    proposed = next_experiment_picture(result, result.parameters)
+    sections = [
+        Section("Is there a gap beyond the noise?", sentences(result, "is_there"),
+                tables=[_noise(result)], pictures=signal_pictures(result)),
+        Section("Where is it?", [*sentences(result, "where"), *filter(None, [reading])],
+                tables=[tables["chain"]] if "chain" in tables else [],
+                pictures=[gap_picture(result), stage_picture(result)]),
+        Section("Which effect, and how sure?", [*sentences(result, "which"), *result.why],
+                tables=[tables["candidates"]],
+                pictures=[candidate_picture(result), evidence_picture(result)]),
+    ]
     if result.decision.verdict == UNEXPLAINED:
-        sections.append(_missing(result))
-    sections += [_how_far(result), _next(result), _looked_at(result)]
+        text = (
+            "What a further effect would have to do to the readings; what causes it, the figures "
+            "can only suggest."
+        )
+        sections.append(
+            Section("The shape of what is missing", [text], pictures=missing_pictures(result))
+        )
+    sections += [
+        Section("How far does it shrink?", sentences(result, "how_far"),
+                tables=[] if result.decision.verdict == NO_GAP else [_improved(result)],
+                pictures=[shrinkage_picture(result)]),
+        Section("What next?", sentences(result, "next", None),
+                pictures=[proposed] if proposed else []),
+        _looked_at(result),
+    ]
     numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
     answer = Section("", card=card(result))
     sources = list(dict.fromkeys(v.path for v in result.observations))
@@ -55,54 +80,6 @@ def write_diagnosis_report(
         directory, title, f"From {'; '.join(sources)}. {made.head}",
         [answer, *numbered, made.section()], column=column, report=report,
     )
-
-
-def _gap(result: Diagnosis) -> Section:
-    return Section(
-        "Is there a gap beyond the noise?", sentences(result, "is_there"), tables=[_noise(result)],
-        pictures=signal_pictures(result),
-    )
-
-
-def _where(result: Diagnosis) -> Section:
-    chain = diagnosis_tables(result).get("chain")
-    reading = reading_of(result.where.chain) if result.cause else ""
-    return Section(
-        "Where is it?", [*sentences(result, "where"), *[reading] * bool(reading)],
-        tables=[chain] if chain else [], pictures=[gap_picture(result), stage_picture(result)],
-    )
-
-
-def _which(result: Diagnosis) -> Section:
-    return Section(
-        "Which effect, and how sure?", [*sentences(result, "which"), *result.why],
-        tables=[diagnosis_tables(result)["candidates"]],
-        pictures=[candidate_picture(result), evidence_picture(result)],
-    )
-
-
-def _missing(result: Diagnosis) -> Section:
-    text = (
-        "What a further effect would have to do to the readings; what causes it, the figures can "
-        "only suggest."
-    )
-    return Section("The shape of what is missing", [text], pictures=missing_pictures(result))
-
-
-def _how_far(result: Diagnosis) -> Section:
-    tables = [] if result.decision.verdict == NO_GAP else [_improved(result)]
-    return Section(
-        "How far does it shrink?", sentences(result, "how_far"), tables=tables,
-        pictures=[shrinkage_picture(result)],
-    )
-
-
-def _next(result: Diagnosis) -> Section:
-    pictures: list[Picture] = []
-    picture = next_experiment_picture(result, result.parameters)
-    if picture is not None:
-        pictures.append(picture)
-    return Section("What next?", sentences(result, "next", None), pictures=pictures)
 
 
 def _looked_at(result: Diagnosis) -> Section:

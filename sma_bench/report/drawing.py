@@ -4,7 +4,7 @@ of a paper's column."""
 import base64
 import hashlib
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from importlib import resources
@@ -62,16 +62,46 @@ def noise_band(ax: Axes, half: float) -> None:
 
 
 def new_figure(
-    rows: int = 1, height: float = 4.0, shared: bool = True
+    rows: int = 1, height: float = 4.0, shared: bool = True, heights: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with `rows` axes above each other that share the horizontal axis if `shared`.
+    """A figure with `rows` axes above each other, `heights` in proportion, that share the
+    horizontal axis if `shared`.
 
     No pyplot and so no global state or display.
     """
     figure = Figure(figsize=(7.2, height), layout="constrained")
-    axes = figure.subplots(rows, 1, sharex=shared, squeeze=False)[:, 0]
+    axes = figure.subplots(rows, 1, sharex=shared, squeeze=False, height_ratios=heights)[:, 0]
     plain_axes(*axes)
     return figure, list(axes)
+
+
+def one_panel(across: str, up: str, height: float = 4.0) -> tuple[Figure, Axes]:
+    """A figure of one graph, and what is drawn along its two axes."""
+    figure, (ax,) = new_figure(height=height)
+    ax.set(xlabel=across, ylabel=up)
+    return figure, ax
+
+
+def read_and_error(signals: int, height: float) -> tuple[Figure, list[tuple[Axes, Axes]]]:
+    """A figure over time with two graphs a signal, the lower one for differences."""
+    figure, axes = new_figure(2 * signals, height, heights=(1.6, 1.0) * signals)
+    axes[-1].set_xlabel("time [s]")
+    return figure, list(zip(axes[::2], axes[1::2], strict=True))
+
+
+def named_rows(ax: Axes, names: Sequence[str]) -> Array:
+    """A row a name, from above: (n,) where they are."""
+    place = np.arange(len(names), dtype=np.float64)[::-1]
+    ax.set_yticks(place, names, fontsize=8)
+    return place
+
+
+def cell_texts(ax: Axes, texts: Mapping[tuple[int, int], tuple[str, bool]], size: float) -> None:
+    """Numbers in the cells of a map, by row and column: text, and whether its colour is dark."""
+    for (row, column), (text, is_dark) in texts.items():
+        ax.text(column, row, text, ha="center", va="center", fontsize=size,
+                color="white" if is_dark else "black")  # fmt: skip
+    ax.spines[:].set_visible(False)
 
 
 def plain_axes(*axes: Axes) -> None:

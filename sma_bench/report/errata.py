@@ -2,9 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
 
 import numpy as np
 
+from sma_bench.border import load_yaml
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters, audit
 from sma_bench.parameters.table import (
@@ -27,6 +30,13 @@ _HEADER = ("", "as printed", "corrected", "independent check")
 Line = tuple[str, str, str, str]
 
 
+@cache
+def _texts() -> dict[int, dict[str, str]]:
+    text = resources.files("sma_bench.report").joinpath("errata.yaml").read_text("utf-8")
+    found: dict[int, dict[str, str]] = load_yaml(text)
+    return found
+
+
 @dataclass(frozen=True)
 class Erratum:
     """One item.
@@ -42,16 +52,21 @@ class Erratum:
     place: str
     printed: str
     corrected: str
-    lines: tuple[Line, ...] = ()
-    remark: str = ""
+    lines: tuple[Line, ...]
+    remark: str
 
     def section(self) -> Section:
         """For a report."""
         table = Table(_HEADER, [("form", self.printed, self.corrected, ""), *self.lines])
-        return Section(
-            f"Erratum {self.number}: {self.place}", tables=[table],
-            notes=[self.remark] if self.remark else [],
-        )
+        title = f"Erratum {self.number}: {self.place}"
+        return Section(title, tables=[table], notes=[self.remark])
+
+
+def _erratum(number: int, *lines: Line, **facts: object) -> Erratum:
+    """The item of errata.yaml with its numbers; facts stand in its remark."""
+    text = {**_texts()[number]}
+    text["remark"] = text["remark"].format(**facts)
+    return Erratum(number=number, lines=lines, **text)
 
 
 def line(
@@ -87,21 +102,13 @@ def stiffness(beam: Beam) -> Erratum:
     )
     neutral = sum(e * h * z for e, h, z in layers) / sum(e * h for e, h, _ in layers)
     parallel = sum(e * (h**3 / 12.0 + h * (z - neutral) ** 2) for e, h, z in layers)
-    lines = tuple(
+    return _erratum(1, *(
         line(f"EI, {what}", "N m²", factor * bending.bending_stiffness_as_printed(b),
-              factor * bending.bending_stiffness(b), parallel, "parallel axes")
+             factor * bending.bending_stiffness(b), parallel, "parallel axes")
         for what, factor, b in (
             ("computed in m and Pa", 1.0, beam), ("computed in mm and MPa", 1e-6, millimetres),
         )
-    )
-    return Erratum(
-        1, "EI below eq. (14)",
-        "[w_c E_c² h_c⁴ + E_c E h_c h (4h_c² + 6h_c h + 4h²) + h⁴E²] / 12 E_c h_c + E h",
-        "w_c [E_c² h_c⁴ + E_c E h_c h (4h_c² + 6h_c h + 4h²) + E² h⁴] / [12 (E_c h_c + E h)]",
-        lines,
-        "The width belongs to every term and 12 to the whole denominator. As printed the "
-        "dimensions disagree, so the result depends on the units it is computed in.",
-    )
+    ))
 
 
 def deflection_of_strain(beam: Beam) -> Erratum:
@@ -110,13 +117,10 @@ def deflection_of_strain(beam: Beam) -> Erratum:
     x = np.linspace(0.0, beam.length, 2001)
     slope = bending.curvature(strain, beam) * x
     integral = float(np.sum(0.5 * (slope[1:] + slope[:-1]) * np.diff(x)))
-    return Erratum(
-        2, "eq. (17)", "δ = 6 ε l²/h_c · ...", "δ = κ l²/2 = 3 ε l²/h_c · ...",
-        (line("δ at ε = 1 %", "m", bending.deflection_as_printed(strain, beam),
-               bending.deflection(strain, beam), integral, "eq. (16) integrated twice"),),
-        "The constant curvature of eq. (16) integrated twice gives half of what is printed. "
-        "β of eq. (23) is consistent with the corrected form.",
-    )
+    return _erratum(2, line(
+        "δ at ε = 1 %", "m", bending.deflection_as_printed(strain, beam),
+        bending.deflection(strain, beam), integral, "eq. (16) integrated twice",
+    ))
 
 
 def signs(point: OperatingPoint) -> Erratum:
@@ -136,15 +140,10 @@ def signs(point: OperatingPoint) -> Erratum:
 
     step = 1e-5
     numerical = (pull(point.deflection + step) - pull(point.deflection - step)) / (2.0 * step)
-    return Erratum(
-        3, "eqs. (22), (23)", "ε = +δ/α, σ = βδ", "ε - ε_0 = -δ/α, Σσ = βδ",
-        (
-            line("strain at δ = 10 mm", "", 0.01 / alpha, -0.01 / alpha),
-            line("stiffness, β - E/α against β + ΣE/α", "Pa/m", beta - modulus / alpha,
-                  beta + wires * modulus / alpha, numerical, "nonlinear model"),
-        ),
-        "The strain is a contraction. With both signs positive the coupled model has a negative "
-        "stiffness.",
+    return _erratum(
+        3, line("strain at δ = 10 mm", "", 0.01 / alpha, -0.01 / alpha),
+        line("stiffness, β - E/α against β + ΣE/α", "Pa/m", beta - modulus / alpha,
+             beta + wires * modulus / alpha, numerical, "nonlinear model"),
     )
 
 
@@ -169,23 +168,16 @@ def constitutive(point: OperatingPoint) -> Erratum:
     corrected = (float(linear.a2(xi, strain, parameters)),
                  float(linear.a3(xi, strain, parameters)))
     slope = (sigma(xi + _EPSILON) - sigma(xi - _EPSILON)) / (2.0 * _EPSILON)
-    return Erratum(
-        4, "eq. (18)",
-        "a_2 = (E_M - E_A)[ε_L(ξ_0 - 2ξ*) - ε* + ε_0]; a_3 = (E_M - E_A)[ε_L ξ*² + (ε* - ε_0)ξ*]",
-        "a_2 = (E_M - E_A)[ε_L(ξ_0 - 2ξ*) + ε* - ε_0]; a_3 = (E_M - E_A) ξ* [ε_L ξ* - (ε* - ε_0)]",
-        (
-            line("a_2", "Pa", printed[0], corrected[0]),
-            line("a_3", "Pa", printed[1], corrected[1]),
-            line("∂σ/∂ξ = -ε_L E_A + a_2", "Pa", pull + printed[0], pull + corrected[0], slope,
-                  "difference quotient of eq. (6)"),
-            *(
-                line(f"σ at ξ* - {away:g}", "Pa", by_equation(*printed, xi - away),
-                      by_equation(*corrected, xi - away), sigma(xi - away), "eq. (6)")
-                for away in (0.0, 0.02)
-            ),
+    return _erratum(
+        4, line("a_2", "Pa", printed[0], corrected[0]),
+        line("a_3", "Pa", printed[1], corrected[1]),
+        line("∂σ/∂ξ = -ε_L E_A + a_2", "Pa", pull + printed[0], pull + corrected[0], slope,
+             "difference quotient of eq. (6)"),
+        *(
+            line(f"σ at ξ* - {away:g}", "Pa", by_equation(*printed, xi - away),
+                 by_equation(*corrected, xi - away), sigma(xi - away), "eq. (6)")
+            for away in (0.0, 0.02)
         ),
-        "The signs of (ε* - ε_0) are flipped. At the operating point itself (half of the largest "
-        "deflection) the two slips cancel; beside it they do not.",
     )
 
 
@@ -193,16 +185,13 @@ def heating(point: OperatingPoint) -> Erratum:
     """Item 5: the linearised heating."""
     volt, ohm = float(point.voltage[0]), point.parameters["wire.resistance"]
     quotient = ((volt + _EPSILON) ** 2 - (volt - _EPSILON) ** 2) / (2.0 * _EPSILON * ohm)
-    return Erratum(
-        5, "eq. (19)", "-(V*/R)(1 + 2V)", "+(V*/R)(2V - V*)",
-        (
-            line(f"heating at V = V* = {volt:.3f} V", "W",
-                  float(linear.linear_heating_as_printed(volt, volt, ohm)),
-                  float(linear.linear_heating(volt, volt, ohm)), volt**2 / ohm, "V²/R"),
-            line("heating per volt", "W/V", -2.0 * volt / ohm, 2.0 * volt / ohm, quotient,
-                  "difference quotient of V²/R"),
-        ),
-        "As printed the current cools the wire, and a number is added to a voltage.",
+    return _erratum(
+        5,
+        line(f"heating at V = V* = {volt:.3f} V", "W",
+             float(linear.linear_heating_as_printed(volt, volt, ohm)),
+             float(linear.linear_heating(volt, volt, ohm)), volt**2 / ohm, "V²/R"),
+        line("heating per volt", "W/V", -2.0 * volt / ohm, 2.0 * volt / ohm, quotient,
+             "difference quotient of V²/R"),
     )
 
 
@@ -228,12 +217,7 @@ def kinetics(point: OperatingPoint) -> Erratum:
             line(f"∂ξ/∂σ, {name}", "1/Pa", float(printed(t, s, parameters)),
                   float(of_stress(t, s, parameters)), float(by_s), "difference quotient"),
         ]
-    return Erratum(
-        6, "eqs. (20), (21)", "b_1 = ½ sin[...], ξ = b_1 (T* - T + σ - σ*) + b_2; b_3 likewise",
-        "b_1 = π/(2(A_f - A_s)) sin[...], ξ = b_1 (T* - T + (σ - σ*)/C_A) + b_2; b_3 with "
-        "π/(M_s - M_f) and C_M",
-        tuple(lines), "The factor of the chain rule is missing, and kelvins are added to pascals.",
-    )
+    return _erratum(6, *lines)
 
 
 # --- Errata 7 to 11: numbers and words that do not fit, as the audit finds them.
@@ -245,10 +229,7 @@ def order(finding: Finding) -> Erratum:
          "Table II")
         for number, cycle in enumerate(DSC_CYCLES, start=1)
     )
-    return Erratum(
-        7, "section III.B.1", "A_f > A_s > M_s > M_f", "M_s lies above A_s in both cycles",
-        lines, f"Audit: {finding.text}.",
-    )
+    return _erratum(7, *lines, audit=finding.text)
 
 
 def lengths(length: Finding, resistivity: Finding) -> Erratum:
@@ -257,17 +238,14 @@ def lengths(length: Finding, resistivity: Finding) -> Erratum:
     rho = [resistivity.numbers[f"resistivity_from_{what}_length"] * 1e8
            for what in ("area", "mass")]
     h = length.numbers["heat_transfer_coefficient_for_length_from_mass"]
-    return Erratum(
-        8, "Table I", "m = 0.091 g, A_c = 395.84 mm², R = 2.6987 Ω of one wire",
-        "m and R agree on 0.2 m of wire, A_c does not",
-        (
-            ("length of the wire", f"{by_area:.3f} m from A_c", f"{by_mass:.3f} m from m",
-             "6450 kg/m³, 0.3 mm"),
-            ("resistivity", f"{rho[0]:.0f} µΩ cm with A_c", f"{rho[1]:.0f} µΩ cm with m",
-             "NiTi: 70 to 110 µΩ cm"),
-            ("h", "403.26 W/(m² K)", f"{h:.0f} W/(m² K) over 0.2 m", "h A_c is what is measured"),
-        ),
-        f"Audit: {length.text}.",
+    return _erratum(
+        8,
+        ("length of the wire", f"{by_area:.3f} m from A_c", f"{by_mass:.3f} m from m",
+         "6450 kg/m³, 0.3 mm"),
+        ("resistivity", f"{rho[0]:.0f} µΩ cm with A_c", f"{rho[1]:.0f} µΩ cm with m",
+         "NiTi: 70 to 110 µΩ cm"),
+        ("h", "403.26 W/(m² K)", f"{h:.0f} W/(m² K) over 0.2 m", "h A_c is what is measured"),
+        audit=length.text,
     )
 
 
@@ -275,16 +253,13 @@ def convection(heat: Finding, time: Finding) -> Erratum:
     """Item 9: a heat transfer coefficient that still air does not give."""
     low, high = heat.numbers["still_air_low"], heat.numbers["still_air_high"]
     short, long = time.numbers["still_air_low"], time.numbers["still_air_high"]
-    return Erratum(
-        9, "h of Table I", "h = 403.26 W/(m² K)",
-        "not explained by still air; measure anew with a camera whose spot fits the wire",
-        (
-            ("h", "403.26 W/(m² K)", f"{low:.0f} to {high:.0f} W/(m² K)",
-             "Churchill-Chu and radiation"),
-            ("time constant m c_p/(h A_c)", f"{time.numbers['time_constant']:.3f} s",
-             f"{short:.2f} to {long:.2f} s", "same correlation"),
-        ),
-        f"Audit: {heat.text}.",
+    return _erratum(
+        9,
+        ("h", "403.26 W/(m² K)", f"{low:.0f} to {high:.0f} W/(m² K)",
+         "Churchill-Chu and radiation"),
+        ("time constant m c_p/(h A_c)", f"{time.numbers['time_constant']:.3f} s",
+         f"{short:.2f} to {long:.2f} s", "same correlation"),
+        audit=heat.text,
     )
 
 
@@ -293,16 +268,13 @@ def expansion(paper: Parameters) -> Erratum:
     printed = paper.replace({"wire.thermal_expansion_factor": THERMAL_EXPANSION})
     finding = next(f for f in audit(printed) if f.subject == "thermal expansion")
     low, high = finding.numbers["alpha_E_low"], finding.numbers["alpha_E_high"]
-    return Erratum(
-        10, "section III.B.3", "Θ = 23.91 MPa", "Θ_T in MPa/K, negative, of the size of α E",
-        (
-            ("Θ_T", f"+{THERMAL_EXPANSION / 1e6:.2f} MPa/K, if so",
-             f"-{low / 1e6:.2f} to -{high / 1e6:.2f} MPa/K",
-             "-α E of martensite and of austenite"),
-            ("stress after 30 K below A_s", f"{30.0 * THERMAL_EXPANSION / 1e6:+.0f} MPa",
-             f"{-30.0 * low / 1e6:+.1f} MPa", "eq. (8)"),
-        ),
-        f"Audit: {finding.text}.",
+    return _erratum(
+        10,
+        ("Θ_T", f"+{THERMAL_EXPANSION / 1e6:.2f} MPa/K, if so",
+         f"-{low / 1e6:.2f} to -{high / 1e6:.2f} MPa/K", "-α E of martensite and of austenite"),
+        ("stress after 30 K below A_s", f"{30.0 * THERMAL_EXPANSION / 1e6:+.0f} MPa",
+         f"{-30.0 * low / 1e6:+.1f} MPa", "eq. (8)"),
+        audit=finding.text,
     )
 
 
@@ -319,14 +291,11 @@ def holding_stress(paper: Parameters) -> Erratum:
     angles = np.linspace(0.0, 2.0 * np.pi, 20001)
     x, y = 0.5 * diameter * np.cos(angles), 0.5 * diameter * np.sin(angles)
     shoelace = 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
-    return Erratum(
-        12, "section III.B.1 (UPFR)", "1 N is about 13 MPa", "4F/(π d²) of a 0.3 mm wire",
-        (
-            line("σ under 1 N", "Pa", _PRINTED_STRESS, HOLDING_FORCE / bending.wire_section(paper),
-                 HOLDING_FORCE / shoelace, "area of a polygon of 20000 sides"),
-            ("diameter", f"{1e3 * needed:.3f} mm, if 13 MPa", f"{1e3 * diameter:.3f} mm", ""),
-        ),
-        "Small, but the stress that A_s and A_f are referred to zero with.",
+    return _erratum(
+        12,
+        line("σ under 1 N", "Pa", _PRINTED_STRESS, HOLDING_FORCE / bending.wire_section(paper),
+             HOLDING_FORCE / shoelace, "area of a polygon of 20000 sides"),
+        ("diameter", f"{1e3 * needed:.3f} mm, if 13 MPa", f"{1e3 * diameter:.3f} mm", ""),
     )
 
 
@@ -341,12 +310,7 @@ def agreement() -> Erratum:
         for symbol, (mean, std) in (("A_s", UPFR_START), ("A_f", UPFR_FINISH))
         for number, cycle in enumerate(DSC_CYCLES, start=1)
     )
-    return Erratum(
-        13, "section III.B.1 (UPFR)", '"good agreement" with the DSC',
-        "only A_s of the first cycle agrees", lines,
-        "The UPFR's 14 MPa shift both by +2 K at 7 MPa/K and cannot make A_f fall. The two see "
-        "different specimens, prestrains and tangents.",
-    )
+    return _erratum(13, *lines)
 
 
 def omitted_stress(paper: Parameters) -> Erratum:
@@ -357,30 +321,21 @@ def omitted_stress(paper: Parameters) -> Erratum:
         kelvin = np.linspace(300.0, 400.0, 100001)
         xi = material.heated_fraction(kelvin, held, paper)
         middles.append(float(np.interp(0.5, xi[::-1], kelvin[::-1])))
-    return Erratum(
-        15, "section III.B.4", '"for constant load conditions σ can be omitted"',
-        "a constant stress shifts the ranges by σ/C_A, σ/C_M",
-        (
-            line("shift of A_s and A_f at 100 MPa", "K", 0.0,
-                 sigma / paper["wire.stress_influence_austenite"], middles[1] - middles[0],
-                 "eq. (10) at ξ = 1/2 with and without"),
-        ),
-        "Constant, but not nothing: only a derivative of it vanishes. C_A is assumed (7 MPa/K), as "
-        "the paper gives none.",
-    )
+    return _erratum(15, line(
+        "shift of A_s and A_f at 100 MPa", "K", 0.0,
+        sigma / paper["wire.stress_influence_austenite"], middles[1] - middles[0],
+        "eq. (10) at ξ = 1/2 with and without",
+    ))
 
 
 def current_range(paper: Parameters) -> Erratum:
     """Item 16: volts and amperes of the supply."""
     ohm = paper["wire.resistance"]
-    return Erratum(
-        16, "section IV", "0 to 10 V and 0 to 3 A", "one limits the other at the wire's resistance",
-        (
-            line("current at 10 V", "A", _CURRENT_RANGE, _VOLTAGE_RANGE / ohm,
-                 float(np.sqrt(_VOLTAGE_RANGE**2 / ohm / ohm)), "√(P/R) of its heat"),
-            line("largest voltage", "V", _VOLTAGE_RANGE, _CURRENT_RANGE * ohm),
-        ),
-        "The supply's range or the wire's: 3 A end at 8.1 V.",
+    return _erratum(
+        16,
+        line("current at 10 V", "A", _CURRENT_RANGE, _VOLTAGE_RANGE / ohm,
+             float(np.sqrt(_VOLTAGE_RANGE**2 / ohm / ohm)), "√(P/R) of its heat"),
+        line("largest voltage", "V", _VOLTAGE_RANGE, _CURRENT_RANGE * ohm),
     )
 
 
@@ -401,18 +356,10 @@ def stressed_reference(paper: Parameters) -> Erratum:
     printed = begun + e(xi) * (c_0 - c) - strain_limit * e(xi) * (xi - xi_0)
     # eps and xi count from rest, where the wire is martensite: eps_L (xi - 1) of its length.
     missing = (e(xi) - e(xi_0)) * (-c_0 - strain_limit * (xi_0 - 1.0))
-    return Erratum(
-        17, "eqs. (6), (7), (9)",
-        "σ - σ_0 = E(ξ)(ε - ε_0) + Θ_T (T - T_0) + Ω(ξ - ξ_0) from any (σ_0, ε_0, ξ_0)",
-        "... + (E(ξ) - E(ξ_0))(ε_0 - ε_L ξ_0)",
-        (
-            line("σ at ξ = 0.2, ε = -3 %, from the state ξ_0 = 0.6, ε_0 = -2 %", "Pa", printed,
-                 printed + missing, from_rest(*second), "from the stress-free reference at once"),
-        ),
-        "With a modulus that changes, (6) holds from a stress-free reference only (ε_0 and ξ_0 "
-        "counted from there); from any other the state would depend on the way to it. The package "
-        "always counts from rest.",
-    )
+    return _erratum(17, line(
+        "σ at ξ = 0.2, ε = -3 %, from the state ξ_0 = 0.6, ε_0 = -2 %", "Pa", printed,
+        printed + missing, from_rest(*second), "from the stress-free reference at once",
+    ))
 
 
 def partial_loops(paper: Parameters) -> Erratum:
@@ -431,19 +378,13 @@ def partial_loops(paper: Parameters) -> Erratum:
     def corrected(kelvin: float) -> float:
         return material.fraction_since_reversal(False, 0.5, ramps(turned), ramps(kelvin))
 
-    return Erratum(
-        18, "eqs. (10), (11)", "no initial fractions: ξ is a function of T on each direction",
-        "1 - ξ = (1 - ξ_r) g/g_r on cooling, ξ = ξ_r f/f_r on heating, from the last reversal",
-        (
-            line("ξ as the wire, half transformed, turns to cooling", "", 1.0 - austenite(turned),
-                 corrected(turned), 0.5, "what it was a moment before"),
-            line("ξ 10 K further down", "", 1.0 - austenite(later), corrected(later),
-                 1.0 - 0.5 * austenite(later) / austenite(turned),
-                 "eq. (11) in proportion to what was left"),
-        ),
-        "As printed they hold for full loops only: Liang and Rogers' ξ_M and ξ_A are dropped. The "
-        "paper's own reference says of this law that it \"cannot be used for predicting the shape "
-        "memory effect\": it knows no detwinning.",
+    return _erratum(
+        18,
+        line("ξ as the wire, half transformed, turns to cooling", "", 1.0 - austenite(turned),
+             corrected(turned), 0.5, "what it was a moment before"),
+        line("ξ 10 K further down", "", 1.0 - austenite(later), corrected(later),
+             1.0 - 0.5 * austenite(later) / austenite(turned),
+             "eq. (11) in proportion to what was left"),
     )
 
 
@@ -463,28 +404,20 @@ def geometry(rig: Parameters) -> Erratum:
          beam.thickness + 0.5 * beam.layer_thickness),
     )
     neutral = sum(e * z for e, z in layers) / sum(e for e, _ in layers)
-    return Erratum(
-        19, "eqs. (12) to (17), (22)",
-        "one w for both layers; a from the centre line; ε of (16) put into (22)",
-        "a width for each layer; the arm reaches to the neutral axis; free and actual strain apart",
-        (
-            line("width of the SMA layer", "mm", 1e3 * beam.width, 1e3 * layer,
-                 1e3 * wires * np.pi * (0.5 * rig["wire.diameter"]) ** 2 / beam.layer_thickness,
-                 "wires times section over thickness"),
-            line("δ per strain, α", "m", sheet[1], real[1], _by_energy(beam, layer),
-                 "least elastic energy"),
-            line("neutral axis above the middle of the matrix, one width", "mm", 0.0,
-                 1e3 * (sheet[0] - 0.5 * beam.thickness),
-                 1e3 * (neutral - 0.5 * beam.thickness), "parallel axes"),
-            line("δ at a free strain of 1 %", "m", coupled, strain * sheet[1],
-                 strain * _by_energy(beam, beam.width), "least elastic energy, one width"),
-        ),
-        f"With one width the neutral axis lies inside the SMA layer ({1e3 * beam.thickness:.1f} to "
-        f"{1e3 * (beam.thickness + beam.layer_thickness):.1f} mm above the bottom), so the wires "
-        "bend the beam about themselves while a counts from the centre line. The strain of (16) is "
-        "what a free layer would have, that of (22) what the wire has: the beam's stiffness counts "
-        f"twice, {1.0 - coupled / (strain * sheet[1]):.1%} of δ. Slips of words: \"scale "
-        'calorimetry" (scanning), "a decreasing current, from 6.25 to 0 V" (voltage).',
+    return _erratum(
+        19,
+        line("width of the SMA layer", "mm", 1e3 * beam.width, 1e3 * layer,
+             1e3 * wires * np.pi * (0.5 * rig["wire.diameter"]) ** 2 / beam.layer_thickness,
+             "wires times section over thickness"),
+        line("δ per strain, α", "m", sheet[1], real[1], _by_energy(beam, layer),
+             "least elastic energy"),
+        line("neutral axis above the middle of the matrix, one width", "mm", 0.0,
+             1e3 * (sheet[0] - 0.5 * beam.thickness),
+             1e3 * (neutral - 0.5 * beam.thickness), "parallel axes"),
+        line("δ at a free strain of 1 %", "m", coupled, strain * sheet[1],
+             strain * _by_energy(beam, beam.width), "least elastic energy, one width"),
+        low=1e3 * beam.thickness, high=1e3 * (beam.thickness + beam.layer_thickness),
+        twice=1.0 - coupled / (strain * sheet[1]),
     )
 
 
@@ -549,19 +482,13 @@ def paper_errata() -> list[Erratum]:
         lengths(findings["wire length"], findings["resistivity"]),
         convection(findings["heat transfer"], findings["time constant"]),
         expansion(paper),
-        Erratum(
-            11, "section III.B.1", '"nitrate as purge gas"', "nitrogen",
-            remark="A nitrate is a salt; DSCs are purged with nitrogen.",
-        ),
+        _erratum(11),
         holding_stress(paper),
         agreement(),
-        Erratum(
-            14, "eqs. (5), (14)", "h_c in both", "h in (5), as in (2) to (4)",
-            (
-                ("h_c of eq. (5)", "h_c", "h, W/(m² K)", "(5) is (2) over m: the same coefficient"),
-                ("h_c of eqs. (14) to (17), (22)", "h_c", "h_c, m", "thickness of the matrix"),
-            ),
-            "One symbol for a heat transfer coefficient and for a thickness.",
+        _erratum(
+            14,
+            ("h_c of eq. (5)", "h_c", "h, W/(m² K)", "(5) is (2) over m: the same coefficient"),
+            ("h_c of eqs. (14) to (17), (22)", "h_c", "h_c, m", "thickness of the matrix"),
         ),
         omitted_stress(paper),
         current_range(paper),

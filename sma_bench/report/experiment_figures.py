@@ -4,7 +4,6 @@ import re
 from collections.abc import Callable
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
@@ -17,8 +16,16 @@ from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics.simulate import simulate
 from sma_bench.records.record import Record
 from sma_bench.records.samples import held_voltages
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, legend_above, new_figure
-from sma_bench.report.page import Picture
+from sma_bench.report.drawing import (
+    FAINT,
+    MEASURED,
+    MODEL,
+    SECOND,
+    legend_above,
+    new_figure,
+    one_panel,
+)
+from sma_bench.report.page import Picture, pictured
 from sma_bench.results import with_error
 
 # --- Figures 2 to 6 of the paper, redrawn from records.
@@ -26,27 +33,20 @@ from sma_bench.results import with_error
 _JUMP = 0.2  # V between two samples
 
 
-def resistance_picture(e1: Experiment) -> Picture:
-    """Fig. 2: current over voltage in both directions, with the fitted line."""
-    estimate = e1.estimates["wire.resistance"]
-    label = f"R = {with_error(estimate.value, estimate.std)} ohm"
-    figure = _plateau_figure(e1.curves, "current", "current [A]", label)
-    caption = f"Plateau means and straight line, eq. (3), as Fig. 2. {e1.source}"
-    return Picture("figure_02_resistance", "Current against voltage", caption, figure)
+# Figs. 2 and 3: name, quantity, its axis, parameter, symbol and unit.
+_PLATEAUS = {
+    "E1": ("figure_02_resistance", "current", "current [A]", "wire.resistance", "R", "ohm"),
+    "E2": ("figure_03_heat_transfer", "temperature", "steady temperature [K]",
+           "wire.heat_transfer_coefficient", "h", "W/(m² K)"),
+}
 
 
-def heat_transfer_picture(e2: Experiment) -> Picture:
-    """Fig. 3: steady temperature over voltage, with eq. (4) fitted."""
-    estimate = e2.estimates["wire.heat_transfer_coefficient"]
-    label = f"h = {with_error(estimate.value, estimate.std)} W/(m² K)"
-    figure = _plateau_figure(e2.curves, "temperature", "steady temperature [K]", label)
-    caption = f"Plateau means and eq. (4), as Fig. 3. {e2.source}"
-    return Picture("figure_03_heat_transfer", "Steady temperature against voltage", caption, figure)
-
-
-def _plateau_figure(curves: dict[str, Array], quantity: str, axis: str, fitted: str) -> Figure:
-    """Plateau means of a quantity over voltage, heating and cooling apart, and its line."""
-    figure, (ax,) = new_figure()
+def plateau_picture(experiment: Experiment) -> Picture:
+    """Figs. 2 and 3: plateau means of current or steady temperature over voltage, heating and
+    cooling apart, and the fitted line."""
+    name, quantity, axis, parameter, symbol, unit = _PLATEAUS[experiment.name]
+    estimate, curves = experiment.estimates[parameter], experiment.curves
+    figure, ax = one_panel("voltage [V]", axis)
     heating = curves["heating"] > 0.5
     for chosen, marker, colour, label in (
         (heating, "+", SECOND, "heating"), (~heating, "o", MEASURED, "cooling"),
@@ -55,30 +55,28 @@ def _plateau_figure(curves: dict[str, Array], quantity: str, axis: str, fitted: 
             curves["voltage"][chosen], curves[quantity][chosen], marker, ms=6, mfc="none",
             color=colour, label=label,
         )
-    ax.plot(curves["line_voltage"], curves[f"line_{quantity}"], color=MODEL, label=fitted)
-    ax.set(xlabel="voltage [V]", ylabel=axis)
+    label = f"{symbol} = {with_error(estimate.value, estimate.std)} {unit}"
+    ax.plot(curves["line_voltage"], curves[f"line_{quantity}"], color=MODEL, label=label)
     ax.legend()
-    return figure
+    return pictured(name, figure, source=experiment.source)
 
 
 def ramp_picture(e3: Experiment) -> Picture:
     """Fig. 4: temperature over voltage during the ramps of E3, with the fitted response."""
-    figure, (ax,) = new_figure()
+    figure, ax = one_panel("voltage [V]", "temperature [K]")
     curves = e3.curves
     ax.plot(curves["voltage"], curves["temperature"], ".", ms=2, color=MEASURED, label="measured")
     # No line across the jump to 0 V at a ramp's end: nothing happens there.
     jump = np.abs(np.diff(curves["voltage"], append=curves["voltage"][-1])) > _JUMP
     model = np.where(jump, np.nan, curves["model"])
     ax.plot(curves["voltage"], model, color=MODEL, lw=1, label="eq. (2), fitted")
-    ax.set(xlabel="voltage [V]", ylabel="temperature [K]")
     ax.legend()
-    caption = f"Ramps and the cooling after them, eq. (2), as Fig. 4. {e3.source}"
-    return Picture("figure_04_ramp", "Temperature against voltage", caption, figure)
+    return pictured("figure_04_ramp", figure, source=e3.source)
 
 
 def slope_picture(e3: Experiment) -> Picture:
     """Fig. 5: derivative of temperature over f(T, V), slope 1/c_p."""
-    figure, (ax,) = new_figure()
+    figure, ax = one_panel("f(T, V) [W/kg]", "dT/dt [K/s]")
     force, rate = e3.curves["force"], e3.curves["rate"]
     ax.plot(force, rate, ".", ms=2, color=FAINT, label="differentiator filter")
     ends = np.array([0.0, float(np.nanmax(force))])
@@ -89,24 +87,16 @@ def slope_picture(e3: Experiment) -> Picture:
     for estimate, style, colour, name in lines:
         label = f"{name}: {with_error(estimate.value, estimate.std)} J/(kg K)"
         ax.plot(ends, ends / estimate.value, style, color=colour, label=label)
-    ax.set(xlabel="f(T, V) [W/kg]", ylabel="dT/dt [K/s]")
     ax.legend()
-    caption = (
-        f"Eq. (5), as Fig. 5; noise in both axes pulls the plain slope off, so c_p is fitted to "
-        f"the temperature itself. {e3.source}"
-    )
-    return Picture("figure_05_specific_heat", "dT/dt against f(T, V)", caption, figure)
+    return pictured("figure_05_specific_heat", figure, source=e3.source)
 
 
-def validation_picture(record: Record, parameters: Parameters) -> tuple[Picture, float]:
+def validation_picture(record: Record, parameters: Parameters) -> Picture:
     """Fig. 6: a triangular voltage, measured temperature and the simulation of eq. (2).
 
     Args:
         record: a wire-rig record that no parameter was fitted to.
         parameters: identified ones.
-
-    Returns:
-        The picture, and the root mean square error of the temperature [K].
 
     Raises:
         InputError: the record lacks voltage or temperature of the wire.
@@ -131,9 +121,7 @@ def validation_picture(record: Record, parameters: Parameters) -> tuple[Picture,
     lower.plot(time, simulated, color=MODEL, lw=1, label=f"simulated, rms error {rmse:.2f} K")
     lower.set(xlabel="time [s]", ylabel="temperature [K]")
     legend_above(lower)
-    caption = f"Eq. (2) with the identified parameters, as Fig. 6. {record.path}"
-    title = "Triangular voltage and temperature"
-    return Picture("figure_06_validation", title, caption, figure), rmse
+    return pictured("figure_06_validation", figure, source=record.path)
 
 
 # --- Fig. 7 of the paper: heat flow of a DSC run with the tangents that give the temperatures.
@@ -142,7 +130,7 @@ def dsc_pictures(e5: Experiment) -> list[Picture]:
     """One picture a scan: heat flow (transformation upward), baselines, tangents, crossings."""
     pictures = []
     for label in [n.removesuffix("/heat_flow") for n in e5.curves if n.endswith("/heat_flow")]:
-        figure, (ax,) = new_figure()
+        figure, ax = one_panel("temperature [K]", "heat flow [W/kg]")
         prefix = f"{label}/"
         curves = {
             name.removeprefix(prefix): curve
@@ -171,15 +159,13 @@ def dsc_pictures(e5: Experiment) -> list[Picture]:
         margin = 0.08 * (near.max() - near.min())
         ax.set_xlim(low, high)
         ax.set_ylim(near.min() - margin, near.max() + margin)
-        ax.set(xlabel="temperature [K]", ylabel="heat flow [W/kg]")
         ax.legend()
         heat = e5.details[f"{label}/latent_heat"]
-        caption = (
-            f"Baselines and tangents, as Fig. 7; latent heat {heat.value / 1e3:.1f} ± "
-            f"{heat.std / 1e3:.1f} kJ/kg. {e5.source}"
-        )
-        name, title = f"figure_07_dsc_{label.replace('/', '_')}", label.replace("_", " ")
-        pictures.append(Picture(name, f"DSC, {title}", caption, figure))
+        name = f"figure_07_dsc_{label.replace('/', '_')}"
+        pictures.append(pictured(
+            "figure_07_dsc_scan", figure, name, scan=label.replace("_", " "),
+            heat=heat.value / 1e3, error=heat.std / 1e3, source=e5.source,
+        ))
     return pictures
 
 
@@ -191,12 +177,8 @@ _SYMBOLS = {"heating": ("A_s", "A_f"), "cooling": ("M_s", "M_f")}
 
 
 def dsc_overview_picture(e5: Experiment) -> Picture:
-    """Heat flow over temperature, endothermic up: heating above, cooling below, by cycle.
-
-    Args:
-        e5: of identify_heating_rates or identify_transition_temperatures.
-    """
-    figure, (ax,) = new_figure(height=4.8)
+    """Heat flow over temperature, endothermic up: heating above, cooling below, by cycle."""
+    figure, ax = one_panel("temperature [K]", "heat flow, endothermic up [W/kg]", 4.8)
     counts = {"heating": 0, "cooling": 0}
     scans = [match["scan"] for key in e5.curves if (match := _HEAT_FLOW.match(key))]
     for scan in scans:
@@ -221,16 +203,10 @@ def dsc_overview_picture(e5: Experiment) -> Picture:
                 text, (onset.value, level), (0, below), textcoords="offset points", ha="center",
                 va="center", fontsize=8, color=colour,
             )
-    ax.set(xlabel="temperature [K]", ylabel="heat flow, endothermic up [W/kg]")
     ax.text(0.015, 0.93, "heating", transform=ax.transAxes, color=FAINT, fontsize=9)
     ax.text(0.015, 0.04, "cooling", transform=ax.transAxes, color=FAINT, fontsize=9)
     ax.legend(loc="upper right")
-    caption = (
-        "All scans of the run; rings and labels (symbol, cycle) where the tangents meet the "
-        "baselines. Heat into the sample per mass is c_p dT/dt - Δh dξ/dt: eq. (1), with ξ of "
-        f"eqs. (10), (11). {e5.source}"
-    )
-    return Picture("figure_07_dsc", "DSC measurement curve", caption, figure)
+    return pictured("figure_07_dsc", figure, source=e5.source)
 
 
 # --- Fig. 8 of the paper and the stress-temperature diagram, from E6.
@@ -248,12 +224,9 @@ _SEVERAL = 4
 _DRAWN = 2000
 
 
-def isobaric_pictures(e6: Experiment) -> list[Picture]:
-    """Contraction over temperature; the diagram too where several stresses were tested."""
-    pictures = [upfr_picture(e6)]
-    if any(len(e6.curves[f"diagram/{name}/stress"]) > 1 for name in _TRANSITIONS):
-        pictures.append(stress_temperature_picture(e6))
-    return pictures
+def has_diagram(e6: Experiment) -> bool:
+    """Whether several stresses were tested."""
+    return any(len(e6.curves[f"diagram/{name}/stress"]) > 1 for name in _TRANSITIONS)
 
 
 def upfr_picture(e6: Experiment) -> Picture:
@@ -316,17 +289,12 @@ def upfr_picture(e6: Experiment) -> Picture:
     ax.legend(loc="center left", fontsize=8)
     most = e6.estimates.get("wire.maximum_recoverable_strain")
     limit = f"; ε_L = {most.value:.2%} ± {most.std:.2%}" if most else ""
-    caption = (
-        f"Contraction under a held load: eqs. (6), (9) with the cosines of (10) and, on cooling, "
-        f"(11), whose ends a simulation takes; dotted the tangents, whose crossings (rings) are "
-        f"the paper's start and finish{limit}. {e6.source}"
-    )
-    return Picture("figure_08_upfr", "Contraction against temperature (UPFR)", caption, figure)
+    return pictured("figure_08_upfr", figure, limit=limit, source=e6.source)
 
 
 def stress_temperature_picture(e6: Experiment) -> Picture:
     """Transition temperatures over stress with the lines whose slopes are 1/C_A and 1/C_M."""
-    figure, (ax,) = new_figure(height=4.6)
+    figure, ax = one_panel("temperature [K]", "stress [MPa]", 4.6)
     for name, (at_zero, influence, colour, marker) in _TRANSITIONS.items():
         points = {
             quantity: e6.curves[f"diagram/{name}/{quantity}"]
@@ -340,7 +308,6 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
             stress = np.array([0.0, float(points["stress"].max())])
             line = e6.estimates[at_zero].value + stress / e6.estimates[influence].value
             ax.plot(line, stress / 1e6, color=colour, lw=1)
-    ax.set(xlabel="temperature [K]", ylabel="stress [MPa]")
     ax.set_ylim(bottom=0.0)
     ax.legend()
     slopes = [
@@ -350,11 +317,8 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
         )
         if (e := e6.estimates.get(name)) is not None
     ]
-    caption = (
-        "Transition temperatures at held stresses and lines of one slope a direction, the "
-        f"influence of stress in eqs. (10), (11): {', '.join(slopes) or 'none found'}. {e6.source}"
-    )
-    return Picture("stress_temperature", "Stress-temperature diagram", caption, figure)
+    found = ", ".join(slopes) or "none found"
+    return pictured("stress_temperature", figure, slopes=found, source=e6.source)
 
 
 # --- Figs. 9 and 10 of the paper: tensile tests (E7) and the clamped staircase (E8).
@@ -366,7 +330,7 @@ _BEYOND = 0.9  # of the highest stress
 
 def tensile_picture(e7: Experiment) -> Picture:
     """Fig. 9: stress over strain of both phases, the slopes that are E_M and E_A beside them."""
-    figure, (ax,) = new_figure(height=4.6)
+    figure, ax = one_panel("strain [%]", "stress [MPa]", 4.6)
     tests = [key.rpartition("/")[0] for key in e7.curves if key.endswith("/stress")]
     seen: set[str] = set()
     for test in tests:
@@ -398,57 +362,41 @@ def tensile_picture(e7: Experiment) -> Picture:
             50.0 * (begin.value + end.value), 0.02, "detwinning", ha="center", fontsize=8,
             color=FAINT, transform=ax.get_xaxis_transform(),
         )
-    ax.set(xlabel="strain [%]", ylabel="stress [MPa]")
     ax.legend(loc="upper left")
-    caption = (
-        "Tensile tests at constant temperature; the slopes drawn are the moduli of eq. (7), taken "
-        f"outside toe and plateau. {e7.source}"
-    )
-    return Picture("figure_09_tensile", "Stress against strain", caption, figure)
+    return pictured("figure_09_tensile", figure, source=e7.source)
 
 
 def thermal_expansion_picture(e8: Experiment) -> Picture:
     """Fig. 10: stress of the clamped wire over temperature below A_s, with the line of eq. (8)."""
-    figure, (ax,) = new_figure()
+    figure, ax = one_panel("temperature [K]", "stress [MPa]")
     curves = e8.curves
     used = curves["used"] > 0.5
     theta: Estimate = e8.estimates[PARAMETER]
-    ax.plot(
-        curves["temperature"][used], curves["stress"][used] / 1e6, "o", mfc="none", ms=6,
-        color=MEASURED, label="plateaus",
-    )
-    if not used.all():
-        ax.plot(
-            curves["temperature"][~used], curves["stress"][~used] / 1e6, "x", ms=6, color=FAINT,
-            label="left out",
-        )
+    for chosen, marker, colour, label in (
+        (used, "o", MEASURED, "plateaus"), (~used, "x", FAINT, "left out"),
+    ):
+        if chosen.any():
+            ax.plot(curves["temperature"][chosen], curves["stress"][chosen] / 1e6, marker,
+                    mfc="none", ms=6, color=colour, label=label)
     order = np.argsort(curves["temperature"][used])
     ax.plot(
         curves["temperature"][used][order], curves["line"][used][order] / 1e6, color=MODEL,
         label=f"$\\Theta_T$ = {theta.value / 1e6:.3f} ± {theta.std / 1e6:.3f} MPa/K",
     )
-    ax.set(xlabel="temperature [K]", ylabel="stress [MPa]")
     ax.legend()
-    caption = (
-        "Steady stress of the clamped wire below A_s and eq. (8). The wire was clamped under "
-        f"tension; as it expands it loses some, so the slope is negative. {e8.source}"
-    )
-    return Picture(
-        "figure_10_thermal_expansion", "Stress of the clamped wire against temperature", caption,
-        figure,
-    )
+    return pictured("figure_10_thermal_expansion", figure, source=e8.source)
 
 
 # --- E9 and E10: what was measured, and the model that was fitted to all of it.
 
 _ROWS = 4
-_FIRST = ("deflection", "force", "elongation", "temperature", "current")
 _UNITS = {"deflection": "m", "force": "N", "elongation": "m", "temperature": "K", "current": "A"}
+_FIRST = tuple(_UNITS)
 
 
 def constitutive_picture(e9: Experiment) -> Picture:
     """Strain over temperature of every loop with the fitted law."""
-    figure, (ax,) = new_figure(height=4.6)
+    figure, ax = one_panel("temperature [K]", "strain [%]", 4.6)
     loops = [key.removesuffix("/model") for key in e9.curves if key.endswith("/model")]
     for k, loop in enumerate(loops):
         temperature = e9.curves[f"{loop}/temperature"]
@@ -457,13 +405,8 @@ def constitutive_picture(e9: Experiment) -> Picture:
             label=loop, rasterized=True,
         )
         ax.plot(temperature, 100.0 * e9.curves[f"{loop}/model"], color="black", lw=0.8)
-    ax.set(xlabel="temperature [K]", ylabel="strain [%]")
     ax.legend(fontsize=7, markerscale=4, ncols=2 if len(loops) > 6 else 1)
-    caption = (
-        f"Strain under held stress, measured (points) and eqs. (6), (7), (9) to (11) fitted to all "
-        f"loops at once (lines). {e9.source}"
-    )
-    return Picture("constitutive_fit", "Joint fit of the constitutive law", caption, figure)
+    return pictured("constitutive_fit", figure, source=e9.source)
 
 
 def bench_fit_pictures(e10: Experiment) -> list[Picture]:
@@ -487,13 +430,8 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
             ax.set(ylabel=f"{signal.removeprefix(f'{head}.')}\n[{unit}]")
             ax.legend(fontsize=8)
         axes[-1].set(xlabel="time [s]")
-        number = f"_{head}" if head else ""
-        caption = (
-            "The baseline model, eqs. (2), (6), (7), (9) to (11), (22), (23), simulated on the "
-            f"measured voltages with the fitted parameters. {e10.source}"
-        )
-        title = "Measured and fitted signals"
-        pictures.append(Picture(f"bench_fit{number}", title, caption, figure))
+        name = f"bench_fit_{head}" if head else "bench_fit"
+        pictures.append(pictured("bench_fit", figure, name, source=e10.source))
     return pictures
 
 
@@ -505,11 +443,13 @@ def _quantity(signal: str) -> str:
 # --- Which pictures belong to which experiment.
 
 _PICTURES: dict[str, Callable[[Experiment], list[Picture]]] = {
-    "E1": lambda e1: [resistance_picture(e1)],
-    "E2": lambda e2: [heat_transfer_picture(e2)],
+    "E1": lambda e1: [plateau_picture(e1)],
+    "E2": lambda e2: [plateau_picture(e2)],
     "E3": lambda e3: [ramp_picture(e3), slope_picture(e3)],
     "E5": dsc_pictures,
-    "E6": isobaric_pictures,
+    "E6": lambda e6: [upfr_picture(e6), *(
+        [stress_temperature_picture(e6)] if has_diagram(e6) else []
+    )],
     "E7": lambda e7: [tensile_picture(e7)],
     "E8": lambda e8: [thermal_expansion_picture(e8)],
     # Loops of isobaric tests, or the signals of the load frame's bags.

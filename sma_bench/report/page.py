@@ -7,11 +7,11 @@ import html
 import io
 import platform
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
-from importlib import metadata
+from importlib import metadata, resources
 from pathlib import Path
 from typing import ClassVar
 
@@ -19,7 +19,7 @@ import jinja2
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from sma_bench.border import csv_cell, is_inside, printable, read_bytes, write_files
+from sma_bench.border import csv_cell, is_inside, load_yaml, printable, read_bytes, write_files
 from sma_bench.cards import TEMPLATES, Card
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
@@ -37,10 +37,6 @@ from sma_bench.report.drawing import (
 )
 from sma_bench.report.tables import Table
 
-_SHORT, _LONG = 24, 48
-"""letters of a table's cell"""
-_LABEL = 12
-"""letters of a card's label"""
 _PAGE = "index.html"
 _MARK = '<meta name="generator" content="sma_bench">'
 _LARGEST_PAGE = 1 << 30
@@ -63,11 +59,6 @@ class Picture:
     def content(self) -> bytes:
         """The figure as a PNG file; drawing takes its time, so it is drawn once."""
         return self._file("png")
-
-    @property
-    def base64(self) -> str:
-        """The file as text."""
-        return base64.b64encode(self.content).decode("ascii")
 
     def files(self, column: PaperColumn) -> dict[str, bytes]:
         """SVG and PDF in the width of a column, their text as text, and as CSV what is drawn."""
@@ -112,6 +103,22 @@ class Picture:
         return buffer.getvalue()
 
 
+@cache
+def captions() -> dict[str, dict[str, str]]:
+    """Of every figure title, caption, and what its data are where they are synthetic."""
+    text = resources.files("sma_bench.report").joinpath("captions.yaml").read_text("utf-8")
+    found: dict[str, dict[str, str]] = load_yaml(text)
+    return found
+
+
+def pictured(
+    key: str, figure: Figure, name: str = "", over_time: bool = False, **facts: object
+) -> Picture:
+    """A figure with the title and caption of `key` in captions.yaml, in which the facts stand."""
+    title, caption = (captions()[key][part].format(**facts) for part in ("title", "caption"))
+    return Picture(name or key, title, caption, figure, over_time)
+
+
 @dataclass(frozen=True)
 class Drawing:
     """A drawing that ships with the package as SVG."""
@@ -124,11 +131,6 @@ class Drawing:
     over_time: ClassVar[bool] = False
     kind: ClassVar[str] = "svg"
     mime: ClassVar[str] = "image/svg+xml"
-
-    @property
-    def base64(self) -> str:
-        """The file as text."""
-        return base64.b64encode(self.content).decode("ascii")
 
     def files(self, _: PaperColumn) -> dict[str, bytes]:
         """Nothing more: it has no size of its own."""
@@ -185,8 +187,8 @@ def write_report(
         if column is not None:
             files |= picture.files(column)
     page = _template().render(
-        title=title, summary=summary, sections=sections, width_of=_width, together=_together,
-        is_tall=_is_tall, curves_of=curves_of, policy=policy(), plot_style=plot_style(),
+        title=title, summary=summary, sections=sections, together=_together, curves_of=curves_of,
+        policy=policy(), plot_style=plot_style(),
         script=script() if any(picture.over_time for picture in pictures) else "",
     )
     if column is not None:
@@ -203,19 +205,8 @@ def _template() -> jinja2.Template:
         undefined=jinja2.StrictUndefined,
         finalize=lambda shown: _shown(shown) if type(shown) is str else shown,
     )
+    environment.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
     return environment.get_template("page.html.j2")
-
-
-def _width(cell: str) -> str:
-    """Class of a table's cell: names and units stay on a line, sentences get room."""
-    if len(cell) <= _SHORT:
-        return "short"
-    return "long" if len(cell) > _LONG else ""
-
-
-def _is_tall(card: Card) -> bool:
-    """Whether its labels are too long to stand beside their texts on a phone."""
-    return any(len(label) > _LABEL for label, _ in card.rows)
 
 
 _MEASURED = re.compile(r"(?<![A-Za-z]\d)(?<=\d) (?=%|(?:K|mA|A|mm|ohm|min|s|V)\b)")
@@ -309,26 +300,18 @@ def digest(path: Path) -> tuple[str, int]:
     """
     total, size = hashlib.sha256(), 0
     try:
-        for part in _own_files(path) if path.is_dir() else [path]:
+        inside = sorted(p for p in path.rglob("*") if p.is_file() and is_inside(p, path))
+        for part in inside if path.is_dir() else [path]:
             if path.is_dir():
                 head = f"{part.relative_to(path)}\0{part.stat().st_size}\0"
                 total.update(head.encode("utf-8", "surrogateescape"))
-            for block in _blocks(part):
-                total.update(block)
-                size += len(block)
+            with part.open("rb") as stream:
+                while block := stream.read(_BLOCK):
+                    total.update(block)
+                    size += len(block)
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     return total.hexdigest(), size
-
-
-def _own_files(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.rglob("*") if p.is_file() and is_inside(p, folder))
-
-
-def _blocks(path: Path) -> Iterator[bytes]:
-    with path.open("rb") as stream:
-        while block := stream.read(_BLOCK):
-            yield block
 
 
 @cache

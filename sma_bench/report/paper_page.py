@@ -1,10 +1,9 @@
 """The paper redrawn: its figures, tables and errata as one page."""
 
-import csv
-import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from importlib import resources
 
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
@@ -32,17 +31,16 @@ from sma_bench.report.drawing import FAINT
 from sma_bench.report.errata import Erratum, errata_sections
 from sma_bench.report.experiment_figures import (
     dsc_overview_picture,
-    heat_transfer_picture,
+    has_diagram,
+    plateau_picture,
     ramp_picture,
-    resistance_picture,
     slope_picture,
     stress_temperature_picture,
     tensile_picture,
     thermal_expansion_picture,
     upfr_picture,
 )
-from sma_bench.report.page import Drawing, Picture, Section, Table
-from sma_bench.report.setup_drawings import setup_drawings
+from sma_bench.report.page import Drawing, Picture, Section, Table, captions
 
 # --- What the figures and tables of the paper are drawn from: records in, experiments out.
 
@@ -313,19 +311,17 @@ def row_remarks(rows: Sequence[Row]) -> list[str]:
     return found
 
 
-def csv_text(rows: Sequence[Row]) -> str:
-    """The rows as CSV, one number a line, full precision."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_HEADER)
+def csv_table(rows: Sequence[Row]) -> Table:
+    """The rows as they are written, one number a line, full precision."""
+    lines = []
     for row in rows:
         printed = row.printed
         data = "" if row.estimate is None else "synthetic" if row.synthetic else "record"
         numbers = [_number(x) for x in (printed.value, printed.std, row.value, row.std)]
-        writer.writerow(
-            [printed.symbol, printed.description, printed.unit, *numbers, data, row.source]
+        lines.append(
+            (printed.symbol, printed.description, printed.unit, *numbers, data, row.source)
         )
-    return text.getvalue()
+    return Table(CSV_HEADER, lines)
 
 
 def _number(value: float) -> str:
@@ -334,16 +330,16 @@ def _number(value: float) -> str:
 
 # --- The paper redrawn: its figures, tables and errata as one page.
 
-# Figure of the paper: (kind of experiment, equations that it shows, how it is drawn).
+# Figure of the paper: (kind of experiment, how it is drawn).
 EXPERIMENT_FIGURES = (
-    (2, "E1", "eq. (3)", resistance_picture),
-    (3, "E2", "eq. (4)", heat_transfer_picture),
-    (4, "E3", "eq. (2)", ramp_picture),
-    (5, "E3", "eq. (5)", slope_picture),
-    (7, "E5", "eqs. (1), (10), (11)", dsc_overview_picture),
-    (8, "E6", "eqs. (6), (9), (10), (11)", upfr_picture),
-    (9, "E7", "eq. (7)", tensile_picture),
-    (10, "E8", "eq. (8)", thermal_expansion_picture),
+    (2, "E1", plateau_picture),
+    (3, "E2", plateau_picture),
+    (4, "E3", ramp_picture),
+    (5, "E3", slope_picture),
+    (7, "E5", dsc_overview_picture),
+    (8, "E6", upfr_picture),
+    (9, "E7", tensile_picture),
+    (10, "E8", thermal_expansion_picture),
 )
 _SECTIONS = (
     # (title, figures, table)
@@ -362,29 +358,20 @@ _SECTIONS = (
     ("Bending and block diagram, section IV.A", (13, 14), None),
     ("Simulation and experiment of the composite, section IV.C", (15, 16), None),
 )
-DRAWINGS = (1, 11, 12, 13, 14)
-# Synthetic data: what of it is the package's model and what is made up beside it.
-ORIGINS = {
-    2: "protocol staircase on the simulated wire rig: physics behind the simulator's sensors",
-    3: "the same staircase as Fig. 2",
-    4: "protocol ramp on the simulated wire rig",
-    5: "the same ramps as Fig. 4",
-    6: "protocol triangle on the simulated wire rig; no parameter was fitted to it",
-    7: "heat flow of eq. (1) with Table II of both cycles, latent heat 20 kJ/kg (assumed), "
-       "baseline drift and noise; no thermal lag",
-    8: "1 N held on the simulated wire, three specimens that deviate as the paper's did; the "
-       "paper could not measure the cooling",
-    9: "austenite by eqs. (6), (7), (9), (11); martensite a test curve (toe, detwinning plateau "
-       "to 4 %, elastic rise), which the paper's law does not describe; three specimens each that "
-       "deviate as Table III says",
-    10: "temperature staircase held by the PI controller on the simulated wire, clamped at 0.2 % "
-        "of strain; Θ_T = -0.15 MPa/K is assumed, as the printed 23.91 is not believable",
-    15: "protocols composite_triangle and composite_step on the simulated composite rig",
-    16: "the same runs as Fig. 15, seen by the simulator's range sensors; the bench obeys the "
-        "model, so that measured and simulated agree and the specimen's residual deflection is "
-        "absent; geometry assumed, the back three times as stiff as the front (the paper says "
-        "that they differ)",
+
+
+# Set-ups and diagrams of the paper's own rigs, as they ship.
+DRAWINGS = {
+    1: "figure_01_wire_rig", 11: "figure_11_bench", 12: "figure_12_specimen",
+    13: "figure_13_moment", 14: "figure_14_block_diagram",
 }
+
+
+def _drawing(number: int) -> Drawing:
+    name = DRAWINGS[number]
+    svg = resources.files("sma_bench.report").joinpath("drawings", f"{name}.svg").read_bytes()
+    caption = f"{captions()[name]['caption']} Data: none, the numbers are the paper's."
+    return Drawing(name, f"Fig. {number}: {captions()[name]['title']}", caption, svg)
 
 
 @dataclass(frozen=True)
@@ -412,23 +399,25 @@ class PaperPage:
 
     def pictures(self) -> dict[int, list[Picture | Drawing]]:
         """Pictures by figure number of the paper, captions with equation and data source."""
-        found: dict[int, list[Picture | Drawing]] = {}
-        for number, kind, _, draw in EXPERIMENT_FIGURES:
-            outcome = self.outcomes[kind]
-            drawn = [draw(experiment) for experiment in outcome.experiments]
-            found[number] = [
-                captioned(number, picture, outcome.synthetic, k)
-                for k, picture in enumerate(drawn)
-            ]
-        found[6] = [captioned(6, self.validation, self.validation_synthetic)]
-        found |= {number: [drawing] for number, drawing in setup_drawings().items()}
-        for number, draw_runs in (
-            (15, composite_voltage_picture), (16, composite_deflection_picture),
-        ):
-            found[number] = [
-                captioned(number, draw_runs(self.composite), self.composite_synthetic)
-            ]
-        return dict(sorted(found.items()))
+        drawn = {
+            number: [draw(experiment) for experiment in self.outcomes[kind].experiments]
+            for number, kind, draw in EXPERIMENT_FIGURES
+        }
+        drawn |= {
+            6: [self.validation], 15: [composite_voltage_picture(self.composite)],
+            16: [composite_deflection_picture(self.composite)],
+        }
+        found: dict[int, list[Picture | Drawing]] = {
+            number: [captioned(number, p, self.is_synthetic(number), k) for k, p in enumerate(own)]
+            for number, own in drawn.items()
+        }
+        return dict(sorted((found | {n: [_drawing(n)] for n in DRAWINGS}).items()))
+
+    def is_synthetic(self, number: int) -> bool:
+        """Whether a figure's data are."""
+        of_experiments = {n: self.outcomes[kind].synthetic for n, kind, _ in EXPERIMENT_FIGURES}
+        of_experiments[6] = self.validation_synthetic
+        return of_experiments.get(number, self.composite_synthetic)
 
     def sections(self) -> list[Section]:
         """In the paper's order."""
@@ -448,15 +437,11 @@ class PaperPage:
 
     def _contents(self, pictures: Mapping[int, Sequence[Picture | Drawing]]) -> Section:
         rows = []
-        equations = {number: text for number, _, text, _ in EXPERIMENT_FIGURES}
-        equations |= {
-            1: "", 6: "eq. (2)", 11: "", 12: "", 13: "eqs. (12) to (14)",
-            14: "eqs. (2) to (17)", 15: "eq. (2)", 16: "eqs. (15), (17)",
-        }
         for number, drawn in pictures.items():
-            data = "drawing" if number in DRAWINGS else self._data(number)
-            rows.append((f"Fig. {number}", drawn[0].title.partition(": ")[2], equations[number],
-                         data))
+            data = "synthetic" if self.is_synthetic(number) else "record given"
+            data = "drawing" if number in DRAWINGS else data
+            of = captions()[drawn[0].name].get("of", "")
+            rows.append((f"Fig. {number}", drawn[0].title.partition(": ")[2], of, data))
         return Section(
             "Contents", tables=[Table(("", "shows", "of", "data"), rows)],
             paragraphs=["Figures 1 and 11 to 14 show set-ups and diagrams of the paper's own "
@@ -464,19 +449,9 @@ class PaperPage:
             notes=[str(note) for note in self.notes],
         )
 
-    def _data(self, number: int) -> str:
-        kinds = {n: kind for n, kind, _, _ in EXPERIMENT_FIGURES}
-        if number == 6:
-            synthetic = self.validation_synthetic
-        elif number in kinds:
-            synthetic = self.outcomes[kinds[number]].synthetic
-        else:
-            synthetic = self.composite_synthetic
-        return "synthetic" if synthetic else "record given"
-
     def _remarks(self, numbers: Sequence[int]) -> list[str]:
         """Warnings of the experiments behind these figures."""
-        kinds = dict.fromkeys(kind for n, kind, _, _ in EXPERIMENT_FIGURES if n in numbers)
+        kinds = dict.fromkeys(kind for n, kind, _ in EXPERIMENT_FIGURES if n in numbers)
         found = [
             f"{finding.subject}: {finding.text}"
             for kind in kinds
@@ -490,13 +465,9 @@ class PaperPage:
         """C_A and C_M, which the paper uses and does not give."""
         outcome = self.outcomes["E6 stresses"]
         pictures = [
-            _captioned(
-                stress_temperature_picture(experiment), outcome.synthetic,
-                "isobaric tests of the simulated wire at five stresses; C_A = C_M = 7 MPa/K is "
-                "assumed",
-            )
+            _captioned(stress_temperature_picture(experiment), outcome.synthetic)
             for experiment in outcome.experiments
-            if _has_diagram(experiment)
+            if has_diagram(experiment)
         ]
         return Section("Influence of stress, section III.B.4 (no figure in the paper)",
                        pictures=pictures)
@@ -504,23 +475,15 @@ class PaperPage:
 
 def captioned(number: int, picture: Picture, synthetic: bool, index: int = 0) -> Picture:
     """The picture as a figure of the paper: number and data source added, equation in it."""
-    titled = replace(
-        picture, title=f"Fig. {number}: {picture.title}",
-        name=picture.name if not index else f"{picture.name}_{index + 1}",
-    )
-    return _captioned(titled, synthetic, ORIGINS[number])
+    shown = _captioned(picture, synthetic)
+    name = picture.name if not index else f"{picture.name}_{index + 1}"
+    return replace(shown, title=f"Fig. {number}: {picture.title}", name=name)
 
 
-def _captioned(picture: Picture, synthetic: bool, origin: str) -> Picture:
+def _captioned(picture: Picture, synthetic: bool) -> Picture:
     # The PNG may go its own way: it says by itself what it is not.
     text = "synthetic data" if synthetic else "data: record given"
     picture.figure.axes[0].set_title(text, loc="right", fontsize=8, color=FAINT, style="italic")
+    origin = captions()[picture.name]["synthetic"]
     data = f"Data: synthetic ({origin})." if synthetic else "Data: record given."
     return replace(picture, caption=f"{picture.caption.rstrip('. ')}. {data}")
-
-
-def _has_diagram(experiment: Experiment) -> bool:
-    return any(
-        key.startswith("diagram/") and key.endswith("/stress") and len(values) > 1
-        for key, values in experiment.curves.items()
-    )

@@ -5,7 +5,7 @@ an experiment shows is drawn in files of their own.
 """
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -34,15 +34,19 @@ from sma_bench.report.drawing import (
     FAINT,
     MEASURED,
     MODEL,
+    cell_texts,
     drawable,
     legend_above,
     line_style,
+    named_rows,
     new_figure,
+    one_panel,
     plain,
     plain_axes,
+    read_and_error,
     thinned,
 )
-from sma_bench.report.page import Picture
+from sma_bench.report.page import Picture, pictured
 
 Array = NDArray[np.float64]
 Curves = Sequence[tuple[str, Array, Array]]
@@ -101,24 +105,12 @@ _MOST_DRAWN = 3000
 _MOST_MARKERS = 40
 
 
-class _Row(NamedTuple):
-    """One quantity: unit on paper, and the factor from SI to it."""
-
-    quantity: str
-    unit: str
-    factor: float
-
-
-_ROWS = (
-    _Row("voltage_command", "V", 1.0),
-    _Row("voltage", "V", 1.0),
-    _Row("current", "A", 1.0),
-    _Row("temperature", "K", 1.0),
-    _Row("deflection", "mm", 1e3),
-    _Row("range", "mm", 1e3),
-    _Row("elongation", "mm", 1e3),
-    _Row("force", "N", 1.0),
-)
+# Quantities from above, with their unit on paper and the factor from SI to it.
+_PRINTED = {
+    "voltage_command": ("V", 1.0), "voltage": ("V", 1.0), "current": ("A", 1.0),
+    "temperature": ("K", 1.0), "deflection": ("mm", 1e3), "range": ("mm", 1e3),
+    "elongation": ("mm", 1e3), "force": ("N", 1.0),
+}
 
 
 def record_picture(record: AnyRecord, name: str) -> Picture | None:
@@ -139,20 +131,22 @@ def bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture 
     Long signals are drawn by the least and the largest sample of each stretch of time.
     """
     rows = []
-    for row in _ROWS:
+    for quantity, (unit, factor) in _PRINTED.items():
         signals = [
             s for n, s in record.signals.items()
-            if n.rpartition(".")[2] == row.quantity and len(s)
-            and (not what or n in what or row.quantity in what)
+            if n.rpartition(".")[2] == quantity and len(s)
+            and (not what or n in what or quantity in what)
         ]
-        curves = [curve for signal in signals for curve in _curves(signal, row.factor)]
+        curves = [curve for signal in signals for curve in _curves(signal, factor)]
         if curves:
-            rows.append((f"{row.quantity.replace('_', ' ')}\n[{row.unit}]", curves))
+            rows.append((f"{quantity.replace('_', ' ')}\n[{unit}]", curves))
     if not rows:
         return None
     steps = "; vertical lines: steps of the protocol" if record.markers else ""
-    caption = f"{'Signals' if what else 'All signals'} of {record.path}{steps}."
-    return _over_time(name, "Signals over time", caption, rows, record.markers)
+    which = "Signals" if what else "All signals"
+    figure = _over_time(rows, record.markers)
+    return pictured("signals_over_time", figure, name, over_time=True, which=which,
+                    path=record.path, steps=steps)
 
 
 def _curves(signal: Signal, factor: float) -> Curves:
@@ -164,9 +158,8 @@ def _curves(signal: Signal, factor: float) -> Curves:
 
 
 def _over_time(
-    name: str, title: str, caption: str, rows: Sequence[tuple[str, Curves]],
-    markers: Sequence[tuple[float, str]] = (),
-) -> Picture:
+    rows: Sequence[tuple[str, Curves]], markers: Sequence[tuple[float, str]] = ()
+) -> Figure:
     figure, axes = new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
         for k, (what, time, values) in enumerate(curves):
@@ -181,7 +174,7 @@ def _over_time(
         )
     _mark(axes, markers)
     axes[-1].set_xlabel("time [s]")
-    return Picture(name, title, caption, plain(figure), over_time=True)
+    return plain(figure)
 
 
 def _mark(axes: Sequence[Axes], markers: Sequence[tuple[float, str]]) -> None:
@@ -209,7 +202,8 @@ def dsc_picture(record: DscRecord, name: str) -> Picture | None:
     curves = [
         (f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s)) for s in scans
     ]
-    return _loops(name, "Heat flow", curves, "heat flow [W/g], the file's sign", str(record.path))
+    return pictured("heat_flow", _loops(curves, "heat flow [W/g], the file's sign"), name,
+                    path=record.path)
 
 
 def isobaric_picture(record: IsobaricRecord, name: str) -> Picture:
@@ -220,30 +214,24 @@ def isobaric_picture(record: IsobaricRecord, name: str) -> Picture:
          (1.0 if relative else 100.0) * branch.strain)
         for cycle in record.cycles for branch in cycle.branches
     ]  # fmt: skip
-    label = "strain over its range" if relative else "strain [%]"
-    title = f"Strain at {record.stress / 1e6:.1f} MPa"
-    return _loops(name, title, curves, label, str(record.path))
+    figure = _loops(curves, "strain over its range" if relative else "strain [%]")
+    return pictured("strain", figure, name, stress=record.stress / 1e6, path=record.path)
 
 
 def tensile_picture(record: TensileRecord, name: str) -> Picture:
     """Stress over strain."""
     curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
-    return _loops(
-        name, "Stress against strain", curves, "stress [MPa]", str(record.path), "strain [%]"
-    )
+    figure = _loops(curves, "stress [MPa]", "strain [%]")
+    return pictured("stress", figure, name, path=record.path)
 
 
-def _loops(
-    name: str, title: str, curves: Curves, label: str, source: str,
-    across: str = "temperature [K]",
-) -> Picture:
-    figure, (ax,) = new_figure(height=4.2)
+def _loops(curves: Curves, label: str, across: str = "temperature [K]") -> Figure:
+    figure, ax = one_panel(across, label, 4.2)
     for k, (what, x, y) in enumerate(curves):
         ax.plot(drawable(x), drawable(y), label=what, **line_style(k, len(curves), len(x)))
-    ax.set(xlabel=across, ylabel=label)
     if len(curves) > 1:
         ax.legend(fontsize=7, ncols=2)
-    return Picture(name, title, source, plain(figure))
+    return plain(figure)
 
 
 # --- Simulations, and records and models over each other.
@@ -271,8 +259,7 @@ def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Pict
         rows.append((label, [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]))
     if not rows:
         return None
-    caption = f"Simulated, without noise: {', '.join(channels)}."
-    return _over_time("simulation", "Simulation over time", caption, rows)
+    return pictured("simulation", _over_time(rows), over_time=True, channels=", ".join(channels))
 
 
 def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
@@ -293,25 +280,19 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
         shared = ", ".join(dict.fromkeys(d.signal for d in found.differences))
         lack = f"no {', '.join(what)} in common" if what else "no difference"
         raise InputError(f"plot: {lack}: the records share {shared}")
-    figure = Figure(figsize=(7.2, 0.9 + 2.4 * len(worst)), layout="constrained")
-    axes = figure.subplots(2 * len(worst), 1, sharex=True, squeeze=False,
-                           gridspec_kw={"height_ratios": (1.6, 1.0) * len(worst)})[:, 0]
-    plain_axes(*axes)
-    for k, signal in enumerate(worst.values()):
-        _overlay_signal(axes[2 * k], axes[2 * k + 1], found, signal)
-    legend_above(axes[0])
-    axes[-1].set_xlabel("time [s]")
+    figure, axes = read_and_error(len(worst), 0.9 + 2.4 * len(worst))
+    for (upper, lower), signal in zip(axes, worst.values(), strict=True):
+        _overlay_signal(upper, lower, found, signal)
+    legend_above(axes[0][0])
     first = next(iter(found.records))
     shifts = ", ".join(f"{n} {s:+.3g} s" for n, s in found.shifts.items() if abs(s) > 1e-3)
-    caption = f"Differences are from {first}; in print a cross marks the largest." + (
-        f" Clocks shifted by the voltages: {shifts}." if shifts else ""
-    )
-    return Picture(name, "Overlay", caption, plain(figure), over_time=True)
+    said = f" Clocks shifted by the voltages: {shifts}." if shifts else ""
+    return pictured("overlay", plain(figure), name, over_time=True, first=first, shifts=said)
 
 
 def _overlay_signal(upper: Axes, lower: Axes, found: Overlay, signal: str) -> None:
     quantity = signal.rpartition(".")[2]
-    unit, factor = next(((r.unit, r.factor) for r in _ROWS if r.quantity == quantity), ("", 1.0))
+    unit, factor = _PRINTED.get(quantity, ("", 1.0))
     shown = {n: r[signal] for n, r in found.records.items() if signal in r.signals}
     first, *others = shown
     base = shown[first]
@@ -348,7 +329,7 @@ def agreement_picture(result: Identification, name: str) -> Picture | None:
     shown = [known[name] for name in names]
     figure = Figure(figsize=(7.2, 1.3 + 0.32 * len(shown)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.6, 1.0))
-    place = np.arange(len(shown))[::-1]
+    place = named_rows(left, [n if known[n][0].stated else f"{n} *" for n in names])
     scale = np.array([100.0 / abs(ref) for _, ref in shown])
     off = scale * [n.value - ref for n, ref in shown]
     parts = ([n.std for n, _ in shown], [n.statistical for n, _ in shown])
@@ -358,8 +339,6 @@ def agreement_picture(result: Identification, name: str) -> Picture | None:
     left.errorbar(off, place, xerr=random, fmt="o", color=MEASURED, elinewidth=3.0, ms=4,
                   label="statistical error")
     left.axvline(0.0, color=MODEL, lw=1.0, ls="--")
-    labels = [name if known[name][0].stated else f"{name} *" for name in names]
-    left.set_yticks(place, labels, fontsize=8)
     left.set_ylim(-0.6, len(shown) - 0.4)
     left.set_xlabel("off what was stated [%]")
     legend_above(left)
@@ -368,12 +347,7 @@ def agreement_picture(result: Identification, name: str) -> Picture | None:
     right.set(xlabel="informed [%]", xlim=(0.0, 100.0), xticks=(0, 50, 100))
     plain_axes(left, right)
     figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr, call-arg]
-    caption = (
-        "Compared with what the parameter file states; marked *: it states none. Errors: one "
-        "standard deviation. Informed: the share of what is known of a number that these records "
-        "gave; the rest was known before."
-    )
-    return Picture(name, "Agreement with what was stated", caption, plain(figure))
+    return pictured("agreement", plain(figure), name)
 
 
 def correlation_picture(result: Identification, name: str) -> Picture | None:
@@ -388,18 +362,11 @@ def correlation_picture(result: Identification, name: str) -> Picture | None:
     image = ax.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
     ax.set_xticks(range(len(names)), short, rotation=45, ha="right", fontsize=7)
     ax.set_yticks(range(len(names)), short, fontsize=7)
-    ax.spines[:].set_visible(False)
-    if len(names) <= _MOST_NUMBERS:
-        form = ".2f" if len(names) <= _FEW else ".1f"
-        for (row, column), value in np.ndenumerate(matrix):
-            if row != column and np.isfinite(value):
-                colour = "white" if abs(value) > 0.6 else "black"
-                ax.text(column, row, format(value, form), ha="center", va="center", fontsize=6,
-                        color=colour)
+    form = ".2f" if len(names) <= _FEW else ".1f"
+    cell_texts(ax, {
+        (row, column): (format(value, form), bool(abs(value) > 0.6))
+        for (row, column), value in np.ndenumerate(matrix)
+        if row != column and np.isfinite(value) and len(names) <= _MOST_NUMBERS
+    }, 6)
     figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
-    caption = (
-        "Numbers whose errors hang together are known better as a product, a quotient or a "
-        "difference than one by one. Numbers of different experiments share what the "
-        "scales of their sensors may be off by."
-    )
-    return Picture(name, "Which errors hang together", caption, plain(figure))
+    return pictured("correlation", plain(figure), name)
