@@ -6,12 +6,10 @@ machine hardly touch; what runs on several threads or processes by the clock on 
 
 import gc
 import os
-import platform
 import resource
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, dataclass
-from importlib import metadata
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -32,24 +30,19 @@ class Figure:
     measure: str
     value: float
     unit: str = ""
-    least: float | None = None
-    most: float | None = None
+    least: float = -np.inf
+    most: float = np.inf
 
     @property
     def aim(self) -> str:
-        if self.least is not None:
+        if self.least > -np.inf:
             return f"at least {self.least:g}"
-        return "" if self.most is None else f"at most {self.most:g}"
+        return f"at most {self.most:g}" if self.most < np.inf else ""
 
     @property
     def verdict(self) -> str:
-        if not self.aim:
-            return ""
-        limits = (
-            self.least is None or self.value >= self.least,
-            self.most is None or self.value <= self.most,
-        )
-        return "met" if all(limits) else "missed"
+        reached = self.least <= self.value <= self.most
+        return {True: "met", False: "missed"}[reached] if self.aim else ""
 
 
 def print_section(name: str, figures: Iterable[Figure], seconds: float, missing: str) -> None:
@@ -66,23 +59,14 @@ def print_section(name: str, figures: Iterable[Figure], seconds: float, missing:
     console.print()
 
 
-def as_json(sections: Mapping[str, tuple[list[Figure], str]]) -> dict[str, Any]:
-    """Everything that was measured, and with what; a value that is not finite is null."""
-    found = {}
-    for name, (figures, missing) in sections.items():
-        rows = [
-            {**asdict(f), "value": float(f.value) if np.isfinite(f.value) else None}
-            | {"verdict": f.verdict}
-            for f in figures
-        ]
-        found[name] = {"figures": rows, "missing": missing}
-    machine = {
-        "cores": len(os.sched_getaffinity(0)),
-        "load": os.getloadavg()[0],
-        "python": platform.python_version(),
-        "versions": {d.metadata["Name"]: d.version for d in metadata.distributions()},
-    }
-    return {"machine": machine, "sections": found}
+def as_json(figures: Iterable[Figure], missing: str) -> dict[str, Any]:
+    """A section; a value that is not finite is null."""
+    rows = []
+    for f in figures:
+        value = float(f.value) if np.isfinite(f.value) else None
+        numbers = {"value": value, "unit": f.unit, "aim": f.aim, "verdict": f.verdict}
+        rows.append({"case": f.case, "measure": f.measure, **numbers})
+    return {"figures": rows, "missing": missing}
 
 
 def processor() -> float:

@@ -17,10 +17,8 @@ from std_msgs.msg import Float64MultiArray
 
 from examination.perf.measuring import Figure, processor_of
 from examination.perf.records import COMPOSITE
-from sma_bench.hardware import thermal_settings as thermal
-from sma_bench.hardware.thermal_image import FrameFormat
+from sma_bench.hardware.thermal_settings import regions_side_by_side
 from sma_bench.parameters import read_parameters
-from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
 RIGS = {"one wire": COMPOSITE.with_name("wire_rig.yaml"), "four wires": COMPOSITE}
@@ -29,18 +27,16 @@ _STARTING = 120.0  # s
 RATES = (100.0, 500.0, 1000.0)
 CAMERA_RATE = 80.0
 PICTURE = (382, 288)
-FRAMES = 300
 COMMAND_PERIOD = 0.05
 TWIN_RATE = 500.0  # Hz
 
 
 def nodes(tiny: bool = False) -> Iterator[Figure]:
-    """The simulator at each rate, then the camera in this process and as nodes."""
+    """The simulator at each rate, then the camera."""
     for rate in RATES[:1] if tiny else RATES:
         yield from _simulator(rate, 1.0 if tiny else 6.0)
     if not tiny:
         for name in RIGS:
-            yield from _pictures(name)
             yield from _camera_nodes(name)
 
 
@@ -142,40 +138,9 @@ def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
     yield Figure(case, "share of a core", shares["simulator"])
 
 
-def _pictures(name: str) -> Iterator[Figure]:
-    """Made and read in this process."""
-    parameters = read_parameters(RIGS[name])
-    wires = len(parameters["bench.channels"])
-    of_reader, of_camera = (
-        {p.name: p.default for p in NODE_TABLES[node]} for node in ("ir_camera", "synthetic_camera")
-    )
-    regions = tuple(thermal.regions_side_by_side(wires, *PICTURE))
-    of_reader |= {"regions": regions, "stale_limit": 1e9}
-    camera, shape = thermal.synthetic_camera(parameters, of_camera), FrameFormat(*PICTURE)
-    gauges, judge = thermal.wire_gauges(parameters, of_reader), thermal.frame_judge(of_reader)
-    pictures = [camera.picture([350.0] * wires).tobytes() for _ in range(20)]
-
-    def read(k: int) -> None:
-        frame = shape.decode("mono16", *PICTURE, 2 * PICTURE[0], False, pictures[k % 20])
-        if judge.objection(frame, float(k), float(k)):
-            raise RuntimeError("a good picture was held back")
-        if any(gauge.read(frame, float(k)).reason for gauge in gauges):
-            raise RuntimeError("a wire was not read")
-
-    def pace(call: Callable[[int], object]) -> float:
-        begin = time.process_time()
-        for k in range(FRAMES):
-            call(k)
-        return FRAMES / (time.process_time() - begin)
-
-    case, made = f"camera 382 x 288, {name}", pace(lambda k: camera.picture([350.0] * wires, k % 7))
-    yield Figure(case, "pictures read a second", pace(read), "1/s", least=CAMERA_RATE)
-    yield Figure(case, "synthetic pictures made a second", made, "1/s")
-
-
 def _camera_nodes(name: str, seconds: float = 8.0) -> Iterator[Figure]:
     channels = read_parameters(RIGS[name])["bench.channels"]
-    regions = thermal.regions_side_by_side(len(channels), *PICTURE)
+    regions = regions_side_by_side(len(channels), *PICTURE)
     nodes = {"synthetic_camera": {"rate": CAMERA_RATE}, "ir_camera": {"regions": regions}}
     ages: list[float] = []
     with running(nodes, RIGS[name]) as bench:

@@ -23,7 +23,7 @@ SECTIONS = {
     "identification": "E10 over minutes to an hour, memory",
     "nodes": "rates, jitter, latency, share of a core; the camera",
     "twin": "whether the twin keeps 500 Hz, and what it takes of a core",
-    "batch": "identified, diagnosed; processes, a dask cluster; a thousand",
+    "batch": "identified, diagnosed; on one process and on all cores",
 }
 MODULES = {"diagnosis": "lengths", "identification": "lengths", "twin": "nodes"}
 
@@ -40,9 +40,9 @@ def main(argv: list[str]) -> int:
     unknown = [name for name in arguments.sections if name not in SECTIONS]
     if unknown:
         parser.error(f"no section {unknown[0]}, expected one of {', '.join(SECTIONS)}")
-    found: dict[str, tuple[list[Figure], str]] = {}
+    found = {}
     for name in arguments.sections or SECTIONS:
-        begin, figures, missing = time.monotonic(), [], ""
+        begin, figures, missing = time.monotonic(), list[Figure](), ""
         try:
             module = import_module(f"examination.perf.{MODULES.get(name, name)}")
             for figure in getattr(module, name)(arguments.tiny):
@@ -50,9 +50,9 @@ def main(argv: list[str]) -> int:
         except (ImportError, RuntimeError, OSError) as error:  # the others go on
             missing = f"{type(error).__name__}: {error}"
         print_section(name, figures, time.monotonic() - begin, missing)
-        found[name] = figures, missing
+        found[name] = as_json(figures, missing)
     if arguments.json:
-        arguments.json.write_text(json.dumps(as_json(found), indent=1) + "\n", encoding="utf-8")
+        arguments.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0
 
 

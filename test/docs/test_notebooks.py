@@ -67,5 +67,4 @@ def test_the_notebook_identifies_names_the_effect_and_draws_two_figures():
     figures = [plt.figure(number) for number in plt.get_fignums()]
     plt.close("all")
     assert len(figures) == 2
-    for figure in figures:
-        assert all(axes.lines and axes.get_ylabel() for axes in figure.axes)
+    assert all(axes.lines and axes.get_ylabel() for figure in figures for axes in figure.axes)

@@ -19,10 +19,9 @@ PERF = Path(__file__).parents[2] / "examination" / "perf" / "perf.py"
 def measures(file: Path, section: str) -> dict:
     """Values by case and measure, all finite."""
     found: dict = {}
-    for figure in json.loads(file.read_text())["sections"][section]["figures"]:
-        assert figure["value"] is not None, figure
-        assert bool(figure["verdict"]) == (
-            figure["least"] is not None or figure["most"] is not None
+    for figure in json.loads(file.read_text())[section]["figures"]:
+        assert figure["value"] is not None and bool(figure["aim"]) == bool(figure["verdict"]), (
+            figure
         )
         found.setdefault(figure["case"], {})[figure["measure"]] = figure["value"]
     return found
@@ -39,9 +38,7 @@ def test_simulation_is_held_against_solvers(tmp_path, capsys):
         for rival in ("scipy LSODA", "scikit-sundae CVODE"):
             assert found[case][f"{rival}: times slower"] > 1.0
             assert found[case][f"{rival}: its error"] < 1e-2
-    document = json.loads(file.read_text())
-    assert list(document["sections"]) == ["simulation"]
-    assert document["machine"]["cores"] >= 1 and document["machine"]["versions"]["numpy"]
+    assert list(json.loads(file.read_text())) == ["simulation"]
 
 
 @pytest.mark.slow
@@ -49,8 +46,7 @@ def test_other_sections_are_complete(tmp_path):
     file = tmp_path / "perf.json"
     sections = ("reading", "commands", "batch", "diagnosis")
     assert main([*sections, "--tiny", "--json", str(file)]) == 0
-    document = json.loads(file.read_text())
-    assert not any(section["missing"] for section in document["sections"].values())
+    assert not any(section["missing"] for section in json.loads(file.read_text()).values())
     mcap, sqlite3 = measures(file, "reading").values()
     assert mcap["mcap-ros2-support: times slower"] > 0.0
     assert min(mcap["rosbags: times slower"], sqlite3["rosbags: times slower"]) > 0.0
@@ -95,12 +91,8 @@ def test_an_unknown_section_is_one_line_and_one_that_fails_ends_no_other(monkeyp
 
 
 def test_limits_are_judged_calls_run_in_turn_and_growth_is_a_slope():
-    figures = [
-        Figure("a", "b", 2.0, least=3.0),
-        Figure("a", "c", 2.0, most=3.0),
-        Figure("a", "d", float("nan")),
-    ]
-    section = as_json({"s": (figures, "no compiler")})["sections"]["s"]
+    low, high = Figure("a", "b", 2.0, least=3.0), Figure("a", "c", 2.0, most=3.0)
+    section = as_json([low, high, Figure("a", "d", float("nan"))], "no compiler")
     assert [figure["verdict"] for figure in section["figures"]] == ["missed", "met", ""]
     assert section["figures"][2]["value"] is None and section["missing"] == "no compiler"
 
