@@ -5,13 +5,9 @@ import os
 import shlex
 import signal
 import sys
-import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NoReturn
-
-from rich.console import Console
-from rich.table import Table
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters, write_parameters
@@ -31,8 +27,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # a polite kill tidies up, too
     try:
         args = parser().parse_args(argv)
-        return int(args.run(args))
-    except InputError as error:
+        args.run(args)
+        return 0
+    except (InputError, OSError) as error:
         print(f"bench blind: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
@@ -50,77 +47,71 @@ def parser() -> argparse.ArgumentParser:
     top = _Parser(prog="./bench blind", description="cases with withheld effects")
     commands = top.add_subparsers(required=True, metavar="COMMAND", parser_class=_Parser)
 
-    def command(name: str, run: Callable, text: str) -> argparse.ArgumentParser:
-        found = commands.add_parser(name, help=text, description=text)
-        found.set_defaults(run=run)
-        found.add_argument("--json", metavar="FILE", help="write the result to FILE")
-        found.add_argument("--force", action="store_true", help="replace outputs that exist")
-        return found
+    def command(run: Callable, text: str, name: str, **options: tuple[Any, str]) -> None:
+        """Options by name: what add_argument takes or a default, and the help."""
+        own = commands.add_parser(name, help=text, description=text)
+        own.set_defaults(run=run)
+        options["--json"] = ({"metavar": "FILE"}, "write the result to FILE")
+        options["--force"] = ({"action": "store_true"}, "replace outputs that exist")
+        for option, (how, text) in options.items():
+            how = how if isinstance(how, dict) else {"type": type(how), "default": how}
+            own.add_argument(option, help=text, **how)
 
-    text = "bags with effects that only a sealed file names"
-    add = command("make", make_cases, text).add_argument
-    add("--seed", type=int, required=True, metavar="S",
-        help="1000 to 1999: development, 2000 to 2999: frozen test, others: open")
-    add("--n", type=int, default=200, metavar="N", help="cases (default 200)")
-    add("--out", required=True, metavar="DIR", help="new folder")
-    add("--load", default="beam", choices=("beam", "force", "spring", "antagonist"),
-        help="what the wires pull against")
-    add("--jobs", type=int, default=os.cpu_count() or 1, metavar="J",
-        help="processes (default: one a core); the result does not depend on it")
-
-    add = command("run", run_cases, "put every case to the diagnosis, or to a rival").add_argument
-    add("set", metavar="DIR", help="folder that blind make has written")
-    add("--rival", choices=(BIC,), help="a naive method instead of the diagnosis")
-    add("--program", metavar="COMMAND",
-        help="any other command line that takes the arguments of sma-bench diagnose")
-    add("--answers", metavar="DIR", help="folder for the answers (default: DIR/answers/<who>)")
-    add("--jobs", type=int, default=2, metavar="N", help="cases at a time")
-    add("--limit", type=int, metavar="N", help="stop after N more cases")
-    add("--time-limit", type=float, default=120.0, metavar="S",
-        help="a case fails that takes longer (half as long more a further record)")
-    add("--again", action="store_true", help="ask failed cases again; answers are always kept")
-
-    add = command("score", score_cases, "open the labels and print every measure").add_argument
-    add("set", metavar="DIR", help="folder that blind make has written")
-    add("--answers", metavar="DIR", action="append", default=[],
-        help="folder of answers (repeatable; default: all that lie in DIR/answers)")
-    add("--jobs", type=int, default=2, metavar="N", help="follow-ups at a time")
-    add("--no-follow-up", action="store_true",
-        help="do not perform the experiments that answers ask for")
-    add("--markdown", metavar="FILE", help="write the result page that a repository keeps")
-
-    add = command("rival", answer_as_rival, "answer one case as a rival does").add_argument
-    add("rival", choices=(BIC,))
-    add("records", nargs="+", metavar="RECORD")
-    add("--params", metavar="FILE", required=True)
-    add("--hold-out", metavar="RECORD", nargs="+", default=[])
-    add("--out", metavar="FILE", help="write the improved parameters")
-    return top  # fmt: skip
+    the_set = ({"metavar": "DIR"}, "folder that blind make has written")
+    command(make_cases, "bags with effects that only a sealed file names", "make", **{
+        "--seed": ({"type": int, "required": True},
+                   "1000 to 1999: development, 2000 to 2999: frozen test, others: open"),
+        "--n": (200, "cases (default 200)"),
+        "--out": ({"required": True, "metavar": "DIR"}, "new folder"),
+        "--load": ({"default": "beam", "choices": ("beam", "force", "spring", "antagonist")},
+                   "what the wires pull against"),
+        "--jobs": (os.cpu_count() or 1, "processes; the result does not depend on it"),
+    })  # fmt: skip
+    command(run_cases, "put every case to the diagnosis, or to a rival", "run", **{
+        "set": the_set,
+        "--rival": ({"choices": (BIC,)}, "a naive method instead of the diagnosis"),
+        "--program": ({"metavar": "COMMAND"}, "another that takes what sma-bench diagnose takes"),
+        "--answers": ({"metavar": "DIR"}, "folder for the answers (default: DIR/answers/<who>)"),
+        "--jobs": (2, "cases at a time"),
+        "--time-limit": (120.0, "s for a case (half as long more a further record)"),
+        "--again": ({"action": "store_true"}, "ask failed cases again; answers are always kept"),
+    })  # fmt: skip
+    command(score_cases, "open the labels and print every measure", "score", **{
+        "set": the_set,
+        "--answers": ({"metavar": "DIR", "action": "append", "default": []},
+                      "folder of answers (repeatable; default: all that lie in DIR/answers)"),
+        "--jobs": (2, "follow-ups at a time"),
+        "--no-follow-up": ({"action": "store_true"}, "do not perform what answers ask for"),
+        "--markdown": ({"metavar": "FILE"}, "write the result page that a repository keeps"),
+    })  # fmt: skip
+    command(answer_as_rival, "answer one case as a rival does", "rival", **{
+        "rival": ({"choices": (BIC,)}, "which one"),
+        "records": ({"nargs": "+", "metavar": "RECORD"}, "bags"),
+        "--params": ({"required": True, "metavar": "FILE"}, "what the lab believes"),
+        "--hold-out": ({"metavar": "RECORD", "nargs": "+", "default": []}, "bags"),
+        "--out": ({"metavar": "FILE"}, "write the improved parameters"),
+    })  # fmt: skip
+    return top
 
 
-def make_cases(args: argparse.Namespace) -> int:
+def make_cases(args: argparse.Namespace) -> None:
     """Make the set; all of it appears, or nothing."""
     from examination.blind.make import make
 
-    started = time.monotonic()
-    manifest = make(args.out, args.seed, args.n, args.jobs, _counter("made", args.n), args.load)
+    manifest = make(args.out, args.seed, args.n, args.jobs, args.load)
     _write_json(args, {"set": args.out, **manifest})
-    print(f"{args.out}: {args.n} cases of seed {args.seed} ({manifest['split']}) "
-          f"in {time.monotonic() - started:.0f} s")  # fmt: skip
+    print(f"{args.out}: {args.n} cases of seed {args.seed} ({manifest['split']})")
     print(f"labels sealed, sha256 {manifest['sha256']}")
-    return 0
 
 
-def run_cases(args: argparse.Namespace) -> int:
-    """Ask what has no answer yet; 0 whatever the answers are."""
+def run_cases(args: argparse.Namespace) -> None:
+    """Ask what has no answer yet."""
     from examination.blind.case_files import Examination, read_case_set, write_examination
     from examination.blind.examination import Examinee, examine, open_cases
 
-    for option, value in (("jobs", args.jobs), ("limit", args.limit)):
-        if value is not None and value < 1:
-            raise InputError(f"--{option} is {value}, expected 1 or more")
-    if not args.time_limit > 0.0:
-        raise InputError(f"--time-limit is {args.time_limit:g} s, expected more than 0")
+    for option, value in (("jobs", args.jobs), ("time-limit", args.time_limit)):
+        if not value > 0:
+            raise InputError(f"--{option} is {value:g}, expected more than 0")
     name, program = DIAGNOSIS, DIAGNOSE
     if args.rival:
         name, program = args.rival, (sys.executable, "-m", HERE, "rival", args.rival)
@@ -132,31 +123,19 @@ def run_cases(args: argparse.Namespace) -> int:
     cases = read_case_set(args.set)
     answers = Path(args.answers) if args.answers else cases.answers / name
     write_examination(answers, Examination(name, program, args.time_limit, cases.sealed_sha256))
-    waiting = open_cases(cases.names, answers, args.again)[: args.limit]
-    failed = []
-    count = _counter("asked", len(waiting))
-
-    def after(done: int, line: str) -> None:
-        if line:
-            failed.append(line)
-            print(f"failed: {line}", file=sys.stderr)
-        count(done)
-
-    examine(Examinee(program, args.time_limit), waiting, cases.folder, answers, args.jobs, after)
+    waiting = open_cases(cases.names, answers, args.again)
+    failed = examine(Examinee(program, args.time_limit), waiting, cases.folder, answers, args.jobs)
     left = len(open_cases(cases.names, answers))
-    _write_json(args, {"answers": str(answers), "cases": len(cases.names), "asked": len(waiting),
-                       "failed": len(failed), "open": left})  # fmt: skip
-    print(f"{answers}: {len(waiting)} of {len(cases.names)} cases asked, {len(failed)} failed, "
-          f"{left} still open")  # fmt: skip
-    return 0
+    counts = {"cases": len(cases.names), "asked": len(waiting), "failed": failed, "open": left}
+    _write_json(args, {"answers": str(answers), **counts})
+    print(f"{answers}: {', '.join(f'{n} {what}' for what, n in counts.items())}")
 
 
-def score_cases(args: argparse.Namespace) -> int:
+def score_cases(args: argparse.Namespace) -> None:
     """Judge all complete answers; the labels stay sealed while one is missing."""
     from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, follow_up
-    from examination.blind.measures import TARGETS
-    from examination.blind.page import side_by_side, summary, tables, write_markdown
+    from examination.blind.page import page, write_page
     from examination.blind.score import followed_up, handed_in, open_labels, score
 
     _refuse_existing(args, args.markdown)
@@ -166,29 +145,20 @@ def score_cases(args: argparse.Namespace) -> int:
     if not args.no_follow_up:
         for paper in papers:
             examinee = Examinee(paper.examination.program, paper.examination.time_limit)
-            follow_up(cases, labels, examinee, paper.folder, args.jobs, _tell_failure)
+            follow_up(cases, labels, examinee, paper.folder, args.jobs)
         papers += followed_up(papers)
-    scores = score(cases, papers, labels, _counter("judged", len(cases.names)))
-    _write_json(args, {
-        "set": {"seed": cases.seed, "split": cases.split, "n": len(cases.names),
-                "sha256": cases.sealed_sha256},
-        "scores": {one.name: one.to_json() for one in scores},
-    })  # fmt: skip
-    print(f"{len(cases.names)} cases, seed {cases.seed} ({cases.split})")
-    for one in scores:
-        for title, header, rows in tables(one):
-            _print_table(f"{one.name}: {title}", header, rows)
-    if len(scores) > 1:
-        header = ("measure", *(one.name for one in scores))
-        _print_table("side by side: value (95 % interval)", header, side_by_side(scores, TARGETS))
-    for one in scores:
-        print(summary(one))
+    scores = score(cases, papers, labels)
+    about = {"seed": cases.seed, "split": cases.split, "n": len(cases.names)}
+    about["sha256"] = cases.sealed_sha256
+    _write_json(args, {"set": about, "scores": {one.name: one.to_json() for one in scores}})
+    path = Path(args.markdown or "results.md")
+    text = page(cases, papers, scores, path.name)
+    print(text)
     if args.markdown:
-        print(f"result {write_markdown(args.markdown, cases, papers, scores)}")
-    return 0
+        write_page(path, text)
 
 
-def answer_as_rival(args: argparse.Namespace) -> int:
+def answer_as_rival(args: argparse.Namespace) -> None:
     """Answer one case."""
     from examination.blind.bic import bic_answer
     from sma_bench.records import read_record
@@ -196,16 +166,12 @@ def answer_as_rival(args: argparse.Namespace) -> int:
     nominal = read_parameters(args.params)
     records, hold_out = ([read_record(p) for p in paths] for paths in (args.records, args.hold_out))
     answer, improved = bic_answer(records, hold_out, nominal)
+    said = " ".join([answer["verdict"], *answer["cause"]])
     if args.out:
-        said = " ".join([answer["verdict"], *answer["cause"]])
         _refuse_existing(args, args.out)
         write_parameters(args.out, improved, f"The rival {args.rival}: {said}")
     _write_json(args, answer)
-    print(answer["verdict"], *answer["cause"])
-    return 0
-
-
-# --- What is printed and written.
+    print(said)
 
 
 def _write_json(args: argparse.Namespace, document: dict[str, Any]) -> None:
@@ -217,33 +183,6 @@ def _write_json(args: argparse.Namespace, document: dict[str, Any]) -> None:
 def _refuse_existing(args: argparse.Namespace, path: str | None) -> None:
     if path and Path(path).exists() and not args.force:
         raise InputError(f"{path}: exists already, expected a new path; --force replaces it")
-
-
-def _counter(what: str, whole: int) -> Callable[[int], None]:
-    """Says on standard error how far it is, on a terminal only."""
-
-    def say(done: int) -> None:
-        if sys.stderr.isatty():
-            print(f"\r{done} of {whole} cases {what}", end="\n" * (done == whole), file=sys.stderr)
-
-    return say
-
-
-def _tell_failure(done: int, line: str) -> None:
-    if line:
-        print(f"failed: {line}", file=sys.stderr)
-
-
-def _print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """As wide as it is where no terminal sets a width."""
-    console = Console() if sys.stdout.isatty() else Console(width=240)
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for k, name in enumerate(header):
-        table.add_column(name, justify="right" if k else "left")
-    for row in rows:
-        table.add_row(*row)
-    console.print()
-    console.print(table)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import os
 import shutil
 import signal
 import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -183,10 +184,6 @@ def _kill(process: subprocess.Popen[str]) -> None:
 
 # --- Every case of a set put to one program; what is answered stays answered.
 
-# Called with the number of cases done so far and the last one's failure line, "" if it answered.
-Report = Callable[[int, str], None]
-
-
 def open_cases(cases: Sequence[str], answers: Path, again: bool = False) -> list[str]:
     """Those of the cases that have no answer in the examinee's folder yet; with `again` those that
     failed, too."""
@@ -197,41 +194,35 @@ def open_cases(cases: Sequence[str], answers: Path, again: bool = False) -> list
 
 
 def examine(
-    examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path, jobs: int = 1,
-    report: Report = lambda done, line: None,
-) -> None:
-    """Put `cases` to a program, `jobs` at a time, and keep each answer as soon as it is there.
-
-    Interrupted, it ends the running programs and leaves their cases open.
-
-    Args:
-        cases: names below `folder`.
-        answers: folder of the examinee.
-        report: called after each case.
-
-    Raises:
-        InputError: a case cannot be read or an answer not be written.
-    """
+    examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path, jobs: int = 1
+) -> int:
+    """Put `cases` below `folder` to a program, `jobs` at a time, and keep each answer as soon as it
+    is there; how many failed. Interrupted, it ends the running programs and leaves their cases
+    open."""
     ask = {case: partial(examinee.ask, folder.absolute() / case) for case in cases}
-    ask_all(examinee, ask, answers, jobs, report)
+    return ask_all(examinee, ask, answers, jobs)
 
 
 def ask_all(
-    examinee: Examinee, ask: Mapping[str, Callable[[], Given]], answers: Path, jobs: int,
-    report: Report,
-) -> None:
-    """Do every call of `ask`, and keep what it gives under its name in `answers`."""
+    examinee: Examinee, ask: Mapping[str, Callable[[], Given]], answers: Path, jobs: int
+) -> int:
+    """Do every call of `ask`, and keep what it gives under its name in `answers`; a line on
+    standard error says why one failed."""
+    failed = 0
     with ThreadPoolExecutor(jobs) as pool:
         running = {pool.submit(call): name for name, call in ask.items()}
         try:
-            for done, future in enumerate(as_completed(running), start=1):
+            for future in as_completed(running):
                 name, given = running[future], future.result()
                 keep(answers, name, given.result, given.line, given.seconds, given.improved)
-                report(done, f"{name}: {given.line}" if given.line else "")
+                if given.line:
+                    failed += 1
+                    print(f"failed: {name}: {given.line}", file=sys.stderr)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             examinee.stop()
             raise
+    return failed
 
 
 # --- What an answer asks for, done, and the diagnosis asked again: at most three times.
@@ -256,16 +247,10 @@ def asks_for_more(kept: Kept) -> bool:
 
 def follow_up(
     cases: CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee, answers: Path,
-    jobs: int = 1, report: Report = lambda done, line: None,
+    jobs: int = 1,
 ) -> None:
-    """Do what is asked for, and keep each answer after it in `answers`/after_1 to after_3.
-
-    Args:
-        cases: the set; labels: by case, for the world.
-        examinee: who gave the answers; what has been answered stays.
-        answers: folder of the examinee.
-        report: called after each experiment.
-    """
+    """Do what the examinee's answers ask for, and keep each one after it in `answers`/after_1 to
+    after_3; what has been answered stays."""
     for number, name in enumerate(FOLLOW_UPS):
         asking = {
             case: history for case in cases.names
@@ -277,7 +262,7 @@ def follow_up(
                           history, examinee)
             for case, history in asking.items()
         }
-        ask_all(examinee, ask, answers / name, jobs, report)
+        ask_all(examinee, ask, answers / name, jobs)
 
 
 def _do_and_ask(

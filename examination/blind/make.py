@@ -1,16 +1,14 @@
 """Make a set of cases: bags, what the owners believe, and labels under seal."""
 
-import hashlib
 import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
 
 import joblib
-import numpy as np
 
 from examination.bags import in_sqlite3
 from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, seal
@@ -121,8 +119,7 @@ _LAYOUT = 1
 
 
 def make(
-    out: str | Path, seed: int, n: int, jobs: int = 1,
-    progress: Callable[[int], None] = lambda done: None, load: str = "beam",
+    out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam"
 ) -> dict[str, Any]:
     """Make n cases in a new folder, which appears when all of them are there.
 
@@ -131,7 +128,6 @@ def make(
         seed: the same seed and n give the same bytes, whatever the number of jobs.
         n: number of cases.
         jobs: processes that share the work.
-        progress: called with the number of finished cases.
         load: what the wires of all rigs pull against.
 
     Returns:
@@ -148,15 +144,13 @@ def make(
             raise InputError(f"blind make: {what} {value}, expected {low} to {high}")
     with new_folder(out) as folder:
         (folder / CASES).mkdir()
-        cases, labels = draw_cases(seed, n, load), []
+        cases = draw_cases(seed, n, load)
         if jobs > 1:
             calls = (joblib.delayed(make_case)(case, folder / CASES) for case in cases)
             made = joblib.Parallel(jobs, return_as="generator")(calls)
         else:  # joblib's own way in one process now and then lets an interrupt past its caller
             made = (make_case(case, folder / CASES) for case in cases)
-        for label in made:
-            labels.append(label)
-            progress(len(labels))
+        labels = list(made)
         manifest = {
             "layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "split": split_of(seed),
             "load": load, "cases": [label["id"] for label in labels],
@@ -207,12 +201,3 @@ def make_case(case: Case, folder: Path) -> dict[str, Any]:
             in_sqlite3(place / record)
     write_parameters(place / NOMINAL, case.nominal, names=sorted(case.nominal.given))
     return label
-
-
-def digest(folder: str | Path) -> str:
-    """sha256 over the names and bytes of all files of a set."""
-    total = hashlib.sha256()
-    for path in sorted(p for p in Path(folder).rglob("*") if p.is_file()):
-        total.update(str(path.relative_to(folder)).encode() + b"\0")
-        total.update(np.uint64(path.stat().st_size).tobytes() + path.read_bytes())
-    return total.hexdigest()

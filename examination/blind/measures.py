@@ -118,7 +118,6 @@ class Measure:
     style: Literal["share", "number", "points", "seconds"] = "share"
     floor: Bound = None
     aim: Bound = None
-    given: str = ""
 
     def reaches(self, value: float, bound: Bound) -> bool:
         """Whether a value is at least as good as a bound."""
@@ -127,13 +126,6 @@ class Measure:
         if isinstance(bound, tuple):
             return bound[0] <= value <= bound[1]
         return value >= bound if self.better == "higher" else value <= bound
-
-    def better_than(self, one: float, other: float) -> bool:
-        """Whether `one` is the better value; inside a band, the nearer one to its middle."""
-        if self.better == "inside" and isinstance(self.aim, tuple):
-            middle = sum(self.aim) / 2.0
-            return abs(one - middle) < abs(other - middle)
-        return one > other if self.better == "higher" else one < other
 
     def met(self, measured: Measured) -> str:
         """`aim`, `floor` or `missed` by the value itself; "" without cases or floor."""

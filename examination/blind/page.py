@@ -1,4 +1,4 @@
-"""An examination's result in tables: on the terminal, and as the page that a repository keeps."""
+"""An examination's result as a page: on the terminal, and as a repository keeps it."""
 
 import math
 from collections.abc import Sequence
@@ -7,56 +7,41 @@ from pathlib import Path
 
 from examination.blind.case_files import CaseSet
 from examination.blind.measures import OTHERS, TARGETS, Bound, Measure, Measured
-from examination.blind.score import (
-    FOLLOWED_UP,
-    Paper,
-    Score,
-    beaten,
-    confusion,
-    groups,
-    reliability,
-)
-from sma_bench.errors import InputError
+from examination.blind.score import FOLLOWED_UP, Paper, Score, confusion, groups
 from sma_bench.installation import VERSION
 from sma_bench.parameters.yaml_file import write_text_atomically
 
 NOTES = "## Notes"
-_CHALLENGER = "diagnosis"
 _MOST_SHOWN = 4
 _DASH = "–"
-# By style of a measure: factor, digits, unit behind the number, unit behind the name.
+# By style of a measure: factor, digits, unit behind the number.
 _STYLES = {
-    "share": (100.0, 1, " %", ""), "points": (100.0, 1, "", " (points)"),
-    "number": (1.0, 2, "", ""), "seconds": (1.0, 1, " s", ""),
+    "share": (100.0, 1, " %"),
+    "points": (100.0, 1, ""),
+    "number": (1.0, 2, ""),
+    "seconds": (1.0, 1, " s"),
 }
-
-# (title, header, rows)
-ResultTable = tuple[str, Sequence[str], list[tuple[str, ...]]]
-
-
-# --- Numbers.
+Rows = Sequence[Sequence[str]]
 
 
 def title(measure: Measure) -> str:
     """Name of a row with its unit."""
-    return measure.name + _STYLES[measure.style][3]
+    return measure.name + (" (points)" if measure.style == "points" else "")
 
 
 def number(measure: Measure, value: float) -> str:
     """A value in the style of its measure; a dash for none."""
-    factor, digits, unit, _ = _STYLES[measure.style]
+    factor, digits, unit = _STYLES[measure.style]
     return f"{value * factor:.{digits}f}{unit}" if math.isfinite(value) else _DASH
 
 
 def interval(measure: Measure, measured: Measured) -> str:
     """Low to high; an open end where the cases are too few for a bound."""
-    if not measured.n:
-        return _DASH
     low, high = number(measure, measured.low), number(measure, measured.high)
-    if math.isinf(measured.high):
-        return f"above {low}" if math.isfinite(measured.low) else _DASH
-    if math.isinf(measured.low):
-        return f"below {high}"
+    if not measured.n or low == high == _DASH:
+        return _DASH
+    if _DASH in (low, high):
+        return f"above {low}" if high == _DASH else f"below {high}"
     return f"{low.removesuffix(_STYLES[measure.style][2])} to {high}"
 
 
@@ -66,60 +51,18 @@ def bound(measure: Measure, value: Bound) -> str:
         return ""
     if isinstance(value, tuple):
         return f"{100 * value[0]:.0f} to {100 * value[1]:.0f} %"
-    factor, _, unit, _ = _STYLES[measure.style]
+    factor, _, unit = _STYLES[measure.style]
     return f"{'≥' if measure.better == 'higher' else '≤'} {value * factor:g}{unit}"
-
-
-# --- Tables.
-
-
-def tables(score: Score) -> list[ResultTable]:
-    """Everything that is known of one examinee: measures, groups of cases, reliability, and what
-    was chosen instead of the truth."""
-    rows = [
-        (title(m), str(found.n), number(m, found.value), interval(m, found), bound(m, m.floor),
-         bound(m, m.aim), m.met(found))
-        for m in (*TARGETS, *OTHERS) for found in [score.measured[m.name]]
-    ]  # fmt: skip
-    header = ("measure", "cases", "value", "95 % interval", "floor", "aim", "met")
-    shown: list[ResultTable] = [
-        ("measures", header, rows[: len(TARGETS)]),
-        ("besides", header[:4], [row[:4] for row in rows[len(TARGETS) :]]),
-    ]
-    for name, by_group in groups(score.cases).items():
-        columns = list(next(iter(by_group.values()), {}))
-        lines = [
-            (group, str(row[columns[0]].n),
-             *(f"{row[n].value:.2f} ({row[n].low:.2f} to {row[n].high:.2f})" for n in columns))
-            for group, row in by_group.items()
-        ]  # fmt: skip
-        if lines:
-            shown.append((name, ("", "cases", *columns), lines))
-    bins = [
-        (f"{b.low:.1f} to {b.high:.1f}", str(b.n), f"{b.stated:.2f}",
-         f"{b.right:.2f} ({b.right_low:.2f} to {b.right_high:.2f})")
-        for b in reliability(score.cases)
-    ]  # fmt: skip
-    shown.append(("reliability", ("probability of the first choice", "cases", "stated", "right"),
-                  bins))  # fmt: skip
-    choices = []
-    for truth, row in confusion(score.cases).items():
-        chosen = sorted((name for name in row if row[name]), key=lambda name: -row[name])
-        often = [f"{row[name]} {name}" for name in chosen[:_MOST_SHOWN]]
-        if len(chosen) > _MOST_SHOWN:
-            often.append(f"{len(chosen) - _MOST_SHOWN} more")
-        choices.append((truth, str(sum(row.values())), ", ".join(often)))
-    header = ("truth", "cases", "most frequent first choices")
-    return [*shown, ("truth against first choice", header, choices)]
 
 
 def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[tuple[str, ...]]:
     """One row a measure: its name, and each examinee's value with its interval."""
-    return [
-        (title(m), *(f"{number(m, found.value)} ({interval(m, found)})" if found.n else _DASH
-                     for found in (s.measured[m.name] for s in scores)))
-        for m in measures
-    ]  # fmt: skip
+    rows = []
+    for m in measures:
+        found = [score.measured[m.name] for score in scores]
+        values = [f"{number(m, f.value)} ({interval(m, f)})" if f.n else _DASH for f in found]
+        rows.append((title(m), *values))
+    return rows
 
 
 def summary(score: Score) -> str:
@@ -132,18 +75,39 @@ def summary(score: Score) -> str:
     return text + (f"; missed: {', '.join(missed)}" if missed else "")
 
 
-# --- The page.
+def tables(score: Score) -> list[str]:
+    """Everything that is known of one examinee: measures, groups of cases, and what was chosen
+    instead of the truth."""
+    rows = {}
+    for m in (*TARGETS, *OTHERS):
+        found = score.measured[m.name]
+        rows[m] = (title(m), str(found.n), number(m, found.value), interval(m, found))
+    bounds = {m: (bound(m, m.floor), bound(m, m.aim), m.met(score.measured[m.name])) for m in rows}
+    header = ("measure", "cases", "value", "95 % interval")
+    targets = [rows[m] + bounds[m] for m in TARGETS]
+    lines = [*_table((*header, "floor", "aim", "met"), targets), "", "Besides:", ""]
+    lines += _table(header, [rows[m] for m in OTHERS])
+    for name, by_group in groups(score.cases).items():
+        body = []
+        for group, row in by_group.items():
+            values = [f"{v.value:.2f} ({v.low:.2f} to {v.high:.2f})" for v in row.values()]
+            body.append((group, str(next(iter(row.values())).n), *values))
+            header = ("", "cases", *row)
+        if body:
+            lines += ["", f"{name.capitalize()}:", "", *_table(header, body)]
+    choices = []
+    for truth, row in confusion(score.cases).items():
+        chosen = sorted(row, key=lambda name: -row[name])
+        often = [f"{row[name]} {name}" for name in chosen[:_MOST_SHOWN]]
+        if len(chosen) > _MOST_SHOWN:
+            often.append(f"{len(chosen) - _MOST_SHOWN} more")
+        choices.append((truth, str(sum(row.values())), ", ".join(often)))
+    header = ("truth", "cases", "most frequent first choices")
+    return [*lines, "", "Truth against first choice:", "", *_table(header, choices)]
 
 
-def write_markdown(
-    path: str | Path, cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score]
-) -> Path:
-    """Write the result page of a repository; what stands below `## Notes` in it stays.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    path = Path(path)
+def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name: str) -> str:
+    """The result page, which a repository keeps as the file `name`."""
     head = (
         f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {VERSION}, "
         f"sealed labels {cases.sealed_sha256[:16]}."
@@ -154,42 +118,33 @@ def write_markdown(
         words = paper.examination.program
         if not paper.name.endswith(FOLLOWED_UP):
             rival = f" --rival {paper.name}" if "rival" in words else ""
-            own = rival or paper.name == _CHALLENGER
+            own = rival or paper.name == "diagnosis"
             other = "" if own else f" --program '{' '.join(words)}'"
             lines.append(f"./bench blind run cases{rival}{other}")
-    lines += [f"./bench blind score cases --markdown {path.name}", "```", ""]
+    lines += [f"./bench blind score cases --markdown {name}", "```", ""]
     lines += [f"- {summary(score)}" for score in scores]
-    mine = next((score for score in scores if score.name == _CHALLENGER), None)
-    rivals = [score for score in scores if not score.name.startswith(_CHALLENGER)]
-    if mine and rivals:
-        worse = ", ".join(beaten(mine, rivals))
-        lines.append(f"- A rival is better than the diagnosis in: {worse}." if worse else
-                     "- The diagnosis is as good as every rival or better in every row.")
     lines += ["", "Value (95 % interval); Clopper-Pearson for shares.", ""]
     rows = [
         (name, bound(m, m.floor), bound(m, m.aim), *values)
         for m, (name, *values) in zip(TARGETS, side_by_side(scores, TARGETS), strict=True)
     ]
-    lines += _markdown(("measure", "floor", "aim", *(score.name for score in scores)), rows)
+    lines += _table(("measure", "floor", "aim", *(score.name for score in scores)), rows)
     for score in scores:
-        lines += ["", f"## {score.name}", ""]
-        for name, header, rows in tables(score):
-            lines += [f"{name.capitalize()}:", "", *_markdown(header, rows), ""]
+        lines += ["", f"## {score.name}", "", *tables(score), ""]
     lines += ["## Definitions", ""]
     lines += [f"- **{m.name}**: {m.definition}" for m in (*TARGETS, *OTHERS) if m.definition]
-    lines.append("")
-    # The hand-written end of the page stays as it is.
+    return "\n".join(lines) + "\n"
+
+
+def write_page(path: Path, text: str) -> None:
+    """Write a page; what stands below `## Notes` in it stays."""
     with suppress(OSError, UnicodeDecodeError):
         _, found, notes = path.read_text(encoding="utf-8").partition(f"\n{NOTES}\n")
-        lines += [NOTES, notes] if found else []
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{path.parent}: cannot be made: {error.strerror}") from None
-    write_text_atomically(path, "\n".join(lines).rstrip() + "\n")
-    return path
+        text += f"\n{NOTES}\n{notes.rstrip()}\n" if found else ""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_text_atomically(path, text)
 
 
-def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def _table(header: Sequence[str], rows: Rows) -> list[str]:
     lines = [header, ["---"] * len(header), *rows]
     return ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]

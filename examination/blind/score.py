@@ -9,7 +9,6 @@ import numpy as np
 
 from examination.blind.case_files import (
     EXAMINATION,
-    NO_EFFECT,
     PAIR_SIGN,
     STAGE_OF,
     CaseSet,
@@ -27,14 +26,7 @@ from examination.blind.judgement import (
     moved_parameters,
     parameter_error,
 )
-from examination.blind.measures import (
-    OTHERS,
-    TARGETS,
-    Measured,
-    bin_of,
-    mean,
-    proportion,
-)
+from examination.blind.measures import OTHERS, TARGETS, Measured, mean, proportion
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters
 
@@ -65,7 +57,7 @@ class Score:
     measured: Mapping[str, Measured]
 
     def to_json(self) -> dict[str, Any]:
-        """Measures, confusion matrix, reliability and groups as plain data."""
+        """Measures and confusion matrix as plain data."""
         return {
             "measures": {
                 m.name: {**vars(found), "floor": m.floor, "aim": m.aim, "met": m.met(found),
@@ -73,11 +65,6 @@ class Score:
                 for m in (*TARGETS, *OTHERS) for found in [self.measured[m.name]]
             },
             "confusion": confusion(self.cases),
-            "reliability": [vars(bin_) for bin_ in reliability(self.cases)],
-            "groups": {
-                title: {group: {k: vars(v) for k, v in row.items()} for group, row in rows.items()}
-                for title, rows in groups(self.cases).items()
-            },
             "failed": {c.label.id: c.failure for c in self.cases if c.answer is None},
         }  # fmt: skip
 
@@ -123,22 +110,13 @@ def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
     return labels
 
 
-def score(
-    cases: CaseSet, papers: Sequence[Paper], labels: Labels,
-    report: Callable[[int], None] = lambda done: None,
-) -> list[Score]:
-    """Judge every paper; each case's world is played once for all of them.
-
-    Args:
-        cases: the set; labels: by case.
-        papers: complete ones.
-        report: called with the number of cases done.
-    """
+def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score]:
+    """Judge every complete paper; each case's world is played once for all of them."""
     judged: list[list[Judged]] = [[] for _ in papers]
-    for done, name in enumerate(cases.names, 1):
+    for k, name in enumerate(cases.names):
         label, unseen = labels[name], UnseenRecord(labels[name])
         for paper, into in zip(papers, judged, strict=True):
-            kept, history = paper.kept[done - 1], answers_of(paper.folder, name)
+            kept, history = paper.kept[k], answers_of(paper.folder, name)
             nominal = read_parameters(cases.folder / name / NOMINAL)
             improved = read_parameters(kept.improved) if kept.improved else nominal
             tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
@@ -151,7 +129,6 @@ def score(
                 followed=tied and (len(history) > 1 or not asks_for_more(kept)),
                 seconds=kept.seconds, failure=kept.line,
             ))  # fmt: skip
-        report(done)
     return [
         Score(paper.name, tuple(found), {m.name: m.of(found) for m in (*TARGETS, *OTHERS)})
         for paper, found in zip(papers, judged, strict=True)
@@ -169,38 +146,19 @@ def followed_up(papers: Sequence[Paper]) -> list[Paper]:
     return found
 
 
-# --- Results by what was hidden: the confusion matrix, the reliability diagram, groups of cases.
+# --- Results by what was hidden: the confusion matrix, groups of cases.
 
-JOINT, OTHER, FAILED = "two effects", "other effect", "no answer"
-COLUMNS = (*STAGE_OF, JOINT, OTHER, *NO_EFFECT, FAILED)
 _ROWS = (*STAGE_OF, "pair", "none", "mild kinetics", "recalibration", "outside")
 _EDGES = (0.0, 1.5, 3.0, 6.0, 12.0, np.inf)
-_BINS = 10
-
-
-@dataclass(frozen=True)
-class Bin:
-    """Most probable candidates stated with a probability from `low` to `high`: how many, their mean
-    probability, and the share that was right with its 95 % interval."""
-
-    low: float
-    high: float
-    n: int
-    stated: float
-    right: float
-    right_low: float
-    right_high: float
-
 
 def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
-    """What is true (rows, as they occur) against the most probable candidate (all columns)."""
+    """What is true (rows) against the most probable candidate, as they occur."""
     table: dict[str, dict[str, int]] = {}
     for case in cases:
-        row = table.setdefault(truth_of(case), dict.fromkeys(COLUMNS, 0))
-        chosen = case.first_choice.name if case.first_choice else FAILED
-        if chosen not in row:
-            chosen = JOINT if PAIR_SIGN in chosen else OTHER
-        row[chosen] += 1
+        chosen = case.first_choice.name if case.first_choice else "no answer"
+        chosen = "two effects" if PAIR_SIGN in chosen else chosen
+        row = table.setdefault(truth_of(case), {})
+        row[chosen] = row.get(chosen, 0) + 1
     return {name: table[name] for name in sorted(table, key=_place)}
 
 
@@ -214,18 +172,6 @@ def truth_of(case: Judged) -> str:
 
 def _place(name: str) -> int:
     return _ROWS.index(name) if name in _ROWS else len(_ROWS)
-
-
-def reliability(cases: Sequence[Judged]) -> list[Bin]:
-    """Stated probability of the most probable candidate against how often it was right."""
-    stated = np.array([c.first_choice.probability for c in cases if c.first_choice])
-    right = np.array([c.first_choice_right for c in cases if c.first_choice], dtype=bool)
-    which, bins = bin_of(stated, _BINS), []
-    for k in np.unique(which).tolist():
-        share = proportion(right[which == k].tolist())
-        bins.append(Bin(k / _BINS, (k + 1) / _BINS, share.n, float(stated[which == k].mean()),
-                        share.value, share.low, share.high))  # fmt: skip
-    return bins
 
 
 GROUP_MEASURES: Mapping[str, Callable[[Sequence[Judged]], Measured]] = {
@@ -267,22 +213,3 @@ def groups(cases: Sequence[Judged]) -> Groups:
             for group in sorted(split, key=lambda name: (_place(name), name))
         }
     return found
-
-
-def beaten(score: Score, rivals: Sequence[Score]) -> list[str]:
-    """Measures with a floor in which some rival is better than `score`, and as good in the one that
-    is its condition."""
-    measures, worse = {m.name: m for m in TARGETS}, []
-    for measure in TARGETS:
-        condition, mine = measures.get(measure.given), score.measured[measure.name]
-        for rival in rivals:
-            theirs = rival.measured[measure.name]
-            if not mine.n or not theirs.n or not measure.better_than(theirs.value, mine.value):
-                continue
-            if condition and condition.better_than(
-                score.measured[condition.name].value, rival.measured[condition.name].value
-            ):
-                continue
-            worse.append(measure.name)
-            break
-    return worse

@@ -6,7 +6,13 @@ import time
 
 import pytest
 
-from examination.blind.case_files import Examination, read_case_set, read_kept, write_examination
+from examination.blind.case_files import (
+    Examination,
+    keep,
+    read_case_set,
+    read_kept,
+    write_examination,
+)
 from examination.blind.examination import Examinee, examine, open_cases
 from sma_bench.errors import InputError
 
@@ -124,15 +130,17 @@ def test_a_program_that_does_not_exist_fails_no_case_and_one_out_of_time_does(ma
     assert kept.line == "no answer within 0.3 s" and 0.3 <= kept.seconds < 30.0
 
 
-def test_an_interrupted_examination_keeps_what_was_answered_and_ends_what_runs(make):
+def test_an_interrupted_examination_keeps_what_was_answered_and_ends_what_runs(make, monkeypatch):
     names, answers = make("look", "sleep", "look")
 
-    def interrupt(done: int, line: str) -> None:
+    def interrupt(*kept):
+        keep(*kept)
         raise KeyboardInterrupt
 
+    monkeypatch.setattr("examination.blind.examination.keep", interrupt)
     begin = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        make.run(names, limit=50.0, report=interrupt)
+        make.run(names, limit=50.0)
     assert time.monotonic() - begin < 40.0
     assert open_cases(names, answers) == ["0002", "0003"]
 
