@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import yaml
 from fake_bench import FakeBench
-from sensor_msgs.msg import Range
 from std_msgs.msg import Float64, Float64MultiArray
 
 from sma_bench.installation import share_directory
@@ -31,10 +30,9 @@ def stamps(messages):
 
 
 def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
-    tip, volts, states, front, back = bench.hear(
-        "joint_states", "voltage_command", "deflection_controller/state", "front/range",
-        "back/range",
-    )  # fmt: skip
+    tip, volts, states = bench.hear(
+        "joint_states", "voltage_command", "deflection_controller/state"
+    )
     # The controller knows the wires less well than it thinks.
     off = {"wire__heat_transfer_coefficient": 411.0, "wire__austenite_start_temperature": 332.9}
     bench.start("simulator", COMPOSITE_RIG, **FAST, **off)
@@ -51,6 +49,8 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
     bench.until(lambda: bench.trigger("deflection_controller/start").success, LONG)
     bench.until(lambda: states[-1].data.startswith(("done", "aborted")), LONG)
     assert states[-1].data == "done: short"
+    # The state may overtake readings that still wait in the test's own queues.
+    bench.until(lambda: min(m.position[0] for m in tip) < -0.025)
     peak = stamps([max(tip, key=lambda m: m.position[0])])[0]
     bench.until(lambda: stamps(tip[-1:])[0] > peak + 11.0, LONG)
     time, metres = stamps(tip), np.array([m.position[0] for m in tip])
@@ -61,9 +61,6 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
     assert np.sqrt(np.mean((metres - wanted)[part] ** 2)) < 1e-3
     assert metres.max() == pytest.approx(0.03, abs=1e-3)
     assert metres.min() == pytest.approx(-0.03, abs=1e-3)
-    assert tip[0].name == ["tip"] and front[0].radiation_type == Range.INFRARED
-    for near in (front, back):  # towards the one, then the other
-        assert min(m.range for m in near) == pytest.approx(near[0].range - 0.03, abs=5e-3)
     sent = np.array([m.data for m in volts])
     assert not np.any((sent[:, 0] > 0.0) & (sent[:, 2] > 0.0))
     np.testing.assert_array_equal(sent[:, 0], sent[:, 1])
@@ -85,22 +82,17 @@ def test_temperatures_come_from_a_topic_in_celsius_and_the_rules_of_the_experime
     bench.until(lambda: fake.volts == [0.0])
     fake.celsius = 38.0
     bench.until(lambda: fake.volts[0] > 0.5)
-    fake.celsius = 160.0
-    bench.until(lambda: fake.state.startswith("aborted: over-temperature: wire at 160.0 degC"))
-    fake.until_zero()
-    refused = bench.trigger(f"{name}/start")
-    assert not refused.success and "reset first" in refused.message
-    fake.celsius = 25.0
-    assert bench.trigger(f"{name}/reset").success
     hot = bench.set_parameter(name, "reference", "deflection_triangle")
     assert not hot.successful and "unit is 'm', expected K" in hot.reason
-    assert bench.trigger(f"{name}/start").success
+    fake.silent.add("temperature")
+    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from wire/"))
+    fake.until_zero()
+    fake.silent.clear()
+    assert bench.trigger(f"{name}/reset").success
+    bench.until(lambda: bench.trigger(f"{name}/start").success)
     # The reference of the run that was aborted is forgotten.
     bench.until(lambda: fake.state == "running: topic")
     fake.until_zero()
-    fake.silent.add("temperature")
-    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from wire/"))
-    assert bench.trigger(f"{name}/stop").success
     assert node.end(signal.SIGTERM) == 0 and "Traceback" not in node.output
     bench.until(lambda: fake.volts == [0.0])
 

@@ -7,6 +7,7 @@ import time
 import pytest
 import rclpy
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import Range
 from std_msgs.msg import Float64MultiArray
 
 from sma_bench.ros.node import signature, voltage_command
@@ -62,6 +63,19 @@ def test_wire_rig_speaks_the_contract_and_bad_commands_neither_drive_nor_keep_a_
     assert driven == pytest.approx([2.0] * len(driven), abs=0.02)
     assert len(driven) == pytest.approx(0.8 * 100, abs=3)  # of the wire's time
     assert node.end(signal.SIGTERM) == 0
+
+
+def test_composite_rig_bends_to_the_front_when_the_front_is_driven(bench):
+    front, back, joints, driven = bench.hear(
+        "front/range", "back/range", "joint_states", "front_1/power"
+    )
+    bench.start("simulator", "config/composite_rig.yaml", speed=20.0)
+    command = bench.talk("voltage_command", Float64MultiArray)
+    bench.until(lambda: front and back and driven and joints)
+    bench.until(lambda: command.publish(volts(6, 6, 0, 0)) or joints[-1].position[0] > 0.005)
+    assert joints[-1].name == ["tip"] and front[0].radiation_type == Range.INFRARED
+    assert front[-1].range < front[0].range < back[-1].range
+    assert driven[-1].voltage == pytest.approx(6.0, abs=0.02)
 
 
 def test_simulated_time_takes_a_step_for_each_command_and_goes_on_when_the_driver_has_left(bench):
