@@ -144,33 +144,25 @@ _TITLES = (
     "t", "Zeit (s)", "duty [%]", "current (A)", "position [mm]", "force [N]", "=1+1", "\x1b[2J",
     "<script>", "x" * 3000, "", "caf\xe9", "time [s]", "Spannung; V", "$m_1$", "\u202eV",
 )  # fmt: skip
-_MAIN = r'\1<row r="70"><c r="A70"><v>&a8;</v></c></row></sheetData>'
 _UNFOLDS = (
     '<!DOCTYPE b [<!ENTITY a0 "xxxxxxxxxx">'
     + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9)) + "]>"
 )  # fmt: skip
-# Part of a workbook, what is found there, and what may stand in its place.
-_WORKBOOK: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("worksheets/sheet1.xml", "</row>", tuple(f"{cell}</row>" for cell in (
-        '<c r="XFD1048576"><v>1</v></c>', '<c r="A0"><v>1</v></c>', '<c r="ZZZZ9"><v>1</v></c>',
-        "<c><v>1</v></c>", '<c r="B2" t="s"><v>99999</v></c>', '<c r="B2" t="d"><v>x</v></c>',
-        '<c r="B2"><v>1e999</v></c>', '<c r="B2"><f>HYPERLINK("http://a","b")</f></c>',
-        '<c r="B2" s="1"><v>1e300</v></c>', '<c r="B2" s="7"/>', '<c r="B2" t="b"><v>7</v></c>',
-        '<c r="B2" t="e"><v>#DIV/0!</v></c>', '<c r="B2"><v>&a8;</v></c>'))),
-    ("worksheets/sheet1.xml", "</sheetData>", tuple(f"{row}</sheetData>" for row in (
-        '<row r="1048576"><c r="XFD1048576"><v>1</v></c></row>', '<row r="99999999999"/>',
-        '<row r="-5"><c><v>1</v></c></row>', '<row r="x"/>',
-        "".join(f'<row r="{k}"><c r="XFD{k}"><v>1</v></c></row>' for k in range(70, 700)),
-        "<row><c><v>1</v></c><c><v>2</v></c></row>" * 60_000))),
-    ("worksheets/sheet1.xml", "(?s)^(.*)</sheetData>", (
-        _UNFOLDS + _MAIN, '<!DOCTYPE b [<!ENTITY a8 SYSTEM "file:///etc/passwd">]>' + _MAIN)),
-    ("worksheets/sheet1.xml", '<dimension ref="[^"]*"', tuple(
-        f'<dimension ref="{size}"' for size in ("A1:XFD1048576", "A1:ZZZZZZ9", "", "B7"))),
-    ("workbook.xml", "<sheet [^>]*/>", (r"\g<0>" * 300,)),
-    ("workbook.xml", '<sheet ([^>]*)name="[^"]*"', tuple(
-        rf'<sheet \1name="{name}"' for name in ("=1+1", "\x9b2J", "s" * 2000, "../x"))),
-    ("_rels/workbook.xml.rels", 'Target="[^"]*sheet1.xml"', tuple(
-        f'Target="{place}"' for place in ("../../../etc/passwd", "/etc/passwd", "http://a/b"))),
+_ENTITY = r'\1<row r="70"><c r="A70"><v>&a8;</v></c></row></sheetData>'
+# What is found in the XML of a workbook, and what may stand in its place.
+_WORKBOOK = (
+    ("</row>", ('<c r="XFD1048576"><v>1</v></c></row>', '<c r="A0"><v>1</v></c></row>',
+                '<c r="B2" t="s"><v>99999</v></c></row>', '<c r="B2" t="d"><v>x</v></c></row>',
+                '<c r="B2" s="1"><v>1e300</v></c></row>', '<c r="B2" s="7"/></row>',
+                '<c r="B2"><f>HYPERLINK("http://a","b")</f></c></row>')),
+    ("</sheetData>", ('<row r="99999999999"/></sheetData>', '<row r="-5"/></sheetData>',
+                      "<row><c><v>1</v></c><c><v>2</v></c></row>" * 60_000 + "</sheetData>")),
+    ("(?s)^(.*)</sheetData>", (
+        _UNFOLDS + _ENTITY, '<!DOCTYPE b [<!ENTITY a8 SYSTEM "file:///etc/passwd">]>' + _ENTITY)),
+    ('<dimension ref="[^"]*"', ('<dimension ref="A1:XFD1048576"', '<dimension ref=""')),
+    ("<sheet [^>]*/>", (r"\g<0>" * 300,)),
+    ('<sheet ([^>]*)name="[^"]*"', (r'<sheet \1name="=1+1"', r'<sheet \1name="../x"')),
+    ('Target="[^"]*sheet1.xml"', ('Target="/etc/passwd"', 'Target="http://a/b"')),
 )  # fmt: skip
 
 
@@ -221,11 +213,9 @@ def _workbook(rng: random.Random, found: dict[str, np.ndarray], _: str) -> bytes
     book.save(good)
     with zipfile.ZipFile(good) as archive:
         parts = {name: archive.read(name).decode() for name in archive.namelist()}
-    if rng.random() < 0.7:
-        part, pattern, texts = rng.choice(_WORKBOOK)
-        parts[f"xl/{part}"] = re.sub(pattern, rng.choice(texts), parts[f"xl/{part}"], count=1)
-    elif rng.random() < 0.3:
-        parts.pop(rng.choice(list(parts)))
+    pattern, texts = rng.choice(_WORKBOOK)
+    for name in parts if rng.random() < 0.7 else ():
+        parts[name] = re.sub(pattern, rng.choice(texts), parts[name], count=1)
     with zipfile.ZipFile(written, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, text in parts.items():
             archive.writestr(name, text)
@@ -243,28 +233,26 @@ def _other(rng: random.Random, found: dict[str, Any], kind: str) -> bytes:
 
     found = {re.sub(r"\W+", "_", title, flags=re.ASCII).strip("_0123456789")[:31] or "c": values
              for title, values in found.items()}  # fmt: skip
-    trick, written = rng.choice(("", "large", "odd")), io.BytesIO()
+    is_large, is_odd = rng.random() < 0.3, rng.random() < 0.3
+    written = io.BytesIO()
     if kind == "mat":
-        if trick == "large":
-            found["large"] = np.zeros(1 << 22)
-        elif trick == "odd":
-            found["odd"] = rng.choice((np.zeros((3, 3, 3)), 1j * np.ones(9), "V", {"a": {"b": 1}}))
-        savemat(written, found, do_compression=rng.random() < 0.6)
+        found |= {"large": np.zeros(1 << 22)} if is_large else {}
+        odd = rng.choice((np.zeros((3, 3, 3)), 1j * np.ones(9), "V", {"a": {"b": 1}}))
+        savemat(written, found | ({"odd": odd} if is_odd else {}), do_compression=is_large)
     elif kind == "h5":
         with h5py.File(written, "w") as file:
             for title, values in found.items():
                 file[title] = values
-            if trick == "large":
-                shape = rng.choice(((10**9,), (10**6, 10**6), (2, 10**7)))
-                file.create_dataset("empty", shape, "d", chunks=True)
-            elif trick == "odd":
+            if is_large:
+                file.create_dataset("empty", (10**6, 10**6), "d", chunks=True)
+            if is_odd:
                 file["again"], file["self"] = file["/"], h5py.SoftLink("/self")
                 file["out"] = h5py.ExternalLink("/etc/passwd", "/")
     else:
-        if trick == "large":
-            found = dict.fromkeys(found, np.zeros(1 << 18))
-        elif trick == "odd":
-            found["odd"] = rng.choice((pyarrow.nulls(60), pyarrow.array([[1.0]] * 60)))
+        found |= (
+            {"odd": rng.choice((pyarrow.nulls(60), pyarrow.array([[1.0]] * 60)))} if is_odd else {}
+        )
+        found = dict.fromkeys(found, np.zeros(1 << 18)) if is_large else found
         parquet.write_table(pyarrow.table(found), written)
     return written.getvalue()
 
