@@ -5,17 +5,14 @@ started again in all orders, hours of a bench in virtual time, parsers fed with 
 Each line says what was tried how often, what came of it and what is allowed. Some forty minutes
 on two free cores; sizes by option, the same seed damages the same places.
 
-    ./bench check reliability [SECTION ...] [--scale 0.1] [--json reliability.json]
+    ./bench check reliability [--only SECTION ...] [--scale 0.1]
 """
 
-import argparse
-import json
 import os
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -25,9 +22,10 @@ from examination.campaign.foreign_traffic import foreign_traffic, leaping_clocks
 from examination.campaign.full_disk import full_disk
 from examination.campaign.hostile_inputs import edited_inputs, hostile_inputs
 from examination.campaign.killed_recorder import killed_recorder
-from examination.campaign.outcome import Campaign, Outcome
+from examination.campaign.outcome import Campaign
 from examination.campaign.restarted_nodes import restarted_nodes
 from examination.campaign.soak import soak
+from examination.pieces import options_of
 
 CAMPAIGNS = (
     Campaign("hostile", "well-formed hostile inputs", 20_000, "inputs", hostile_inputs),
@@ -44,50 +42,26 @@ ROW = "{:9} {:58.58} {:>7}  {:4} {}"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when everything stayed within what is allowed."""
-    options = _options(argv)
-    outcomes: list[Outcome] = []
+    options = options_of(
+        "reliability", __doc__, argv, only=(tuple(c.name for c in CAMPAIGNS), "sections"),
+        seed=(0, "of all"), scale=(1.0, "multiplies every size"),
+        **{c.name: (c.size, f"{c.about}: {c.unit}") for c in CAMPAIGNS},
+    )  # fmt: skip
+    lines = failed = 0
     print(ROW.format("section", "what", "tried", "", "found (allowed)"))
     for campaign in CAMPAIGNS:
-        if options.sections and campaign.name not in options.sections:
+        if campaign.name not in options.only:
             continue
         size = max(1, round(getattr(options, campaign.name) * options.scale))
         started = time.monotonic()
         with tempfile.TemporaryDirectory(prefix="sma_bench_reliability_") as folder:
-            found = campaign.run(size, options.seed, Path(folder))
-        for outcome in found:
-            _show(outcome)
-        outcomes += found
+            for one in campaign.run(size, options.seed, Path(folder)):
+                word, found = "ok" if one.met else "FAIL", f"{one.found} ({one.limit})"
+                print(ROW.format(one.section, one.what, one.tried, word, found), flush=True)
+                lines, failed = lines + 1, failed + (not one.met)
         print(f"{'':9} {campaign.name}: {time.monotonic() - started:.0f} s", flush=True)
-    failed = sum(not outcome.met for outcome in outcomes)
-    print(f"{len(outcomes) - failed} of {len(outcomes)} lines within what is allowed")
-    if options.json:
-        result = {"seed": options.seed, "outcomes": [asdict(o) for o in outcomes], "failed": failed}
-        Path(options.json).write_text(json.dumps(result, indent=2) + "\n")
+    print(f"{lines - failed} of {lines} lines within what is allowed")
     return 1 if failed else 0
-
-
-def _options(argv: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        prog="./bench check reliability", description=(__doc__ or "").split("\n\n")[0]
-    )
-    names = [campaign.name for campaign in CAMPAIGNS]
-    parser.add_argument("sections", nargs="*", choices=[*names, []], metavar="SECTION",
-                        help=f"of {', '.join(names)}; all unless given")  # fmt: skip
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--scale", type=float, default=1.0, help="multiplies every size")
-    parser.add_argument("--json", metavar="FILE")
-    for campaign in CAMPAIGNS:
-        parser.add_argument(
-            f"--{campaign.name}", type=int, default=campaign.size, metavar="N",
-            help=f"{campaign.about}: {campaign.unit}, {campaign.size} unless given",
-        )
-    return parser.parse_args(argv)
-
-
-def _show(outcome: Outcome) -> None:
-    word = "ok" if outcome.met else "FAIL"
-    found = f"{outcome.found} ({outcome.limit})"
-    print(ROW.format(outcome.section, outcome.what, outcome.tried, word, found), flush=True)
 
 
 if __name__ == "__main__":

@@ -204,7 +204,7 @@ DAMAGES = {
 }
 STORED = [("mcap", mode) for mode in CompressionMode]
 STORED += [("sqlite3", mode) for mode in (CompressionMode.NONE, CompressionMode.FILE)]
-_REPEATS = 12  # ./bench check reliability does thousands
+_REPEATS = 12  # ./bench check bags draws hundreds
 
 
 @pytest.mark.parametrize(("storage", "mode"), STORED)
