@@ -301,9 +301,14 @@ def _named(sheet: Sheet, strain_unit: str | None, is_loaded: bool) -> Sheet:
             found = [match for line in read_lines(note) if (match := _UNIT_LINE.match(line))]
             noted = {m[1].lower(): m[2].strip() for m in reversed(found)} | noted
     coldest = float(np.nanquantile(columns[0].values, 0.05))
-    if "temperature" not in noted and not _COLDEST[0] < coldest < _COLDEST[1]:
-        said = f"the temperature begins at {coldest:.4g}: in degC or K?"
-        raise InputError(f"{path}: {said} write titles with units above the columns")
+    level = 0.0 if is_loaded else 1e6 * float(np.nanmedian(columns[-1].values))
+    is_cold = _COLDEST[0] < coldest < _COLDEST[1]
+    for what, is_one, said in (
+        ("temperature", is_cold, f"the temperature begins at {coldest:.4g}: in degC or K?"),
+        ("stress", level < STRONGEST, f"the stress is {level / 1e6:.4g}: in MPa?"),
+    ):
+        if what not in noted and not is_one:
+            raise InputError(f"{path}: {said} write titles with units above the columns")
     units = {"temperature": "degC", "strain": "", "stress": "MPa"} | noted
     units["strain"] = strain_unit or units["strain"]
     for what, quantity in (("temperature", "temperature"), ("strain", "ratio"), ("stress",) * 2):

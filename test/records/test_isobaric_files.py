@@ -64,9 +64,10 @@ def test_units_come_from_titles_or_a_note_or_of_strain_its_span_else_are_asked(w
                          ("Temperature (C),Strain,Stress", "Stress")):  # fmt: skip
         with pytest.raises(InputError, match=f"{name} has no unit, values are .*: which one"):
             open_record(write(loop(), titles))
-    kelvin = loop() + (273.15, 0.0, 0.0)
-    with pytest.raises(InputError, match="begins at 29.*: in degC or K"):
-        read_isobaric(write(kelvin))
+    for other, said in ((loop() + (273.15, 0.0, 0.0), "begins at 29.*: in degC or K"),
+                        (loop() * (1.0, 1.0, 1e3), "stress is 1e.05: in MPa")):  # fmt: skip
+        with pytest.raises(InputError, match=said):
+            read_isobaric(write(other))
     # Of an extension without a gauge length only the shape is known.
     head = '"Sample"\n\n"Temp (C)","Extension (mm)","Stress (MPa)"'
     elongated = write(loop() * (1.0, 50.0, 1.0), head)
