@@ -257,7 +257,7 @@ class Judged:
         said = self.answer.shrinkage
         usable = {
             name: said[name] for name, true in self.shrunk.items()
-            if name in said and math.isfinite(true.fraction) and math.isfinite(said[name].fraction)
+            if name in said and math.isfinite(true.fraction) and said[name].fraction is not None
         }
         if not usable:
             return None

@@ -157,7 +157,10 @@ def make_tested(case: Path, label: Label, whole: files.CaseSet) -> None:
 def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
     # Numbers of the effects that are there, as the answer has fitted them.
     answer = files.read_kept(whole.answers / DIAGNOSIS, label["id"]).answer
-    fitted = {c.name: dict(c.parameters) for c in answer.candidates} if answer else {}
+    fitted = {
+        c.name: {name: number.value for name, number in c.parameters.items()}
+        for c in (answer.candidates if answer else ())
+    }
     effects = {n: v for name in label["effects"] for n, v in fitted.get(name, {}).items()}
     effects |= fitted.get(files.PAIR_SIGN.join(sorted(label["effects"])), {})
     bench = rig_of(label).replace(effects)

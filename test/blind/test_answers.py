@@ -44,10 +44,10 @@ def changed(path, value):
 def test_a_good_answer_is_read_with_the_most_probable_candidate_first():
     answer = checked_answer(GOOD)
     assert [c.name for c in answer.candidates[:2]] == ["slack", "slack+latent_heat"]
-    assert answer.candidates[0].parameters == {"p": 0.004}
+    assert answer.candidates[0].parameters["p"].value == 0.004
     assert answer.candidates[1].parts == {"slack", "latent_heat"}
     assert answer.shrinkage["deflection"].ci90 == (0.7, 0.9) and answer.where.side == "back"
-    assert math.isnan(answer.shrinkage["current"].fraction)  # there was nothing to shrink
+    assert answer.shrinkage["current"].fraction is None  # there was nothing to shrink
     quiet = {"verdict": "no_gap", "cause": [], "where": None, "next_experiment": None}
     assert checked_answer(GOOD | quiet).where is None
 
