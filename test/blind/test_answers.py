@@ -1,12 +1,9 @@
 """Answers to the contract are read; every broken clause is one line."""
 
 import copy
-import json
 import math
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from examination.blind.case_files import checked_answer
 from sma_bench.errors import InputError
@@ -29,18 +26,6 @@ GOOD = {
 }  # fmt: skip
 
 
-def changed(path, value):
-    document = copy.deepcopy(GOOD)
-    *way, last = path
-    place = document
-    for key in way:
-        place = place[key]
-    place[last] = value
-    if value is ...:
-        del place[last]
-    return document
-
-
 def test_a_good_answer_is_read_with_the_most_probable_candidate_first():
     answer = checked_answer(GOOD)
     assert [c.name for c in answer.candidates[:2]] == ["slack", "slack+latent_heat"]
@@ -53,37 +38,28 @@ def test_a_good_answer_is_read_with_the_most_probable_candidate_first():
 
 
 BROKEN = (
-    (["verdict"], ...), (["verdict"], "maybe"), (["verdict"], "ambiguous"), (["cause"], []),
-    (["cause"], "slack"), (["cause"], ["supply_drop"]), (["cause"], ["no_gap"]),
-    (["candidates"], []), (["candidates", 1, "probability"], 1.2),
-    (["candidates", 1, "probability"], "high"), (["candidates", 1, "probability"], 0.5),
-    (["candidates", 0, "name"], "recalibration"), (["candidates", 4, "name"], "supply_drop+slack"),
-    (["candidates", 1, "stage"], "thermal"), (["candidates", 1, "stage"], ""),
-    (["candidates", 1, "parameters", "p", "value"], math.inf), (["where"], None),
-    (["where", "signal"], ""), (["shrinkage"], [1]),
-    (["shrinkage", "deflection", "ci90"], [0.9, 0.7]),
-    (["shrinkage", "deflection", "ci90"], [0, 1, 2]), (["next_experiment", "separates"], ["x"]),
-    (["next_experiment", "protocol"], "ramp"),
+    ("verdict", "maybe"), ("verdict", "ambiguous"), ("cause", []), ("cause", "slack"),
+    ("cause", ["supply_drop"]), ("cause", ["no\ngap"]), ("candidates", []),
+    ("candidates 1 probability", 1.2), ("candidates 1 probability", "high"),
+    ("candidates 1 probability", 0.5), ("candidates 0 name", "recalibration"),
+    ("candidates 4 name", "supply_drop+slack"), ("candidates 1 stage", "thermal"),
+    ("candidates 1 parameters p value", math.inf), ("where", None), ("where signal", ""),
+    ("shrinkage", [1]), ("shrinkage deflection ci90", [0.9, 0.7]),
+    ("shrinkage deflection ci90", [0, 1, 2]), ("next_experiment separates", ["x"]),
+    ("next_experiment protocol", "ramp"),
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("path", "value"), BROKEN, ids=str)
+@pytest.mark.parametrize(("path", "value"), BROKEN)
 def test_a_broken_clause_is_refused_in_one_line(path, value):
-    with pytest.raises(InputError) as raised:
-        checked_answer(changed(path, value))
-    assert "\n" not in str(raised.value) and len(str(raised.value)) <= 300
-
-
-_ANYTHING = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=5), inner),
-    max_leaves=4,
-)  # fmt: skip
-
-
-@given(key=st.sampled_from(list(GOOD)), value=_ANYTHING)
-def test_whatever_stands_in_a_field_is_read_or_refused_in_one_line(key, value):
-    try:
-        checked_answer(json.loads(json.dumps(GOOD)) | {key: value})
-    except InputError as error:
-        assert "\n" not in str(error)
+    document = copy.deepcopy(GOOD)
+    *way, last = [int(key) if key.isdigit() else key for key in path.split()]
+    place = document
+    for key in way:
+        place = place[key]
+    place[last] = value
+    missing = {key: held for key, held in GOOD.items() if key != path.split()[0]}
+    for wrong in (document, missing):
+        with pytest.raises(InputError) as raised:
+            checked_answer(wrong)
+        assert "\n" not in str(raised.value) and len(str(raised.value)) <= 300

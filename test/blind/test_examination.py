@@ -6,31 +6,24 @@ import time
 
 import pytest
 
-from examination.blind.case_files import (
-    Examination,
-    keep,
-    read_case_set,
-    read_kept,
-    write_examination,
-)
+from examination.blind import examination
+from examination.blind.case_files import Examination, read_case_set, read_kept, write_examination
 from examination.blind.examination import Examinee, examine, open_cases
 from sma_bench.errors import InputError
 
-RESULT = {
-    "verdict": "no_gap", "cause": [], "where": None, "shrinkage": {}, "next_experiment": None,
-    "candidates": [{"name": name, "stage": "", "probability": p} for name, p in (
-        ("no_gap", 1.0), ("recalibration", 0.0), ("unexplained", 0.0))],
-}  # fmt: skip
-
 # Does what the first line of nominal.yaml says.
-FAKE = f"""
+FAKE = """
 import json, os, sys, time
 from pathlib import Path
 log, *arguments = sys.argv[1:]
 order = Path("nominal.yaml").read_text().splitlines()[0].removeprefix("# ")
 with open(log, "a") as stream:
     stream.write(order + "\\n")
-result = {RESULT!r}
+result = dict(verdict="no_gap", cause=[], where=None, shrinkage={}, next_experiment=None)
+result["candidates"] = [
+    dict(name="no_gap", probability=1.0), dict(name="recalibration", probability=0.0),
+    dict(name="unexplained", probability=0.0),
+]
 result["seen"] = dict(
     arguments=arguments, folder=os.getcwd(), environment=dict(os.environ),
     files=sorted(str(p) for p in Path(".").rglob("*") if not p.is_symlink()),
@@ -51,8 +44,16 @@ if order == "improve":
 if order == "spoil":
     Path("improved.yaml").write_text("no parameters")
 if order != "silent":
-    Path("result.json").write_text(json.dumps(result) if order != "babble" else "so {{")
+    Path("result.json").write_text(json.dumps(result) if order != "babble" else "so {")
 """
+FAILURES = {
+    "crash": "exit code 3: ValueError: it hurts",
+    "silent": "no result was written",
+    "babble": "result is not JSON",
+    "wrong": "result: verdict 'perhaps'",
+    "effect": "verdict effect without improved parameters",
+    "spoil": "improved.yaml: expected a ROS parameter file",
+}
 
 
 @pytest.fixture
@@ -72,8 +73,8 @@ def make(tmp_path):
             )
         return names, root / "answers"
 
-    def run(names, limit=30.0, program=(sys.executable, "-S", str(script), str(log)), **more):
-        examine(Examinee(program, limit), names, root / "cases", root / "answers", 2, **more)
+    def run(names, limit=30.0, program=(sys.executable, "-S", str(script), str(log))):
+        examine(Examinee(program, limit), names, root / "cases", root / "answers", 2)
         return log.read_text().split()
 
     made.run = run
@@ -85,26 +86,13 @@ def test_the_program_sees_the_records_and_nothing_that_tells_the_case(make, tmp_
     names, answers = make("look")
     make.run(names)
     seen = json.loads((answers / "0001" / "answer.json").read_text())["result"]["seen"]
-    assert seen["files"] == [
-        "hold_out", "hold_out/bag.mcap", "nominal.yaml", "record", "record/bag.mcap",
-    ]  # fmt: skip
-    assert seen["arguments"] == [
-        "record", "--params", "nominal.yaml", "--hold-out", "hold_out", "--json", "result.json",
-        "--out", "improved.yaml",
-    ]  # fmt: skip
+    files = "hold_out hold_out/bag.mcap nominal.yaml record record/bag.mcap"
+    assert seen["files"] == files.split()
+    arguments = "record --params nominal.yaml --hold-out hold_out --json result.json"
+    assert seen["arguments"] == [*arguments.split(), "--out", "improved.yaml"]
     for text in (seen["folder"], *seen["environment"].values()):
         assert "secret_set" not in text and "0001" not in text
     assert seen["environment"]["OMP_NUM_THREADS"] == "1"
-
-
-FAILURES = {
-    "crash": "exit code 3: ValueError: it hurts",
-    "silent": "no result was written",
-    "babble": "result is not JSON",
-    "wrong": "result: verdict 'perhaps'",
-    "effect": "verdict effect without improved parameters",
-    "spoil": "improved.yaml: expected a ROS parameter file",
-}
 
 
 def test_every_answer_and_failure_is_kept_once_and_only_failures_are_asked_again(make):
@@ -132,12 +120,13 @@ def test_a_program_that_does_not_exist_fails_no_case_and_one_out_of_time_does(ma
 
 def test_an_interrupted_examination_keeps_what_was_answered_and_ends_what_runs(make, monkeypatch):
     names, answers = make("look", "sleep", "look")
+    keep = examination.keep
 
-    def interrupt(*kept):
-        keep(*kept)
+    def interrupt(*given):
+        keep(*given)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("examination.blind.examination.keep", interrupt)
+    monkeypatch.setattr(examination, "keep", interrupt)
     begin = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
         make.run(names, limit=50.0)
@@ -145,25 +134,21 @@ def test_an_interrupted_examination_keeps_what_was_answered_and_ends_what_runs(m
     assert open_cases(names, answers) == ["0002", "0003"]
 
 
-def test_answers_to_another_set_or_of_another_program_are_not_mixed(tmp_path):
-    one = Examination("fake", ("fake",), 30.0, "a" * 64)
-    write_examination(tmp_path, one)
-    write_examination(tmp_path, one)
-    for other, expected in (
-        (Examination("fake", ("fake",), 30.0, "b" * 64), "another set"),
-        (Examination("fake", ("other", "-x"), 30.0, "a" * 64), "answers of fake"),
-    ):
-        with pytest.raises(InputError, match=expected):
-            write_examination(tmp_path, other)
-
-
-@pytest.mark.parametrize(
-    "manifest",
-    ["", "[]", "{}", '{"seed": 1, "split": "open", "cases": ["../x"], "sha256": ""}',
-     '{"seed": 1, "split": "open", "cases": [], "sha256": ""}'],
-)  # fmt: skip
-def test_a_damaged_manifest_is_one_line(tmp_path, manifest):
-    (tmp_path / "manifest.json").write_text(manifest)
-    with pytest.raises(InputError) as raised:
-        read_case_set(tmp_path)
-    assert "manifest.json" in str(raised.value) and "\n" not in str(raised.value)
+def test_answers_are_not_mixed_and_a_damaged_manifest_is_one_line(tmp_path):
+    for program, sealed, line in (
+        ("fake", "a", ""), ("fake", "a", ""), ("fake", "b", "another set"),
+        ("other -x", "a", "answers of fake"),
+    ):  # fmt: skip
+        given = Examination("fake", tuple(program.split()), 30.0, 64 * sealed)
+        if not line:
+            write_examination(tmp_path, given)
+            continue
+        with pytest.raises(InputError, match=line):
+            write_examination(tmp_path, given)
+    whole = {"seed": 1, "split": "open", "cases": ["1"], "sha256": ""}
+    escaping, empty = (json.dumps(whole | {"cases": cases}) for cases in (["../x"], []))
+    for manifest in ("", "[]", "{}", escaping, empty):
+        (tmp_path / "manifest.json").write_text(manifest)
+        with pytest.raises(InputError, match="manifest.json") as raised:
+            read_case_set(tmp_path)
+        assert "\n" not in str(raised.value)
