@@ -13,7 +13,7 @@ from examination.attack_lab.beam import Beam, bend
 from examination.attack_lab.instruments import LOADS, ZERO, Alloy, named
 from examination.attack_lab.rig import Bench, Wire, bare_bench, paper_bench
 from sma_bench.parameters import Parameters
-from sma_bench.records import Record
+from sma_bench.records import Record, Signal
 
 PHASES = ("martensite", "austenite")
 TEMPERATURES = ("a_s", "a_f", "m_s", "m_f")
@@ -80,23 +80,31 @@ def _records(records: Callable[[Bench, Any], Sequence[Record]]):
     return partial(clean_bag, records=records)
 
 
-def _each(change: Callable[[Record], Record]):
+def _each(**changes: Callable[[Signal, Mapping[str, Signal]], Signal]):
+    """Signals of `wire.` changed in both records, each given the others."""
+
+    def change(record: Record) -> Record:
+        signals = record.signals
+        new = {f"wire.{n}": of(signals[f"wire.{n}"], signals) for n, of in changes.items()}
+        return replace(record, signals=signals | new)
+
     return _records(lambda b, r: [change(record) for record in _both(b, r)])
 
 
-def _with(record: Record, **signals) -> Record:
-    """Signals of `wire.` replaced."""
-    return replace(record, signals=record.signals | {f"wire.{n}": s for n, s in signals.items()})
+def _values(of: Callable[[np.ndarray, np.ndarray], np.ndarray]):
+    return lambda s, _: replace(s, values=of(s.time, s.values.copy()))
 
 
-def _read(name: str, of: Callable[[np.ndarray, np.ndarray], np.ndarray]):
-    """The readings of one signal changed, in both records."""
+def _as(name: str):
+    return lambda s, signals: replace(s, time=signals[name].time, values=signals[name].values)
 
-    def change(record: Record) -> Record:
-        s = record.signals[f"wire.{name}"]
-        return _with(record, **{name: replace(s, values=of(s.time, s.values.copy()))})
 
-    return _each(change)
+def _later(seconds: float, at: float):
+    return lambda s, _: replace(s, time=s.time + seconds * (s.time > at * s.time[-1]))
+
+
+def _fast(s: Signal, _: Any) -> Signal:
+    return replace(s, time=1.02 * s.time)
 
 
 def _hum(size: float, hertz: float):
@@ -114,29 +122,6 @@ def _spikes(time, values):
     return values
 
 
-def _swapped(record: Record) -> Record:
-    a, b = record.signals["wire.voltage"], record.signals["wire.current"]
-    volts, amperes = (
-        replace(a, time=b.time, values=b.values),
-        replace(b, time=a.time, values=a.values),
-    )
-    return _with(record, voltage=volts, current=amperes)
-
-
-def _jump(seconds: float, at: float = 0.5):
-    def change(record: Record) -> Record:
-        s = record.signals["wire.temperature"]
-        time = s.time + seconds * (s.time > at * s.time[-1])
-        return _with(record, temperature=replace(s, time=time))
-
-    return _each(change)
-
-
-def _fast(record: Record) -> Record:
-    faster = {n: replace(s, time=1.02 * s.time) for n, s in record.signals.items()}
-    return replace(record, signals=faster)
-
-
 def _two_wires(b: Bench, random) -> Sequence[Record]:
     """The first half of one staircase and the second half of another."""
     first, second, signals = b.staircase(random), b.staircase(random, _other(b)), {}
@@ -150,9 +135,9 @@ def _two_wires(b: Bench, random) -> Sequence[Record]:
 
 
 def _crossed(b: Bench, random) -> Sequence[Record]:
-    one, other = _both(b, random)
-    temperatures = other.signals["wire.temperature"], one.signals["wire.temperature"]
-    return [_with(r, temperature=t) for r, t in zip((one, other), temperatures, strict=True)]
+    name, records = "wire.temperature", _both(b, random)
+    pairs = zip(records, records[::-1], strict=True)
+    return [replace(a, signals=a.signals | {name: other.signals[name]}) for a, other in pairs]
 
 
 def _other(b: Bench) -> Wire:
@@ -208,20 +193,20 @@ WIRES = {
         amperes=lambda b: {"top": 0.75 * b.top / b.wire.resistance}
     ),
     "slow sampling: 2 Hz": _sensors(rate=2.0, camera_rate=2.0),
-    "hum aliased to 0.3 Hz in the current": _read("current", _hum(0.1, 0.3)),
-    "hum aliased to 0.05 Hz in the camera": _read("temperature", _hum(1.0, 0.05)),
-    "camera stuck for a quarter": _read("temperature", _stuck),
-    "current sensor stuck for a quarter": _read("current", _stuck),
-    "voltmeter stuck for a quarter": _read("voltage", _stuck),
-    "camera spikes": _read("temperature", _spikes),
-    "voltage and current swapped": _each(_swapped),
+    "hum aliased to 0.3 Hz in the current": _each(current=_values(_hum(0.1, 0.3))),
+    "hum aliased to 0.05 Hz in the camera": _each(temperature=_values(_hum(1.0, 0.05))),
+    "camera stuck for a quarter": _each(temperature=_values(_stuck)),
+    "current sensor stuck for a quarter": _each(current=_values(_stuck)),
+    "voltmeter stuck for a quarter": _each(voltage=_values(_stuck)),
+    "camera spikes": _each(temperature=_values(_spikes)),
+    "voltage and current swapped": _each(voltage=_as("wire.current"), current=_as("wire.voltage")),
     "wrong mass: 8 % too large": _bench(known={"wire.mass": lambda b: 1.08 * b.wire.mass}),
     "wrong diameter: 5 % too large, and its area": _bench(known=_WIDER),
     "another wire in the ramps": _records(lambda b, r: (b.staircase(r), b.ramps(r, _other(b)))),
     "two wires in one staircase": _records(_two_wires),
-    "clock of the camera jumps 0.5 s": _jump(0.5),
-    "clock of the camera jumps 30 s": _jump(30.0, 0.3),
-    "all clocks 2 % fast": _each(_fast),
+    "clock of the camera jumps 0.5 s": _each(temperature=_later(0.5, 0.5)),
+    "clock of the camera jumps 30 s": _each(temperature=_later(30.0, 0.3)),
+    "all clocks 2 % fast": _each(voltage=_fast, current=_fast, temperature=_fast),
     "resistance rises 6 % with heat": _bench(_R_CHANGES),
     "loss rises 15 % with heat": _wire(loss_growth=lambda b: 0.15 / b.warming),
     "a sheath that follows slowly": _wire(sheath=_heavy_sheath),

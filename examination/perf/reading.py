@@ -11,32 +11,20 @@ from rosbags.rosbag2 import Reader
 
 from examination.bags import in_sqlite3
 from examination.perf.measuring import Figure, interleaved, ratio
-from sma_bench.records import Signal, read_record
-from sma_bench.records.bag_writer import write_record
+from examination.perf.records import staircase_bag
+from sma_bench.records import read_record
 from sma_bench.records.messages import TYPES
 
-MESSAGES = 480_000
-_TOPICS = 4
-
-
-def signals_of_a_bench(messages: int) -> list[Signal]:
-    """Signals that make `messages` messages: power, temperature, joints and commands alike."""
-    n = messages // _TOPICS
-    clock = np.arange(n) * 1e-3
-    noise = np.random.default_rng(0).normal(size=n)
-    commands = Signal("voltage_command", "V", clock, np.column_stack([noise] * 4))
-    units = {"wire.voltage": "V", "wire.current": "A", "elongation": "m", "force": "N"}
-    readings = [Signal(name, unit, clock, 3.0 + noise) for name, unit in units.items()]
-    return [*readings, Signal("wire.temperature", "K", clock, 300 + noise), commands]
+DURATION, EACH_SECOND = 600.0, 200  # s; messages of power and temperature
 
 
 def reading(tiny: bool = False) -> Iterator[Figure]:
     """Ratios for both storages."""
-    messages = 4000 if tiny else MESSAGES
+    duration = 20.0 if tiny else DURATION
+    messages = round(EACH_SECOND * duration)
     for storage in ("mcap", "sqlite3"):
         with TemporaryDirectory() as folder:
-            bag = Path(folder, storage)
-            write_record(bag, signals_of_a_bench(messages))
+            bag = staircase_bag(Path(folder, storage), duration)
             calls = {"ours": partial(read_record, bag), "rosbags": partial(_rosbags, bag)}
             if storage == "sqlite3":
                 in_sqlite3(bag)
