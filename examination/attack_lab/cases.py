@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 from examination.attack_lab import instruments
-from examination.attack_lab.beam import Beam, bend
-from examination.attack_lab.instruments import LOADS, ZERO, Alloy, named
+from examination.attack_lab.instruments import LOADS, ZERO, Alloy, Beam, bend, named
 from examination.attack_lab.rig import Bench, Wire, bare_bench, paper_bench
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal

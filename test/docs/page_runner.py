@@ -13,7 +13,6 @@ Commands of ROS 2 and nodes that run until they are stopped are never run here: 
 arguments are checked by test_documented_commands.py, the nodes by tests of their own.
 """
 
-import contextlib
 import os
 import re
 import shlex
@@ -33,8 +32,6 @@ _BLOCK = re.compile(
 )
 _NOTE = re.compile(r"<!-- (file|shown|not run): (.*?) -->")
 _SHELL = re.compile(r"[|<>;&$`*~]")
-# Output into a file, which needs no shell either.
-_WRITTEN = re.compile(r"(?P<command>[^|<>;&$`*~]+) >(?P<more>>?) (?P<file>~?[\w./-]+)")
 _BENCH = '#!/bin/sh\nexec "{python}" -P -m sma_bench.cli "$@"\n'
 
 
@@ -86,7 +83,7 @@ class PageRunner:
         program.write_text(_BENCH.format(python=sys.executable))
         program.chmod(0o755)
         path = f"{program.parent}:{os.environ['PATH']}"
-        self._home, self._shell = home, dict(os.environ, HOME=str(home), PATH=path)
+        self._shell = dict(os.environ, HOME=str(home), PATH=path)
 
     def play(self, page: Path) -> int:
         """Run a page; the number of commands that were run.
@@ -116,11 +113,6 @@ class PageRunner:
             os.chdir(words[1])
         elif words[0] in PROGRAMS and not _SHELL.search(command):
             assert main(words[1:]) == 0, command
-        elif words[0] in PROGRAMS and (written := _WRITTEN.fullmatch(command)):
-            place = Path(written["file"].replace("~", str(self._home), 1))
-            mode = "a" if written["more"] else "w"
-            with place.open(mode) as file, contextlib.redirect_stdout(file):
-                assert main(shlex.split(written["command"])[1:]) == 0, command
         else:
             shell = ["bash", "-eo", "pipefail", "-c", command]
             done = subprocess.run(shell, env=self._shell, text=True, capture_output=True)
