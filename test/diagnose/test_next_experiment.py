@@ -77,17 +77,3 @@ def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_di
         )
         is None
     )  # the records show more of it than any drive would
-
-
-def test_a_cause_that_is_the_whole_credible_set_is_settled(planted_diagnosis, monkeypatch):
-    monkeypatch.setattr(next_experiment, "WORTH", -1.0)  # else nothing is worth it here
-    monkeypatch.setattr(next_experiment, "_drives", lambda matter: [])
-    found = planted_diagnosis
-    named, *others = found.decision.candidates
-    for share, settled in ((0.95, True), (0.85, False)):
-        rest = [replace(c, probability=(1.0 - share) / len(others)) for c in others]
-        decision = replace(found.decision, candidates=(replace(named, probability=share), *rest))
-        proposed = next_experiment.next_experiment(
-            decision, found.search, weigh(found.search), found.observations, found.parameters
-        )
-        assert (proposed is None) == settled

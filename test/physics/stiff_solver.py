@@ -91,7 +91,7 @@ def triangle(time: np.ndarray, peak: float, period: float) -> np.ndarray:
 
 
 def solve(
-    wires: Wires, time: np.ndarray, voltage: np.ndarray, method: str = "LSODA", rtol: float = 1e-10
+    wires: Wires, time: np.ndarray, voltage: np.ndarray, rtol: float = 1e-10
 ) -> dict[str, np.ndarray]:
     """T, xi, sigma (n, w) and contraction (n, s) from rest."""
     w = len(wires.side)
@@ -105,7 +105,7 @@ def solve(
             lambda _, y, heating=heating, memory=memory: wires.rate(y, heating, memory),
             (time[k], time[k + 1]),
             y,
-            method=method,
+            method="LSODA",
             rtol=rtol,
             atol=rtol * 1e-2,
         )
