@@ -29,7 +29,7 @@ from examination.pieces import options_of
 
 CAMPAIGNS = (
     Campaign("hostile", "well-formed hostile inputs", 20_000, "inputs", hostile_inputs),
-    Campaign("killed", "recorders killed while they record", 200, "writers", killed_recorder),
+    Campaign("killed", "recorders killed while they record", 20, "nodes", killed_recorder),
     Campaign("disk", "disks that fill up", 20, "disks", full_disk),
     Campaign("clocks", "/clock leaps at the recorder", 20, "leaps", leaping_clocks),
     Campaign("traffic", "foreign types, broken bytes", 500, "messages a topic", foreign_traffic),
