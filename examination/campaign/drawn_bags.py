@@ -8,6 +8,7 @@ import contextlib
 import shutil
 import sqlite3
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -262,10 +263,16 @@ def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
     return bytes(TYPES.serialize_cdr(message(s.type, **fields), s.type, little_endian=order))
 
 
-def write_bag(folder: Path, rng: np.random.Generator, habits: dict[str, str]) -> Bag:
-    """Draw what is true and write it as the habits have it."""
+def write_bag(
+    folder: Path,
+    rng: np.random.Generator,
+    habits: dict[str, str],
+    alter: Callable[[list[Stream]], None] = lambda _: None,
+) -> Bag:
+    """Draw what is true, alter it, and write it as the habits have it."""
     bag = Bag(folder / "bag", true_streams(rng, habits), habits)
     set_clocks(bag, rng)
+    alter(bag.streams)
     bag.path.mkdir()
 
     # In the order of the files.

@@ -14,7 +14,7 @@ from sma_bench.records.bag_writer import write_record
 TOPICS = (
     ("/bench/wire/power", contract.BATTERY_STATE), ("/bench/joint_states", contract.JOINT_STATE),
 )  # fmt: skip
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
 _SUPER_JOURNAL = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _PAGE, _SECTOR = 4096, 512
 # What a program may put in place of the messages of an sqlite3 bag.
@@ -59,7 +59,7 @@ def chunk(content: bytes, compressed: bool = True, size: int | None = None) -> b
 
 def mcap_of(*parts: bytes, topics: Sequence[tuple[str, str]] = TOPICS) -> bytes:
     """A file with these topics, never finished."""
-    file = [_MAGIC, record(1, _text(b"ros2") + _text(b""))]
+    file = [MAGIC, record(1, _text(b"ros2") + _text(b""))]
     for number, (name, msgtype) in enumerate(topics, 1):
         topic = _text(name.encode("utf-8", "surrogateescape"))
         schema = struct.pack("<H", number) + _text(msgtype.encode()) + _text(b"ros2msg")

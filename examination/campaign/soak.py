@@ -19,7 +19,7 @@ from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from examination.campaign.allowance import own_memory
-from examination.campaign.bench_nodes import PATIENCE, GaveUp, Talker, bench_nodes
+from examination.campaign.bench_nodes import PATIENCE, GaveUp, bench_nodes
 from examination.campaign.outcome import Outcome
 
 NODES = ("simulator", "experiment", "recorder")
@@ -46,56 +46,48 @@ steps:
 
 def soak(size: int, _: int, folder: Path) -> list[Outcome]:
     """`size` minutes of the bench's time, an hour at least."""
-    with bench_nodes(folder / "logs") as talker:
-        hours, held = _run(talker, 60.0 * max(size, _SHORTEST), folder)
-    shutil.rmtree(folder / "bag", ignore_errors=True)
-    return [_outcome(node, hours, megabytes) for node, megabytes in held.items()]
-
-
-def _run(
-    talker: Talker, seconds: float, folder: Path
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Hours of the bench's time, and MB held by every node at each."""
     protocol = folder / "soak.yaml"
     protocol.write_text(_PROTOCOL)
-    clock = _follow_clock(talker)
-    states = talker.heard("experiment/state", String, latched=True)
-    simulated = {"use_sim_time": True}
-    talker.nodes.start("simulator", {"speed": _SPEED})
-    talker.nodes.start("experiment", {"protocol": str(protocol), **simulated})
-    talker.nodes.start("recorder", {"output": str(folder / "bag"), **simulated})
-    talker.until("the simulator's clock", lambda: clock)
-    talker.until("the experiment is idle", lambda: states)
-    # It refuses until it has found whoever listens to its commands.
-    talker.until("the experiment starts", lambda: talker.call(Trigger, "experiment/start").success)
-    begin = clock[-1]
-    hours, held = [], {node: [] for node in NODES}
-    due = time.monotonic()
-    moved, still = begin, time.monotonic()
-    while (now := clock[-1]) - begin < seconds:
-        talker.listen(0.05)
-        if now > moved:
-            moved, still = now, time.monotonic()
-        if time.monotonic() - still > PATIENCE:
-            raise GaveUp(f"the bench's time stands still after {now - begin:.0f} s")
-        talker.nodes.check()
-        if time.monotonic() >= due:
-            due += _LOOK_EVERY
-            hours.append((now - begin) / 3600.0)
-            for node in NODES:
-                held[node].append(own_memory(talker.nodes.pid(node)) / 1e6)
-        del states[:-5]
-    return np.array(hours), {node: np.array(values) for node, values in held.items()}
-
-
-def _follow_clock(talker: Talker) -> deque[float]:
-    """The bench's newest time, s, once there is one: /clock ticks with every command."""
-    newest: deque[float] = deque(maxlen=1)
-    talker.node.create_subscription(
-        Clock, "/clock", lambda tick: newest.append(tick.clock.sec + tick.clock.nanosec / 1e9),
-        QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
-    )  # fmt: skip
-    return newest
+    seconds, hours = 60.0 * max(size, _SHORTEST), []
+    held: dict[str, list[float]] = {node: [] for node in NODES}
+    clock: deque[float] = deque([0.0], maxlen=1)  # the newest; /clock ticks with every command
+    with bench_nodes(folder / "logs") as talker:
+        talker.node.create_subscription(
+            Clock, "/clock", lambda tick: clock.append(tick.clock.sec + tick.clock.nanosec / 1e9),
+            QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT),
+        )  # fmt: skip
+        states = talker.heard("experiment/state", String, latched=True)
+        for node, settings in zip(NODES, (
+            {"speed": _SPEED}, {"protocol": str(protocol), "use_sim_time": True},
+            {"output": str(folder / "bag"), "use_sim_time": True},
+        ), strict=True):  # fmt: skip
+            talker.nodes.start(node, settings)
+        talker.until("the simulator's clock, an idle experiment", lambda: clock[-1] and states)
+        answer = talker.call(Trigger, "experiment/start")
+        if not answer.success:
+            raise RuntimeError(answer.message)
+        begin = moved = clock[-1]
+        due = still = time.monotonic()
+        while (now := clock[-1]) - begin < seconds:
+            talker.listen(0.05)
+            talker.nodes.check()
+            if now > moved:
+                moved, still = now, time.monotonic()
+            if time.monotonic() - still > PATIENCE:
+                raise GaveUp(f"the bench's time stands still after {now - begin:.0f} s")
+            if time.monotonic() >= due:
+                due += _LOOK_EVERY
+                hours.append((now - begin) / 3600.0)
+                for node in NODES:
+                    held[node].append(own_memory(talker.nodes.pid(node)) / 1e6)
+            del states[:-5]
+    shutil.rmtree(folder / "bag", ignore_errors=True)
+    judged = {node: judge(np.array(hours), np.array(held[node])) for node in NODES}
+    limit = f"{LIMIT:g} MB/h"
+    return [
+        Outcome("soak", f"memory of {node}", len(hours), found, limit, met)
+        for node, (found, met) in judged.items()
+    ]
 
 
 def slope(hours: np.ndarray, megabytes: np.ndarray) -> tuple[float, float]:
@@ -122,8 +114,3 @@ def judge(hours: np.ndarray, megabytes: np.ndarray) -> tuple[str, bool]:
         f"{megabytes[-1]:.0f} MB after {hours[-1]:.2f} h, slope {fitted:+.2f} +- {doubt:.2f} MB/h"
     )
     return found, bool(fitted + doubt < LIMIT)
-
-
-def _outcome(node: str, hours: np.ndarray, megabytes: np.ndarray) -> Outcome:
-    found, met = judge(hours, megabytes)
-    return Outcome("soak", f"memory of {node}", len(hours), found, f"{LIMIT:g} MB/h", met)
