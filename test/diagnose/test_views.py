@@ -37,7 +37,6 @@ def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_
     assert RATE * DURATION - 5 <= temperature.count.sum() <= RATE * DURATION
     assert temperature.count.min() >= 5
     assert temperature.noise == pytest.approx(NOISE["temperature"] / np.sqrt(10.0), rel=0.15)
-    assert np.all(np.diff(temperature.time) > 0.0)
 
 
 def test_readings_of_the_truth_are_within_the_noise(view):

@@ -38,9 +38,8 @@ def test_a_wrong_number_is_within_its_error_or_warned_of(name: str) -> None:
 
 def test_a_warning_is_on_the_number_that_it_is_about() -> None:
     result = judged("E1 to E3 spot half filled", 0)
-    numbers = result["numbers"]
     assert silent(result) == []
-    doubted = {name for name, x in numbers.items() if x["warnings"]}
+    doubted = {name for name, x in result["numbers"].items() if x["warnings"]}
     assert doubted == {"wire.heat_transfer_coefficient", "wire.specific_heat"}
 
 
