@@ -171,8 +171,10 @@ def record_section(record: AnyRecord, name: str) -> tuple[Section, str, list[str
     if kind in _TABLE_ROWS:
         key, columns = _TABLE_ROWS[kind]
         cells = [
-            ["" if row[of] is None else format(0.0 if _is_nothing(row[of]) else row[of], form)
-             for _, of, form in columns]
+            # The last bits of doubles, of a signal's times, are nothing.
+            ["" if row[of] is None else format(
+                0.0 if isinstance(row[of], float) and abs(row[of]) < 1e-12 else row[of], form
+            ) for _, of, form in columns]
             for row in described[key]
         ]
         numeric = frozenset(k for k, (_, _, form) in enumerate(columns) if form)
@@ -188,11 +190,6 @@ def record_section(record: AnyRecord, name: str) -> tuple[Section, str, list[str
         f"Record {record.path}", [f"{said}."], lines, tables, [picture] if picture else []
     )
     return section, said, worth
-
-
-def _is_nothing(value: object) -> bool:
-    """Of a signal's times: the last bits of doubles."""
-    return isinstance(value, float) and abs(value) < 1e-12
 
 
 # --- The parts of a report that show result files of `identify` and `diagnose`.

@@ -195,9 +195,8 @@ def errata_picture(parameters: Parameters | None = None) -> Picture:
     finish = paper["wire.austenite_finish_temperature"]
     at, kelvin = 0.5 * (start + finish), np.linspace(start - 8.0, finish + 8.0, 400)
     here = float(material.heated_fraction(at, 0.0, paper))
-    kinetics.plot(
-        kelvin, material.heated_fraction(kelvin, 0.0, paper), color=MEASURED, lw=2, label="eq. (10)"
-    )
+    fraction = material.heated_fraction(kelvin, 0.0, paper)
+    kinetics.plot(kelvin, fraction, color=MEASURED, lw=2, label="eq. (10)")
     for slope, colour, label in (
         (linear.b1_as_printed, SECOND, "eq. (20) as printed"),
         (linear.b1, MODEL, "eq. (20) corrected"),

@@ -92,9 +92,7 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
     return pictures
 
 
-def candidate_picture(
-    result: DiagnosisResult, name: str = "diagnosis_candidates"
-) -> Picture:
+def candidate_picture(result: DiagnosisResult, name: str = "diagnosis_candidates") -> Picture:
     """Probabilities of the candidates."""
     shown = [
         c for k, c in enumerate(result.candidates)

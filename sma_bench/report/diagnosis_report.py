@@ -127,8 +127,6 @@ def _improved(result: Diagnosis) -> Table:
         name, believed = item.name, item.value(0.0)  # of what the geometry gives: from there
         effect = name.startswith("effect.") or not item.std
         moved = "" if effect else signed(float(x), ".1f")
-        rows.append(
-            (name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved)
-        )
+        rows.append((name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved))
     header = ("parameter", "as believed", "improved", "unit", "moved by (its own std)")
     return Table(header, rows, frozenset({1, 2, 4}))

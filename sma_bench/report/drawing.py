@@ -217,11 +217,6 @@ _DASHES = {"--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0], ":": [1.5, 3.0]}
 _WIDE = 2.0
 
 
-def _curves(ax: Axes) -> Iterator[Line2D]:
-    """Lines of data; a mark across the axes is none."""
-    yield from (line for line in ax.lines if line.get_transform() == ax.transData)
-
-
 def _label(line: Line2D) -> str:
     label = str(line.get_label())
     return "" if label.startswith("_") else label
@@ -263,9 +258,9 @@ def _points(ax: Axes) -> Iterator[tuple[Any, ...]]:
     wide = _categories(ax.xaxis)
     shared = [ax, *ax.get_shared_y_axes().get_siblings(ax)]
     high = next((names for own in shared if (names := _categories(own.yaxis))), {})
-    for line in _curves(ax):
-        if line.get_marker() in ("|", "_"):
-            continue  # ends of error bars
+    for line in ax.lines:
+        if line.get_transform() != ax.transData or line.get_marker() in ("|", "_"):
+            continue  # a mark across the axes, or the end of an error bar
         for x, y in zip(*map(np.asarray, line.get_data()), strict=True):
             yield _label(line), wide.get(float(x), x), high.get(float(y), y)
     for bars in ax.containers:

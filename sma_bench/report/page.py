@@ -158,9 +158,6 @@ def write_report(
 ) -> Path:
     """Write `index.html` (everything inside, all text escaped) and one PNG a figure.
 
-    Figures over time answer to the pointer, by a script in the page; without it, and on paper, the
-    PNG stands there.
-
     All files appear, or none: a report that lies there already is replaced once all are made, as a
     whole; other files are not.
 

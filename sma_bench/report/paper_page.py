@@ -159,9 +159,7 @@ def _of_table(
     parameter = BY_NAME[name]
     assert isinstance(parameter.default, float)
     std = scale * (parameter.uncertainty or 0.0) if has_std else _NONE
-    return Printed(
-        symbol, description, unit, scale * parameter.default, std, kind, name, scale
-    )
+    return Printed(symbol, description, unit, scale * parameter.default, std, kind, name, scale)
 
 
 _TABLE_I = (

@@ -1,8 +1,5 @@
-"""What things look like: records, simulations, overlays, identifications, diagnoses.
-
-The same pictures for commands, reports and notebooks (`plot()`); what a figure of a diagnosis or of
-an experiment shows is drawn in files of their own.
-"""
+"""What records, simulations, overlays, identifications and diagnoses look like, for `plot()` and
+reports; figures of a diagnosis or of an experiment are drawn in files of their own."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any

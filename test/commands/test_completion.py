@@ -58,9 +58,7 @@ def test_several_values_of_an_option_stand_behind_it_or_behind_each_of_it():
         found = parsed("diagnose", "bag", *words, "--params", "lab.yaml")
         assert found["hold_out"] == wanted and found["records"] == ("bag",)
     assert parsed("linearise", "--voltage", "-1", "2.5", "-3")["voltage"] == (-1.0, 2.5, -3.0)
-
-
-def test_what_follows_ros_args_is_for_ros():
+    # What follows ros-args is for ROS.
     found = parsed("call", "a/b", "--json", "--ros-args", "-p", "x:=a b", "--set", "y")
     assert found["json"] == "-" and found["settings"] == ()
     assert found["ros_args"] == "-p 'x:=a b' --set y"

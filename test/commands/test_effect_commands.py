@@ -113,24 +113,3 @@ def test_effects_are_listed_with_stage_range_and_how_they_show(tmp_path, capsys)
     assert "0 to 60000 J/kg" in printed
     assert main(["effects", "--markdown"]) == 0
     assert capsys.readouterr().out == effects_page()
-
-
-def test_signals_are_read_through_the_simulators_instruments(pytestconfig, tmp_path):
-    rig = pytestconfig.rootpath / "config" / "composite_rig.yaml"
-    words = ["simulate", "--protocol", "composite_step", "--params", str(rig), "--rate", "50"]
-    noise = {
-        "exact": [],
-        "one": ["--noise", "1"],
-        "again": ["--noise", "1"],
-        "two": ["--noise", "2"],
-    }
-    for name, more in noise.items():
-        assert main([*words, *more, "--out", str(tmp_path / name)]) == 0
-    exact, one, again, two = (read_record(tmp_path / name).signals for name in noise)
-    for quantity, least, most in (("temperature", 0.07, 0.1), ("deflection", 6e-5, 1e-4)):
-        name = next(n for n in exact if n.endswith(quantity))
-        off = one[name].values - exact[name].values
-        assert least < off.std() < most
-        assert abs(off.mean()) < 5.0 * most / len(off) ** 0.5
-        assert (one[name].values == again[name].values).all()
-        assert (one[name].values != two[name].values).any()

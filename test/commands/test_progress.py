@@ -1,6 +1,5 @@
 """Progress: shares, time left, a bar on a terminal, sparse lines elsewhere, never on stdout."""
 
-import io
 import os
 import pty
 import re
@@ -12,8 +11,7 @@ from pathlib import Path
 import pytest
 from rich.cells import cell_len
 
-from sma_bench.commands import terminal
-from sma_bench.commands.terminal import WorkState, progress
+from sma_bench.commands.terminal import WorkState
 from sma_bench.diagnose import search
 from sma_bench.diagnose.diagnosis import diagnose
 from sma_bench.physics.effects import EFFECTS
@@ -101,13 +99,6 @@ def test_a_terminal_gets_a_bar_that_fits_and_vanishes():
     assert any("…" in frame and re.search(r"\d+%, \d+ s left", frame) for frame in frames)
     assert max(cell_len(frame) for frame in frames) <= 40
     assert screen.rstrip().endswith("\x1b[2K")  # the last that is done is to wipe the line
-
-
-def test_the_display_ends_with_an_error(monkeypatch):
-    monkeypatch.setattr(sys, "stderr", io.StringIO())
-    with pytest.raises(KeyError), progress("work"):
-        raise KeyError
-    assert "work" not in [thread.name for thread in terminal.threading.enumerate()]
 
 
 def on_a_terminal(program, columns):
