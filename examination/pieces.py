@@ -6,7 +6,7 @@ import math
 import os
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -98,14 +98,16 @@ def _labelled(run: Callable[[Any], Any], job: Any) -> tuple[Any, Any]:
     return job, run(job)
 
 
-def print_coverage(found: Mapping[str, Sequence[float]], limit: float) -> float:
+def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> float:
     """A row a number, then of all: deviations from the truth in stated errors, the share of them
     within `limit`; that share of all."""
-    every = [z for own in found.values() for z in own]
+    found: dict[str, list[float]] = {}
+    for name, z in deviations:
+        found.setdefault(name, []).append(z)
+    share = math.nan
     print(f"{'number':44s}{'n':>6s}{'inside':>8s}{'bias':>7s}{'rms z':>7s}")
-    for name, own in [*found.items(), ("all", every)]:
-        if len(own):
-            z = np.array(own)
-            share, rms = float(np.mean(np.abs(z) < limit)), math.sqrt(np.mean(z**2))
-            print(f"{name:44s}{z.size:6d}{share:8.1%}{np.median(z):+7.2f}{rms:7.2f}")
-    return share if every else math.nan
+    for name, own in [*found.items(), ("all", sum(found.values(), []))]:
+        if own:
+            share, rms = float(np.mean(np.abs(own) < limit)), math.sqrt(np.mean(np.square(own)))
+            print(f"{name:44s}{len(own):6d}{share:8.1%}{np.median(own):+7.2f}{rms:7.2f}")
+    return share

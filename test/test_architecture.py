@@ -66,11 +66,11 @@ ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 
 def modules(root, top=PACKAGE):
     """Dotted name of every module below root/top."""
-    found = {}
-    for path in sorted((root / top).rglob("*.py")):
-        parts = path.relative_to(root).with_suffix("").parts
-        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
-    return found
+    paths = {path.relative_to(root): path for path in sorted((root / top).rglob("*.py"))}
+    return {
+        ".".join(name.with_suffix("").parts).removesuffix(".__init__"): path
+        for name, path in paths.items()
+    }
 
 
 def imports(name, path, known):

@@ -48,21 +48,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     jobs = [(options.seed, draw, options.joint) for draw in range(options.draws)]
     found = [row for rows in in_pieces(_examine, jobs, options) for row in rows]
     print(f"{options.draws} alloys, seed {options.seed}: 90 % intervals that hold the truth")
-    for method in METHODS:
-        print(f"\n{method}")
-        print_coverage(_deviations(f for f in found if f["method"] == method), Z90)
-    print("\nfar from the paper's")
-    far = print_coverage(_deviations(f for f in found if f["far"] > FAR), Z90)
+    parts = {method: [f for f in found if f["method"] == method] for method in METHODS}
+    parts["far from the paper's"] = [f for f in found if f["far"] > FAR]
+    for part, rows in parts.items():
+        print(f"\n{part}")
+        far = print_coverage(((f["name"], f["z"]) for f in rows), Z90)
     whole = coverage(found)
     print(f"\nall: {whole:.1%} inside, far {far:.1%}, wanted {BAND[0]:.0%} to {BAND[1]:.0%}")
     return 0 if all(BAND[0] <= share <= BAND[1] for share in (whole, far)) else 1
-
-
-def _deviations(rows: Iterable[dict[str, Any]]) -> dict[str, list[float]]:
-    found: dict[str, list[float]] = {}
-    for row in rows:
-        found.setdefault(row["name"], []).append(row["z"])
-    return found
 
 
 def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:

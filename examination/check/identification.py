@@ -63,12 +63,13 @@ def passed(results: Sequence[dict[str, Any]], error_scale: float = 1.0) -> bool:
     Args:
         error_scale: judge as if the stated errors were so many times as large: 0.3 must fail.
     """
-    found: dict[str, list[float]] = {name: [] for name in IDENTIFIED}
-    for result in results:
-        for name, p in result["parameters"].items():
-            found[name].append((p["value"] - p["truth"]) / (error_scale * p["std"]))
+    found = [
+        (name, (p["value"] - p["truth"]) / (error_scale * p["std"]))
+        for result in results
+        for name, p in result["parameters"].items()
+    ]
     share = print_coverage(found, Z_95)
-    missing = len(IDENTIFIED) * len(results) - sum(map(len, found.values()))
+    missing = len(IDENTIFIED) * len(results) - len(found)
     good = missing == 0 and BAND[0] <= share <= BAND[1]
     wanted = f"wanted {BAND[0]:.0%} to {BAND[1]:.0%}"
     print(f"{'PASSED' if good else 'FAILED'}: {share:.1%} inside, {wanted}; {missing} missing")

@@ -131,9 +131,7 @@ def report(results: Sequence[dict[str, Any]]) -> bool:
             f"{100 * share:8.1f}{'' if good else '  outside the limits'}"
         )
     print()
-    names = dict.fromkeys(name for r in results for name in r["deviations"])
-    found = {n: [r["deviations"][n] for r in results if n in r["deviations"]] for n in names}
-    print_coverage(found, Z_95)
+    print_coverage((item for r in results for item in r["deviations"].items()), Z_95)
     return passed
 
 

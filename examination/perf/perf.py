@@ -25,7 +25,8 @@ SECTIONS = {
     "twin": "whether the twin keeps 500 Hz, and what it takes of a core",
     "batch": "identified, diagnosed; on one process and on all cores",
 }
-MODULES = {"diagnosis": "lengths", "identification": "lengths", "twin": "nodes"}
+MODULES = {"twin": "nodes"}
+MODULES |= dict.fromkeys(("commands", "diagnosis", "identification", "batch"), "work")
 
 
 def main(argv: list[str]) -> int:

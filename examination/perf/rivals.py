@@ -20,25 +20,15 @@ from sma_bench.parameters.table import TRANSITIONS
 from sma_bench.physics import bending_coefficients
 
 Array = np.ndarray
-NUMBERS = [
-    *TRANSITIONS.values(),
-    "wire.stress_influence_austenite",
-    "wire.stress_influence_martensite",
-    "wire.austenite_modulus",
-    "wire.martensite_modulus",
-    "wire.maximum_recoverable_strain",
-    "wire.thermal_expansion_factor",
-    "environment.ambient_temperature",
-    "wire.mass",
-    "wire.specific_heat",
-    "wire.heat_transfer_coefficient",
-    "wire.surface_area",
-    "wire.resistance",
-    "effect.phase_dependent_resistance.austenite_change",
-    "effect.phase_dependent_resistance.temperature_coefficient",
-    "effect.temperature_dependent_convection.rise",
-    "effect.latent_heat.heat",
-]
+_OF_PHASE = "effect.phase_dependent_resistance"
+NUMBERS = [*TRANSITIONS.values()]
+NUMBERS += [f"wire.stress_influence_{phase}" for phase in ("austenite", "martensite")]
+NUMBERS += [f"wire.{phase}_modulus" for phase in ("austenite", "martensite")]
+NUMBERS += ["wire.maximum_recoverable_strain", "wire.thermal_expansion_factor"]
+NUMBERS += ["environment.ambient_temperature", "wire.mass", "wire.specific_heat"]
+NUMBERS += ["wire.heat_transfer_coefficient", "wire.surface_area", "wire.resistance"]
+NUMBERS += [f"{_OF_PHASE}.austenite_change", f"{_OF_PHASE}.temperature_coefficient"]
+NUMBERS += ["effect.temperature_dependent_convection.rise", "effect.latent_heat.heat"]
 LEAST = 0.05  # of resistance and loss that a slope in temperature leaves, as the contract has it
 _MOST_STEPS = 100_000
 

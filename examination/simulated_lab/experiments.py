@@ -4,7 +4,7 @@ The instruments are the simulator node's, sampling with jitter and losing some s
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -119,14 +119,8 @@ def composite_step(truth: Parameters, seed: int) -> list[Signal]:
     return _composite(truth, seed, [step | {"level": v, "drive": side} for v, side in both])
 
 
-EXPERIMENTS: dict[str, Callable[[Parameters, int], list[Signal]]] = {
-    "staircase": staircase,
-    "ramp": ramp,
-    "isobaric": isobaric,
-    "clamped": clamped,
-    "composite_triangle": composite_triangle,
-    "composite_step": composite_step,
-}
+_ALL = (staircase, ramp, isobaric, clamped, composite_triangle, composite_step)
+EXPERIMENTS = {experiment.__name__: experiment for experiment in _ALL}
 
 
 def one_wire(truth: Parameters) -> Parameters:

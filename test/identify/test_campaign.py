@@ -29,7 +29,7 @@ def test_true_errors_pass_and_others_fail():
     normal = np.random.default_rng(1).standard_normal((50, len(campaign.IDENTIFIED)))
     results = results_with(normal)
     assert campaign.passed(results)
-    found = dict(zip(campaign.IDENTIFIED, normal.T, strict=True))
+    found = [(name, z) for row in normal for name, z in zip(campaign.IDENTIFIED, row, strict=True)]
     assert pieces.print_coverage(found, pieces.Z_95) == pytest.approx(0.95, abs=0.02)
     assert not campaign.passed(results, error_scale=0.6)
     assert not campaign.passed(results, error_scale=2.0)

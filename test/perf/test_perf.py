@@ -84,7 +84,7 @@ def test_an_unknown_section_is_one_line_and_one_that_fails_ends_no_other(monkeyp
         raise OSError("disk full")
 
     monkeypatch.setattr("examination.perf.reading.reading", failing)
-    monkeypatch.setattr("examination.perf.batch.batch", lambda tiny: [Figure("b", "next", 2.0)])
+    monkeypatch.setattr("examination.perf.work.batch", lambda tiny: [Figure("b", "next", 2.0)])
     assert main(["reading", "batch"]) == 0
     said = capsys.readouterr().out
     assert "a measure" in said and "not measured: OSError: disk full" in said and "next" in said

@@ -1,0 +1,198 @@
+"""Whole work: commands cold (nothing compiled) and warm, records of minutes to hours, batches.
+
+A command has the time on the wall and the processor's; the limits are held against the second,
+which is the first on a machine that does nothing else.
+"""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+import sma_bench
+from examination.blind.make import make
+from examination.perf import records
+from examination.perf.measuring import LINEAR, Figure, exponent, processor
+from sma_bench.diagnose import diagnose
+from sma_bench.identify import identify
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks
+
+COMPILING = 22.0  # s, what it took before the diagnosis was made faster
+LENGTHS = {"2 minutes": 120.0, "10 minutes": 600.0, "an hour": 3600.0}
+CASES = 24
+LONG = {
+    "10 minutes of triangles": 600.0,
+    "an hour of triangles": 3600.0,
+    "8 hours of triangles": 28_800.0,
+}
+WORK = {
+    "identification": lambda record, lab: identify([record], lab, experiments=["E10"]),
+    "diagnosis": lambda record, lab: diagnose([record], lab),
+}
+BAGS, DIAGNOSES = 200, 4
+_DURATION = 300.0  # s, of each
+_GAIN = 0.95  # of the cores
+
+
+def commands(tiny: bool = False) -> Iterator[Figure]:
+    """Help, identification of a short and of a 30-minute bag, diagnosis, a cold start."""
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        short = records.staircase_bag(folder / "short", 30.0 if tiny else 60.0)
+        commands = {
+            "--help": ["--help"],
+            "identify --help": ["identify", "--help"],
+            "identify a minute's bag": ["identify", str(short)],
+        }
+        most = dict(zip(commands, (1.0, 1.0, 2.0), strict=True))
+        if not tiny:
+            gap, paper = map(str, records.diagnosis_case(folder))
+            long = records.staircase_bag(folder / "long", 1800.0)
+            commands["identify a 30-minute bag"] = ["identify", str(long)]
+            commands["diagnose a composite bag"] = ["diagnose", gap, "--params", paper]
+        for case, words in commands.items():
+            runs = [run(words) for _ in range(1 if tiny else 4)][-3:]
+            wall, warm = np.median(runs, axis=0)
+            yield Figure(case, "warm: processor", warm, "s", most=most.get(case, np.inf))
+            yield Figure(case, "warm: on the wall", wall, "s")
+            if not tiny and "--help" not in words:
+                wall, cold = _cold(folder / "cold", words)
+                yield Figure(case, "cold: processor", cold, "s")
+                yield Figure(case, "cold: on the wall", wall, "s")
+        if not tiny:
+            yield Figure(case, "compiling: processor", cold - warm, "s", most=COMPILING)
+
+
+def run(words: Sequence[str], environment: Mapping[str, str] | None = None) -> tuple[float, float]:
+    """Seconds on the wall and of the processor for `sma-bench words`, children included.
+
+    Raises RuntimeError if it fails.
+    """
+    command = [sys.executable, "-P", "-m", "sma_bench.cli", *words]
+    variables = {**os.environ, **(environment or {})}
+    begin, before = time.perf_counter(), os.times()
+    process = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
+    wall, after = time.perf_counter() - begin, os.times()
+    if process.returncode:
+        raise RuntimeError(f"{' '.join(words)}: {process.stderr.strip()}")
+    used = after.children_user - before.children_user
+    return wall, used + after.children_system - before.children_system
+
+
+def _cold(copy: Path, words: Sequence[str]) -> tuple[float, float]:
+    """From a copy of the package in which nothing has been compiled yet."""
+    shutil.rmtree(copy, ignore_errors=True)
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(Path(sma_bench.__file__).parent, copy / "sma_bench", ignore=ignored)
+    for shared in ("package.xml", "config"):
+        (copy / shared).symlink_to(records.ROOT / shared)
+    return run(words, {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "cache")})
+
+
+def identification(tiny: bool = False) -> Iterator[Figure]:
+    yield from over_lengths(
+        "identification", {"a minute": 60.0} if tiny else LENGTHS, records.TRIANGLES
+    )
+
+
+def diagnosis(tiny: bool = False) -> Iterator[Figure]:
+    """Of cases of the examination's development split, and of synthetic records in memory."""
+    if tiny:
+        yield from over_lengths("diagnosis", {"a minute of triangles": 60.0}, records.TRIANGLES)
+        return
+    seconds = []
+    with TemporaryDirectory() as name:
+        made = Path(name) / "cases"
+        make(made, 1000, CASES)
+        for case in sorted((made / "cases").iterdir()):
+            words = [case / "record", "--params", case / "nominal.yaml"]
+            words += ["--hold-out", case / "hold_out"]
+            seconds.append(run(["diagnose", *map(str, words)])[0])
+    case, last = f"{CASES} development cases", float(np.quantile(seconds, 0.9))
+    yield Figure(case, "median command, on the wall", float(np.median(seconds)), "s", most=5.0)
+    yield Figure(case, "90th percentile", last, "s", most=10.0)
+    yield from over_lengths("diagnosis", LONG, records.TRIANGLES)
+    yield from over_lengths("diagnosis", {"10 minutes of steps": 600.0}, records.STEPS)
+
+
+def over_lengths(work: str, lengths: Mapping[str, float], protocol: str) -> Iterator[Figure]:
+    """Each length (s) in a process of its own, whose memory is then its own."""
+    found = {}
+    for name, length in lengths.items():
+        command = [sys.executable, __file__, work, protocol, str(length)]
+        said = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        wall, cpu, memory = map(float, said.split())
+        most = 6.0 if (work, length) == ("diagnosis", 600.0) else np.inf
+        yield Figure(f"{name} at 100 Hz", f"{work}: on the wall", wall, "s", most=most)
+        yield Figure(f"{name} at 100 Hz", f"{work}: processor", cpu, "s")
+        yield Figure(f"{name} at 100 Hz", "largest memory", memory, "MB")
+        if length >= 600.0:
+            found[length] = cpu, memory
+    if len(found) > 1:
+        (first, last), what = (min(found), max(found)), ("processor", "memory")
+        for name, values in zip(what, zip(*found.values(), strict=True), strict=True):
+            span = f"{name}: exponent from {first:g} to {last:g} s"
+            yield Figure(f"{work} over the length", span, exponent(found, values), most=LINEAR)
+
+
+def batch(tiny: bool = False) -> Iterator[Figure]:
+    """Identifications and diagnoses, on one process and on one a core."""
+    with TemporaryDirectory() as name:
+        bag = records.staircase_bag(Path(name, "bag"), _DURATION)
+        tasks = [Task(IDENTIFY, str(bag), Parameters.of_paper())] * (1 if tiny else BAGS)
+        case = f"bags of {_DURATION:g} s identified"
+        if tiny:
+            yield Figure(case, "one process", 1.0 / _spent(do_tasks(tasks, 1))[0], "bags/s")
+            return
+        yield from _growing(case, tasks)
+        gap, paper = records.diagnosis_case(Path(name))
+        tasks = [Task(DIAGNOSE, str(gap), read_parameters(paper))] * DIAGNOSES
+        yield from _growing("composite bags diagnosed", tasks)
+
+
+def _growing(case: str, tasks: list[Task]) -> Iterator[Figure]:
+    """More and more on one process, then all on as many as there are cores."""
+    cores, all_of = len(os.sched_getaffinity(0)), f"{len(tasks)} on the wall"
+    sizes = sorted({max(len(tasks) // part, 1) for part in (8, 4, 2, 1)})
+    walls, used = zip(*(_spent(do_tasks(tasks[:n], 1)) for n in sizes), strict=True)
+    many, _ = _spent(do_tasks(tasks, cores))
+    alone = (used[-1] - used[0]) / (sizes[-1] - sizes[0])
+    growth, what = exponent(sizes, used), f"one process: exponent from {sizes[0]} to {sizes[-1]}"
+    yield Figure(case, what, growth, most=LINEAR)
+    yield Figure(case, f"one process: {all_of}", walls[-1], "s")
+    yield Figure(case, f"{cores} processes: {all_of}", many, "s")
+    gain, what = walls[-1] / many, f"gain of {cores} processes over one"
+    yield Figure(case, what, gain, "x", least=_GAIN * cores)
+    yield Figure(case, "one process: a thousand, processor", 1000.0 * alone, "s")
+
+
+def _spent(batch: Iterable[tuple[int, Outcome]]) -> tuple[float, float]:
+    """Seconds on the wall, and of the processors of the processes that it has begun."""
+    begin, before = time.perf_counter(), os.times()
+    failed = [outcome.error for _, outcome in batch if outcome.error]
+    if failed:
+        raise RuntimeError(failed[0])
+    after = os.times()
+    used = after.children_user + after.children_system
+    used -= before.children_user + before.children_system
+    return time.perf_counter() - begin, used
+
+
+if __name__ == "__main__":
+    work_, protocol_, length_ = sys.argv[1:]
+    record_, lab_ = (
+        records.long_record(protocol_, float(length_)),
+        read_parameters(records.COMPOSITE),
+    )
+    begin_, before_ = time.perf_counter(), processor()
+    WORK[work_](record_, lab_)
+    memory_ = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
+    print(time.perf_counter() - begin_, processor() - before_, memory_)
