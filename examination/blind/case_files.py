@@ -164,14 +164,7 @@ _CASE_NAME = re.compile(r"[0-9A-Za-z_]+\Z")
 
 @dataclass(frozen=True)
 class CaseSet:
-    """What a manifest says.
-
-    Attributes:
-        root: folder of the set.
-        names: of the cases, each a folder below `folder`.
-        seed, split: that made it.
-        sealed_sha256: of the labels' file.
-    """
+    """What a manifest says: the cases are folders below `folder`, the digest is the labels'."""
 
     root: Path
     names: tuple[str, ...]
@@ -276,14 +269,8 @@ class Kept:
 
 @dataclass(frozen=True)
 class Examination:
-    """Who was examined on what.
-
-    Attributes:
-        name: how tables call the examinee.
-        program: command line that takes the arguments of `sma-bench diagnose`.
-        time_limit: s for one case.
-        sealed: sha256 of the labels of the set.
-    """
+    """Who was examined on what: its name in tables, the command line that takes the arguments of
+    `sma-bench diagnose`, s for one case, sha256 of the labels of the set."""
 
     name: str
     program: tuple[str, ...]
@@ -332,11 +319,8 @@ def answers_of(folder: Path, case: str) -> list[Kept]:
 
 
 def write_examination(folder: Path, examination: Examination) -> None:
-    """Begin a folder of answers, or go on with it.
-
-    Raises:
-        InputError: the folder holds answers to another set or of another program.
-    """
+    """Begin a folder of answers, or go on with it; raises InputError where it holds answers to
+    another set or of another program."""
     path = folder / EXAMINATION
     if path.is_file():
         there = read_examination(folder)

@@ -108,13 +108,7 @@ class Draw:
 
 
 def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Draw:
-    """Direction, weights and settings of one occurrence.
-
-    Args:
-        symptom: of EFFECTS or OUTSIDE.
-        rng: draws them.
-        peak_current: the largest of the case's records in A.
-    """
+    """Direction, weights and settings of one occurrence; the largest current [A] of the records."""
     sign = int(rng.choice(symptom.signs))
     weights = tuple(float(rng.uniform(*move.weight)) for move in symptom.moves)
     settings = {}
@@ -127,22 +121,16 @@ def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Dra
 
 
 def amount_for(
-    drawn: Draw, target: float, gap: Callable[[float], float], start: float | None = None
+    drawn: Draw, target: float, gap: Callable[[float], float], start: float
 ) -> float:
     """Amount whose gap is `target`, or the nearest that the effect's bounds allow.
 
-    Gaps grow about as amounts do: steps in proportion until the target is bracketed, then
-    interpolation on logarithms.
-
-    Args:
-        drawn: the variety of the effect.
-        target: gap over noise.
-        gap: gap over noise of an amount; about monotonic.
-        start: first amount to try.
+    Gaps grow about as amounts do: steps in proportion from `start` until the target is bracketed,
+    then interpolation on logarithms.
     """
-    low, high = drawn.symptom.natural
+    high = drawn.symptom.natural[1]
     smallest, largest = np.log(high * _SMALLEST), np.log(high * STRETCH)
-    at = float(np.log(start)) if start else 0.5 * float(np.log(low * high))
+    at = float(np.log(start))
     tried: list[tuple[float, float]] = []  # log amount, log gap over target
     for _ in range(_TRIALS):
         tried.append((at, float(np.log(max(gap(float(np.exp(at))), 1e-9) / target))))
@@ -175,16 +163,9 @@ QUANTITIES = {ALL: ("current", "temperature", "deflection"), PAPER: ("deflection
 
 @dataclass(frozen=True)
 class Card:
-    """What one case is to be.
-
-    Attributes:
-        kind: single, none, recalibration, pair or outside.
-        effects: names of EFFECTS or OUTSIDE.
-        targets: gap over noise to size each effect for; None for a size as it comes.
-        signals: "all", or "paper" (voltages and deflection only).
-        noise: its model, one of NOISE_MODELS.
-        mild_kinetics: the transformation is a little smoother than the model's, and that is all.
-    """
+    """What one case is to be: its kind, effects of EFFECTS or OUTSIDE, the gap over noise to size
+    each for (None: as it comes), signals "all" or "paper" (voltages and deflection only), noise of
+    NOISE_MODELS; with `mild_kinetics` the transformation is a little smoother, and that is all."""
 
     kind: str
     effects: tuple[str, ...]
@@ -301,18 +282,10 @@ MILD_GAP = (1.0, 6.0)
 
 @dataclass(frozen=True)
 class Case:
-    """One case before anything is simulated.
-
-    Attributes:
-        name: of its folder.
-        card: what it hides.
-        truth, nominal: the rig, and what its owners believe.
-        wrong: parameter -> error in stated standard deviations, where the owners are mistaken.
-        sensors, drives: the instruments, and the voltages by record.
-        nuisances: features that every rig has a little of; nuisance_gap: their wanted gap.
-        mild_gap: wanted gap of mildly different kinetics.
-        storage, namespace: of the bags; starts: by record, ns since the epoch.
-    """
+    """One case before anything is simulated: what it hides, the rig (truth) and what its owners
+    believe, where they are mistaken (in stated standard deviations), instruments, voltages by
+    record, features that every rig has a little of, wanted gaps of those and of mild kinetics, and
+    the bags: storage, namespace, starts [ns since the epoch]."""
 
     seed: int
     index: int

@@ -80,12 +80,8 @@ class Examinee:
     def ask(
         self, case: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
     ) -> Given:
-        """Put a case to the program, in a folder of its own that holds copies and nothing else.
-
-        Args:
-            case: folder with record, hold_out and nominal.yaml.
-            experiments: further records, of what the answers before asked for; nominal: what the
-                owners believe by now.
+        """Put a case, the records of further experiments and what the owners believe by now to the
+        program, in a folder of its own that holds copies and nothing else.
 
         Raises:
             InputError: the case cannot be read or the program not be started. Whatever the
@@ -294,11 +290,8 @@ def after_tests(
     label: Mapping[str, Any], asked: NextExperiment, believed: Parameters,
     rng: np.random.Generator,
 ) -> Parameters:
-    """What is believed after a test of some parameters.
-
-    Raises:
-        InputError: a parameter that no test gives.
-    """
+    """What is believed after a test of some parameters; raises InputError for one that no test
+    gives."""
     stds, truth = asked.parameters, label["truth"]
     values, world = {}, world_of(rig_of(label), label["features"])
     for name, std in stds.items():
@@ -315,11 +308,8 @@ def after_tests(
 
 
 def bench_protocol(document: Mapping[str, Any], nominal: Parameters) -> Protocol:
-    """The suggested protocol as the experiment node would run it.
-
-    Raises:
-        InputError: no protocol, beyond the bench's limits, or too long.
-    """
+    """The suggested protocol as the experiment node would run it; raises InputError for one beyond
+    the bench's limits, or too long."""
     protocol = parse_protocol(dict(document), nominal, "next_experiment")
     if protocol.duration > LONGEST:
         raise InputError(
@@ -332,15 +322,8 @@ def perform(
     label: Mapping[str, Any], protocol: Protocol, bag: Path, rng: np.random.Generator,
     asked: NextExperiment | None = None, number: int = 0,
 ) -> None:
-    """Run a protocol on a case's bench and record it.
-
-    Args:
-        label: sealed label of the case.
-        protocol: for the channels of its rig.
-        bag: new folder.
-        rng: noise and jitter.
-        asked: for the quantities that are measured more; number: of the experiment.
-    """
+    """Run a protocol on the bench of a sealed label and record it in a new folder; `asked` names
+    quantities that are measured more."""
     time, voltage = protocol.sample(COMMAND_PERIOD)
     world = world_of(rig_of(label), label["features"])
     sensors = Sensors.from_json(label["sensors"])

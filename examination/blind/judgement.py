@@ -17,7 +17,7 @@ from examination.blind.case_files import (
     Candidate,
     Claim,
 )
-from examination.blind.rigs import PER_WIRE, Drive, Pulse, Stage, quantity_of, simulated_reading
+from examination.blind.rigs import PER_WIRE, Drive, Pulse, Stage, quantity_of
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
 
@@ -38,20 +38,9 @@ _RIGHT_NAMES = {
 
 @dataclass(frozen=True)
 class Label:
-    """What is true of a case.
-
-    Attributes:
-        kind: single, pair, none, recalibration or outside (an effect that no library knows).
-        names: the answers that are right: the effects, or recalibration, no_gap, unexplained.
-        severity: measured gap that the effects make, in standard deviations of the noise.
-        where: signal, phase, side and stage of the largest gap.
-        distinguishable: from every other single explanation, by five standard deviations.
-        noise: white, coloured or drift; kinetics: mildly different ones, the only effect there is.
-        signals: "all" or "paper" (voltages and deflection).
-        own_stages: stages of which one has to be named: that of the effect that does most, or of
-            every parameter that is wrong.
-        wrong: parameters about which the owners are mistaken.
-    """
+    """What is true of a case: `names` are the answers that are right, of `own_stages` (that of the
+    effect that does most, or of every wrong parameter) one has to be named; the rest is as in the
+    sealed label (make.py)."""
 
     id: str
     kind: str
@@ -87,19 +76,11 @@ class Label:
             wrong=frozenset(document.get("wrong") or ()),
         )
 
-    @property
-    def stages(self) -> frozenset[str]:
-        """Stages of the contract's effects in it."""
-        return frozenset(STAGE_OF[name] for name in self.names if name in STAGE_OF)
-
 
 @dataclass(frozen=True)
 class Shrunk:
-    """Noise-free gap of one signal on a protocol that nobody saw.
-
-    `before` with the lab's parameters, `after` with the improved ones, root mean square in the
-    signal's unit; `noise` is the sensor's standard deviation.
-    """
+    """Noise-free gap of one signal on a protocol that nobody saw, `before` with the lab's and
+    `after` with the improved parameters (root mean square), and the sensor's noise, in its unit."""
 
     before: float
     after: float
@@ -113,16 +94,10 @@ class Shrunk:
 
 @dataclass(frozen=True)
 class Judged:
-    """A case: its label, the answer (None: failed), and what the scorer found out besides.
-
-    Attributes:
-        shrunk: true shrinkage of every signal.
-        parameter_error: root mean square error of the parameters in their stated standard
-            deviations, (before, after); moved: those that the improved file has elsewhere.
-        second: the last answer after suggested experiments; `followed` whether an ambiguous answer
-            got what it asked for.
-        seconds: that the answer took; failure: why there is none.
-    """
+    """A case: its label, the answer (None: failed, `failure` says why), true shrinkage by signal,
+    root mean square `parameter_error` in stated deviations (before, after), parameters that the
+    improved file has `moved`, the `second` (last) answer after suggested experiments, whether an
+    ambiguous answer got what it asked for (`followed`), and the seconds that the answer took."""
 
     label: Label
     answer: Answer | None
@@ -140,15 +115,20 @@ class Judged:
         return self.answer.verdict if self.answer else ""
 
     @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """Most probable first; none without an answer."""
+        return self.answer.candidates if self.answer else ()
+
+    @property
     def first_choice(self) -> Candidate | None:
         """The most probable candidate."""
-        return self.answer.candidates[0] if self.answer else None
+        return self.candidates[0] if self.answer else None
 
     @property
     def credible_set(self) -> tuple[Candidate, ...]:
         """The fewest candidates whose probabilities make 90 %, most probable first."""
         total, chosen = 0.0, []
-        for candidate in self.answer.candidates if self.answer else ():
+        for candidate in self.candidates:
             if total < SET_MASS - 1e-9:
                 chosen.append(candidate)
             total += candidate.probability
@@ -166,7 +146,8 @@ class Judged:
         first = self.first_choice
         if first is None or self.first_choice_right:
             return self.first_choice_right
-        return any(STAGE_OF.get(part) in self.label.stages for part in first.parts)
+        stages = {STAGE_OF[name] for name in self.label.names if name in STAGE_OF}
+        return any(STAGE_OF.get(part) in stages for part in first.parts)
 
     @property
     def set_holds_truth(self) -> bool:
@@ -179,30 +160,27 @@ class Judged:
     @property
     def truth_probability(self) -> float:
         """Probability of the candidates that are made of nothing but what is true."""
-        candidates = self.answer.candidates if self.answer else ()
-        return sum(c.probability for c in candidates if c.parts <= self.label.names)
+        return sum(c.probability for c in self.candidates if c.parts <= self.label.names)
 
     @property
     def says_gap(self) -> bool:
         """Any verdict but no_gap, unless an ambiguous one leaves no_gap in its 90 % set."""
-        if self.answer is None or self.answer.verdict == NO_GAP:
-            return False
-        return self.answer.verdict != "ambiguous" or not self._set_has(frozenset((NO_GAP,)))
+        if self.verdict == "ambiguous":
+            return not self._set_has(frozenset((NO_GAP,)))
+        return self.verdict not in ("", NO_GAP)
 
     @property
     def alarms(self) -> bool:
         """Says that the model misses something: an effect, something unexplained, or ambiguous
         with neither no_gap nor recalibration in the 90 % set. No answer counts as an alarm."""
-        if self.answer is None:
-            return True
-        if self.answer.verdict == "ambiguous":
+        if self.verdict == "ambiguous":
             return not self._set_has(_BENIGN)
-        return self.answer.verdict in ("effect", UNEXPLAINED)
+        return self.verdict in ("", "effect", UNEXPLAINED)
 
     @property
     def abstains(self) -> bool:
         """Verdict ambiguous or unexplained."""
-        return self.answer is not None and self.answer.verdict in ("ambiguous", UNEXPLAINED)
+        return self.verdict in ("ambiguous", UNEXPLAINED)
 
     @property
     def abstains_or_flags(self) -> bool:
@@ -213,15 +191,10 @@ class Judged:
     def confident_and_wrong(self) -> bool:
         """Verdict `effect` with a cause that shares nothing with the truth, or one candidate that
         shares nothing with it at a probability of 0.8 or more."""
-        if self.answer is None:
-            return False
-        cause = frozenset(self.answer.cause)
-        if cause and not cause & self.label.names:
-            return True
-        return any(
-            c.probability >= CONFIDENT and not c.parts & self.label.names
-            for c in self.answer.candidates
-        )
+        sure = [c.parts for c in self.candidates if c.probability >= CONFIDENT]
+        if self.answer and self.answer.cause:
+            sure.append(frozenset(self.answer.cause))
+        return any(not parts & self.label.names for parts in sure)
 
     @property
     def named(self) -> frozenset[str]:
@@ -244,9 +217,8 @@ class Judged:
     @property
     def resolved(self) -> bool:
         """The last answer is no longer ambiguous and its most probable candidate is right."""
-        if self.second is None or self.second.verdict == "ambiguous":
-            return False
-        return self.second.candidates[0].parts <= self.label.names
+        settled = self.second is not None and self.second.verdict != "ambiguous"
+        return settled and self.second.candidates[0].parts <= self.label.names
 
     @property
     def claim(self) -> tuple[Claim, float] | None:
@@ -270,10 +242,6 @@ class Judged:
 
 
 # --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
-#
-# The reality plays the drive; the model is simulated with the lab's parameters and with those of
-# the answer; the root mean square of the differences before and after is the truth that a claim
-# is measured against.
 
 UNSEEN = "unseen"
 _DURATION = 110.0
@@ -315,9 +283,16 @@ class UnseenRecord:
         """Root mean square of measured less simulated, of every signal and every quantity."""
         simulation = simulate(parameters, self.time, self.voltage)
         square = {
-            signal: float(np.mean((read - simulated_reading(simulation, signal)) ** 2))
-            for signal, read in self.readings.items()
-        }
+            f"{channel}.{quantity}": float(
+                np.mean((self.readings[f"{channel}.{quantity}"] - of_wires[:, k]) ** 2)
+            )
+            for quantity, of_wires in (
+                ("current", simulation.current), ("temperature", simulation.temperature_reading)
+            )
+            for k, channel in enumerate(self.stage.channels)
+        }  # fmt: skip
+        moved = self.readings["deflection"] - simulation.deflection_reading
+        square["deflection"] = float(np.mean(moved**2))
         for quantity in PER_WIRE:
             of_wires = [square[f"{channel}.{quantity}"] for channel in self.stage.channels]
             square[quantity] = float(np.mean(of_wires))

@@ -33,11 +33,7 @@ from sma_bench.records.bag_writer import write_record
 
 
 def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
-    """Everything that a scorer may want to know, as plain JSON.
-
-    Args:
-        case: as it was drawn; stage: the rig and its drives; sized: the features found for it.
-    """
+    """Everything that a scorer may want to know, as plain JSON."""
     card, quantities = case.card, QUANTITIES[case.card.signals]
     # Noise-free readings, and those without what is hidden: the effect, or the owners' mistakes.
     believed = None
@@ -46,11 +42,10 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
         believed = case.truth.replace({name: case.nominal[name] for name in twins})
     truth = {r: stage.read(sized.features, r) for r in RECORDS}
     without = {r: stage.read(sized.base, r, parameters=believed) for r in RECORDS}
-    gap = {
-        r: {name: round(value, 4) for name, value in
-            gaps(truth[r], without[r], stage.sensors, quantities).items()}
-        for r in RECORDS
-    }  # fmt: skip
+    gap = {}
+    for r in RECORDS:
+        found_gaps = gaps(truth[r], without[r], stage.sensors, quantities)
+        gap[r] = {name: round(value, 4) for name, value in found_gaps.items()}
     severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
     if card.kind == RECALIBRATION:
         stages = sorted({stage_of_parameter(name) for name in case.wrong})
@@ -121,17 +116,8 @@ _LAYOUT = 1
 def make(
     out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam"
 ) -> dict[str, Any]:
-    """Make n cases in a new folder, which appears when all of them are there.
-
-    Args:
-        out: new folder.
-        seed: the same seed and n give the same bytes, whatever the number of jobs.
-        n: number of cases.
-        jobs: processes that share the work.
-        load: what the wires of all rigs pull against.
-
-    Returns:
-        The manifest.
+    """Make n cases in a new folder, which appears when all of them are there; its manifest. The
+    same seed and n give the same bytes, whatever the number of jobs.
 
     Raises:
         InputError: the folder exists or cannot be made, or a number out of range.

@@ -9,11 +9,9 @@ import numpy.typing as npt
 
 from examination.blind.reality import BY_NAME, Outcome, World, happen
 from examination.blind.sensors import Sensors, readings
-from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import wire_length
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.physics.simulate import Simulation
 
 Array = npt.NDArray[np.float64]
 
@@ -24,10 +22,8 @@ CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 SIDES = ("front", "front", "back", "back")
 
 _ONE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
-_WIRES: dict[str, dict[str, Any]] = {
-    "force": _ONE, "spring": _ONE,
-    "antagonist": {"bench.channels": ("front", "back"), "bench.channel_sides": ("front", "back")},
-}
+_TWO = dict.fromkeys(("bench.channels", "bench.channel_sides"), ("front", "back"))
+_WIRES = {"force": _ONE, "spring": _ONE, "antagonist": _TWO}
 
 # The law's cold martensite is a spring: one that is stretched by its antagonist does not yield.
 _STILL = {"antagonist": {"detwinning_stress": 1e9}}
@@ -88,11 +84,13 @@ def stage_of_parameter(name: str) -> str:
 
 def draw_truth(rng: np.random.Generator, load: str = "beam") -> Parameters:
     """The true numbers of one rig of the population, a composite or wires with another load."""
-    values: dict[str, float] = {}
-    for name, (middle, spread, _) in (_RELATIVE | _OF_LOAD[load]).items():
-        values[name] = float(middle * (1.0 + spread * rng.uniform(-1.0, 1.0)))
-    for name, (middle, spread, _) in _ABSOLUTE.items():
-        values[name] = float(middle + spread * rng.uniform(-1.0, 1.0))
+    values = {
+        name: float(middle * (1.0 + spread * rng.uniform(-1.0, 1.0)))
+        for name, (middle, spread, _) in (_RELATIVE | _OF_LOAD[load]).items()
+    } | {
+        name: float(middle + spread * rng.uniform(-1.0, 1.0))
+        for name, (middle, spread, _) in _ABSOLUTE.items()
+    }
     return _rig(values, {}, load)
 
 
@@ -112,19 +110,12 @@ def stated_std(name: str, value: float) -> float:
 def draw_nominal(
     truth: Parameters, rng: np.random.Generator, wrong: Mapping[str, float] | None = None
 ) -> Parameters:
-    """What the owners believe: the truth, wrong by one draw of the uncertainty they state.
-
-    Args:
-        truth: of the rig.
-        rng: draws the errors.
-        wrong: parameter -> its error in stated standard deviations, instead of a draw.
-    """
+    """What the owners believe: the truth, wrong by one draw of the uncertainty they state, or by so
+    many stated standard deviations as `wrong` says."""
     values, stds = {}, {}
     for name, true in true_values(truth).items():
-        error = (wrong or {}).get(name)
         drawn = rng.standard_normal()
-        sigmas = drawn if error is None else error
-        values[name] = true + sigmas * stated_std(name, true)
+        values[name] = true + (wrong or {}).get(name, drawn) * stated_std(name, true)
         # From the believed number: the true one must not follow from its uncertainty.
         stds[name] = stated_std(name, values[name])
     return _rig(values, stds, load_kind(truth))
@@ -178,12 +169,8 @@ _SWIFT = 1.09  # a triangle lags behind its steady temperature
 
 @dataclass(frozen=True)
 class Pulse:
-    """Voltage of one side's wires against time, piecewise linear, zero before and after.
-
-    Attributes:
-        side: front or back.
-        times, volts: corners, in s since the start of the record and V.
-    """
+    """Voltage of one side's wires by corners [s since the start of the record, V], piecewise
+    linear, zero before and after."""
 
     side: str
     times: tuple[float, ...]
@@ -229,10 +216,8 @@ class Drive:
 def draw_drives(truth: Parameters, rng: np.random.Generator) -> dict[str, Drive]:
     """Drives of a record and of the one to hold out, of two different families."""
     families = rng.choice(FAMILIES, size=2, replace=False)
-    return {
-        name: draw_drive(str(family), truth, rng)
-        for name, family in zip(("record", "hold_out"), families, strict=True)
-    }
+    drawn = zip(RECORDS, families, strict=True)
+    return {name: draw_drive(str(family), truth, rng) for name, family in drawn}
 
 
 def draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Drive:
@@ -277,9 +262,9 @@ def _draw_pulse(
     if reach == "nested":
         # Turned inside the transformation to austenite, and back inside the one to martensite: up
         # to the peak, a fall, a stay, a rise, and the last part from the peak on again.
-        names = ("wire.martensite_start_temperature", "wire.martensite_finish_temperature")
+        ends = [truth[f"wire.martensite_{end}_temperature"] for end in ("start", "finish")]
         shift = hottest(truth) - truth["wire.austenite_finish_temperature"]
-        middle = float(np.mean([truth[name] for name in names]) + 0.4 * shift)
+        middle = float(np.mean(ends) + 0.4 * shift)
         low = _volts_for(truth, middle + rng.uniform(-4.0, 2.0)) / peak
         last = max(k for k, (_, v) in enumerate(corners) if v == 1.0)
         turn = corners[last][0]
@@ -335,13 +320,7 @@ COARSE = 0.25
 
 @dataclass(frozen=True)
 class Stage:
-    """A rig, its instruments and what it is driven with.
-
-    Attributes:
-        truth: the rig's true numbers.
-        sensors: its instruments.
-        drives: by record.
-    """
+    """A rig's true numbers, its instruments, and what it is driven with by record."""
 
     truth: Parameters
     sensors: Sensors
@@ -360,7 +339,7 @@ class Stage:
 
     @classmethod
     def from_label(cls, label: Mapping[str, Any]) -> Self:
-        """The stage of a case; its features are label["features"] and, without the effect,
+        """The stage of a case; its features are label["features"], without the effect
         label["base"]."""
         drives = {name: Drive.from_json(drive) for name, drive in label["drives"].items()}
         return cls(rig_of(label), Sensors.from_json(label["sensors"]), drives)
@@ -369,14 +348,8 @@ class Stage:
         self, features: Mapping[str, float], record: str, fine: float = 1.0,
         parameters: Parameters | None = None,
     ) -> Outcome:
-        """What happens in a record under these features, every 20 ms.
-
-        Args:
-            features: of the world.
-            record: name of the drive.
-            fine: steps are at most 5 ms/fine long.
-            parameters: instead of the rig's true ones.
-        """
+        """What happens in a record under these features, every 20 ms, in steps of at most
+        5 ms/fine, with other parameters than the rig's true ones where they are given."""
         # What only the instruments do does not change what happens.
         physical = {n: v for n, v in features.items() if BY_NAME[n].stage != "sensor"}
         key = (record, fine, *sorted(physical.items()))
@@ -442,18 +415,12 @@ def phases(drive: Drive) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
 
 
 def where(
-    with_effect: Mapping[str, Array],
-    without: Mapping[str, Array],
-    stage: Stage,
-    record: str,
+    with_effect: Mapping[str, Array], without: Mapping[str, Array], stage: Stage, record: str,
     quantities: Iterable[str],
 ) -> list[dict[str, Any]]:
-    """The gap by signal, phase and side, largest share first.
-
-    Returns:
-        Rows of signal, phase, side, gap (over noise, root mean square in the cell) and share (of
-        the squared gaps over noise of all samples that the record holds).
-    """
+    """The gap by signal, phase and side, largest share first: rows of signal, phase, side, gap
+    (over noise, root mean square in the cell) and share (of the squared gaps over noise of all
+    samples that the record holds)."""
     phase, side = phases(stage.drives[record])
     rows = []
     for name in gaps(with_effect, without, stage.sensors, quantities):
@@ -473,20 +440,3 @@ def where(
     total = sum(row["share"] for row in rows) or 1.0
     rows = [{**row, "share": row["share"] / total} for row in rows]
     return sorted(rows, key=lambda row: -row["share"])
-
-
-def simulated_reading(simulation: Simulation, signal: str) -> Array:
-    """(n,) the model's `front_1.current`, `front_1.temperature` or `deflection`, in SI units.
-
-    Raises:
-        InputError: the model has no such signal.
-    """
-    channel, _, quantity = signal.rpartition(".")
-    if quantity == "deflection":
-        return simulation.deflection_reading
-    channels = simulation.parameters["bench.channels"]
-    columns = {"current": "current", "temperature": "temperature_reading"}
-    if channel not in channels or quantity not in columns:
-        raise InputError(f"no simulated signal {signal}")
-    read: Array = getattr(simulation, columns[quantity])
-    return read[:, channels.index(channel)]

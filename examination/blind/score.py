@@ -70,11 +70,8 @@ class Score:
 
 
 def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
-    """The complete papers of all examinees; the labels are not touched.
-
-    Args:
-        cases: the set.
-        folders: of the answers; empty: every folder of answers that lies in the set.
+    """The complete papers of some folders, or of all that lie in the set; the labels are not
+    touched.
 
     Raises:
         InputError: nobody has answered, an answer is missing, or it is to another set.
@@ -99,11 +96,7 @@ def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
 
 
 def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
-    """The labels by case.
-
-    Raises:
-        InputError: the seal is broken, or the labels are not those of the cases.
-    """
+    """The labels by case; raises InputError where the seal is broken, or the labels are others'."""
     labels = {label["id"]: label for label in cases.labels()}
     if set(labels) != set(cases.names):
         raise InputError(f"{cases.root}: labels and cases do not belong together")

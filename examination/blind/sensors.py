@@ -27,13 +27,8 @@ NOISE_MODELS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
 
 @dataclass(frozen=True)
 class Noise:
-    """Stationary noise: a white part, and an AR(1) part of exponential correlation.
-
-    Attributes:
-        std: of both parts together, in the unit of the signal.
-        share: of the variance that is correlated, 0 to 1.
-        correlation_time: s, in which the correlation falls to 1/e.
-    """
+    """Stationary noise: a white part, and an AR(1) part that has a share of the variance and a
+    correlation time [s]; `std` of both together."""
 
     std: float
     share: float = 0.0
@@ -61,10 +56,7 @@ class Noise:
         Means of white noise plus an AR(1) process are an ARMA(1,1) process: its innovations are
         what this returns, for a process that was quiet before the first window.
 
-        Args:
-            means: (n,) of the windows.
-            width: of a window in s.
-            samples: in a window.
+        Args: means (n,) of the windows; width [s] of one, and samples in it.
         """
         ratio = width / self.correlation_time
         rho = float(np.exp(-ratio))
@@ -105,16 +97,9 @@ _SHUTTER_PERIOD = (12.0, 40.0)  # s between two flags of the camera
 
 @dataclass(frozen=True)
 class Sensors:
-    """One set of instruments.
-
-    Attributes:
-        noise: by quantity (voltage: white and only while driven).
-        power_rate, camera_rate, mechanics_rate: Hz.
-        jitter: std of the sampling instants, s.
-        dropout: part of the messages that never arrive.
-        camera_clock: the camera's stamps are late by this many s.
-        seed: of shapes that are a matter of the rig, not of a record: drift, shutter.
-    """
+    """One set of instruments: noise by quantity (of a voltage only while driven), rates [Hz],
+    jitter [s] of the sampling instants, part of the messages that never arrive, lateness [s] of the
+    camera's stamps, seed of what is the rig's and not the record's: drift, shutter."""
 
     noise: Mapping[str, Noise]
     power_rate: float = 50.0
@@ -146,16 +131,8 @@ class Sensors:
 
 
 def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Array]:
-    """What perfect samples of the instruments' readings would be, without noise.
-
-    Args:
-        outcome: on a uniform grid of n times and w wires.
-        world: for what its instruments do wrong.
-        sensors: for the clock and the shapes of drift and shutter.
-
-    Returns:
-        voltage, current, temperature (n, w) and deflection (n,), in SI units, by their stamps.
-    """
+    """What perfect samples of the instruments' readings would be, without noise: voltage, current,
+    temperature (n, w) and deflection (n,), in SI units, by their stamps."""
     time = outcome.time
     # Radiance of wire and surroundings in the spot, through the camera's own lag from rest.
     fill, lag = world.feature("spot_fill"), world.feature("camera_lag")
@@ -206,17 +183,8 @@ def measure(
     outcome: Outcome, world: World, sensors: Sensors, channels: tuple[str, ...],
     rng: np.random.Generator, quantities: tuple[str, ...] = QUANTITIES,
 ) -> list[Signal]:
-    """Signals of the contract as this set of instruments would record them.
-
-    Args:
-        outcome: on a uniform grid from 0; voltage and current hold their value until the next
-            time.
-        world: for what its instruments do wrong.
-        sensors: the instruments.
-        channels: (w,) names of the wires.
-        rng: the clocks and the noise of this record.
-        quantities: that are recorded at all; the voltages always.
-    """
+    """Signals of the contract as these instruments would record an outcome on a uniform grid from
+    0, whose voltage and current hold until the next time; voltages are recorded always."""
     clean = readings(outcome, world, sensors)
     # The clock of every topic: stamps of every tick, times by the recorder's clock, what arrived.
     topics = {f"{channel}/power": sensors.power_rate for channel in channels}

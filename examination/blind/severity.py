@@ -7,32 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from examination.blind import cases, rigs
 from examination.blind.case_files import RECALIBRATION
-from examination.blind.cases import (
-    EFFECTS,
-    NUISANCE_LIMIT,
-    OUTSIDE,
-    QUANTITIES,
-    Case,
-    Draw,
-    Symptom,
-    amount_for,
-    draw,
-    possible,
-)
+from examination.blind.cases import EFFECTS, QUANTITIES, Case, Draw, Symptom
 from examination.blind.reality import BY_NAME
-from examination.blind.rigs import (
-    BACK,
-    COARSE,
-    COMMAND_PERIOD,
-    FRONT,
-    RECORDS,
-    Stage,
-    gaps,
-    quantity_of,
-    recalibrated,
-    stated_std,
-)
+from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
 from sma_bench.parameters.parameters import load_kind
 
 Array = npt.NDArray[np.float64]
@@ -48,13 +27,8 @@ _TRIALS = 8
 
 @dataclass(frozen=True)
 class Sized:
-    """What a case's world holds.
-
-    Attributes:
-        base: features of the rig without what is hidden: nuisances (and mild kinetics).
-        features: with all that is hidden.
-        draws, amounts: by effect.
-        nuisance_gap, kinetics_gap: measured, the largest of both records.
+    """What a case's world holds: features without what is hidden (`base`: nuisances and mild
+    kinetics) and with it, draws and amounts by effect, measured gaps, the larger of both records.
     """
 
     base: dict[str, float]
@@ -82,7 +56,7 @@ def size(case: Case, stage: Stage) -> Sized:
     for trial in range(_TRIALS):
         scaled = {name: scale * value for name, value in case.nuisances.items()}
         reached = measured(stage, scaled, {}, fine=COARSE if trial == 0 else 1.0)
-        if trial and reached <= NUISANCE_LIMIT:
+        if trial and reached <= cases.NUISANCE_LIMIT:
             little, nuisance_gap = scaled, reached
             break
         # The gap grows with the scale or its square: down by the root stays above nothing.
@@ -111,14 +85,14 @@ def size(case: Case, stage: Stage) -> Sized:
     rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
     features, draws, amounts = dict(base), {}, {}
     for name, target in zip(case.card.effects, case.card.targets, strict=True):
-        drawn = draw({**EFFECTS, **OUTSIDE}[name], rng, stage.peak_current())
+        drawn = cases.draw({**EFFECTS, **cases.OUTSIDE}[name], rng, stage.peak_current())
         natural = drawn.natural(rng)
         amount = natural
         if target is not None:
             def gap(amount: float, drawn: Draw = drawn) -> float:
                 return measured(stage, drawn.features(base, amount), base, quantities, COARSE)
 
-            amount = amount_for(drawn, target, gap, natural)
+            amount = cases.amount_for(drawn, target, gap, natural)
         features = drawn.features(features, amount)
         draws[name], amounts[name] = drawn, amount
     return Sized(base, features, draws, amounts, nuisance_gap, kinetics_gap)
@@ -159,13 +133,10 @@ def separation(
     rival with its own, and whether every rival is out of reach.
 
     Args:
-        stage: the rig and its drives.
-        base: its features without the effect.
-        truth, without: noise-free readings by record, with and without what is hidden.
-        quantities: that the records hold.
-        own: the effect itself, no rival of its own; "" where all are rivals.
+        base: features without the effect; truth, without: noise-free readings by record, with and
+            without what is hidden; own: the effect itself, no rival of its own.
     """
-    sensors, width = stage.sensors, _WINDOW * COMMAND_PERIOD
+    sensors, width = stage.sensors, _WINDOW * rigs.COMMAND_PERIOD
 
     def whitened(one: Readings, other: Readings) -> Array:
         """(m,) difference in windows of all signals of both records, of unit white noise."""
@@ -188,9 +159,9 @@ def separation(
     difference, load = whitened(truth, without), load_kind(stage.truth)
     # What a stated standard deviation of each parameter does, all under their uncertainty.
     columns = []
-    for name in recalibrated(load):
-        step = _STEP * stated_std(name, stage.truth[name])
-        twins = (FRONT, BACK) if name == FRONT else (name,)
+    for name in rigs.recalibrated(load):
+        step = _STEP * rigs.stated_std(name, stage.truth[name])
+        twins = (rigs.FRONT, rigs.BACK) if name == rigs.FRONT else (name,)
         moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
         changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in RECORDS}
         columns.append(whitened(changed, origin) / _STEP)
@@ -204,7 +175,7 @@ def separation(
 
     rest = beyond_parameters(difference[:, None])[:, 0]
     distances = {RECALIBRATION: float(np.linalg.norm(rest))}
-    for name in possible(EFFECTS, load):
+    for name in cases.possible(EFFECTS, load):
         symptom = EFFECTS[name]
         if name == own or not (symptom.in_deflection or "temperature" in quantities):
             continue
