@@ -6,6 +6,7 @@ import math
 import re
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -188,30 +189,26 @@ class CaseSet:
 
 
 def read_case_set(root: str | Path) -> CaseSet:
-    """The set in a folder that `./bench blind make` has written; labels are not touched.
-
-    Raises:
-        InputError: no such folder, or a damaged manifest.
-    """
+    """The set in a folder that `./bench blind make` has written; labels are not touched. Raises
+    InputError where there is none, or its manifest is damaged."""
     path = Path(root) / MANIFEST
+    with _damage_of(path):
+        held = json.loads(path.read_text(encoding="utf-8"))
+        names = tuple(held["cases"])
+        if not names or not all(_CASE_NAME.match(name) for name in names):
+            raise ValueError(f"cases {names!r:.60}")
+        return CaseSet(Path(root), names, held["seed"], held["split"], held["sha256"])
+
+
+@contextmanager
+def _damage_of(path: Path) -> Iterator[None]:
+    """Whatever a damaged file raises is one line."""
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    except (ValueError, RecursionError):
-        raise InputError(f"{path}: not JSON") from None
-    try:
-        names = tuple(map(str, document["cases"]))
-        if strange := [name for name in names if not _CASE_NAME.match(name)]:
-            raise ValueError(f"case {strange[0]!r}")
-        found = CaseSet(
-            Path(root), names, int(document["seed"]), str(document["split"]), document["sha256"]
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}") from None
-    if not names:
-        raise InputError(f"{path}: names no cases")
-    return found
+        yield
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file, expected one of ./bench blind") from None
+    except (OSError, KeyError, TypeError, ValueError, RecursionError, zlib.error) as error:
+        raise InputError(f"{path}: damaged: {' '.join(str(error).split())}") from None
 
 
 # --- Labels under seal: one deflated file whose digest the manifest names.
@@ -227,22 +224,14 @@ def seal(path: Path, labels: Sequence[dict[str, Any]]) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-def unseal(path: str | Path, sha256: str | None = None) -> list[dict[str, Any]]:
+def unseal(path: Path, sha256: str) -> list[dict[str, Any]]:
     """The labels of a sealed file; raises InputError where it is unreadable, no sealed labels, or
-    has not this sha256 (None takes any)."""
-    try:
-        content = Path(path).read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: cannot read: {error.strerror}") from None
-    if sha256 is not None and hashlib.sha256(content).hexdigest() != sha256:
-        raise InputError(f"{path}: not the labels that the manifest names (sha256 differs)")
-    try:
-        if not content.startswith(_HEAD):
-            raise ValueError("head")
-        labels = json.loads(zlib.decompress(content[len(_HEAD) :]))
-    except (ValueError, zlib.error):
-        raise InputError(f"{path}: damaged, expected labels sealed by blind make") from None
-    return list(labels)
+    has not this sha256."""
+    with _damage_of(path):
+        content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != sha256 or not content.startswith(_HEAD):
+            raise ValueError("not the labels that the manifest names (sha256 differs)")
+        return list(json.loads(zlib.decompress(content[len(_HEAD) :])))
 
 
 # --- The folder of one examinee's answers: one folder a case, and who gave them to which set.
@@ -282,13 +271,10 @@ def keep(
     folder: Path, case: str, result: Any, line: str, seconds: float, improved: str | None = None
 ) -> None:
     """Keep the plain document of an answer (None: failed, `line` says why) and the text of its
-    parameter file; it is there once answer.json is. Raises InputError if it cannot be written."""
+    parameter file; it is there once answer.json is."""
     place = folder / case
-    try:
-        place.mkdir(parents=True, exist_ok=True)
-        (place / IMPROVED).unlink(missing_ok=True)
-    except OSError as error:
-        raise InputError(f"{place}: cannot write: {error.strerror}") from None
+    place.mkdir(parents=True, exist_ok=True)
+    (place / IMPROVED).unlink(missing_ok=True)
     if improved is not None:
         write_text_atomically(place / IMPROVED, improved)
     document = {"case": case, "line": line, "seconds": round(seconds, 3), "result": result}
@@ -302,14 +288,12 @@ def is_kept(folder: Path, case: str) -> bool:
 
 def read_kept(folder: Path, case: str) -> Kept:
     """The answer to a case; raises InputError where there is none, or its file is damaged."""
-    path = folder / case / ANSWER
-    document = _read(path)
-    result, seconds = document.get("result"), document.get("seconds", math.nan)
-    answer = None if result is None else checked_answer(result, str(path))
-    improved = folder / case / IMPROVED
-    return Kept(
-        case, answer, document.get("line", ""), seconds, improved if improved.is_file() else None
-    )
+    path, improved = folder / case / ANSWER, folder / case / IMPROVED
+    with _damage_of(path):
+        held = json.loads(path.read_text(encoding="utf-8"))
+        answer = None if held["result"] is None else checked_answer(held["result"])
+        right = improved if improved.is_file() else None
+        return Kept(case, answer, held["line"], held["seconds"], right)
 
 
 def answers_of(folder: Path, case: str) -> list[Kept]:
@@ -329,30 +313,13 @@ def write_examination(folder: Path, examination: Examination) -> None:
         # The interpreter may lie elsewhere by now.
         if (there.name, there.program[1:]) != (examination.name, examination.program[1:]):
             raise InputError(f"{folder}: holds the answers of {' '.join(there.program)}")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
+    folder.mkdir(parents=True, exist_ok=True)
     write_text_atomically(path, json.dumps(vars(examination), indent=1) + "\n")
 
 
 def read_examination(folder: Path) -> Examination:
     """Who gave the answers of a folder; raises InputError if nobody did, or the file is damaged."""
-    document = _read(folder / EXAMINATION)
-    try:
-        program, limit = tuple(document["program"]), float(document["time_limit"])
-        return Examination(document["name"], program, limit, document["sealed"])
-    except (KeyError, TypeError, ValueError):
-        raise InputError(f"{folder / EXAMINATION}: damaged") from None
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file: run ./bench blind run first") from None
-    except (OSError, ValueError, RecursionError):
-        raise InputError(f"{path}: damaged") from None
-    if not isinstance(document, dict):
-        raise InputError(f"{path}: damaged")
-    return document
+    path = folder / EXAMINATION
+    with _damage_of(path):
+        held = json.loads(path.read_text(encoding="utf-8"))
+        return Examination(**held | {"program": tuple(held["program"])})

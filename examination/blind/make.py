@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from tempfile import mkdtemp
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import joblib
@@ -154,20 +154,16 @@ def new_folder(out: str | Path) -> Iterator[Path]:
         raise InputError(f"{out}: exists already, expected a new folder")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        parent = Path(mkdtemp(prefix=f".{out.name}.", dir=out.parent))
-        folder = parent / out.name
-        folder.mkdir()
+        hidden = TemporaryDirectory(
+            prefix=f".{out.name}.", dir=out.parent, ignore_cleanup_errors=True
+        )
+        with hidden as parent:
+            folder = Path(parent) / out.name
+            folder.mkdir()
+            yield folder
+            folder.rename(out)
     except OSError as error:
         raise InputError(f"{out}: cannot be made: {error.strerror}") from None
-    try:
-        yield folder
-        if out.exists():
-            raise InputError(f"{out}: exists already, expected a new folder")
-        folder.rename(out)
-    except OSError as error:
-        raise InputError(f"{out}: cannot be written: {error.strerror}") from None
-    finally:
-        shutil.rmtree(parent, ignore_errors=True)
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
