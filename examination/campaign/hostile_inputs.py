@@ -243,21 +243,21 @@ def hostile_place(rng: random.Random, folder: Path) -> Case:
     ))  # fmt: skip
     bag = hostile_bags.small_bag(folder / os.fsdecode(name), rng.choice(("mcap", "sqlite3")))
     storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
-    trick = rng.randrange(7)
-    if trick == 0:
+    trick = rng.choice(("", "link in", "link out", "pipe", "folder", "circle", "pipe alone"))
+    if trick == "link in":
         (bag / "x.mcap").symlink_to(folder / VICTIM)
-    elif trick == 1:
+    elif trick == "link out":
         storage.rename(folder / "moved")
         storage.symlink_to(folder / "moved")
-    elif trick == 2:
+    elif trick == "pipe":
         os.mkfifo(bag / "y.mcap")
-    elif trick == 3:
+    elif trick == "folder":
         storage.unlink()
         storage.mkdir()
-    elif trick == 4:
+    elif trick == "circle":
         (bag / "metadata.yaml").unlink()
         (bag / "metadata.yaml").symlink_to("metadata.yaml")
-    elif trick == 5:
+    elif trick:
         os.mkfifo(folder / "pipe.mcap")
         return Case(folder / "pipe.mcap")
     return Case(bag)

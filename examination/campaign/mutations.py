@@ -114,25 +114,23 @@ def changed_series(
     rng: random.Random, time: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of a sensor, one of them as no sensor says it."""
-    time, values = time.copy(), values.copy()
+    time, values, pick = time.copy(), values.copy(), rng.choice
     first, last = sorted((rng.randrange(len(time)), rng.randrange(len(time))))
-    trick = rng.randrange(9)
+    trick = rng.randrange(8)
     if trick == 0:
-        values[first] = rng.choice(NUMBERS)
+        values[first : last if rng.random() < 0.5 else first + 1] = pick(NUMBERS)
     elif trick == 1:
-        values[first:last] = rng.choice(NUMBERS)
+        values *= pick((0.0, -1.0, 1e-6, 1e3, 1e9, 1e30))
     elif trick == 2:
-        values *= rng.choice((0.0, -1.0, 1e-6, 1e3, 1e9, 1e30))
+        time[first:] += pick((0.5, 60.0, 86_400.0, 3e7, 1e9))
     elif trick == 3:
-        time[first:] += rng.choice((0.5, 60.0, 86_400.0, 3e7, 1e9))
+        time *= pick((1e-9, 1e-3, 0.1, 10.0, 1e4))
     elif trick == 4:
-        time *= rng.choice((1e-9, 1e-3, 0.1, 10.0, 1e4))
-    elif trick == 5:
         time, values = time[first:last], values[first:last]
+    elif trick == 5:
+        values += pick((-300.0, 0.5, 50.0, 1e6))
     elif trick == 6:
-        values += rng.choice((-300.0, 0.5, 50.0, 1e6))
-    elif trick == 7:
-        values = np.round(values / (step := rng.choice((1e-6, 0.5, 5.0)))) * step
+        values = np.round(values / (step := pick((1e-6, 0.5, 5.0)))) * step
     else:
         rng.shuffle(values)
     return time, values

@@ -1,7 +1,7 @@
 """Nodes killed and started again in every order: 0 V meanwhile, and the bench works afterwards."""
 
 import time
-from itertools import permutations
+from itertools import permutations, product
 from pathlib import Path
 
 from sensor_msgs.msg import BatteryState
@@ -29,26 +29,22 @@ steps:
 
 def orders() -> list[tuple[tuple[str, ...], tuple[str, ...]]]:
     """Every order of killing with every order of starting again."""
-    return [(end, begin) for end in permutations(NODES) for begin in permutations(NODES)]
+    return list(product(permutations(NODES), repeat=2))
 
 
 def restarted_nodes(size: int, seed: int, folder: Path) -> list[Outcome]:
     """`size` of the 36 pairs of orders, spread evenly."""
-    every = orders()
-    chosen = [every[(seed + k * len(every) // size) % len(every)] for k in range(size)]
-    wrong = [_try_once(end, begin, folder / f"{k}") for k, (end, begin) in enumerate(chosen)]
+    every, wrong = orders(), []
+    for k in range(size):
+        end, begin = every[(seed + k * len(every) // size) % len(every)]
+        try:
+            with bench_nodes(folder / f"{k}" / "logs") as talker:
+                wrong.append(_restart(talker, end, begin, folder / f"{k}"))
+        except Exception as error:  # that is what is looked for
+            wrong.append(f"killed {end}, started {begin}: {type(error).__name__}: {error}")
     limit = "0 V while driven by nobody, works again, both bags read"
     what = "kill -9 and start again, all orders of three nodes"
-    return [Outcome.of("restarts", what, len(chosen), wrong, limit)]
-
-
-def _try_once(end: tuple[str, ...], begin: tuple[str, ...], folder: Path) -> str:
-    """What went wrong, or ""."""
-    try:
-        with bench_nodes(folder / "logs") as talker:
-            return _restart(talker, end, begin, folder)
-    except Exception as error:  # that is what is looked for
-        return f"killed {end}, started {begin}: {type(error).__name__}: {error}"
+    return [Outcome.of("restarts", what, size, wrong, limit)]
 
 
 def _restart(

@@ -1,11 +1,8 @@
 """What grows in a node is found: by the soak's slope, and in seconds in the recorder itself."""
 
 import gc
-import subprocess
-import sys
 import time
 import tracemalloc
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -36,31 +33,6 @@ def test_warming_up_is_no_growth_and_a_leak_is_found(megabytes, flat):
     # Looks while the bench stands still do not weigh more.
     hours = np.sort(np.concatenate([HOURS, np.full(5000, 1.4)]))
     assert slope(hours, 50.0 + 3.0 * hours)[0] == pytest.approx(3.0)
-
-
-_MEASURED = """
-import sys
-import numpy as np
-from examination.campaign.allowance import own_memory
-before = own_memory()
-made = np.ones(8_000_000)
-print((own_memory() - before) / made.nbytes)
-made.tofile(sys.argv[1])
-before = own_memory()
-assert np.memmap(sys.argv[1], float, "r").sum() == len(made)
-print((own_memory() - before) / made.nbytes)
-"""
-
-
-def test_memory_counts_what_a_process_made_and_not_its_files(tmp_path):
-    # A process of its own: what other tests left gives memory back at any moment.
-    done = subprocess.run(
-        [sys.executable, "-c", _MEASURED, str(tmp_path / "file")],
-        cwd=Path(__file__).resolve().parents[2], check=True, capture_output=True, text=True,
-    )  # fmt: skip
-    made, mapped = map(float, done.stdout.split())
-    assert made == pytest.approx(1.0, abs=0.1)
-    assert abs(mapped) < 0.1
 
 
 def test_a_recorder_keeps_nothing_of_a_message(ros_domain, tmp_path, monkeypatch):

@@ -6,7 +6,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -91,27 +90,9 @@ def inside(
         mount = 'mount -t tmpfs tmpfs /dev/shm && exec "$@"'
         start += ["unshare", "--mount", "sh", "-c", mount, "sh"]
     return subprocess.Popen(
-        start + command,
-        env={**clean, **variables},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-        cwd=ROOT,
-    )
-
-
-@contextmanager
-def node(machine: str, name: str) -> Iterator[subprocess.Popen[str]]:
-    """The experiment's, in the namespace of its way to be kept to this machine or opened."""
-    process = inside(
-        machine, [sys.executable, "-m", "sma_bench.nodes.start", "experiment", "--ros-args", "-r",
-                  f"__ns:=/{name}"], {**BOUND, **OPEN}[name],
+        start + command, env={**clean, **variables}, stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL, text=True, cwd=ROOT,
     )  # fmt: skip
-    try:
-        yield process
-    finally:
-        process.kill()
-        process.wait()
 
 
 def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
@@ -119,9 +100,11 @@ def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
 ) -> None:
     here, there = two_machines
     everything = {**BOUND, **OPEN}
-    names = ",".join(everything)
-    with ExitStack() as running:
-        nodes = {name: running.enter_context(node(here, name)) for name in everything}
+    names, nodes = ",".join(everything), {}
+    command = [sys.executable, "-m", "sma_bench.nodes.start", "experiment", "--ros-args", "-r"]
+    try:
+        for name, variables in everything.items():
+            nodes[name] = inside(here, [*command, f"__ns:=/{name}"], variables)
         here_too = inside(here, [sys.executable, "-c", CALLER, names, "0", names], {})
         local, _ = json.loads(here_too.communicate(timeout=PATIENCE)[0])
         ended = {name: one.returncode for name, one in nodes.items() if one.poll() is not None}
@@ -132,6 +115,10 @@ def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
             {"ROS_STATIC_PEERS": BENCH}, own_memory=True,
         )  # fmt: skip
         answers, seen = json.loads(stranger.communicate(timeout=PATIENCE)[0])
+    finally:
+        for node in nodes.values():
+            node.kill()
+            node.wait()
     assert answers == {"open": "aborted: stopped on request"}
     assert seen == ["open"]
 
