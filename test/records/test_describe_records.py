@@ -1,4 +1,4 @@
-"""sma-bench info: everything about a record, for people and as JSON; voltages on one clock."""
+"""sma-bench info: everything about a record, for people and as JSON."""
 
 import json
 
@@ -8,7 +8,6 @@ import pytest
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records import DscRecord, Record, Signal, describe, open_record, read_record
-from sma_bench.records.samples import held_voltages
 
 
 def test_info_shows_topics_signals_markers_and_findings_and_writes_plain_data(
@@ -69,21 +68,3 @@ def test_records_are_told_apart_by_content(tmp_path, write_bag, ramp, measured_d
     for name, said in others.items():
         with pytest.raises(InputError, match=said):
             open_record(tmp_path / name)
-
-
-def test_each_channel_is_held_until_its_next_sample_and_one_that_is_missing_is_named(tmp_path):
-    def record(**volts):
-        names = [f"{channel}.voltage" for channel in volts]
-        made = [
-            Signal(name, "V", *map(np.array, samples))
-            for name, samples in zip(names, volts.values(), strict=True)
-        ]
-        return Record(tmp_path, 0, dict(zip(names, made, strict=True)))
-
-    both = record(a=([0.0, 2.0], [1.0, 2.0]), b=([1.0, 2.0], [5.0, 6.0]))
-    time, voltage = held_voltages(both, ["b", "a"])
-    assert time.tolist() == [0.0, 1.0, 2.0]
-    assert voltage.tolist() == [[5.0, 1.0], [5.0, 1.0], [6.0, 2.0]]
-    said = "no voltage of channel b.*bench of 2 channels .a, b., the record of one of 1 channel .a."
-    with pytest.raises(InputError, match=said):
-        held_voltages(record(a=([0.0], [1.0])), ["a", "b"])

@@ -9,7 +9,7 @@ from sma_bench.errors import InputError
 from sma_bench.identify.instruments.tensile import identify_tensile
 from sma_bench.parameters import Parameters
 from sma_bench.records import open_record
-from sma_bench.records.isobaric import IsobaricRecord, find_cycles, read_isobaric, without_spikes
+from sma_bench.records.isobaric import IsobaricRecord, find_cycles, read_isobaric
 from sma_bench.records.tensile import TensileRecord, read_tensile
 
 TITLES = ("Temperature (C)", "Strain (mm/mm)", "Stress (MPa)")
@@ -171,16 +171,6 @@ def test_cycles_are_paired_noise_makes_none_and_loading_is_left_out(write):
     loaded = read_isobaric(write(np.vstack([ramp, loop()])))
     assert any("loading" in f.text for f in loaded.findings)
     assert loaded.cycles[0].branches[0].stress.min() > 90e6
-
-
-def test_single_spike_is_left_out_but_corner_and_step_stay():
-    t = np.concatenate([np.linspace(20.0, 100.0, 100), np.linspace(99.0, 30.0, 60)])
-    t[120:] -= 15.0
-    assert without_spikes(t)[0].all()
-    t[40] += 9.0
-    good, sizes = without_spikes(t)
-    assert np.flatnonzero(~good).tolist() == [40]
-    assert sizes[0] == pytest.approx(9.0, abs=1.0)
 
 
 @settings(max_examples=60, deadline=None)
