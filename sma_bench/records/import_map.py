@@ -29,7 +29,7 @@ NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-z]+)?\Z")
 DUTY_SLACK = 0.02  # beyond 0 to 1 that a duty may be read
 _FORMS = {"voltage": ("rms", "duty", "mean"), "current": ("rms", "mean", "peak")}
 _OF_UNIT = {"V": "voltage", "A": "current", "K": "temperature", "m": "length", "N": "force"}
-_DRIVEN = 0.02  # of the largest voltage: below it nothing is driven
+DRIVEN = 0.02  # of the largest voltage: below it nothing is driven
 
 
 @dataclass(frozen=True)
@@ -203,7 +203,7 @@ def convert(table: TableFile, made: ImportMap) -> tuple[list[Signal], list[str],
     # When the first voltage or current sets in; inf where none does.
     drive = np.inf
     for entry, (_, values, _) in read.items():
-        driven = np.abs(values) > _DRIVEN * np.abs(values).max()
+        driven = np.abs(values) > DRIVEN * np.abs(values).max()
         if entry.signal.endswith((".voltage", ".current")) and driven.any():
             drive = min(drive, float(times[entry][int(np.argmax(driven))]))
 

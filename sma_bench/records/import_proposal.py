@@ -13,6 +13,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.import_map import (
     ASK,
+    DRIVEN,
     NAME,
     NONE,
     POSITIONS,
@@ -37,6 +38,7 @@ from sma_bench.records.units import (
 )
 
 _CLEAR = 3.0  # times as far one way as the other
+_AT_REST = 0.1  # of all its way, what a position scatters before the first drive
 _LONGEST_TIME = 30 * 86_400.0
 _ROOMS = {"degC": (10.0, 45.0), "K": (283.0, 318.0)}  # at rest
 _WHICH_SIGN = "sign: does it grow (1) or shrink (-1) as the wire lengthens?"
@@ -247,7 +249,8 @@ class _Proposal:
         if len(agreeing) == len(others):
             return finest.name
         # A clock a column: each speaks for the columns to its right.
-        order = [c.name for c in self.table.tables[column.table].columns]
+        beside = self.table.tables[column.table].columns
+        order = [c.name for c in beside if title_meanings(c.title) != ("counter",)]
         places = [order.index(c.name) for c in fitting]
         alike = len({re.sub(r"[\d\s()]+", "", c.title.lower()) for c in fitting}) == 1
         apart = places[0] == 0 and min(np.diff(places)) > 1
@@ -409,10 +412,18 @@ class _Proposal:
             question = "sign: does it grow toward the front (1) or the back (-1)?"
             return replace(entry, sign=self.ask(entry.column, question))
         moved, force = signals.get(entry.signal), signals.get("force")
-        is_driven = any(name.endswith((".voltage", ".current")) for name in signals)
-        if moved is None or (force is None and not is_driven):
+        drives = [s for name, s in signals.items() if name.endswith((".voltage", ".current"))]
+        if moved is None or (force is None and not drives):
             return replace(entry, sign=self.ask(entry.column, _WHICH_SIGN))
-        if force is None or is_driven:
+        if force is None or drives:
+            sets_in = min(
+                s.time[np.argmax(np.abs(s.values) > DRIVEN * np.abs(s.values).max())]
+                for s in drives
+            )
+            before, span = moved.values[moved.time <= sets_in], float(np.ptp(moved.values))
+            if len(before) and np.subtract(*np.percentile(before, (90, 10))) > _AT_REST * span:
+                question = "it moves before the first drive: which reference, a number or none?"
+                entry = replace(entry, reference=self.ask(entry.column, question))
             up, down = (max(float(v.max()), 0.0) for v in (moved.values, -moved.values))
             if max(up, down) <= _CLEAR * min(up, down):
                 return replace(entry, sign=self.ask(entry.column, _WHICH_SIGN))

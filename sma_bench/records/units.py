@@ -113,7 +113,7 @@ def title_meanings(title: str) -> tuple[str, ...]:
         words = words_of(text)
         if text == "t" or words in (["t", "rel"], ["t", "abs"]):
             return ("time",)
-        if text == "#" or (words and set(words) <= set(WORDS["counters"])):
+        if set(text) == {"#"} or (words and set(words) <= set(WORDS["counters"])):
             return ("counter",)
         joined = " ".join(["", *words])
         for row in WORDS["titles"]:

@@ -212,6 +212,16 @@ def test_quantised_and_irregular_readings_raise_no_alarm(tmp_path, capsys):
     assert said.count("Hz in the mean") == 1 and "mean; of wire.voltage too" in said
 
 
+def test_a_position_that_moves_before_its_drive_has_no_zero(tmp_path):
+    """Of two clocks one runs behind the other."""
+    rows = [f"{t},{3.0 * (t > 10)},{t - 7.0},{12 - 4 * min(max(t - 10, 0) / 5, 1)}"
+            for t in np.arange(0, 40, 0.5)]  # fmt: skip
+    path = tmp_path / "two.csv"
+    path.write_text("\n".join(["Time (s),Voltage (V),Time (s),Position (mm)", *rows]) + "\n")
+    (question,) = propose(read_table_file(path), BenchHints(wire_length=0.3))[1]
+    assert question.startswith("'Position (mm)': it moves before the first drive")
+
+
 def test_a_supplys_own_readings_are_asked_about(tmp_path):
     path = tmp_path / "psu.csv"
     rows = [f"{k / 10},{3.0 * (k > 20)},{1.0 * (k > 20)},{20 + k / 10}" for k in range(90)]
