@@ -100,7 +100,9 @@ class Talker:
 def bench_nodes(logs: Path) -> Iterator[Talker]:
     """A ROS context away from every other bench, for the time of a `with`."""
     private_ros_environment()
-    _compile_physics()
+    # Physics compile once, here: a node that finds it done is up in a second or two, else a minute.
+    settings = {parameter.name: parameter.default for parameter in NODE_TABLES["simulator"]}
+    list(VirtualBench(Parameters.defaults(), settings).advance((1.0,), 10**8))
     logs.mkdir(parents=True, exist_ok=True)
     rclpy.init(args=[])
     elsewhere = rclpy.Context()
@@ -115,10 +117,3 @@ def bench_nodes(logs: Path) -> Iterator[Talker]:
         stranger.destroy_node()
         elsewhere.try_shutdown()
         rclpy.try_shutdown()
-
-
-def _compile_physics() -> None:
-    """Once, here: a node that finds it compiled is up in a second or two, else in a minute."""
-    settings = {parameter.name: parameter.default for parameter in NODE_TABLES["simulator"]}
-    for _ in VirtualBench(Parameters.defaults(), settings).advance((1.0,), 10**8):
-        pass

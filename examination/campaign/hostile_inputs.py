@@ -12,7 +12,6 @@ import stat
 import sys
 import tempfile
 import warnings
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -291,32 +290,28 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     """`size` inputs, each through all commands."""
     terminal.FIRST_LINE = 1e6  # said on a machine that is busy with something else
     names = [name for name, (weight, _) in MAKERS.items() for _ in range(weight)]
-    tried: Counter[str] = Counter()
-    results: dict[str, Counter[str]] = {name: Counter() for name in MAKERS}
+    results: dict[str, list[str]] = {name: [] for name in MAKERS}
     failures: dict[str, list[str]] = {name: [] for name in MAKERS}
     _warm_up(folder)
     for k in range(size):
-        name = names[k % len(names)]
-        rng = random.Random(f"{seed} {k}")
-        tried[name] += 1
+        name, rng = names[k % len(names)], random.Random(f"{seed} {k}")
         for left in ("given", "out"):
             shutil.rmtree(folder / left, ignore_errors=True)
         with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else _undrawn():
             said, succeeded = try_case(MAKERS[name][1], rng, folder)
-        results[name].update(succeeded)
-        failures[name] += [f"input {k} of seed {seed}: {text}" for text in said]
+        results[name] += succeeded
         for text in said:
-            print(f"{name}, input {k} of seed {seed}: {text}", file=sys.stderr, flush=True)
-    return [
-        Outcome(
-            "hostile", f"well formed: {name}, through all commands", tried[name],
-            f"failed {len(failures[name])}, results: "
-            + (", ".join(f"{c} {results[name][c]}" for c in COMMANDS if results[name][c]) or "none")
-            + "".join(f"; {text}" for text in failures[name][:_SHOWN_FAILURES]),
-            "failed 0", not failures[name],
-        )
-        for name in MAKERS if tried[name]
-    ]  # fmt: skip
+            failures[name].append(f"input {k} of seed {seed}: {text}")
+            print(f"{name}, {failures[name][-1]}", file=sys.stderr, flush=True)
+    outcomes = []
+    for name in MAKERS:
+        if tried := sum(names[k % len(names)] == name for k in range(size)):
+            counts = [f"{c} {n}" for c in COMMANDS if (n := results[name].count(c))]
+            found = f"failed {len(failures[name])}, results: {', '.join(counts) or 'none'}"
+            found = "; ".join([found, *failures[name][:_SHOWN_FAILURES]])
+            what, met = f"well formed: {name}, through all commands", not failures[name]
+            outcomes.append(Outcome("hostile", what, tried, found, "failed 0", met))
+    return outcomes
 
 
 @contextlib.contextmanager
