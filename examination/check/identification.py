@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from examination.pieces import IN_PIECES, Z_95, in_pieces, options_of, print_coverage
-from examination.simulated_lab.drawn_bench import EXACT, IDENTIFIED, draw_bench
-from examination.simulated_lab.experiments import EXPERIMENTS, record_everything
+from examination.simulated_lab import EXACT, EXPERIMENTS, IDENTIFIED, draw_bench, record_everything
 from sma_bench.identify import identify
 from sma_bench.records import read_record
 

@@ -42,8 +42,8 @@ def nodes(tiny: bool = False) -> Iterator[Figure]:
 
 def twin(tiny: bool = False) -> Iterator[Figure]:
     """The pace that the node keeps, and its share of a core."""
-    for name, rig in list(RIGS.items())[: 1 if tiny else None]:
-        yield from _twin_node(f"{name} at {TWIN_RATE:g} Hz", rig, 1.0 if tiny else 8.0)
+    for name in ["one wire"] if tiny else RIGS:
+        yield from _twin_node(f"{name} at {TWIN_RATE:g} Hz", RIGS[name], 1.0 if tiny else 8.0)
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,7 @@ class Running:
     pids: Mapping[str, int]
 
     def spin(self, until: Callable[[], Any], meanwhile: Callable[[], Any] = int) -> None:
-        """Listen until the condition holds.
-
-        Raises:
-            RuntimeError: it does not within _STARTING s.
-            InputError: a node has ended.
-        """
+        """Listen until the condition holds; RuntimeError if it does not within _STARTING s."""
         end = time.monotonic() + _STARTING
         while not until():
             if time.monotonic() > end:
@@ -69,9 +64,7 @@ class Running:
             rclpy.spin_once(self.node, timeout_sec=0.01)
             self.processes.check()
 
-    def shares(
-        self, seconds: float, meanwhile: Callable[[], Any] = int
-    ) -> tuple[float, dict[str, float]]:
+    def shares(self, seconds: float, meanwhile: Callable[[], Any] = int) -> tuple[float, dict]:
         """Listen for a while: seconds it took, and the share of a core of every node."""
         before, begin = {k: processor_of(pid) for k, pid in self.pids.items()}, time.monotonic()
         self.spin(lambda: time.monotonic() - begin > seconds, meanwhile)
@@ -81,9 +74,7 @@ class Running:
 
 
 @contextmanager
-def running(
-    nodes: Mapping[str, Mapping[str, Any]], rig: Path = RIGS["one wire"]
-) -> Iterator[Running]:
+def running(nodes: Mapping[str, dict], rig: Path = RIGS["one wire"]) -> Iterator[Running]:
     """Start nodes with these settings, away from every other bench."""
     private_ros_environment()
     rclpy.init(args=[])
@@ -91,7 +82,7 @@ def running(
     try:
         with TemporaryDirectory() as folder, NodeProcesses(NAMESPACE, Path(folder)) as processes:
             for name, settings in nodes.items():
-                processes.start(name, dict(settings), (rig,))
+                processes.start(name, settings, (rig,))
             yield Running(node, processes, {name: processes.pid(name) for name in nodes})
     finally:
         node.destroy_node()

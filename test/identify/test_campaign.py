@@ -7,7 +7,7 @@ import pytest
 
 from examination import pieces
 from examination.check import identification as campaign
-from examination.simulated_lab.experiments import EXPERIMENTS, Clocks
+from examination.simulated_lab import EXPERIMENTS, Clocks
 from sma_bench.identify import whole_model
 
 

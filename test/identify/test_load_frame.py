@@ -9,8 +9,7 @@ import pytest
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
 from examination.check.rigs import FINE, draw_record, draw_rig, try_rig
-from examination.simulated_lab.drawn_bench import draw_bench
-from examination.simulated_lab.experiments import clamped, isobaric
+from examination.simulated_lab import clamped, draw_bench, isobaric
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import find_holds
 from sma_bench.identify import identify

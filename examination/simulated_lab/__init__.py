@@ -1,1 +1,0 @@
-"""A laboratory in software: benches drawn at random, their protocols, instruments and bags."""
