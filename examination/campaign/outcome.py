@@ -1,8 +1,7 @@
 """What one part of the campaign found: a line of the table."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 _SHOWN = 5
 
@@ -26,17 +25,3 @@ class Outcome:
         failures = [text for text in wrong if text]
         found = "; ".join([f"failed {len(failures)}", *dict.fromkeys(failures[:_SHOWN])])
         return cls(section, what, tried, found, limit, not failures)
-
-
-@dataclass(frozen=True)
-class Campaign:
-    """A section of the table.
-
-    `run(size, seed, folder)` does it `size` times (`unit` says what), writing below `folder`.
-    """
-
-    name: str
-    about: str
-    size: int
-    unit: str
-    run: Callable[[int, int, Path], list[Outcome]]
