@@ -18,7 +18,6 @@ import threading
 import time
 from contextlib import suppress
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -39,6 +38,7 @@ CHECKOUT = ("--base-paths", str(ROOT), "--packages-select", "sma_bench")
 PATIENCE = 240.0  # s: what compiles does it once
 # s, that a node of the bench has after the end of its launch: to 0 V, and to be gone.
 LEFT = 1.0
+STRING = "std_msgs/msg/String"
 WARM = "name: warm\nsteps:\n- {kind: hold, name: hold, level: 3.0, duration: 600.0}\n"
 OWN_LAUNCH_FILE = """\
 import launch, launch_ros.actions
@@ -180,12 +180,6 @@ class Stage:
         until(lambda: commands and commands[-1].data[0] > 1.0, "no volts commanded")
         return bench, commands
 
-    def experiment(self, namespace: str) -> SimpleNamespace:
-        """States and markers of an experiment, growing."""
-        topic, kind = f"/{namespace}/experiment", "std_msgs/msg/String"
-        states = self.hear(f"{topic}/state", kind, latched=True)
-        return SimpleNamespace(states=states, markers=self.hear(f"{topic}/marker", kind))
-
     def clear(self) -> None:
         while self.programs:
             self.programs.pop().clear()
@@ -262,11 +256,13 @@ def test_nodes_whose_launch_is_gone_go_to_zero_volts_and_end(stage, number):
 
 
 def test_two_benches_run_at_once_in_real_time_and_one_above_it(stage):
-    both = [stage.experiment(name) for name in ("left", "right")]
+    topics = [f"/{name}/experiment" for name in ("left", "right")]
+    states = [stage.hear(f"{topic}/state", STRING, latched=True) for topic in topics]
+    markers = [stage.hear(f"{topic}/marker", STRING) for topic in topics]
     for name in ("left", "right"):
         stage.launch(namespace=name, protocol="quick_ramp", autostart="true")
-    until(lambda: all(b.states and b.states[-1].data.startswith("running") for b in both), "idle")
-    until(lambda: all(len(b.markers) > 1 for b in both), "no second step")
+    until(lambda: all(s and s[-1].data.startswith("running") for s in states), "not both run")
+    until(lambda: all(len(heard) > 1 for heard in markers), "no second step")
     stage.clear()
     first = stage.launch(namespace="fast", protocol="quick_ramp", speed="5.0")
     first.says("simulating")
@@ -276,10 +272,11 @@ def test_two_benches_run_at_once_in_real_time_and_one_above_it(stage):
 
 
 def test_with_autostart_the_record_begins_before_the_run(stage):
-    bag, run = stage.folder / "whole", stage.experiment("whole")
+    bag = stage.folder / "whole"
+    states = stage.hear("/whole/experiment/state", STRING, latched=True)
     given = {"protocol": "quick_ramp", "autostart": "true", "speed": "20.0"}
     bench = stage.launch(namespace="whole", record="true", output=bag, **given)
-    until(lambda: run.states and run.states[-1].data.startswith("done"), "not done")
+    until(lambda: states and states[-1].data.startswith("done"), "not done")
     bench.ctrl_c()
     bench.ends_cleanly()
     said = stage.run(sys.executable, "-c", IN_THE_RECORD, str(bag)).strip().splitlines()[-1]

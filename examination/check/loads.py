@@ -34,24 +34,13 @@ UNSEEN = 5
 MEDIAN, TAIL = 0.02, 0.04  # of the stroke
 BAND = (0.88, 0.99)
 NOISE = {"voltage": 2e-3, "current": 5e-3, "temperature": 0.2, "deflection": 2e-5}
-MILD = {
-    "grain_spread": (0.0, 2.0),
-    "kinetics_smoothness": (0.0, 0.5),
-    "return_point_memory": (0.0, 0.2),
-}
-RICH = MILD | {
-    "latent_heat": (5e3, 15e3),
-    "convection_by_correlation": (0.5, 1.0),
-    "resistance_austenite_change": (-0.12, 0.05),
-}
-HARD = {
-    "grain_spread": (1.0, 7.0),
-    "kinetics_smoothness": (0.0, 1.0),
-    "ambient_wave": (-1.5, 1.5),
-    "return_point_memory": (0.2, 1.0),
-    "r_phase": (0.0, 0.12),
-    "unrecovered_strain": (0.0, 0.03),
-}
+MILD = {"grain_spread": (0.0, 2.0), "kinetics_smoothness": (0.0, 0.5)}
+MILD |= {"return_point_memory": (0.0, 0.2)}
+RICH = MILD | {"latent_heat": (5e3, 15e3), "convection_by_correlation": (0.5, 1.0)}
+RICH |= {"resistance_austenite_change": (-0.12, 0.05)}
+HARD = {"grain_spread": (1.0, 7.0), "kinetics_smoothness": (0.0, 1.0)}
+HARD |= {"ambient_wave": (-1.5, 1.5), "return_point_memory": (0.2, 1.0)}
+HARD |= {"r_phase": (0.0, 0.12), "unrecovered_strain": (0.0, 0.03)}
 BENCHES = {"mild": MILD, "rich": RICH, "hard": RICH | HARD}
 
 

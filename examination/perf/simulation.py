@@ -14,12 +14,9 @@ COMPOSITE = {
     "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
     "bench.channel_sides": ("front", "front", "back", "back"),
 }
-EFFECTS = {
-    "effect.latent_heat.heat": 12e3,
-    "effect.phase_dependent_resistance.austenite_change": -0.1,
-    "effect.phase_dependent_resistance.temperature_coefficient": 4e-4,
-    "effect.temperature_dependent_convection.rise": 2e-3,
-}
+EFFECTS = {"effect.latent_heat.heat": 12e3, "effect.temperature_dependent_convection.rise": 2e-3}
+_OF_PHASE = "effect.phase_dependent_resistance"
+EFFECTS |= {f"{_OF_PHASE}.austenite_change": -0.1, f"{_OF_PHASE}.temperature_coefficient": 4e-4}
 STEP = 0.01  # s, the bench's 100 Hz
 HOLD = 200  # samples: voltages of the drive change every 2 s
 REFERENCE = 1e-12

@@ -28,11 +28,8 @@ from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks
 COMPILING = 22.0  # s, what it took before the diagnosis was made faster
 LENGTHS = {"2 minutes": 120.0, "10 minutes": 600.0, "an hour": 3600.0}
 CASES = 24
-LONG = {
-    "10 minutes of triangles": 600.0,
-    "an hour of triangles": 3600.0,
-    "8 hours of triangles": 28_800.0,
-}
+LONG = {"10 minutes of triangles": 600.0, "an hour of triangles": 3600.0}
+LONG |= {"8 hours of triangles": 28_800.0}
 WORK = {
     "identification": lambda record, lab: identify([record], lab, experiments=["E10"]),
     "diagnosis": lambda record, lab: diagnose([record], lab),
