@@ -81,12 +81,8 @@ class Examinee:
         self, case: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
     ) -> Given:
         """Put a case, the records of further experiments and what the owners believe by now to the
-        program, in a folder of its own that holds copies and nothing else.
-
-        Raises:
-            InputError: the case cannot be read or the program not be started. Whatever the
-                program does is a failed answer.
-        """
+        program, in a folder of its own that holds copies and nothing else. Whatever the program
+        does is a failed answer; one that cannot be started raises OSError."""
         with tempfile.TemporaryDirectory(prefix="bench_") as folder:
             desk, records = Path(folder), [RECORD]
             for name in (RECORD, HOLD_OUT):
@@ -101,8 +97,7 @@ class Examinee:
             if line:
                 return Given(None, line, seconds)
             try:
-                text = (desk / _RESULT).read_text(encoding="utf-8")
-                result = json.loads(text)
+                result = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
                 answer, improved = checked_answer(result, "result"), desk / _IMPROVED
                 if improved.is_file():
                     read_parameters(improved)
@@ -133,14 +128,10 @@ class Examinee:
             with self._lock:
                 if self._stopped:
                     raise InputError("the examination was stopped")
-                try:
-                    process = subprocess.Popen(
-                        command, cwd=desk, env=environment, text=True, start_new_session=True,
-                        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-                    )  # fmt: skip
-                except OSError as error:
-                    reason = f"cannot be started: {error.strerror}"
-                    raise InputError(f"{command[0]}: {reason}") from None
+                process = subprocess.Popen(
+                    command, cwd=desk, env=environment, text=True, start_new_session=True,
+                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+                )  # fmt: skip
                 self._running.add(process)
             try:
                 code = process.wait(timeout=limit)
@@ -159,17 +150,13 @@ class Examinee:
 
 
 def _copy(source: Path, target: Path) -> None:
-    """Contents only: links and times of files would show where the case lies and when it was made;
-    raises InputError where there is no such file or folder."""
-    try:
-        if source.is_dir():
-            shutil.copytree(source, target, copy_function=shutil.copyfile)
-            os.utime(target)
-        else:
-            shutil.copyfile(source, target)
-    except (OSError, shutil.Error) as error:
-        reason = getattr(error, "strerror", None) or "damaged"
-        raise InputError(f"{source}: cannot be read: {reason}") from None
+    """Contents only: links and times of files would show where the case lies and when it was
+    made."""
+    if source.is_dir():
+        shutil.copytree(source, target, copy_function=shutil.copyfile)
+        os.utime(target)
+    else:
+        shutil.copyfile(source, target)
 
 
 def _kill(process: subprocess.Popen[str]) -> None:
@@ -179,6 +166,7 @@ def _kill(process: subprocess.Popen[str]) -> None:
 
 
 # --- Every case of a set put to one program; what is answered stays answered.
+
 
 def open_cases(cases: Sequence[str], answers: Path, again: bool = False) -> list[str]:
     """Those of the cases that have no answer in the examinee's folder yet; with `again` those that

@@ -66,16 +66,10 @@ class Beam(NamedTuple):
 
 
 class Pull(NamedTuple):
-    """State: of the wires (w,) and of the sides (2,).
-
-    Attributes:
-        martensite, martensite_slope: (w,) fraction at the predicted stress, and along stress.
-        predicted, stress, stress_change: (w,) Pa; the change is that of the last step.
-        transformed: (w,) largest austenite fraction so far; elongation: (w,) plastic strain.
-        detwinned: (w,) strain.
-        deflection: (2,) m, of each side towards itself; change: (2,) in the last step.
-        held: (2, 2) m, deflection that the Prony terms of a side still feel.
-    """
+    """State: of the wires (w,) the fraction at the predicted stress and along stress, stresses [Pa]
+    and their change in the last step, largest austenite fraction so far, plastic and detwinned
+    strain; of the sides (2,) the deflection [m] towards itself, its change in the last step, and
+    what the Prony terms still feel of it (2, 2)."""
 
     martensite: Array
     martensite_slope: Array
@@ -160,12 +154,10 @@ def wire_stress(beam, pull, i, xi, temperature, contraction):
 
 @inlined
 def detwinning(yielding, modulus, stress, detwinned, contraction):
-    """Strain by which martensite beyond its length at rest yields, with kinematic hardening.
+    """Strain by which martensite beyond its length at rest yields, with kinematic hardening, the
+    factor on the slope of stress along xi, the slope along contraction.
 
     Up to the length at rest its stretching back is already in the transformation strain.
-
-    Returns:
-        strain, the factor on the slope of stress along xi, the slope along contraction.
     """
     flow, soft, along = 0.0, 1.0, -modulus
     beyond = max(-contraction, 0.0)
@@ -198,11 +190,7 @@ def memory_of_silicone(beam, pull, step, s):
 
 @inlined
 def balance(beam, pull, temperature, step, scratch):
-    """Find the stresses and deflections at the end of a step; `pull` is advanced in place.
-
-    Args:
-        temperature: (w,) K; step: s; scratch: (ROWS, w).
-    """
+    """Find the stresses and deflections at the end of a step; `pull` is advanced in place."""
     wires = len(beam.side)
     for s in range(2):
         scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], beam.load[s]

@@ -34,11 +34,7 @@ GUST_LENGTH = (2.0, 8.0)  # s
 
 
 def free_convection(excess: Array, air: float, diameter: float) -> Array:
-    """h [W/(m2 K)] of a horizontal cylinder, Churchill and Chu (1975).
-
-    Args:
-        excess: (m,) K of the surface above the air, above 0; air: K; diameter: m.
-    """
+    """h [W/(m2 K)] of a horizontal cylinder, its surface so many K (above 0) above the air."""
     film = air + 0.5 * excess
     conductivity = 0.0241 * (film / 273.15) ** 0.81
     viscosity = 1.33e-5 * (film / 273.15) ** 1.76  # kinematic, at sea level
@@ -128,11 +124,7 @@ def circuit(world: World) -> Circuit:
 
 @inlined
 def current(circuit, voltage, temperature, martensite, driven):
-    """Current [A] of one wire, and the power [W] that heats it.
-
-    Args:
-        voltage: V at the driver; temperature: K; martensite: fraction; driven: s so far.
-    """
+    """Current [A] of one wire that was driven so long [s], and the power [W] that heats it."""
     warm = 1.0 + circuit.temperature_coefficient * (temperature - circuit.rest_temperature)
     phase = 1.0 + circuit.austenite_change * (1.0 - martensite)
     wire = circuit.resistance * max(warm * phase, LEAST_RESISTANCE)
@@ -170,13 +162,9 @@ CAPACITY, UPPER, PIVOT, START, RIGHT = 0, 1, 2, 3, 4
 
 
 class Strip(NamedTuple):
-    """Constants of every strip: what its chain of nodes is made of.
-
-    Attributes:
-        capacity: (NODES,) J/K; link: (NODES - 1,) W/K to the next node.
-        rim: W/K from the outermost cell's middle to its surface; film: W/K from there to air.
-        relative_film: (m,) factor on `film` by the surface's excess in steps of EXCESS_STEP.
-    """
+    """Constants of every strip's chain of nodes: capacity (NODES,) J/K, link (NODES - 1,) W/K to
+    the next node; W/K from the outermost cell's middle to its surface (rim) and from there to air, and
+    the factor on that by the surface's excess in steps of EXCESS_STEP."""
 
     capacity: Array
     link: Array
@@ -227,13 +215,9 @@ def surface_temperature(strip, cell, air, gust):
 
 @inlined
 def warm(strip, field, row, sources, air, gust, step, scratch):
-    """Advance the nodes of one strip by a step.
+    """Advance the nodes of one strip, a row of field (s, NODES), by a step.
 
-    Args:
-        field: (s, NODES) K, of which `row` is advanced in place.
-        sources: (2, 2) by front and back wire: W into it; J/K that it has beyond its own capacity.
-        air: K; gust: factor on the film; step: s.
-        scratch: (5, NODES).
+    sources (2, 2) by front and back wire: W into it; J/K that it has beyond its own capacity.
     """
     front_air = surface_temperature(strip, field[row, 0], air, gust)[1]
     back_air = surface_temperature(strip, field[row, NODES - 1], air, gust)[1]

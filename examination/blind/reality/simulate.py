@@ -41,7 +41,6 @@ from examination.blind.reality.transformation import (
 )
 from examination.blind.reality.world import World
 from sma_bench.compiled import borrowing, inlined, warn_if_plain
-from sma_bench.errors import InputError
 
 Array = NDArray[np.float64]
 
@@ -53,13 +52,7 @@ QUANTITIES = 5
 
 
 class Habits(NamedTuple):
-    """Constants of a wire's phase and of the tip.
-
-    Attributes:
-        memory: return_point_memory; lag: s; latent: J per wire from martensite to austenite.
-        drift: K; plastic: strain; drift_cycles: full loops.
-        friction, slip: m; slip_time: s after the start.
-    """
+    """Constants of a wire's phase and of the tip: features of the world; latent: J per wire."""
 
     memory: float
     lag: float
@@ -83,13 +76,9 @@ class Inputs(NamedTuple):
 
 
 class Wires(NamedTuple):
-    """State of the wires, each (w,): what neither grains nor beam remember.
-
-    Attributes:
-        before, after: K at the start and the end of a step; martensite: fraction at its start.
-        driven: s; loops: full loops so far; shift: K, drift of the transition.
-        owed: J of latent heat; apparent: transformation per kelvin in the last step, 1/K.
-    """
+    """State of the wires, each (w,): K before and after a step, martensite before it, s driven,
+    full loops so far, K drift of the transition, J of latent heat owed, and the transformation per
+    kelvin in the last step [1/K]."""
 
     before: Array
     after: Array
@@ -124,12 +113,8 @@ class Rig(NamedTuple):
 
 @borrowing
 def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
-    """Go through a record from the given state, which is advanced in place.
-
-    Args:
-        field: (s, NODES) K.
-        values: (n, QUANTITIES, w), tip: (n,) m, sides: (n, 2) m; written.
-    """
+    """Go through a record from the given state, which is advanced in place; field (s, NODES) K;
+    values (n, QUANTITIES, w), tip (n,) m and sides (n, 2) m are written."""
     reading = 0.0
     for k in range(len(inputs.time)):
         if k > 0:
@@ -250,17 +235,13 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What happened, true values on the given time grid (w wires in the order of the channels).
+    """What happened, true values on the given time grid, SI units, (n,) or (n, w) wires.
 
     Attributes:
-        time: (n,) s; voltage: (n, w) V at the driver, held from each sample to the next.
-        current: (n, w) A; temperature: (n, w) K of the wires.
-        surface: (n, w) K of the silicone beside each wire, which an infrared spot sees too.
-        martensite_fraction: (n, w); stress: (n, w) Pa.
-        deflection: (n,) m of the tip or the slider, positive to the front, or elongation of a wire
-            with a weight or a spring; side_deflection: (n, 2) m, what
-            front and back do, each towards itself.
-        ambient: (n,) K of the air.
+        voltage: at the driver, held from each sample to the next.
+        surface: of the silicone beside each wire, which an infrared spot sees too.
+        deflection: of the tip or the slider, positive to the front, or elongation of a wire with a
+            weight or a spring; side_deflection: (n, 2), what each side does towards itself.
     """
 
     time: Array
@@ -276,32 +257,16 @@ class Outcome:
 
 
 def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0) -> Outcome:
-    """What a world does under given voltages, from rest at ambient temperature.
+    """What a world does under voltages (n, w) V, held from each of the increasing times (n,) s to
+    the next, from rest at ambient temperature; what its sensors do wrong does nothing here.
 
-    Args:
-        world: the rig with its features; sensor features do nothing here.
-        time: (n,) s, increasing; voltage: (n, w) V, held from each sample to the next.
-        fine: internal steps are at most 5 ms/fine long (0.25: 20 ms, for cheap sensitivities).
-
-    Raises:
-        InputError: shapes that do not fit, times that do not increase, values that are not finite.
+    Internal steps are at most 5 ms/fine long (0.25: 20 ms, for cheap sensitivities).
     """
     warn_if_plain()
     time, voltage = np.array(time, dtype=float), np.array(voltage, dtype=float)
     driven, wires = len(world.parameters["bench.channels"]), len(world.sides)
-    if time.ndim != 1 or voltage.shape != (len(time), driven):
-        raise InputError(
-            f"happen: time has shape {time.shape} and voltage {voltage.shape}, "
-            f"expected (n,) and (n, {driven})"
-        )
-    if not (np.all(np.isfinite(time)) and np.all(np.isfinite(voltage))):
-        raise InputError("happen: time or voltage is not finite, expected numbers")
     gap = np.diff(time)
-    if np.any(gap <= 0.0):
-        k = int(np.argmax(gap <= 0.0))
-        raise InputError(f"happen: time[{k + 1}] is {time[k + 1]:g} s, expected to increase")
-    if not 0.0 < fine < math.inf:
-        raise InputError(f"happen: fine is {fine:g}, expected above 0")
+    assert voltage.shape == (len(time), driven) and np.isfinite(voltage).all() and (gap > 0.0).all()
     steps = np.ceil(gap * (fine / LONGEST_STEP) - ROUNDING).astype(np.int64)
     volts = np.hstack([voltage, np.zeros((len(time), wires - driven))])
     inputs = Inputs(time, volts, ambient(world, time), gusts(world, time), np.maximum(steps, 1))

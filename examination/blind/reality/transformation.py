@@ -32,14 +32,8 @@ R_STRESS = 0.4  # of the martensite's shift with stress
 
 
 class Classes(NamedTuple):
-    """Grain classes of every wire, each an array (c,).
-
-    Attributes:
-        weight: share of the transformation strain, in sum 1.
-        austenite_finish, martensite_finish: K.
-        austenite_rate, martensite_rate: 1/K, one over the width of the range.
-        austenite_shift, martensite_shift: K/Pa.
-    """
+    """Grain classes of every wire, each an array (c,): share of the transformation strain, K at the
+    ends of the ranges, one over their widths [1/K], shifts with stress [K/Pa]."""
 
     weight: Array
     austenite_finish: Array
@@ -143,14 +137,9 @@ LINE = 6
 
 
 class Grains(NamedTuple):
-    """State of the classes (c) of every wire (w).
-
-    Attributes:
-        rising: (w,) whether the temperature rose last.
-        martensite: (w, c), and its slope along stress in the present step, 1/Pa.
-        line: (w, c, LINE) the present branch.
-        reversals: (w, c) how many are remembered; reversal: (w, c, LOOPS, 3) martensite, f, g.
-    """
+    """State of the classes (c) of every wire (w): whether its temperature rose last (w,);
+    martensite (w, c) and its slope along stress [1/Pa] in the present step; the present branch
+    (w, c, LINE); how many reversals are remembered, and their (w, c, LOOPS, 3) martensite, f, g."""
 
     rising: NDArray[np.bool_]
     martensite: Array
@@ -274,9 +263,7 @@ def close_loops(memory, grains, i, c, own):
 def transform(classes, table, memory, grains, i, temperature, stress):
     """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa].
 
-    Args:
-        temperature: K, less the drift of the transition, in the direction of `grains.rising`
-            since the last call; stress: Pa.
+    The temperature is less the drift of the transition, in the direction of `grains.rising`.
     """
     rising, line = grains.rising[i], grains.line
     total, total_slope = 0.0, 0.0

@@ -18,17 +18,7 @@ from sma_bench.parameters.parameters import load_kind
 
 @dataclass(frozen=True)
 class Feature:
-    """One departure from the baseline.
-
-    Attributes:
-        name, unit: as in a world's features.
-        off: value at which it does nothing (for a setting: its usual value).
-        low, high: what is accepted; realistic sizes lie well within.
-        text: what it does.
-        stage: electrical, thermal, transformation, mechanical or sensor.
-        outside: belongs to no effect of the contract.
-        setting: only shapes another feature.
-    """
+    """One departure from the baseline; the fields are explained in features.yaml."""
 
     name: str
     unit: str
@@ -64,15 +54,11 @@ _BENDING = (
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One bench as it really is: a composite, or wires with a load.
-
-    Attributes:
-        parameters: true numbers of the baseline; of a composite both sides have equally many wires
-            and the bending coefficients are given; a weight or a spring has wires on one side.
-        features: values by name of FEATURES; what is absent is off.
+    """One bench as it really is: true numbers of the baseline of a composite, or of wires with a
+    load, and values by name of FEATURES; what is absent is off.
 
     Raises:
-        InputError: an unknown feature, a value out of its range, or a rig that is no composite.
+        InputError: an unknown feature, a value out of its range, or a rig that is neither.
     """
 
     parameters: Parameters
@@ -89,19 +75,12 @@ class World:
         object.__setattr__(self, "features", checked)
         sides = self.sides
         front, back = sides.count("front"), sides.count("back")
-        if self.load == "antagonist" and not (
-            self.parameters["load.stiffness"] > 0.0 == self.parameters["load.force"]
-        ):
-            raise InputError("world: antagonists without load.stiffness, or with load.force")
         if self.load != "beam":
             return
-        if front != back:
-            raise InputError(
-                f"world: {front} wires in front and {back} behind, expected equally many"
-            )
-        for name in _BENDING:
-            if not self.parameters[name] > 0.0:
-                raise InputError(f"world: {name} is not given, expected a value above 0")
+        given = all(self.parameters[name] > 0.0 for name in _BENDING)
+        if front != back or not given:
+            raise InputError(f"world: {front} wires in front, {back} behind, {_BENDING}: expected "
+                             "equally many, and values above 0")  # fmt: skip
 
     @property
     def load(self) -> str:
