@@ -21,15 +21,20 @@ MEASURES = {measure.name: measure for measure in (*TARGETS, *OTHERS)}
 PLACE = {"signal": "deflection", "phase": "drive", "side": "front", "stage": "mechanical"}
 
 
-def answer(verdict, probabilities, cause=(), where=PLACE, claims=None):
+def answer_of(verdict, probabilities, cause=(), where=PLACE, claims=None):
+    """The plain document of an answer."""
     named = dict.fromkeys(NO_EFFECT, 0.0) | probabilities
-    return checked_answer({
+    return {
         "verdict": verdict, "cause": list(cause), "where": where, "next_experiment": None,
         "candidates": [{"name": name, "stage": STAGE_OF.get(name, ""), "probability": p}
                        for name, p in named.items()],
         "shrinkage": {signal: {"fraction": fraction, "ci90": [low, high]}
                       for signal, (fraction, low, high) in (claims or {}).items()},
-    })  # fmt: skip
+    }  # fmt: skip
+
+
+def answer(*words, **more):
+    return checked_answer(answer_of(*words, **more))
 
 
 def label(kind, *effects, severity=8.0, **more):
@@ -98,12 +103,6 @@ COUNTED = [  # measure, its cases, how many of how many
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "cases", "expected"), COUNTED, ids=[row[0] for row in COUNTED])
-def test_a_share_counts_the_cases_that_its_definition_names(name, cases, expected):
-    found = MEASURES[name].of([Judged(*case) for case in cases])
-    assert (found.hits, found.n) == expected
-
-
 JOINT = answer("effect", {"slack": 0.2, "slack+supply_drop": 0.5, "supply_drop+latent_heat": 0.3},
                ["slack", "supply_drop"])  # fmt: skip
 TRUTH, ERROR = "probability given to the truth", "claimed against true shrinkage, median"
@@ -115,10 +114,13 @@ VALUES = [  # measure, case, value
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "case", "expected"), VALUES)
-def test_a_value_is_what_is_worked_out_by_hand(name, case, expected):
-    found = MEASURES[name].of([Judged(*case)])
-    assert found.value == pytest.approx(expected, nan_ok=True)
+def test_shares_and_values_are_what_is_worked_out_by_hand_from_the_definition():
+    for name, cases, expected in COUNTED:
+        found = MEASURES[name].of([Judged(*case) for case in cases])
+        assert (found.hits, found.n) == expected, name
+    for name, case, expected in VALUES:
+        found = MEASURES[name].of([Judged(*case)])
+        assert found.value == pytest.approx(expected, nan_ok=True), (name, case)
 
 
 def test_where_compares_quantities_not_channels():

@@ -6,11 +6,10 @@ import sys
 import numpy as np
 import pytest
 from planted import believed, planted_record
+from test_measures import answer_of
 
 from examination.blind.case_files import (
     FOLLOW_UPS,
-    NO_EFFECT,
-    STAGE_OF,
     Examination,
     NextExperiment,
     checked_answer,
@@ -22,13 +21,7 @@ from examination.blind.case_files import (
 )
 from examination.blind.cases import Card, draw_case
 from examination.blind.command import main
-from examination.blind.examination import (
-    Examinee,
-    after_tests,
-    bench_protocol,
-    follow_up,
-    perform,
-)
+from examination.blind.examination import Examinee, after_tests, bench_protocol, follow_up
 from examination.blind.judgement import UnseenRecord
 from examination.blind.rigs import true_values
 from examination.blind.score import followed_up, handed_in, score
@@ -44,18 +37,9 @@ TIE = {"steps": [{"kind": "triangle", "drive": "front", "peak": 2.0, "rise": 4.0
 
 
 def document(verdict, *cause, protocol=None, **probabilities):
-    named = dict.fromkeys(NO_EFFECT, 0.0) | probabilities
-    claim = {"rmse_before": 1.0, "rmse_after": 0.1, "fraction": 0.9, "ci90": [0.8, 1.0],
-             "noise_floor": 0.05}  # fmt: skip
     wanted = {"why": "", "separates": [], "protocol": protocol} if protocol else None
-    return {
-        "verdict": verdict, "cause": list(cause), "where": WHERE,
-        "candidates": [
-            {"name": name, "stage": STAGE_OF.get(name, ""), "probability": p}
-            for name, p in named.items()
-        ],
-        "shrinkage": {"temperature": claim}, "next_experiment": wanted,
-    }  # fmt: skip
+    claims = {"temperature": (0.9, 0.8, 1.0)}
+    return answer_of(verdict, probabilities, cause, WHERE, claims) | {"next_experiment": wanted}
 
 
 CASES = {  # kind, effects, features
@@ -154,15 +138,18 @@ def test_the_true_cause_takes_the_true_gap_away_and_a_wrong_one_does_not(made):
 
 
 SECOND_ANSWER = """
-import json, sys
+import shutil, sys
 from pathlib import Path
 records = sys.argv[1:sys.argv.index("--params")]
-assert records == ["record", "experiment_1"] and any(Path("experiment_1").iterdir()), records
+assert records == ["record", "experiment_1"], records
+shutil.copytree("experiment_1", Path(__file__).with_suffix(".seen"))
 Path("result.json").write_text(Path(__file__).with_suffix(".json").read_text())
 """
 
 
-def test_the_suggested_experiment_is_performed_and_the_program_asked_again(made, tmp_path):
+def test_what_is_asked_for_is_recorded_on_the_cases_own_bench_and_the_program_asked_again(
+    made, tmp_path
+):
     _, labels, _ = made
     script = tmp_path / "second.py"
     script.write_text(SECOND_ANSWER)
@@ -173,6 +160,12 @@ def test_the_suggested_experiment_is_performed_and_the_program_asked_again(made,
     follow_up(cases, labels, Examinee(program, 30.0), answers)
     assert [path.name for path in (answers / FOLLOW_UPS[0]).iterdir()] == ["0003"]
     assert read_kept(answers / FOLLOW_UPS[0], "0003").line == ""
+    record = read_record(script.with_suffix(".seen"))
+    assert record.duration == pytest.approx(10.0, abs=0.1)
+    volts, amps = record["front_1.voltage"].values, record["front_1.current"].values
+    resistance = labels["0003"]["truth"]["wire.resistance"]
+    assert volts.max() / amps.max() == pytest.approx(resistance, rel=0.03)
+    assert record["back_1.voltage"].values.max() == 0.0
     (found,) = score(cases, handed_in(cases, [answers]), labels)
     resolved = found.measured["of the ambiguous, settled rightly"]
     assert (resolved.hits, resolved.n) == (1, 1)
@@ -181,18 +174,6 @@ def test_the_suggested_experiment_is_performed_and_the_program_asked_again(made,
     assert after.name == "diagnosis, followed up"
     verdicts = [kept.answer.verdict for kept in after.kept]
     assert verdicts == ["effect", "no_gap", "unexplained"]
-
-
-def test_the_experiment_is_recorded_on_the_cases_own_bench(made, tmp_path):
-    _, labels, drawn = made
-    protocol = bench_protocol(TIE, drawn["0001"].nominal)
-    perform(labels["0001"], protocol, tmp_path / "bag", np.random.default_rng(1))
-    record = read_record(tmp_path / "bag")
-    assert record.duration == pytest.approx(10.0, abs=0.1)
-    volts, amps = record["front_1.voltage"].values, record["front_1.current"].values
-    resistance = labels["0001"]["truth"]["wire.resistance"] + 0.3
-    assert volts.max() / amps.max() == pytest.approx(resistance, rel=0.03)
-    assert record["back_1.voltage"].values.max() == 0.0
 
 
 def test_a_test_of_the_paper_finds_what_the_wire_has_and_what_its_world_does_to_it(made):

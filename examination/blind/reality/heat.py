@@ -163,8 +163,8 @@ CAPACITY, UPPER, PIVOT, START, RIGHT = 0, 1, 2, 3, 4
 
 class Strip(NamedTuple):
     """Constants of every strip's chain of nodes: capacity (NODES,) J/K, link (NODES - 1,) W/K to
-    the next node; W/K from the outermost cell's middle to its surface (rim) and from there to air, and
-    the factor on that by the surface's excess in steps of EXCESS_STEP."""
+    the next node; W/K from the outermost cell's middle to its surface (rim) and from there to air,
+    and the factor on that by the surface's excess in steps of EXCESS_STEP."""
 
     capacity: Array
     link: Array
