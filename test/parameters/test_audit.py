@@ -8,7 +8,6 @@ from sma_bench.cli import main
 from sma_bench.parameters import Parameters, audit, write_parameters
 
 PAPER = Parameters.defaults().replace({"wire.thermal_expansion_factor": 23.91e6})
-
 SOUND = Parameters.defaults().replace(
     {
         "wire.mass": 6450.0 * math.pi * 0.3e-3**2 / 4 * 0.2,
@@ -20,12 +19,6 @@ SOUND = Parameters.defaults().replace(
         "bench.maximum_voltage": 8.0,
     }
 )
-
-
-def by_subject(parameters):
-    return {finding.subject: finding for finding in audit(parameters)}
-
-
 # Subject, its number, and that number of the paper's wire: all of these are warnings.
 ERRATA = [
     ("wire length", "length_from_mass", pytest.approx(0.200, abs=5e-4)),
@@ -40,44 +33,41 @@ ERRATA = [
     ("current", "current", pytest.approx(10.0 / 2.6987)),
     ("current", "largest_voltage", pytest.approx(8.0961)),
 ]
+FORCE = {"load.kind": "force", "load.force": 1.0}
+# Changes of the paper's numbers, and what is then said of a subject.
+JUDGED = [
+    ({}, "resistivity", "wire.mass (fits)"),
+    ({}, "resistivity", "wire.area (does not fit)"),
+    ({}, "thermal expansion", "other sign"),
+    ({"wire.specific_heat": 900.0}, "specific heat", "times the highest"),
+    (FORCE | {"load.force": 30.0}, "force", "lasts few cycles"),
+    (FORCE | {"load.kind": "spring", "load.stiffness": 10e3}, "force", "slips"),
+]
 
 
-@pytest.mark.parametrize(("subject", "number", "value"), ERRATA)
-def test_what_is_wrong_with_the_papers_numbers_is_found(subject, number, value):
-    finding = by_subject(PAPER)[subject]
-    assert finding.severity == "warning"
-    assert finding.numbers[number] == value
+def by_subject(parameters):
+    return {finding.subject: finding for finding in audit(parameters)}
 
 
-def test_the_papers_resistance_fits_the_length_of_its_mass():
-    finding = by_subject(PAPER)["resistivity"]
-    assert finding.numbers["resistivity_from_mass_length"] * 1e8 == pytest.approx(95, abs=1)
-    assert "wire.mass (fits)" in finding.text
-    assert "wire.area (does not fit)" in finding.text
-    assert "other sign" in by_subject(PAPER)["thermal expansion"].text
+def test_what_is_wrong_with_the_papers_numbers_is_found_and_others_are_judged_anew():
+    found = by_subject(PAPER)
+    for subject, number, value in ERRATA:
+        assert found[subject].severity == "warning"
+        assert found[subject].numbers[number] == value
+    resistivity = found["resistivity"].numbers["resistivity_from_mass_length"]
+    assert resistivity * 1e8 == pytest.approx(95, abs=1)
+    for changed, subject, said in JUDGED:
+        assert said in by_subject(PAPER.replace(changed))[subject].text
+    leads = by_subject(PAPER.replace({"bench.lead_resistance": 1.0}))
+    assert leads["current"].severity == "info"
+    # A held force is set against the stress that a wire bears.
+    held = by_subject(PAPER.replace(FORCE))["force"]
+    assert held.severity == "info" and "force" not in found
+    assert held.numbers["stress"] == pytest.approx(1.0 / (math.pi * 0.15e-3**2))
 
 
 def test_numbers_that_fit_each_other_raise_no_warning():
     assert [str(finding) for finding in audit(SOUND) if finding.severity != "info"] == []
-
-
-def test_other_numbers_are_judged_anew():
-    high = by_subject(PAPER.replace({"wire.specific_heat": 900.0}))["specific heat"]
-    assert "times the highest" in high.text
-    leads = PAPER.replace({"bench.lead_resistance": 1.0})
-    assert by_subject(leads)["current"].severity == "info"
-
-
-def test_a_held_force_is_set_against_the_stress_that_a_wire_bears():
-    newton = PAPER.replace({"load.kind": "force", "load.force": 1.0})
-    finding = by_subject(newton)["force"]
-    assert finding.severity == "info"
-    assert finding.numbers["stress"] == pytest.approx(1.0 / (math.pi * 0.15e-3**2))
-    heavy = newton.replace({"load.force": 30.0})
-    assert "lasts few cycles" in by_subject(heavy)["force"].text
-    spring = newton.replace({"load.kind": "spring", "load.stiffness": 10e3})
-    assert "slips" in by_subject(spring)["force"].text
-    assert "force" not in by_subject(PAPER)
 
 
 def test_suggestions_are_held_against_everything_they_change():
@@ -90,23 +80,24 @@ def test_suggestions_are_held_against_everything_they_change():
     assert "moving air" in finding.text and "leave specific heat" in finding.text
     assert "heat transfer explained" not in by_subject(SOUND)
     # A camera that reads low alone, on a wire that is sound: all is mended.
-    low = SOUND.replace({
-        "wire.heat_transfer_coefficient": 68.0 * 3.0, "wire.specific_heat": 450.0 * 3.0})
-    (mended,) = [t for t in by_subject(low)["heat transfer explained"].text.split("; ")
-                 if "read low" in t]
+    low = SOUND.replace(
+        {
+            "wire.heat_transfer_coefficient": 68.0 * 3.0,
+            "wire.specific_heat": 450.0 * 3.0,
+        }
+    )
+    (mended,) = [
+        t for t in by_subject(low)["heat transfer explained"].text.split("; ") if "read low" in t
+    ]
     assert "mends heat transfer, time constant and specific heat and leaves nothing" in mended
 
 
 def test_the_papers_own_numbers_are_one_line_unless_asked_for(capsys, tmp_path):
-    lab = Parameters.defaults().replace({"wire.thermal_expansion_factor": 23.91e6})
-    brief = audit(lab, papers_own=False)
+    brief = audit(PAPER, papers_own=False)
     assert [f.subject for f in brief] == ["thermal expansion", "the paper's numbers"]
     assert "heat transfer" in brief[-1].text and brief[-1].severity == "info"
     file = tmp_path / "lab.yaml"
-    write_parameters(file, lab)
-    assert main(["audit", str(file)]) == 0
-    assert "Churchill" not in capsys.readouterr().out
-    assert main(["audit", str(file), "--paper"]) == 0
-    assert "Churchill" in capsys.readouterr().out
-    assert main(["audit"]) == 0
-    assert "Churchill" in capsys.readouterr().out
+    write_parameters(file, PAPER)
+    for arguments, told in (([str(file)], False), ([str(file), "--paper"], True), ([], True)):
+        assert main(["audit", *arguments]) == 0
+        assert ("Churchill" in capsys.readouterr().out) == told
