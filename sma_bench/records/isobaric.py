@@ -10,12 +10,14 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from sma_bench.border import read_bytes
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.record import FloatArray
 from sma_bench.records.roles import Sheet
-from sma_bench.records.tables import Account, read_lines, read_table_file
+from sma_bench.records.sheets import decoded_lines
+from sma_bench.records.tables import Account
 from sma_bench.records.units import number_with_unit, parse_unit
 
 SMALLEST_RANGE = 5.0  # K
@@ -35,7 +37,7 @@ _NOISY, _SMOOTH = 0.5, 0.2  # K
 # Coldest point of a cycle in degC: above, the values are K or degF as well.
 _COLDEST = (-150.0, 60.0)
 _UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
-_NOTES = ("source", "unit", "readme")
+_NOTES, _LARGEST_NOTE = ("source", "unit", "readme"), 100_000  # bytes
 
 
 Direction = Literal["heating", "cooling"]
@@ -202,11 +204,7 @@ def read_isobaric(
     `gauge_length` (m) that of the extension. Raises InputError where it is not such a table, for a
     malformed line (named), and without a thermal cycle.
     """
-    if gauge_length is not None and not 0.0 < gauge_length < np.inf:
-        raise InputError(f"gauge length is {gauge_length} m, expected > 0")
-    file = read_table_file(path)
-    given = {} if gauge_length is None else {"gauge_length": gauge_length}
-    return isobaric_of(Sheet(file, file.tables[0], given), strain_unit)
+    return isobaric_of(Sheet.first(path, gauge_length=gauge_length), strain_unit)
 
 
 def isobaric_of(sheet: Sheet, strain_unit: str | None = None) -> IsobaricRecord:
@@ -297,8 +295,9 @@ def _named(sheet: Sheet, strain_unit: str | None, is_loaded: bool) -> Sheet:
     noted: dict[str, str] = {}  # lines such as "Strain = %"
     for note in sorted(n for n in path.parent.iterdir() if n.suffix in (".txt", ".md")):
         is_one = note != path and any(word in note.stem.lower() for word in _NOTES)
-        if is_one and note.stat().st_size < 100_000:
-            found = [match for line in read_lines(note) if (match := _UNIT_LINE.match(line))]
+        if is_one and note.stat().st_size < _LARGEST_NOTE:
+            lines = decoded_lines(read_bytes(note, _LARGEST_NOTE))
+            found = [match for line in lines if (match := _UNIT_LINE.match(line))]
             noted = {m[1].lower(): m[2].strip() for m in reversed(found)} | noted
     coldest = float(np.nanquantile(columns[0].values, 0.05))
     level = 0.0 if is_loaded else 1e6 * float(np.nanmedian(columns[-1].values))

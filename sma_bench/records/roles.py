@@ -10,7 +10,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding, Severity
 from sma_bench.records.structure import Column, Table
-from sma_bench.records.tables import Account, TableFile
+from sma_bench.records.tables import Account, TableFile, read_table_file
 from sma_bench.records.units import (
     QUANTITIES,
     WORDS,
@@ -35,6 +35,15 @@ class Sheet:
     table: Table
     given: Mapping[str, float]
     findings: list[Finding] = field(default_factory=list)
+
+    @classmethod
+    def first(cls, path: Path | str, **given: float | None) -> "Sheet":
+        """The first of a file; raises InputError for a statement that is not > 0."""
+        for what, value in given.items():
+            if value is not None and not 0.0 < value < np.inf:
+                raise InputError(f"{path}: {what.replace('_', ' ')} is {value}, expected > 0")
+        file = read_table_file(path)
+        return cls(file, file.tables[0], {k: v for k, v in given.items() if v is not None})
 
     @property
     def path(self) -> Path:
@@ -136,13 +145,10 @@ class Sheet:
 
     def is_driven(self) -> bool:
         """Whether a title speaks of a duty, voltage or current: a bench's record."""
-        for column in self.table.columns:
-            unit, meant = parse_unit(column.unit), title_meanings(column.title)
-            if unit is not None and unit.quantity in ("voltage", "current"):
-                return bool(meant)
-            if meant[:1] in (("duty",), ("current",)) or (meant == ("voltage",) and unit is None):
-                return len(column.title) > 1
-        return False
+        drives = (("duty",), ("current",), ("voltage",), ("supply",))
+        titled = [c for c in self.table.columns if title_meanings(c.title)]
+        named = [c for c in titled if c.unit or len(c.title) > 1]
+        return any(meanings(column.title, column.unit) in drives for column in named)
 
 
 def _is(column: Column, role: str) -> bool:

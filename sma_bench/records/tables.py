@@ -158,17 +158,6 @@ def together(files: Sequence[TableFile]) -> TableFile:
     return replace(files[0], sha256=digest).with_tables(tables, outside)
 
 
-def read_lines(path: Path) -> list[str]:
-    """Lines of a text file; raises InputError where it is absent, unreadable, or no text."""
-    content = read_bytes(path, LARGEST_FILE)
-    try:
-        if format_of(content[:512]) != "text":
-            raise InputError("not a text file")
-        return decoded_lines(content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-
-
 def format_of(head: bytes) -> str:
     """The format of a file by its first bytes; text where nothing else is known."""
     return next((kind for start, kind in _MAGIC.items() if head.startswith(start)), "text")

@@ -12,7 +12,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.record import FloatArray
 from sma_bench.records.roles import Sheet
-from sma_bench.records.tables import Account, read_table_file
+from sma_bench.records.tables import Account
 
 Phase = Literal["martensite", "austenite"]
 PHASES: tuple[Phase, ...] = get_args(Phase)
@@ -59,13 +59,8 @@ def read_tensile(
     lines above the table where they are None. Raises InputError where there are no such titles, for
     a malformed line (named), or values that no such test gives.
     """
-    numbers = {"gauge_length": gauge_length, "area": area, "temperature": temperature}
-    given = {name: value for name, value in numbers.items() if value is not None}
-    for what, value in given.items():
-        if not 0.0 < value < np.inf:
-            raise InputError(f"{path}: {what.replace('_', ' ')} is {value}, expected > 0")
-    file = read_table_file(path)
-    return tensile_of(Sheet(file, file.tables[0], given))
+    given = {"gauge_length": gauge_length, "area": area, "temperature": temperature}
+    return tensile_of(Sheet.first(path, **given))
 
 
 def tensile_of(sheet: Sheet) -> TensileRecord:
