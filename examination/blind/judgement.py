@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from examination.blind import case_files as files
 from examination.blind.case_files import (
     NO_GAP,
     RECALIBRATION,
@@ -15,7 +16,6 @@ from examination.blind.case_files import (
     UNEXPLAINED,
     Answer,
     Candidate,
-    Claim,
 )
 from examination.blind.rigs import PER_WIRE, Drive, Pulse, Stage, quantity_of
 from sma_bench.parameters import Parameters
@@ -221,7 +221,7 @@ class Judged:
         return settled and self.second.candidates[0].parts <= self.label.names
 
     @property
-    def claim(self) -> tuple[Claim, float] | None:
+    def claim(self) -> tuple[files.Claim, float] | None:
         """The claimed and the true fraction of one signal: the deflection where it has a gap above
         the noise, else the signal with the largest; None where none has, or nothing is claimed."""
         if self.answer is None:

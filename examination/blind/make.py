@@ -11,18 +11,10 @@ from typing import Any
 import joblib
 
 from examination.bags import in_sqlite3
+from examination.blind import rigs
 from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, seal
 from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, draw_cases, split_of
-from examination.blind.rigs import (
-    RECORDS,
-    Stage,
-    gaps,
-    quantity_of,
-    stage_of_parameter,
-    true_values,
-    where,
-    world_of,
-)
+from examination.blind.rigs import RECORDS, Stage, gaps
 from examination.blind.sensors import measure
 from examination.blind.severity import Sized, measured, separation, size
 from sma_bench.errors import InputError
@@ -48,7 +40,7 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
         gap[r] = {name: round(value, 4) for name, value in found_gaps.items()}
     severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
     if card.kind == RECALIBRATION:
-        stages = sorted({stage_of_parameter(name) for name in case.wrong})
+        stages = sorted({rigs.stage_of_parameter(name) for name in case.wrong})
     else:
         stages = [{**EFFECTS, **OUTSIDE}[name].stage for name in card.effects]
     # Of each effect: the gap that it makes beside the others.
@@ -67,11 +59,11 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
     place: dict[str, Any] | None = None
     if severity:
         first = RECORDS[0]
-        table = where(truth[first], without[first], stage, first, quantities)
+        table = rigs.where(truth[first], without[first], stage, first, quantities)
         signal = max(gap[first], key=lambda name: gap[first][name])
         most = next(row for row in table if row["signal"] == signal)
         place = {
-            "signal": quantity_of(signal), "channel": signal.rpartition(".")[0],
+            "signal": rigs.quantity_of(signal), "channel": signal.rpartition(".")[0],
             "phase": most["phase"], "side": most["side"], "stage": stages[0],
             "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
                       for row in table[:12]],
@@ -98,7 +90,7 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
         "features": dict(sorted(sized.features.items())),
         "base": dict(sorted(sized.base.items())),
         "load": load_kind(case.truth),
-        "truth": true_values(case.truth),
+        "truth": rigs.true_values(case.truth),
         "sensors": stage.sensors.to_json(),
         "drives": {name: drive.to_json() for name, drive in case.drives.items()},
         "starts": dict(case.starts),
@@ -174,7 +166,7 @@ def make_case(case: Case, folder: Path) -> dict[str, Any]:
     place = folder / case.name
     shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
     place.mkdir()
-    world, quantities = world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
+    world, quantities = rigs.world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
     for record in RECORDS:
         outcome, random = stage.play(sized.features, record), case.stream(record)
         signals = measure(outcome, world, case.sensors, stage.channels, random, quantities)

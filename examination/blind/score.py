@@ -7,25 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from examination.blind.case_files import (
-    EXAMINATION,
-    PAIR_SIGN,
-    STAGE_OF,
-    CaseSet,
-    Examination,
-    Kept,
-    answers_of,
-    read_examination,
-    read_kept,
-)
+from examination.blind import case_files as files
+from examination.blind import judgement
+from examination.blind.case_files import STAGE_OF, CaseSet, Kept
 from examination.blind.examination import NOMINAL, asks_for_more, open_cases
-from examination.blind.judgement import (
-    Judged,
-    Label,
-    UnseenRecord,
-    moved_parameters,
-    parameter_error,
-)
+from examination.blind.judgement import Judged
 from examination.blind.measures import OTHERS, TARGETS, Measured, mean, proportion
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters
@@ -39,7 +25,7 @@ class Paper:
     """All answers of one examinee, as handed in."""
 
     folder: Path
-    examination: Examination
+    examination: files.Examination
     kept: tuple[Kept, ...]
 
     @property
@@ -76,21 +62,21 @@ def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
     Raises:
         InputError: nobody has answered, an answer is missing, or it is to another set.
     """
-    found = list(folders) or sorted(path.parent for path in cases.answers.glob(f"*/{EXAMINATION}"))
+    there = sorted(cases.answers.glob(f"*/{files.EXAMINATION}"))
+    found = list(folders) or [path.parent for path in there]
     if not found:
         raise InputError(f"{cases.answers}: no answers: run ./bench blind run first")
     papers = []
     for folder in found:
-        examination = read_examination(folder)
+        examination = files.read_examination(folder)
         if examination.sealed != cases.sealed_sha256:
             raise InputError(f"{folder}: holds answers to another set than {cases.root}")
         if missing := open_cases(cases.names, folder):
             raise InputError(
                 f"{folder}: {len(missing)} of {len(cases.names)} cases have no answer yet, the "
-                f"first is {missing[0]}: the labels stay sealed until ./bench blind run has asked "
-                "all"
+                f"first is {missing[0]}: the labels stay sealed until all are asked"
             )
-        kept = tuple(read_kept(folder, name) for name in cases.names)
+        kept = tuple(files.read_kept(folder, name) for name in cases.names)
         papers.append(Paper(folder, examination, kept))
     return papers
 
@@ -107,17 +93,17 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
     """Judge every complete paper; each case's world is played once for all of them."""
     judged: list[list[Judged]] = [[] for _ in papers]
     for k, name in enumerate(cases.names):
-        label, unseen = labels[name], UnseenRecord(labels[name])
+        label, unseen = labels[name], judgement.UnseenRecord(labels[name])
         for paper, into in zip(papers, judged, strict=True):
-            kept, history = paper.kept[k], answers_of(paper.folder, name)
+            kept, history = paper.kept[k], files.answers_of(paper.folder, name)
             nominal = read_parameters(cases.folder / name / NOMINAL)
             improved = read_parameters(kept.improved) if kept.improved else nominal
             tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
             into.append(Judged(
-                Label.of(label), kept.answer, unseen.shrunk(nominal, improved),
-                (parameter_error(label["truth"], nominal, nominal),
-                 parameter_error(label["truth"], nominal, improved)),
-                moved_parameters(nominal, improved),
+                judgement.Label.of(label), kept.answer, unseen.shrunk(nominal, improved),
+                (judgement.parameter_error(label["truth"], nominal, nominal),
+                 judgement.parameter_error(label["truth"], nominal, improved)),
+                judgement.moved_parameters(nominal, improved),
                 second=history[-1].answer if len(history) > 1 else None,
                 followed=tied and (len(history) > 1 or not asks_for_more(kept)),
                 seconds=kept.seconds, failure=kept.line,
@@ -132,7 +118,7 @@ def followed_up(papers: Sequence[Paper]) -> list[Paper]:
     """Of everyone for whom an experiment was performed, the last answers."""
     found = []
     for paper in papers:
-        last = tuple(answers_of(paper.folder, kept.case)[-1] for kept in paper.kept)
+        last = tuple(files.answers_of(paper.folder, kept.case)[-1] for kept in paper.kept)
         if last != paper.kept:
             name = f"{paper.name}{FOLLOWED_UP}"
             found.append(Paper(paper.folder, replace(paper.examination, name=name), last))
@@ -149,7 +135,7 @@ def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
     table: dict[str, dict[str, int]] = {}
     for case in cases:
         chosen = case.first_choice.name if case.first_choice else "no answer"
-        chosen = "two effects" if PAIR_SIGN in chosen else chosen
+        chosen = "two effects" if files.PAIR_SIGN in chosen else chosen
         row = table.setdefault(truth_of(case), {})
         row[chosen] = row.get(chosen, 0) + 1
     return {name: table[name] for name in sorted(table, key=_place)}

@@ -4,22 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from examination.blind.reality import FEATURES, World, happen
-from examination.blind.reality.heat import (
-    BACK_WIRE,
-    FRONT_WIRE,
-    NODES,
-    free_convection,
-    strip_of,
-    warm,
-)
-from examination.blind.reality.transformation import (
-    grain_classes,
-    grains_at_rest,
-    ramp_table,
-    transform,
-    turn,
-)
+from examination.blind.reality import FEATURES, World, happen, heat, transformation
+from examination.blind.reality.heat import NODES, strip_of
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.physics import simulate
@@ -93,7 +79,7 @@ def test_wires_with_a_load_are_the_papers_too(load):
 def test_film_of_a_steam_pipe_is_as_worked_out_by_hand():
     # Pipe of 0.1 m at 165 in air of 23 degC: at 367 K tables of air give k = 0.0313 W/(m K),
     # nu = 22.8e-6 and alpha = 32.8e-6 m2/s, so Ra = 5.07e6, Nu = 23.1, h = 7.23 W/(m2 K).
-    assert free_convection(np.array([142.0]), 296.15, 0.1) == pytest.approx(7.23, rel=0.01)
+    assert heat.free_convection(np.array([142.0]), 296.15, 0.1) == pytest.approx(7.23, rel=0.01)
 
 
 @pytest.mark.parametrize("features", [
@@ -124,7 +110,7 @@ def test_field_follows_the_exponential_of_its_matrix():
     for end in (0, NODES - 1):
         conduction[end, end] += 1.0 / (1.0 / parts.rim + 1.0 / parts.film)
     power = np.zeros(NODES)
-    power[FRONT_WIRE], power[BACK_WIRE] = 1.5, 0.4
+    power[heat.FRONT_WIRE], power[heat.BACK_WIRE] = 1.5, 0.4
     steady = np.linalg.solve(conduction, power)
     expected = 293.0 + steady - expm(-2.0 * conduction / parts.capacity[:, None]) @ steady
     errors = []
@@ -132,21 +118,22 @@ def test_field_follows_the_exponential_of_its_matrix():
         field, scratch = np.full((1, NODES), 293.0), np.zeros((5, NODES))
         for _ in range(steps):
             sources = np.array([[1.5, 0.4], [0.0, 0.0]])
-            warm(parts, field, 0, sources, 293.0, 1.0, 2.0 / steps, scratch)
+            heat.warm(parts, field, 0, sources, 293.0, 1.0, 2.0 / steps, scratch)
         errors.append(np.max(np.abs(field[0] - expected)))
     assert errors[0] / errors[1] > 3.5 and errors[1] < 2e-3
 
 
 def walk(memory, temperatures, features):
     """Martensite fraction of a wire free of stress after each of the temperatures [K]."""
-    classes = grain_classes(World(RIG, features))
-    table, grains = ramp_table(0.0), grains_at_rest(1, len(classes.weight))
+    classes = transformation.grain_classes(World(RIG, features))
+    table = transformation.ramp_table(0.0)
+    grains = transformation.grains_at_rest(1, len(classes.weight))
     now, seen = 290.0, []
     for goal in temperatures:
         for kelvin in np.linspace(now, goal, 200)[1:]:
             if (kelvin > now) != grains.rising[0]:
-                turn(classes, table, memory, grains, 0, now, 0.0)
-            xi, _ = transform(classes, table, memory, grains, 0, kelvin, 0.0)
+                transformation.turn(classes, table, memory, grains, 0, now, 0.0)
+            xi, _ = transformation.transform(classes, table, memory, grains, 0, kelvin, 0.0)
             now = kelvin
         seen.append(xi)
     return seen
