@@ -27,10 +27,11 @@ _MOST_MARKERS = 100_000
 def read_record(path: str | Path, namespace: str | None = None) -> Record:
     """Read a rosbag2 folder, or one of its storage files, into named signals.
 
-    Time is `header.stamp`, in s since the first stamp of the record; the receive time only for the
-    header-less topics. Signals hold what was measured: NaN is left out, temperatures are in K.
-    Messages are sorted by stamp, and of several with one stamp the first is kept. Whatever was
-    lost, left out or put in order is in `Record.findings`.
+    Time is `header.stamp`, in s since the first stamp of the record; the receive time only for
+    topics without stamps, brought onto the clock of those that have them. Signals hold what was
+    measured: NaN is left out, temperatures are in K. Messages are sorted by stamp, and of several
+    with one stamp the first is kept. Whatever was lost, left out or put in order is in
+    `Record.findings`.
 
     Args:
         path: folder with metadata.yaml, or an .mcap or .db3 file, zstd-compressed or not.
