@@ -21,16 +21,13 @@ class VirtualHost:
         self.uno = uno
         self.messages = []
         self.splitter = Splitter()
-        self.raw = b""
         self.session = 0
         self._sequence = 0
 
     def run(self, seconds):
         """Let time pass; the messages that came meanwhile."""
         self.uno.run(seconds)
-        received = self.uno.read()
-        self.raw += received
-        messages = [decode(body) for body in self.splitter.feed(received)]
+        messages = [decode(body) for body in self.splitter.feed(self.uno.read())]
         self.messages += messages
         return messages
 

@@ -28,6 +28,9 @@ def test_exact_loads_give_exact_gain_and_offset(gain, offset):
     assert fit.calibration.offset == pytest.approx(offset, abs=1e-9)
     assert fit.residual_std == pytest.approx(0.0, abs=1e-9)
     assert fit.n == 4
+    two = fit_calibration([0.0, 2.0], [0.1, 2.1])  # fit, but have no error
+    assert two.calibration == Calibration(pytest.approx(1.0), pytest.approx(0.1))
+    assert math.isnan(two.gain_std)
 
 
 def test_stated_errors_cover_the_truth():
@@ -42,24 +45,15 @@ def test_stated_errors_cover_the_truth():
     assert within == pytest.approx([127, 127], abs=28)
 
 
-def test_two_loads_fit_but_have_no_error():
-    fit = fit_calibration([0.0, 2.0], [0.1, 2.1])
-    assert fit.calibration == Calibration(pytest.approx(1.0), pytest.approx(0.1))
-    assert math.isnan(fit.gain_std)
-
-
-@pytest.mark.parametrize(
-    ("readings", "known", "complaint"),
-    [
+def test_loads_that_say_nothing_are_refused():
+    for readings, known, complaint in (
         ([1.0, 1.0], [1.0, 2.0], "1 different readings"),
         ([1.0, 2.0], [1.0], "2 readings for 1 known loads"),
         ([1.0, math.nan], [1.0, 2.0], "not finite"),
         ([1.0, 2.0], [3.0, 3.0], "do not follow the known loads"),
-    ],
-)
-def test_loads_that_say_nothing_are_refused(readings, known, complaint):
-    with pytest.raises(InputError, match=complaint):
-        fit_calibration(readings, known)
+    ):
+        with pytest.raises(InputError, match=complaint):
+            fit_calibration(readings, known)
 
 
 def test_triangulation_sensor_is_fitted_over_the_inverse_distance():

@@ -121,9 +121,8 @@ class PtyBench:
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="emulated bench", daemon=True)
         self.began = 0.0
-        self.lag = 0.0
-        """s that the device's time is behind the wall's: a loaded computer"""
         self.largest_lag = 0.0
+        """s that the device's time was behind the wall's: a loaded computer"""
 
     def start(self) -> None:
         """Time begins."""
@@ -163,12 +162,8 @@ class PtyBench:
             job()
             done.set()
 
-        self.request(announced)
+        self._jobs.append(announced)
         done.wait()
-
-    def request(self, job: Callable[[], None]) -> None:
-        """Have `job` run between two slices."""
-        self._jobs.append(job)
 
     def _run(self) -> None:
         # A late emulator is a device whose clock stumbles. Not everybody may ask for this.
@@ -186,8 +181,7 @@ class PtyBench:
             now = time.monotonic()
             due += SLICE
             soonest = max(soonest + SLICE / _CATCH_UP, now - _AT_ONCE)
-            self.lag = max(0.0, now - due)
-            self.largest_lag = max(self.largest_lag, self.lag)
+            self.largest_lag = max(self.largest_lag, now - due)
             time.sleep(max(0.0, max(due, soonest) - now))
 
     def _carry(self) -> None:
@@ -255,7 +249,7 @@ class EmulatedBench:
     @property
     def program_start(self) -> float:
         """s of the monotonic clock at which the Uno's program began, which it does anew at every
-        opening of the port; its time runs with the wall's, but for `port.lag`."""
+        opening of the port; its time runs with the wall's, but for a loaded computer's delays."""
         return self.port.began - self._before + self.uno.electrics.started
 
     def do(self, job: Callable[[], None]) -> float:

@@ -71,7 +71,7 @@ class EmulatedUno:
         for name, kinds in {
             "electrics": (), "run": (ctypes.c_double,), "hang": (ctypes.c_int,),
             "write": (ctypes.c_char_p, ctypes.c_uint32), "reset": (ctypes.c_uint8,),
-            "read": (ctypes.c_char_p, ctypes.c_uint32), "stall": (ctypes.c_double,),
+            "read": (ctypes.c_char_p, ctypes.c_uint32),
             "poke": (ctypes.c_uint16, ctypes.c_uint8),
         }.items():
             getattr(self._library, f"uno_{name}").argtypes = [ctypes.c_void_p, *kinds]
@@ -125,10 +125,6 @@ class EmulatedUno:
         """Start anew: pins float, the bootloader waits `electrics.bootloader_time`, then the
         program begins. Opening the port does it, by the reset pin."""
         self._library.uno_reset(self._uno, int(why))
-
-    def stall(self, seconds: float) -> None:
-        """The processor executes nothing for a while, as in an interrupt that takes too long."""
-        self._library.uno_stall(self._uno, seconds)
 
     def poke(self, address: int, value: int) -> None:
         """A register takes a value by itself."""

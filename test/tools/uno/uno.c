@@ -469,13 +469,6 @@ void uno_reset(struct uno *uno, uint8_t flags)
     begin_wait(uno);
 }
 
-/* Execute nothing for a while: an interrupt that takes too long. */
-void uno_stall(struct uno *uno, double seconds)
-{
-    uno->in_bootloader = 0;
-    uno->held_until = uno->avr->cycle + (avr_cycle_count_t)llround(seconds * FREQUENCY);
-}
-
 /* A register changes by itself: an interrupt is lost, an output freezes. */
 void uno_poke(struct uno *uno, uint16_t address, uint8_t value)
 {
