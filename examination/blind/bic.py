@@ -34,23 +34,15 @@ _BACK = {"composite.stress_per_deflection_front": "composite.stress_per_deflecti
 # Those of the baseline that may be off. The area acts only together with h, the mass only together
 # with c_p; both sides share one beta.
 _BASELINE = (
-    "environment.ambient_temperature",
-    "wire.resistance",
-    "wire.heat_transfer_coefficient",
-    "wire.specific_heat",
-    "wire.austenite_start_temperature",
-    "wire.austenite_finish_temperature",
-    "wire.martensite_start_temperature",
-    "wire.martensite_finish_temperature",
-    "wire.stress_influence_austenite",
-    "wire.stress_influence_martensite",
-    "wire.martensite_modulus",
-    "wire.austenite_modulus",
-    "wire.maximum_recoverable_strain",
-    "wire.thermal_expansion_factor",
-    "composite.deflection_per_strain",
-    *_BACK,
-)
+    "environment.ambient_temperature", "composite.deflection_per_strain", *_BACK,
+    *(f"wire.{name}" for name in (
+        "resistance", "heat_transfer_coefficient", "specific_heat", "thermal_expansion_factor",
+        "austenite_start_temperature", "austenite_finish_temperature",
+        "martensite_start_temperature", "martensite_finish_temperature",
+        "stress_influence_austenite", "stress_influence_martensite",
+        "martensite_modulus", "austenite_modulus", "maximum_recoverable_strain",
+    )),
+)  # fmt: skip
 _ORDERED = (("austenite_start", "austenite_finish"), ("martensite_finish", "martensite_start"))
 
 

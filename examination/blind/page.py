@@ -15,12 +15,8 @@ NOTES = "## Notes"
 _MOST_SHOWN = 4
 _DASH = "–"
 # By style of a measure: factor, digits, unit behind the number.
-_STYLES = {
-    "share": (100.0, 1, " %"),
-    "points": (100.0, 1, ""),
-    "number": (1.0, 2, ""),
-    "seconds": (1.0, 1, " s"),
-}
+_STYLES = {"share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
+           "seconds": (1.0, 1, " s")}  # fmt: skip
 Rows = Sequence[Sequence[str]]
 
 
