@@ -16,6 +16,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
 
+import yaml
+
 from sma_bench.errors import InputError
 
 Kind = Literal["double", "integer", "bool", "string", "strings"]
@@ -126,9 +128,41 @@ class Parameter:
         return ""
 
 
-def fixed(*parameters: Parameter) -> tuple[Parameter, ...]:
-    """The same parameters, as ones that a running node cannot change."""
-    return tuple(replace(parameter, read_only=True) for parameter in parameters)
+_KINDS: Mapping[str, Kind] = {
+    "double": "double", "int": "integer", "bool": "bool", "string": "string",
+    "string_array": "strings",
+}  # fmt: skip
+
+
+def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]:
+    """The parameters of a tree in the layout of generate_parameter_library, with unit, source,
+    uncertainty, spread and spread_source beside.
+
+    Raises:
+        KeyError, TypeError: a leaf that lacks its type, default, description or source, or with a
+            field that no parameter has.
+    """
+    found: list[Parameter] = []
+    for name, node in tree.items():
+        if "type" not in node:
+            found += declared(node, f"{prefix}{name}.")
+            continue
+        field = dict(node)
+        kind, default = _KINDS[field.pop("type")], field.pop("default_value")
+        low, high = field.pop("validation", {}).get("bounds<>", (None, None))
+        found.append(Parameter(
+            prefix + name, field.pop("unit", ""),
+            tuple(default) if kind == "strings" else default,
+            field.pop("description"), field.pop("source"), low, high, kind=kind, **field,
+        ))  # fmt: skip
+    return tuple(found)
+
+
+def read_declarations(name: str) -> dict[str, Any]:
+    """The tree in a YAML file of this folder."""
+    text = Path(__file__).with_name(name).read_text(encoding="utf-8")
+    tree: dict[str, Any] = yaml.load(text, Loader=yaml.CSafeLoader)
+    return tree
 
 
 # --- effects
