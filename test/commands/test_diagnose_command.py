@@ -25,12 +25,10 @@ def lab(tmp_path_factory):
 
 def test_a_diagnosis_prints_the_argument_and_writes_every_file(lab, tmp_path, capsys):
     files = {name: tmp_path / name for name in ("gap.json", "improved.yaml", "page")}
+    outputs = [*zip(("--json", "--out", "--report"), map(str, files.values()), strict=True)]
+    words = ["diagnose", f"{lab}/bag", "--params", f"{lab}/lab.yaml"]
     with few_effects():
-        status = main([
-            "diagnose", str(lab / "bag"), "--params", str(lab / "lab.yaml"),
-            "--json", str(files["gap.json"]), "--out", str(files["improved.yaml"]),
-            "--report", str(files["page"]),
-        ])
+        status = main([*words, *(word for pair in outputs for word in pair)])
     out = capsys.readouterr().out
     assert status == 0
     assert out.startswith("supply_drop explains the gap (probability ")

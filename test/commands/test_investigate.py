@@ -30,12 +30,10 @@ def lab(tmp_path_factory):
 
 
 def investigate(lab, *more):
+    files = f"--params {lab}/lab.yaml --folder {lab}/gap --simulated {lab}/hidden.yaml"
+    words = ["investigate", f"{lab}/short", "--signals", "deflection", *files.split(), *more]
     with few_effects(LIBRARY):
-        return main([
-            "investigate", str(lab / "short"), "--params", str(lab / "lab.yaml"), "--folder",
-            str(lab / "gap"), "--signals", "deflection", "--simulated", str(lab / "hidden.yaml"),
-            *more,
-        ])
+        return main(words)
 
 
 def test_an_ambiguous_record_is_followed_until_the_cause_is_named(lab, capsys):
