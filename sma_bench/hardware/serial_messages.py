@@ -28,21 +28,13 @@ def line(body: str) -> bytes:
 def frame(body: bytes) -> bytes:
     """A message as a binary frame, its delimiter included."""
     sealed = body + checksum(body).to_bytes(_CHECKSUM_BYTES, "little")
-    stuffed = b"".join(
-        _block(block, last)
-        for piece in sealed.split(FRAME_END)
-        for block, last in _blocks(piece)
-    )
+    stuffed = b""
+    for piece in sealed.split(FRAME_END):
+        for at in range(0, max(len(piece), 1), 254):
+            block = piece[at : at + 254]
+            is_last = at + 254 >= len(piece)
+            stuffed += bytes([len(block) + 1 if is_last else 255]) + block
     return stuffed + FRAME_END
-
-
-def _blocks(piece: bytes) -> list[tuple[bytes, bool]]:
-    starts = range(0, max(len(piece), 1), 254)
-    return [(piece[at : at + 254], at + 254 >= len(piece)) for at in starts]
-
-
-def _block(block: bytes, last: bool) -> bytes:
-    return bytes([len(block) + 1 if last else 255]) + block
 
 
 def open_line(text: bytes) -> bytes | None:

@@ -48,7 +48,11 @@ class ClosedLoop(OpenLoop, ABC):
     def plan(self, settings: dict[str, Any], parameters: Parameters) -> Protocol:
         """The reference, every level of it within the bench's reach."""
         if not settings["reference"]:
-            return self._without_end(parameters)
+            names, _ = self.quantity.targets(parameters)
+            rest = self.quantity.rest(parameters)
+            level = (rest,) * len(names)
+            follow = Segment("follow", math.inf, level, level)
+            return Protocol("topic", names, (follow,), rest=rest)
         reference = load_reference(settings["reference"], parameters, self.quantity)
         for segment in reference.segments:
             for level in (segment.start, segment.stop):
@@ -81,12 +85,6 @@ class ClosedLoop(OpenLoop, ABC):
         if not fault:
             self._asked = levels
         return fault
-
-    def _without_end(self, parameters: Parameters) -> Protocol:
-        names, _ = self.quantity.targets(parameters)
-        rest = self.quantity.rest(parameters)
-        level = (rest,) * len(names)
-        return Protocol("topic", names, (Segment("follow", math.inf, level, level),), rest=rest)
 
 
 class TemperatureLoop(ClosedLoop):

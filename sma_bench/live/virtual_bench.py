@@ -68,29 +68,24 @@ class VirtualBench:
     def advance(self, voltage: tuple[float, ...], until: int) -> Iterator[GroupReading]:
         """Readings in the order of time while `voltage` (one per channel) is held `until` ns."""
         volts = np.array(voltage)
-        self._notice_pulse(any(voltage))
+        driven = any(voltage)
+        if driven and not self._driven:
+            self._pulses += 1
+            self._build_instruments()
+        self._driven = driven
         while (due := min(self._due.values())) < until:
             self._step(volts, due)
             for kind in RATES:
                 if self._due[kind] == due:
                     yield GroupReading(kind, due, self._readers[kind](voltage))
-                    self._schedule(kind)
+                    self._taken[kind] += 1
+                    self._due[kind] = round(self._taken[kind] * NANOSECONDS / self._rates[kind])
         self._step(volts, until)
 
     def _step(self, volts: np.ndarray, until: int) -> None:
         if until > self._time:
             self._bench.advance(volts, (until - self._time) / NANOSECONDS)
             self._time = until
-
-    def _schedule(self, kind: str) -> None:
-        self._taken[kind] += 1
-        self._due[kind] = round(self._taken[kind] * NANOSECONDS / self._rates[kind])
-
-    def _notice_pulse(self, driven: bool) -> None:
-        if driven and not self._driven:
-            self._pulses += 1
-            self._build_instruments()
-        self._driven = driven
 
     def _build_instruments(self) -> None:
         sequence = np.random.SeedSequence([self._settings["seed"], self._pulses])
