@@ -32,6 +32,15 @@ UNEXPLAINED = "more current than the outputs explain"
 TIMSK0, TIMSK1 = 0x6E, 0x6F
 
 
+def applied(host, seconds, *millivolts):
+    """V at the first wire, root mean square over a hold; and the telemetry of that time."""
+    electrics, first = host.uno.electrics, len(host.telemetry)
+    before, start = electrics.square_time[0], host.uno.time
+    host.hold(seconds, *millivolts)
+    mean_square = (electrics.square_time[0] - before) / (host.uno.time - start)
+    return mean_square**0.5, host.telemetry[first:]
+
+
 def last_cause(host):
     host.run(0.03)
     frame = host.telemetry[-1]
@@ -122,14 +131,10 @@ def test_the_supplys_drop_is_known_before_any_pulse_is_long(host, millivolts):
     host.uno.electrics.supply_resistance = 0.1
     host.arm()
     host.hold(2.0, millivolts, 0, 0, 0)
-    before, start = host.uno.electrics.square_time[0], host.uno.time
-    first = len(host.telemetry)
-    host.hold(1.0, millivolts, 0, 0, 0)
-    mean_square = (host.uno.electrics.square_time[0] - before) / (host.uno.time - start)
-    frames = host.telemetry[first:]
+    volts, frames = applied(host, 1.0, millivolts, 0, 0, 0)
     told = [channel_powers(frame, PowerCalibration())[0].voltage for frame in frames]
-    assert statistics.fmean(told) == pytest.approx(mean_square**0.5, rel=3e-3)
-    assert mean_square**0.5 == pytest.approx(1e-3 * millivolts, rel=5e-3)
+    assert statistics.fmean(told) == pytest.approx(volts, rel=3e-3)
+    assert volts == pytest.approx(1e-3 * millivolts, rel=5e-3)
 
 
 @pytest.mark.parametrize(("resistance", "word"), [(2.7, ""), (math.inf, "open: front_2")])
@@ -139,9 +144,7 @@ def test_an_open_wire_beside_a_driven_one_shows_in_the_readings(host, resistance
     watch, found = SharedWatch(("front_1", "front_2")), ""
     model = WireModel.from_parameters(Parameters.defaults())
     for k in range(12):
-        start = len(host.telemetry)
-        host.hold(0.5, 6000, 2000 * (k % 2), 0, 0)
-        for frame in host.telemetry[start:]:
+        for frame in applied(host, 0.5, 6000, 2000 * (k % 2), 0, 0)[1]:
             powers = channel_powers(frame, PowerCalibration())[:2]
             volts, amperes = [p.voltage for p in powers], [p.current for p in powers]
             found = watch.power(volts, amperes, 1e-6 * frame.time_us, model) or found
@@ -155,9 +158,7 @@ def test_readings_scatter_as_the_page_says(host, volt):
     host.uno.electrics.resistance[0] = 2.7
     host.arm()
     host.hold(0.2, 1000 * volt, 0, 0, 0)
-    start = len(host.telemetry)
-    host.hold(4.0, 1000 * volt, 0, 0, 0)
-    frames = host.telemetry[start:]
+    _, frames = applied(host, 4.0, 1000 * volt, 0, 0, 0)
     current = [channel_powers(frame, PowerCalibration())[0].current for frame in frames]
     mean = statistics.fmean(current)
     assert statistics.stdev(current) / mean == pytest.approx(float(row[1]) / 100.0, rel=0.15)
@@ -198,10 +199,7 @@ def test_silence_a_lost_supply_and_too_much_heat_stop(driving):
     # Volts stay when the supply sags.
     driving.uno.electrics.supply = 10.0
     driving.hold(0.2, 6000, 0, 0, 0)
-    before, start = driving.uno.electrics.square_time[0], driving.uno.time
-    driving.hold(0.3, 6000, 0, 0, 0)
-    mean_square = (driving.uno.electrics.square_time[0] - before) / (driving.uno.time - start)
-    assert mean_square**0.5 == pytest.approx(6.0, rel=0.01)
+    assert applied(driving, 0.3, 6000, 0, 0, 0)[0] == pytest.approx(6.0, rel=0.01)
     driving.uno.electrics.supply = 0.0
     driving.hold(0.1, 6000, 0, 0, 3000)
     assert last_cause(driving) == "supply out of range"
@@ -328,17 +326,14 @@ def test_the_usb_voltage_and_the_source_change_no_resistance(host, reference, re
     host.run(3.0)
     host.arm()
     host.hold(1.0, 5000, 0, 0, 0)
-    start, energy, begun = len(host.telemetry), electrics.square_time[0], host.uno.time
-    host.hold(3.0, 5000, 0, 0, 0)
-    frames = host.telemetry[start:]
+    volts, frames = applied(host, 3.0, 5000, 0, 0, 0)
     powers = [channel_powers(frame, PowerCalibration())[0] for frame in frames]
     voltage = statistics.fmean(p.voltage for p in powers)
     current = statistics.fmean(p.current for p in powers)
-    applied = ((electrics.square_time[0] - energy) / (host.uno.time - begun)) ** 0.5
     # A converter that follows the pulses' beat is off by 1 %, means that round down by 0.06 %.
     assert voltage / current == pytest.approx(resistance, rel=0.002)
-    assert voltage == pytest.approx(applied, rel=4e-4)
-    assert applied == pytest.approx(5.0, rel=2e-3)
+    assert voltage == pytest.approx(volts, rel=4e-4)
+    assert volts == pytest.approx(5.0, rel=2e-3)
     assert statistics.fmean(f.supply for f in frames) == pytest.approx(12.0, rel=3e-4)
     assert int(host.named("S", "S")["reference_mv"]) == pytest.approx(1e3 * reference, abs=2)
 
