@@ -163,7 +163,15 @@ class Observation:
     def coarse(self) -> "Observation":
         """The same record on cells of a quarter of a bin, for differences: what coarse cells are
         off by drops out of them. It is this one where little would be gained."""
-        cell = 0.25 * min((signal.period for signal in self.signals), default=0.0)
+        return self._on_cells(0.25)
+
+    @cached_property
+    def rough(self) -> "Observation":
+        """The same on cells of a bin, for the direction of a step from afar."""
+        return self._on_cells(1.0)
+
+    def _on_cells(self, share: float) -> "Observation":
+        cell = share * min((signal.period for signal in self.signals), default=0.0)
         wanted = np.arange(self.grid[0], self.grid[-1], cell) if cell > 0.0 else self.grid
         nearest = np.searchsorted(0.5 * (self.grid[1:] + self.grid[:-1]), wanted)
         grid = self.grid[np.unique(np.append(nearest, len(self.grid) - 1))]

@@ -188,9 +188,11 @@ class Problem:
             raise FitError(f"within a fit: {error}") from error
 
     def derivatives(
-        self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int]
+        self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int],
+        rough: bool = False,
     ) -> Array:
         """d(readings)/dx (n, k) of the `which` unknowns, where the readings are `predicted`.
+        `rough` ones, of cells of a whole bin, point the way only.
 
         Differences of so small a step that they agree with derivatives: across a valley where
         several of these all but cancel, what a large step is off by is information that the records
@@ -200,7 +202,7 @@ class Problem:
         """
         if not len(which):
             return np.empty((len(predicted), 0))
-        seen, here = self.coarse, unknowns.parameters(x)
+        seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)
         high = unknowns.bounds()[1]
         steps = np.where(x + _STEP <= high, _STEP, -_STEP)[[*which]]
         benches = [
@@ -220,6 +222,11 @@ class Problem:
         seen = tuple(o.coarse for o in self.observations)
         same = all(a is b for a, b in zip(seen, self.observations, strict=True))
         return self if same else replace(self, observations=seen)
+
+    @cached_property
+    def rough(self) -> "Problem":
+        """The same rows from simulations on cells of a bin."""
+        return replace(self, observations=tuple(o.rough for o in self.observations))
 
     def whiten(self, rows: Array) -> Array:
         """Rows (n,) or (n, k) as independent ones of unit variance."""

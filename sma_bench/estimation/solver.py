@@ -208,12 +208,12 @@ class _State:
         self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
 
-    def linearise(self) -> None:
-        """Derivatives at the present place, or about there."""
+    def linearise(self, rough: bool = False) -> None:
+        """Derivatives at the present place, or about there; `rough` ones afar."""
         if self.given is None and not self._is_near(self.linear_about):
             self.linear_about = self.x
             self.base = self.problem.derivatives(
-                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline)
+                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline), rough
             )
         self.slopes = self._slopes()
 
@@ -248,13 +248,15 @@ class _State:
     def approach(self) -> None:
         """Steps from afar, as long as they gain."""
         low, high = self.unknowns.bounds()
-        before = np.inf
+        before, rough = np.inf, self.problem.voltage_noise
         for _ in range(_FAR_STEPS):
             self.problem = self.problem.with_noise(self.left())
-            self.linearise()
+            self.linearise(rough)
             now = self._descend(self.cost(), low, high) + 2.0 * self.problem.log_scale()
             if before - now < 2.0 * _SETTLED:
-                return
+                if not rough:
+                    return
+                rough, self.linear_about = False, None
             before = now
 
     def climb(self, most: int) -> None:
