@@ -57,13 +57,14 @@ def largest_gap(problem: Problem, difference: Array) -> float:
 
 
 def locate(problem: Problem, difference: Array) -> list[Cell]:
-    """Where a difference (n,), in the signals' units, lies; the largest share first."""
+    """Where a difference (n,), in the signals' units, lies; the largest share first, of equal ones
+    what comes first in time."""
     squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
     for block in problem.blocks:
         signal, part = block.signal, difference[block.rows]
         noise = sample_noise(problem, signal.name)
         phase, side = block.observation.phase_of(signal.time), _sides(block)
-        for p, s in {*zip(phase.tolist(), side.tolist(), strict=True)}:
+        for p, s in dict.fromkeys(zip(phase.tolist(), side.tolist(), strict=True)):
             here = (phase == p) & (side == s)
             count = float(signal.count[here].sum())
             power = float(np.sum(part[here] ** 2 * signal.count[here]))
@@ -77,7 +78,7 @@ def locate(problem: Problem, difference: Array) -> list[Cell]:
             Cell(name, p, s, float(np.sqrt(energy / count)), energy / total,
                  float(np.sqrt(power / count)))
         )
-    return sorted(cells, key=lambda cell: -cell.share)
+    return sorted(cells, key=lambda cell: -round(cell.share, 9))
 
 
 def _sides(block: Block) -> NDArray[np.str_]:
