@@ -20,6 +20,14 @@ def identified(values=None):
     return Parameters.of_paper().replace(values or {}, _AFTER_IDENTIFICATION)
 
 
+def off_by_deviations(parameters, names, seed, deviations=1.0):
+    """A bench that differs from its identified parameters by what they are uncertain."""
+    draws = deviations * np.random.default_rng(seed).standard_normal(len(names))
+    return parameters.replace(
+        {n: parameters[n] + z * parameters.std(n) for n, z in zip(names, draws, strict=True)}
+    )
+
+
 def rmse(reference, actual):
     """Root mean square of actual - reference, in their unit."""
     return float(np.sqrt(np.mean(np.square(np.subtract(actual, reference)))))

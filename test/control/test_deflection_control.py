@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from closed_loops import identified, rmse, run_deflection
+from closed_loops import identified, off_by_deviations, rmse, run_deflection
 
 from sma_bench.control.deflection import DeflectionController, deflection_reference_fault
 from sma_bench.errors import InputError
@@ -32,15 +32,6 @@ def triangle(t, peak=PEAK):
     """Front, rest, back, rest, as in Fig. 15 a."""
     edges = np.cumsum([0.0, RISE, RISE, REST, RISE, RISE, REST])
     return float(np.interp(t % CYCLE, edges, np.array([0, 1, 0, 0, -1, 0, 0]) * peak))
-
-
-def off_by_one_deviation(seed):
-    """A bench that differs from its identified parameters by what they are uncertain."""
-    random = np.random.default_rng(seed)
-    return COMPOSITE.replace(
-        {name: COMPOSITE[name] + random.standard_normal() * COMPOSITE.std(name)
-         for name in UNCERTAIN}
-    )
 
 
 def controlled(bench, feedback=True, late=0):
@@ -80,7 +71,7 @@ def test_triangle_is_tracked_better_than_open_loop_with_parameters_known_and_lat
 
 @pytest.mark.parametrize("seed", range(2))
 def test_triangle_is_tracked_better_than_open_loop_with_parameters_off(seed):
-    bench = off_by_one_deviation(seed)
+    bench = off_by_deviations(COMPOSITE, UNCERTAIN, seed)
     closed = error(controlled(bench))
     assert closed < 0.5e-3
     assert closed < 0.2 * error(controlled(bench, feedback=False))
@@ -179,9 +170,8 @@ def test_wires_with_a_load_follow_a_wave_of_their_position(load):
     def wave(t):
         return sign * 0.5 * largest * float(np.interp(t, np.arange(7.0) * 5.0, part))
 
-    random = np.random.default_rng(3)
     names = [n for n in UNCERTAIN if n.startswith("wire.") and n != "wire.mass"]
-    off = rig.replace({n: rig[n] + 0.5 * rig.std(n) * random.standard_normal() for n in names})
+    off = off_by_deviations(rig, names, 3, 0.5)
     exact, wrong, blind = (
         run_deflection(bench, DeflectionController(rig, PERIOD, feedback=feedback), wave, 30.0,
                        Feedback(PERIOD, noise=2e-5))

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from closed_loops import identified, step_figures
+from closed_loops import identified, off_by_deviations, step_figures
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -103,14 +103,6 @@ def staircase(dwell):
     return lambda t: np.array([LEVELS[min(int(t / dwell + 1e-9), len(LEVELS) - 1)]])
 
 
-def off_by_one_deviation(parameters, seed):
-    random = np.random.default_rng(seed)
-    return parameters.replace(
-        {name: parameters[name] + random.standard_normal() * parameters.std(name)
-         for name in THERMAL}
-    )
-
-
 @pytest.mark.parametrize(
     ("wire", "dwell", "settling", "seed", "late"),
     [(WIRE, 6.0, 0.5, None, 0), (WIRE, 6.0, 0.5, 1, 1), (WIRE, 6.0, 0.5, 2, 0),
@@ -118,7 +110,7 @@ def off_by_one_deviation(parameters, seed):
     ids=["as known", "off and late", "off", "still air, late", "still air, off"],
 )  # fmt: skip
 def test_staircase_below_a_s_is_tracked(wire, dwell, settling, seed, late):
-    bench = wire if seed is None else off_by_one_deviation(wire, seed)
+    bench = wire if seed is None else off_by_deviations(wire, THERMAL, seed)
     controller = TemperatureController(wire, PERIOD, delay=PERIOD * late + 0.0125)
     loop = Feedback(PERIOD, late, **READING, seed=seed or 0)
     run = run_temperature(bench, controller, staircase(dwell), dwell * len(LEVELS), loop)

@@ -10,33 +10,21 @@ from virtual_host import VirtualHost
 @pytest.fixture(scope="session")
 def compiler():
     """A C compiler for this computer."""
-    return _found("cc", "no C compiler (cc) here")
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler (cc) here")
 
 
 @pytest.fixture(scope="session")
 def avr_toolchain():
     """The compiler for the Uno."""
-    return _found("avr-gcc", "no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
-
-
-def _found(program, otherwise):
-    """Path of a program; the test is skipped where there is none."""
-    path = shutil.which(program)
-    if path is None:
-        pytest.skip(otherwise)
-    return path
+    if shutil.which("avr-gcc") is None:
+        pytest.skip("no avr-gcc here (Debian packages gcc-avr, binutils-avr, avr-libc)")
 
 
 @pytest.fixture(scope="session")
 def logic_tests(compiler, tmp_path_factory):
     """test_logic.c under sanitizers."""
     return build_program("test_logic.c", tmp_path_factory.mktemp("logic"))
-
-
-@pytest.fixture(scope="session")
-def fuzzer(compiler, tmp_path_factory):
-    """fuzz.c under sanitizers."""
-    return build_program("fuzz.c", tmp_path_factory.mktemp("fuzz"))
 
 
 @pytest.fixture(scope="session")

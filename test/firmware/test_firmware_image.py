@@ -5,7 +5,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from host_firmware import run_program
+from host_firmware import build_program, run_program
 
 from examination.check import fuzz
 
@@ -23,7 +23,8 @@ def test_logic(logic_tests, name):
     assert outcome.returncode == 0, outcome.stderr
 
 
-def test_hostile_bytes_neither_crash_nor_drive(fuzzer):
+def test_hostile_bytes_neither_crash_nor_drive(compiler, tmp_path):
+    fuzzer = build_program("fuzz.c", tmp_path)
     (executed, drove_on, stopped), problem = fuzz.fuzzed(fuzzer, 60000, 1)
     assert (executed, problem) == (60000, "")
     # The armed inputs reach both ends, or the fuzzer proves nothing.
