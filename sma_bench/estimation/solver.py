@@ -248,16 +248,16 @@ class _State:
     def approach(self) -> None:
         """Steps from afar, as long as they gain."""
         low, high = self.unknowns.bounds()
-        before, rough = np.inf, self.problem.voltage_noise
+        before = np.inf
         for _ in range(_FAR_STEPS):
             self.problem = self.problem.with_noise(self.left())
-            self.linearise(rough)
+            self.linearise(rough=self.problem.voltage_noise)
             now = self._descend(self.cost(), low, high) + 2.0 * self.problem.log_scale()
             if before - now < 2.0 * _SETTLED:
-                if not rough:
-                    return
-                rough, self.linear_about = False, None
+                break
             before = now
+        if self.problem.voltage_noise:
+            self.linear_about = None  # rough derivatives are not those of the place
 
     def climb(self, most: int) -> None:
         """Steps as long as they gain."""
