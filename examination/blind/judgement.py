@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from examination.blind import case_files as files
 from examination.blind.case_files import (
     NO_GAP,
     RECALIBRATION,
@@ -38,43 +37,34 @@ _RIGHT_NAMES = {
 
 @dataclass(frozen=True)
 class Label:
-    """What is true of a case: `names` are the answers that are right, of `own_stages` (that of the
-    effect that does most, or of every wrong parameter) one has to be named; the rest is as in the
-    sealed label (make.py)."""
+    """What answers are judged by of a sealed label (make.py)."""
 
     id: str
     kind: str
-    names: frozenset[str]
-    severity: float
-    where: Mapping[str, str] = field(default_factory=dict)
+    effects: tuple[str, ...] = ()
+    severity: float = 0.0
+    where: dict[str, Any] | None = None
     distinguishable: bool = True
     noise: str = "white"
     kinetics: bool = False
     signals: str = "all"
-    own_stages: frozenset[str] = frozenset()
-    wrong: frozenset[str] = frozenset()
+    stages: tuple[str, ...] = ()
+    severities: dict[str, float] = field(default_factory=dict)
+    wrong: dict[str, float] = field(default_factory=dict)
 
-    @classmethod
-    def of(cls, document: Mapping[str, Any]) -> "Label":
-        """From a sealed label."""
-        kind, effects = document["kind"], document["effects"]
-        stages, severities = document.get("stages") or [], document.get("severities") or {}
-        if kind != "recalibration" and len(severities) > 1:
-            largest = max(severities, key=lambda name: severities[name])
-            stages = [stages[k] for k, name in enumerate(effects) if name == largest]
-        return cls(
-            id=document["id"],
-            kind=kind,
-            names=frozenset(effects) if kind in ("single", "pair") else _RIGHT_NAMES[kind],
-            severity=float(document.get("severity") or 0.0),
-            where=document.get("where") or {},
-            distinguishable=bool(document.get("distinguishable", True)),
-            noise=document.get("noise", "white"),
-            kinetics=bool(document.get("kinetics", False)),
-            signals=document.get("signals", "all"),
-            own_stages=frozenset(stages),
-            wrong=frozenset(document.get("wrong") or ()),
-        )
+    @property
+    def names(self) -> frozenset[str]:
+        """The answers that are right."""
+        return _RIGHT_NAMES.get(self.kind, frozenset(self.effects))
+
+    @property
+    def own_stages(self) -> frozenset[str]:
+        """One of them has to be named: that of the effect that does most, or of any wrong
+        parameter."""
+        most = max(self.severities.values(), default=0.0)
+        of_effects = zip(self.effects, self.stages, strict=False)
+        largest = {stage for name, stage in of_effects if self.severities.get(name) == most}
+        return frozenset(self.stages if self.kind == "recalibration" else largest or self.stages)
 
 
 @dataclass(frozen=True)
@@ -95,19 +85,27 @@ class Shrunk:
 @dataclass(frozen=True)
 class Judged:
     """A case: its label, the answer (None: failed, `failure` says why), true shrinkage by signal,
-    root mean square `parameter_error` in stated deviations (before, after), parameters that the
-    improved file has `moved`, the `second` (last) answer after suggested experiments, whether an
-    ambiguous answer got what it asked for (`followed`), and the seconds that the answer took."""
+    parameters that the improved file has `moved`, the `second` (last) answer after suggested
+    experiments, whether an ambiguous answer got what it asked for (`followed`), root mean square
+    errors of the parameters in stated deviations, and the seconds that the answer took.
+
+    The properties and methods are what measures.yaml counts; None is not counted.
+    """
 
     label: Label
     answer: Answer | None
     shrunk: Mapping[str, Shrunk] = field(default_factory=dict)
-    parameter_error: tuple[float, float] = (math.nan, math.nan)
     moved: frozenset[str] = frozenset()
     second: Answer | None = None
     followed: bool = False
+    error_before: float = math.nan
+    error_after: float = math.nan
     seconds: float = math.nan
     failure: str = ""
+
+    @property
+    def answered(self) -> bool:
+        return self.answer is not None
 
     @property
     def verdict(self) -> str:
@@ -135,10 +133,28 @@ class Judged:
         return tuple(chosen)
 
     @property
+    def set_size(self) -> float | None:
+        return float(len(self.credible_set)) if self.answer else None
+
+    @property
     def first_choice_right(self) -> bool:
         """The most probable candidate is made of nothing but what is true."""
         first = self.first_choice
         return first is not None and first.parts <= self.label.names
+
+    @property
+    def named_and_right(self) -> bool:
+        return self.verdict == "effect" and self.first_choice_right
+
+    @property
+    def stated(self) -> tuple[float, bool] | None:
+        """Probability of the most probable candidate, and whether it is right."""
+        return (self.first_choice.probability, self.first_choice_right) if self.answer else None
+
+    @property
+    def parameter_found(self) -> bool:
+        """Verdict recalibration, and one of the wrong parameters is moved."""
+        return self.verdict == RECALIBRATION and not self.moved.isdisjoint(self.label.wrong)
 
     @property
     def family_right(self) -> bool:
@@ -178,8 +194,11 @@ class Judged:
         return self.verdict in ("", "effect", UNEXPLAINED)
 
     @property
+    def alarms_with_reason(self) -> bool:
+        return self.answered and self.alarms
+
+    @property
     def abstains(self) -> bool:
-        """Verdict ambiguous or unexplained."""
         return self.verdict in ("ambiguous", UNEXPLAINED)
 
     @property
@@ -196,18 +215,19 @@ class Judged:
             sure.append(frozenset(self.answer.cause))
         return any(not parts & self.label.names for parts in sure)
 
-    @property
-    def named(self) -> frozenset[str]:
-        """The cause, or without one the parts of the most probable candidate."""
-        if self.answer is None:
-            return frozenset()
-        return frozenset(self.answer.cause) or self.answer.candidates[0].parts
+    def names(self, how_many: str) -> bool:
+        """The cause, or without one the most probable candidate, has `one` or `both` in it."""
+        first = self.first_choice.parts if self.first_choice else frozenset()
+        named = frozenset(self.answer.cause if self.answer else ()) or first
+        return self.label.names <= named if how_many == "both" else bool(named & self.label.names)
 
-    def place_right(self, key: str) -> bool:
-        """`signal`, `phase`, `side` or `stage` of the gap is the label's.
+    def place_right(self, key: str) -> bool | None:
+        """`signal`, `phase`, `side` or `stage` of the gap is the label's, which has one.
 
         Signals are the same when their quantity is: front_1.temperature and temperature.
         """
+        if not self.label.where:
+            return None
         if self.answer is None or self.answer.where is None:
             return False
         if key == "stage" and self.label.own_stages:
@@ -215,27 +235,31 @@ class Judged:
         return quantity_of(getattr(self.answer.where, key)) == quantity_of(self.label.where[key])
 
     @property
-    def resolved(self) -> bool:
+    def settled(self) -> bool | None:
         """The last answer is no longer ambiguous and its most probable candidate is right."""
-        settled = self.second is not None and self.second.verdict != "ambiguous"
-        return settled and self.second.candidates[0].parts <= self.label.names
-
-    @property
-    def claim(self) -> tuple[files.Claim, float] | None:
-        """The claimed and the true fraction of one signal: the deflection where it has a gap above
-        the noise, else the signal with the largest; None where none has, or nothing is claimed."""
-        if self.answer is None:
+        if not self.followed:
             return None
-        said = self.answer.shrinkage
+        last = Judged(self.label, self.second)
+        return last.verdict != "ambiguous" and last.first_choice_right
+
+    def claim(self, what: str) -> float | bool | None:
+        """Of the claimed and the true fraction of one signal: the deflection where it has a gap
+        above the noise, else the signal with the largest; None where none has, or nothing is
+        claimed."""
+        said = self.answer.shrinkage if self.answer else {}
         usable = {
-            name: said[name] for name, true in self.shrunk.items()
-            if name in said and math.isfinite(true.fraction) and said[name].fraction is not None
+            name: claim.fraction for name, claim in said.items()
+            if claim.fraction is not None and name in self.shrunk
+            and math.isfinite(self.shrunk[name].fraction)
         }
         if not usable:
             return None
         largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
         name = "deflection" if "deflection" in usable else largest
-        return usable[name], self.shrunk[name].fraction
+        claimed, true = usable[name], self.shrunk[name].fraction
+        low, high = said[name].ci90
+        return {"error": abs(claimed - true), "excess": claimed - true, "true": true,
+                "covers": low <= true <= high}[what]  # fmt: skip
 
     def _set_has(self, names: frozenset[str]) -> bool:
         return any(c.parts & names for c in self.credible_set)

@@ -1,10 +1,11 @@
 """Answers and labels brought together, once every answer is there."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from examination.blind import case_files as files
@@ -12,7 +13,7 @@ from examination.blind import judgement
 from examination.blind.case_files import STAGE_OF, CaseSet, Kept
 from examination.blind.examination import NOMINAL, asks_for_more, open_cases
 from examination.blind.judgement import Judged
-from examination.blind.measures import OTHERS, TARGETS, Measured, mean, proportion
+from examination.blind.measures import OF_GROUPS, OTHERS, TARGETS, Measured
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters
 
@@ -99,14 +100,15 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
             nominal = read_parameters(cases.folder / name / NOMINAL)
             improved = read_parameters(kept.improved) if kept.improved else nominal
             tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
+            before, after = (
+                judgement.parameter_error(label["truth"], nominal, p) for p in (nominal, improved)
+            )
             into.append(Judged(
-                judgement.Label.of(label), kept.answer, unseen.shrunk(nominal, improved),
-                (judgement.parameter_error(label["truth"], nominal, nominal),
-                 judgement.parameter_error(label["truth"], nominal, improved)),
-                judgement.moved_parameters(nominal, improved),
-                second=history[-1].answer if len(history) > 1 else None,
-                followed=tied and (len(history) > 1 or not asks_for_more(kept)),
-                seconds=kept.seconds, failure=kept.line,
+                msgspec.convert(label, judgement.Label), kept.answer,
+                unseen.shrunk(nominal, improved), judgement.moved_parameters(nominal, improved),
+                history[-1].answer if len(history) > 1 else None,
+                tied and (len(history) > 1 or not asks_for_more(kept)),
+                before, after, kept.seconds, kept.line,
             ))  # fmt: skip
     return [
         Score(paper.name, tuple(found), {m.name: m.of(found) for m in (*TARGETS, *OTHERS)})
@@ -144,7 +146,7 @@ def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
 def truth_of(case: Judged) -> str:
     """Name of a case's row."""
     if case.label.kind == "single":
-        return next(iter(case.label.names))
+        return case.label.effects[0]
     mild = case.label.kind == "none" and case.label.kinetics
     return "mild kinetics" if mild else case.label.kind
 
@@ -152,14 +154,6 @@ def truth_of(case: Judged) -> str:
 def _place(name: str) -> int:
     return _ROWS.index(name) if name in _ROWS else len(_ROWS)
 
-
-GROUP_MEASURES: Mapping[str, Callable[[Sequence[Judged]], Measured]] = {
-    "gap seen": lambda cases: proportion([c.says_gap for c in cases]),
-    "first choice right": lambda cases: proportion([c.first_choice_right for c in cases]),
-    "90 % set holds the truth": lambda cases: proportion([c.set_holds_truth for c in cases]),
-    "probability of the truth": lambda cases: mean([c.truth_probability for c in cases]),
-    "confident and wrong": lambda cases: proportion([c.confident_and_wrong for c in cases]),
-}
 
 Groups = dict[str, dict[str, dict[str, Measured]]]
 
@@ -188,7 +182,7 @@ def groups(cases: Sequence[Judged]) -> Groups:
         for case in among:
             split.setdefault(group_of(case), []).append(case)
         found[title] = {
-            group: {name: of(split[group]) for name, of in GROUP_MEASURES.items()}
+            group: {m.name: m.of(split[group]) for m in OF_GROUPS}
             for group in sorted(split, key=lambda name: (_place(name), name))
         }
     return found

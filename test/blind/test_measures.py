@@ -38,9 +38,7 @@ def answer(*words, **more):
 
 
 def label(kind, *effects, severity=8.0, **more):
-    right = {"none": {"no_gap", "recalibration"}, "recalibration": {"recalibration"},
-             "outside": {"unexplained"}}  # fmt: skip
-    return Label("0001", kind, frozenset(right.get(kind, effects)), severity, **more)
+    return Label("0001", kind, effects, severity, **more)
 
 
 def shrunk(fraction, noise=0.1):
@@ -63,7 +61,7 @@ CLAIMS = answer("effect", {"slack": 1.0}, ["slack"],
 
 SINGLE, NONE, OUTSIDE = label("single", "slack"), label("none"), label("outside")
 SMALL, TWO = label("single", "slack", severity=1.5), label("pair", "slack", "supply_drop")
-OFF = label("recalibration", wrong=frozenset(("wire.resistance",)))
+OFF = label("recalibration", wrong={"wire.resistance": 3.0})
 RESISTANCE, MASS = (frozenset((f"wire.{name}",)) for name in ("resistance", "mass"))
 SEEN = {"deflection": shrunk(0.75), "current": shrunk(0.1)}
 IN_NOISE = {"deflection": shrunk(0.75, noise=2.0), "current": shrunk(0.1)}
@@ -83,8 +81,8 @@ COUNTED = [  # measure, its cases, how many of how many
     ("first choice right, singles above twice the noise", SINGLES, (2, 4)),
     ("singles named and right", SINGLES, (1, 4)),
     ("wrong parameters said as such, with the parameter", [
-        (OFF, SAID, {}, (0, 0), RESISTANCE | MASS), (OFF, SAID, {}, (0, 0), MASS), (OFF, SAID),
-        (OFF, SLACK, {}, (0, 0), RESISTANCE), (OFF, None), (NONE, SAID),
+        (OFF, SAID, {}, RESISTANCE | MASS), (OFF, SAID, {}, MASS), (OFF, SAID),
+        (OFF, SLACK, {}, RESISTANCE), (OFF, None), (NONE, SAID),
         (label("recalibration", severity=1.0), SAID)], (1, 5)),
     ("90 % set holds the truth", [
         (label("single", "opposing_wires"), said) for said in (TIED, SLACK)], (1, 2)),
@@ -98,7 +96,7 @@ COUNTED = [  # measure, its cases, how many of how many
     ("pairs: both", PAIRS, (1, 3)),
     ("90 % interval of shrinkage covers", CLAIMED, (1, 2)),
     ("of the ambiguous, settled rightly", [
-        *((SINGLE, TIED, {}, (0, 0), MASS, second, True) for second in (SLACK, TIED, None)),
+        *((SINGLE, TIED, {}, MASS, second, True) for second in (SLACK, TIED, None)),
         (SINGLE, SLACK)], (1, 3)),
 ]  # fmt: skip
 
@@ -139,8 +137,8 @@ def test_where_compares_quantities_not_channels():
 ])  # fmt: skip
 def test_the_stage_is_that_of_the_larger_effect_or_of_any_wrong_parameter(kind, severities, stages):
     every = ["mechanical", "thermal"][: 1 if kind == "single" else 2]
-    found = Label.of({"id": "1", "kind": kind, "effects": list(severities), "stages": every,
-                      "severities": severities, "where": {"stage": "sensor"}})  # fmt: skip
+    found = Label("1", kind, tuple(severities), where={"stage": "sensor"}, stages=tuple(every),
+                  severities=severities)  # fmt: skip
     for stage in ("mechanical", "thermal"):
         said = answer("effect", {"slack": 1.0}, ["slack"], PLACE | {"stage": stage})
         assert Judged(found, said).place_right("stage") == (stage in stages)
