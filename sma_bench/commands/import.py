@@ -51,6 +51,8 @@ MAP_SUFFIX = ".map.yaml"
 @options.json_option("what was imported")
 def run(args: SimpleNamespace) -> int:
     """Read every file, then write every bag: a file that is wrong leaves none of them."""
+    import numpy as np
+
     from sma_bench.border import printable
     from sma_bench.findings import Finding
     from sma_bench.parameters.yaml_file import read_parameter_names
@@ -101,12 +103,15 @@ def run(args: SimpleNamespace) -> int:
                 f"{source}: unsure of {questions[0]}{more}: fill in {path} and call again with "
                 f"--map {path}"
             )
-        read.append((source, bag, path, table, text, account, *convert(table, used)))
+        read.append((source, bag, path, table, used, text, account, *convert(table, used)))
     entries = []
-    for source, bag, path, table, text, account, signals, how, start_ns in read:
+    for source, bag, path, table, used, text, account, signals, how, start_ns in read:
         map_file = args.map_file or str(path)
         _write_map(path, text, args.force)
-        provenance = {"source": Path(source).name, "sha256": table.sha256, "how": how}
+        clocks = [column.values for column in table.columns if column.name in used.clocks]
+        repeated = sum(int(np.sum(np.diff(clock) == 0.0)) for clock in clocks)
+        provenance = {"source": Path(source).name, "sha256": table.sha256, "how": how,
+                      "repeated": repeated}
         write_record(bag, signals, start_ns=start_ns, replace=args.force, provenance=provenance)
         print(printable("\n  ".join([f"{bag}: from {source} by {map_file}", *how]), "\n"))
         record = Record(bag, start_ns, {signal.name: signal for signal in signals})

@@ -100,6 +100,7 @@ def diagnose(
     # What is known of the records: clocks are mended, signals under suspicion are named.
     whole = [mended(record) for record in (*records, *hold_out)]
     known = [(record, finding) for record, found in whole for finding in found]
+    known += [(r, f) for r, _ in whole for f in r.findings if "repeated" in f.numbers]
     doubts = [
         (r, f) for r, _ in whole for f in under_suspicion(r)
         if f.subject.rpartition(".")[2] in ("voltage", "range", *quantities)

@@ -155,6 +155,10 @@ def _tell_provenance(custom: Any, topics: RawTopics) -> None:
     parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]
     parts += [str(part) for part in how[:_MOST_SENTENCES]] if isinstance(how, list) else []
     topics.findings.append(Finding("info", "record", shown("; ".join(parts), _LONGEST_TOLD)))
+    repeated = said.get("repeated")
+    if isinstance(repeated, int) and repeated > 0:
+        told = f"{repeated} rows had the stamp of the row before and were spread evenly at import"
+        topics.findings.append(Finding("warning", "record", told, {"repeated": float(repeated)}))
 
 
 def _of(kind: type[T], value: Any) -> T:

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sma_bench.api import load
+from sma_bench.api import diagnose, load
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
@@ -123,6 +123,14 @@ def test_a_unit_that_is_stated_answers_the_question():
     ):
         with pytest.raises(InputError, match=said):
             load({"time": time, quantity: np.linspace(low, high, 100)})
+
+
+def test_rows_that_an_import_spread_are_known_to_a_diagnosis(tmp_path):
+    made = ["import", str(FIELD / "04_whole_seconds.csv"), "--params", str(FIELD / "drig.yaml")]
+    assert main([*made, "--out", str(tmp_path / "bag")]) == 0
+    record = read_record(tmp_path / "bag")
+    assert sum(f.numbers.get("repeated", 0) for f in record.findings) == 540
+    assert any("540 rows" in line for line in diagnose(record, FIELD / "drig.yaml").record)
 
 
 def test_files_that_are_one_run_become_one_bag(tmp_path):
