@@ -15,7 +15,9 @@ from sma_bench.twin import Twin
 from sma_bench.twin.twin import CURRENT, GAP, GREW, LEARNING, NANOSECONDS, QUIET, TEMPERATURE
 
 SIMULATOR = {p.name: p.default for p in NODE_TABLES["simulator"]} | {
-    "rate.power": 50.0, "rate.mechanics": 50.0, "rate.temperature": 40.0,
+    "rate.power": 50.0,
+    "rate.mechanics": 50.0,
+    "rate.temperature": 40.0,
 }
 SETTINGS = {p.name: p.default for p in NODE_TABLES["twin"]}
 EPOCH = 1_700_000_000 * NANOSECONDS
@@ -87,18 +89,63 @@ class Stream:
 
 
 CLAMPED = Parameters.of_paper().replace({"wire.martensite_start_temperature": 345.0})
+SOUND = "no gap beyond the noise"
+
+
+def coloured(memory):
+    """What a thermometer's noise of a memory of that many seconds makes of its readings."""
+    random, phi = np.random.default_rng(5), math.exp(-1.0 / (40.0 * memory))
+    drawn = random.standard_normal((4000, 2)) * 0.4 * math.sqrt(1.0 - phi**2)
+    noise = iter(lfilter([1.0], [1.0, -phi], drawn, axis=0))
+    return lambda kind, _, v: list(np.array(v) + next(noise)) if kind == "temperature" else v
+
+
+def no_numbers(kind, time, values):
+    """Five times a second."""
+    if round(time * 1000) % 200:
+        return values
+    if kind == "power":
+        return [(math.nan, math.nan), (values[1][0], math.nan)]
+    return [math.nan if kind == "temperature" else math.inf for _ in values]
+
+
+def blind(kind, _, values):
+    return None if kind == "temperature" else values
 
 
 @pytest.mark.parametrize(
-    ("bench", "drive", "seconds"), [(BENCH, by_turns, 60.0), (CLAMPED, one_wire, 30.0)]
+    ("bench", "drive", "late", "seconds", "spoil", "said"),
+    [
+        (BENCH, by_turns, 0.0, 60.0, None, SOUND),
+        (CLAMPED, one_wire, 0.0, 30.0, None, SOUND),
+        (BENCH, by_turns, 10.5, 30.0, None, SOUND),  # joins in a pulse
+        (BENCH, by_turns, 16.5, 30.0, None, SOUND),  # while the wire cools
+        (BENCH, by_turns, 0.0, 60.0, coloured(0.3), None),
+        (BENCH, by_turns, 0.0, 60.0, coloured(30.0), None),
+        (BENCH, by_turns, 0.0, 40.0, no_numbers, None),
+        (BENCH, by_turns, 0.0, 60.0, blind, f"{SOUND}; not judged: thermal"),
+    ],
 )
-def test_a_bench_that_does_as_believed_is_never_called_a_gap(bench, drive, seconds):
-    stream = Stream(bench, bench, drive, simulator={"seed": 2})
+def test_a_bench_that_does_as_believed_is_never_called_a_gap(
+    bench, drive, late, seconds, spoil, said
+):
+    stream = Stream(bench, bench, drive, spoil, {"seed": 2} if not (spoil or late) else None)
+    stream.run(late, heard=False)
     verdict = stream.run(seconds)
     assert stream.states() == {LEARNING, QUIET}
-    assert verdict.message == "no gap beyond the noise"
-    assert [s.stage for s in verdict.measured][-3:] == ["electrical", "thermal", "mechanical"]
-    assert all(0.5 < s.energy < 2.0 for s in verdict.measured)
+    assert said is None or verdict.message == said
+    if not (spoil or late):
+        assert [s.stage for s in verdict.measured][-3:] == ["electrical", "thermal", "mechanical"]
+        assert all(0.5 < s.energy < 2.0 for s in verdict.measured)
+    if late:  # begins at the measured temperatures
+        measured = next(r for r in stream.residuals if r.kind == TEMPERATURE)
+        assert abs(measured.value) < 5.0
+        assert stream.predictions[0].temperature.max() > 300.0
+    if spoil is no_numbers:
+        assert verdict.state == QUIET
+        counts = stream.twin.counts
+        names = ("voltages_not_a_number", "readings_not_usable", "restarts")
+        assert [counts[name] for name in names] == [200, 600, 0]
 
 
 LOADS = {
@@ -132,8 +179,10 @@ def test_wires_with_a_load_are_quiet_until_they_do_otherwise(load):
         ({"effect.latent_heat.heat": 15e3}, "thermal"),
         ({"effect.supply_drop.resistance": 0.3}, "electrical"),
         ({"effect.side_asymmetry.ratio": 0.3}, "mechanical"),
-        ({"effect.transition_drift.shift": -12.0, "effect.transition_drift.cycles": 0.2},
-         "mechanical"),
+        (
+            {"effect.transition_drift.shift": -12.0, "effect.transition_drift.cycles": 0.2},
+            "mechanical",
+        ),
         (UNDERFILL, "sensor"),
     ],
     ids=lambda value: value if isinstance(value, str) else next(iter(value)).split(".")[1],
@@ -148,21 +197,6 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage(effect, expected):
     assert {s for stages in named for s in stages} - before == {expected}
 
 
-@pytest.mark.parametrize("memory", [0.3, 30.0])
-def test_coloured_noise_of_a_thermometer_is_no_gap(memory):
-    random = np.random.default_rng(5)
-    phi = math.exp(-1.0 / (40.0 * memory))
-    drawn = random.standard_normal((4000, 2)) * 0.4 * math.sqrt(1.0 - phi**2)
-    noise = iter(lfilter([1.0], [1.0, -phi], drawn, axis=0))
-
-    def coloured(kind, _, values):
-        return list(np.array(values) + next(noise)) if kind == "temperature" else values
-
-    stream = Stream(BENCH, BENCH, spoil=coloured)
-    stream.run(60.0)
-    assert stream.states() == {LEARNING, QUIET}
-
-
 def test_predictions_of_the_twin_are_those_of_the_bench_without_noise():
     exact = {"sensor.voltage_noise": 0.0, "sensor.voltage_resolution": 0.0}
     stream = Stream(BENCH, BENCH, simulator=exact)
@@ -172,8 +206,11 @@ def test_predictions_of_the_twin_are_those_of_the_bench_without_noise():
     assert abs(np.mean(found)) < 0.05
     currents = [r.value for r in stream.residuals if r.kind == CURRENT]
     assert np.std(currents) == pytest.approx(
-        math.hypot(SIMULATOR["sensor.current_noise"],
-                   SIMULATOR["sensor.current_resolution"] / math.sqrt(12.0)), rel=0.15
+        math.hypot(
+            SIMULATOR["sensor.current_noise"],
+            SIMULATOR["sensor.current_resolution"] / math.sqrt(12.0),
+        ),
+        rel=0.15,
     )
     driven = next(p for p in stream.predictions if p.stamp == EPOCH + 10 * NANOSECONDS)
     assert driven.voltage == pytest.approx([2.0, 0.0], abs=0.02)
@@ -228,56 +265,12 @@ def test_holes_jumps_and_records_that_begin_again_are_judged_anew():
     assert stream.twin.reason.startswith("time went back by")
 
 
-def test_what_is_not_a_number_is_counted_and_changes_nothing():
-    def spoiled(kind, time, values):
-        if round(time * 1000) % 200:
-            return values
-        if kind == "power":
-            return [(math.nan, math.nan), (values[1][0], math.nan)]
-        return [math.nan if kind == "temperature" else math.inf for _ in values]
-
-    stream = Stream(BENCH, BENCH, spoil=spoiled)
-    stream.run(40.0)
-    assert stream.states() == {LEARNING, QUIET}
-    assert stream.said[-1].state == QUIET
-    counts = stream.twin.counts
-    assert counts["voltages_not_a_number"] == 200
-    assert counts["readings_not_usable"] == 600
-    assert counts["restarts"] == 0
-
-
-def test_nothing_is_predicted_while_a_channel_is_silent():
+def test_what_is_silent_is_waited_for_or_leaves_the_stage_open():
     stream = Stream(BENCH, BENCH, spoil=lambda kind, _, v: v[:1] if kind == "power" else v)
-    verdict = stream.run(10.0)
-    assert verdict.state == LEARNING and not stream.predictions
-    assert verdict.message == "learning: waiting for voltage of back_1"
-
-
-@pytest.mark.parametrize("late", [10.5, 16.5])
-def test_a_twin_that_joins_late_begins_at_the_measured_temperatures(late):
-    """In a pulse, and in the rest after it while the wire cools."""
-    stream = Stream(BENCH, BENCH)
-    stream.run(late, heard=False)
-    stream.run(30.0)
-    assert stream.states() == {LEARNING, QUIET}
-    assert stream.said[-1].message == "no gap beyond the noise"
-    first = stream.predictions[0]
-    measured = next(r for r in stream.residuals if r.kind == TEMPERATURE)
-    assert abs(measured.value) < 5.0
-    assert first.temperature.max() > 300.0
-
-
-def test_wires_without_temperatures_leave_the_stage_open():
-    def blind(kind, _, values):
-        return None if kind == "temperature" else values
-
-    stream = Stream(BENCH, BENCH, spoil=blind)
-    verdict = stream.run(60.0)
-    assert stream.states() == {LEARNING, QUIET}
-    assert verdict.message == "no gap beyond the noise; not judged: thermal"
+    assert stream.run(10.0).message == "learning: waiting for voltage of back_1"
+    assert not stream.predictions
     stream = Stream(BENCH.replace({"effect.side_asymmetry.ratio": 0.3}), BENCH, spoil=blind)
-    verdict = stream.run(30.0)
-    assert verdict.message.startswith(
+    assert stream.run(30.0).message.startswith(
         "gap grew: thermal or mechanical stage (wires without temperatures)"
     )
 
