@@ -9,7 +9,7 @@ import yaml
 
 from examination.blind.case_files import RECALIBRATION, STAGE_OF
 from examination.blind.reality import BY_NAME
-from examination.blind.rigs import RECORDS, Drive, draw_drives, draw_nominal, draw_truth, draw_wrong
+from examination.blind.rigs import RECORDS, Stage, draw_drives, draw_nominal, draw_truth, draw_wrong
 from examination.blind.sensors import NOISE_MODELS, Noise, Sensors
 from sma_bench.parameters import Parameters
 
@@ -280,22 +280,19 @@ NUISANCE_LIMIT = 0.3
 MILD_GAP = (1.0, 6.0)
 
 
-@dataclass(frozen=True)
-class Case:
-    """One case before anything is simulated: what it hides, the rig (truth) and what its owners
-    believe, where they are mistaken (in stated standard deviations), instruments, voltages by
-    record, features that every rig has a little of, wanted gaps of those and of mild kinetics, and
-    the bags: storage, namespace, starts [ns since the epoch]."""
+@dataclass(frozen=True, kw_only=True)
+class Case(Stage):
+    """One case before anything is simulated: the rig with its drives and instruments, what it
+    hides, what its owners believe, where they are mistaken (in stated standard deviations),
+    features that every rig has a little of, wanted gaps of those and of mild kinetics, and the
+    bags: storage, namespace, starts [ns since the epoch]."""
 
     seed: int
     index: int
     name: str
     card: Card
-    truth: Parameters
     nominal: Parameters
     wrong: Mapping[str, float]
-    sensors: Sensors
-    drives: Mapping[str, Drive]
     nuisances: Mapping[str, float]
     nuisance_gap: float
     mild_gap: float
@@ -349,13 +346,14 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         camera_clock=float(rng.uniform(*_CAMERA_CLOCK)), seed=int(rng.integers(2**31)),
     )  # fmt: skip
     return Case(
-        seed, index, name, card, truth, draw_nominal(truth, beliefs, wrong), wrong, sensors,
-        draw_drives(truth, stream("drives")), nuisances,
+        truth, sensors, draw_drives(truth, stream("drives")),
+        seed=seed, index=index, name=name, card=card, wrong=wrong, nuisances=nuisances,
+        nominal=draw_nominal(truth, beliefs, wrong),
         nuisance_gap=float(little.uniform(*NUISANCE_GAP)),
         mild_gap=float(np.exp(little.uniform(*np.log(MILD_GAP)))),
         storage=storage, namespace=namespace,
         starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
-    )
+    )  # fmt: skip
 
 
 def _stream(seed: int, index: int, purpose: str) -> np.random.Generator:

@@ -32,8 +32,8 @@ from examination.blind.case_files import (
 )
 from examination.blind.cases import QUANTITIES
 from examination.blind.reality import happen
-from examination.blind.rigs import BACK, COMMAND_PERIOD, FRONT, rig_of, world_of
-from examination.blind.sensors import Sensors, measure
+from examination.blind.rigs import BACK, COMMAND_PERIOD, FRONT, Stage, world_of
+from examination.blind.sensors import measure
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.protocols import Protocol, parse_protocol
@@ -281,7 +281,7 @@ def after_tests(
     """What is believed after a test of some parameters; raises InputError for one that no test
     gives."""
     stds, truth = asked.parameters, label["truth"]
-    values, world = {}, world_of(rig_of(label), label["features"])
+    values, world = {}, world_of(Stage.from_label(label).truth, label["features"])
     for name, std in stds.items():
         if name not in truth:
             raise InputError(f"next_experiment: parameters: {name!r}, expected one of the wire's")
@@ -313,11 +313,11 @@ def perform(
     """Run a protocol on the bench of a sealed label and record it in a new folder; `asked` names
     quantities that are measured more."""
     time, voltage = protocol.sample(COMMAND_PERIOD)
-    world = world_of(rig_of(label), label["features"])
-    sensors = Sensors.from_json(label["sensors"])
+    stage = Stage.from_label(label)
+    world = world_of(stage.truth, label["features"])
     outcome = happen(world, time, voltage)
     more = asked.quantities if asked else ()
     wanted = {*QUANTITIES[label["signals"]], *more}
     quantities = tuple(q for q in QUANTITIES["all"] if q in wanted)
-    signals = measure(outcome, world, sensors, protocol.channels, rng, quantities)
+    signals = measure(outcome, world, stage.sensors, protocol.channels, rng, quantities)
     write_record(bag, signals, "bench", _START_NS + number * _HOUR_NS)

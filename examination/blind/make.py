@@ -4,6 +4,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -14,7 +15,7 @@ from examination.bags import in_sqlite3
 from examination.blind import rigs
 from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, seal
 from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, draw_cases, split_of
-from examination.blind.rigs import RECORDS, Stage, gaps
+from examination.blind.rigs import RECORDS, gaps
 from examination.blind.sensors import measure
 from examination.blind.severity import Sized, measured, separation, size
 from sma_bench.errors import InputError
@@ -24,42 +25,42 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
 
 
-def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
+def make_label(case: Case, sized: Sized) -> dict[str, Any]:
     """Everything that a scorer may want to know, as plain JSON."""
-    card, quantities = case.card, QUANTITIES[case.card.signals]
+    card, load, quantities = case.card, load_kind(case.truth), QUANTITIES[case.card.signals]
     # Noise-free readings, and those without what is hidden: the effect, or the owners' mistakes.
     believed = None
     if case.wrong:
         twins = {n for name in case.wrong for n in (name, name.replace("_front", "_back"))}
         believed = case.truth.replace({name: case.nominal[name] for name in twins})
-    truth = {r: stage.read(sized.features, r) for r in RECORDS}
-    without = {r: stage.read(sized.base, r, parameters=believed) for r in RECORDS}
+    truth = {r: case.read(sized.features, r) for r in RECORDS}
+    without = {r: case.read(sized.base, r, parameters=believed) for r in RECORDS}
     gap = {}
     for r in RECORDS:
-        found_gaps = gaps(truth[r], without[r], stage.sensors, quantities)
+        found_gaps = gaps(truth[r], without[r], case.sensors, quantities)
         gap[r] = {name: round(value, 4) for name, value in found_gaps.items()}
     severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
     if card.kind == RECALIBRATION:
-        stages = sorted({rigs.stage_of_parameter(name) for name in case.wrong})
+        stages = sorted({rigs.numbers(load)[name].stage for name in case.wrong})
     else:
         stages = [{**EFFECTS, **OUTSIDE}[name].stage for name in card.effects]
     # Of each effect: the gap that it makes beside the others.
     severities = dict.fromkeys(card.effects, severity)
     if len(card.effects) > 1:
         severities = {
-            name: round(measured(stage, sized.features, sized.without(name), quantities), 4)
+            name: round(measured(case, sized.features, sized.without(name), quantities), 4)
             for name in card.effects
         }
     found: dict[str, Any] | None = None
     if card.kind not in (NONE, RECALIBRATION):
         own = card.effects[0] if len(card.effects) == 1 else ""
-        found = separation(stage, sized.base, truth, without, quantities, own)
+        found = separation(case, sized.base, truth, without, quantities, own)
     # Where it shows in the record that a diagnosis sees: signal of the largest gap; phase and side
     # of most of that signal's share; stage of the largest effect; the twelve largest cells.
     place: dict[str, Any] | None = None
     if severity:
         first = RECORDS[0]
-        table = rigs.where(truth[first], without[first], stage, first, quantities)
+        table = rigs.where(truth[first], without[first], case, first, quantities)
         signal = max(gap[first], key=lambda name: gap[first][name])
         most = next(row for row in table if row["signal"] == signal)
         place = {
@@ -89,10 +90,10 @@ def make_label(case: Case, stage: Stage, sized: Sized) -> dict[str, Any]:
         "separation": found and {k: v for k, v in found.items() if k != "distinguishable"},
         "features": dict(sorted(sized.features.items())),
         "base": dict(sorted(sized.base.items())),
-        "load": load_kind(case.truth),
+        "load": load,
         "truth": rigs.true_values(case.truth),
-        "sensors": stage.sensors.to_json(),
-        "drives": {name: drive.to_json() for name, drive in case.drives.items()},
+        "sensors": asdict(case.sensors),
+        "drives": {name: vars(drive) for name, drive in case.drives.items()},
         "starts": dict(case.starts),
         "version": VERSION,
     }
@@ -160,16 +161,16 @@ def new_folder(out: str | Path) -> Iterator[Path]:
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
     """Write the bags and the believed numbers of a case below `folder`; its label."""
-    stage = Stage(case.truth, case.sensors, case.drives)
-    sized = size(case, stage)
-    label = make_label(case, stage, sized)
+    case = replace(case)  # what is played for it goes with it
+    sized = size(case)
+    label = make_label(case, sized)
     place = folder / case.name
     shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
     place.mkdir()
     world, quantities = rigs.world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
     for record in RECORDS:
-        outcome, random = stage.play(sized.features, record), case.stream(record)
-        signals = measure(outcome, world, case.sensors, stage.channels, random, quantities)
+        outcome, random = case.play(sized.features, record), case.stream(record)
+        signals = measure(outcome, world, case.sensors, case.channels, random, quantities)
         write_record(place / record, signals, case.namespace, case.starts[record])
         if case.storage == "sqlite3":
             in_sqlite3(place / record)

@@ -2,10 +2,13 @@
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Self
+from pathlib import Path
+from typing import Any, NamedTuple, Self
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
+import yaml
 
 from examination.blind.reality import BY_NAME, Outcome, World, happen
 from examination.blind.sensors import Sensors, readings
@@ -21,90 +24,69 @@ Array = npt.NDArray[np.float64]
 CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 SIDES = ("front", "front", "back", "back")
 
-_ONE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
 _TWO = dict.fromkeys(("bench.channels", "bench.channel_sides"), ("front", "back"))
-_WIRES = {"force": _ONE, "spring": _ONE, "antagonist": _TWO}
-
+_ONE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
+_LAYOUT = {
+    "beam": {"bench.channels": CHANNELS, "bench.channel_sides": SIDES},
+    "force": {"load.kind": "force", **_ONE},
+    "spring": {"load.kind": "spring", **_ONE},
+    "antagonist": {"load.kind": "antagonist", **_TWO},
+}
 # The law's cold martensite is a spring: one that is stretched by its antagonist does not yield.
 _STILL = {"antagonist": {"detwinning_stress": 1e9}}
-
 # Of two equal stiffnesses the owners know one number.
 FRONT = "composite.stress_per_deflection_front"
 BACK = "composite.stress_per_deflection_back"
-
-# Middle of the population of rigs, half width of its spread (relative, or K for temperatures),
-# stated standard deviation (in the same terms).
-_RELATIVE: dict[str, tuple[float, float, float]] = {
-    "wire.resistance": (3.05, 0.10, 0.01),
-    "wire.heat_transfer_coefficient": (115.0, 0.10, 0.03),
-    "wire.specific_heat": (415.0, 0.10, 0.03),
-    "wire.mass": (0.091e-3, 0.05, 0.005),
-    "wire.surface_area": (188.5e-6, 0.05, 0.005),
-    "wire.martensite_modulus": (21.5e9, 0.10, 0.03),
-    "wire.austenite_modulus": (56.0e9, 0.10, 0.03),
-    "wire.maximum_recoverable_strain": (0.0385, 0.10, 0.02),
-    "wire.thermal_expansion_factor": (-0.12e6, 0.10, 0.10),
-    "wire.stress_influence_austenite": (7.3e6, 0.10, 0.06),
-    "wire.stress_influence_martensite": (8.0e6, 0.10, 0.06),
-}
-_OF_LOAD: dict[str, dict[str, tuple[float, float, float]]] = {
-    "beam": {"composite.deflection_per_strain": (1.01, 0.10, 0.03), FRONT: (4.9e9, 0.10, 0.05)},
-    "force": {"load.force": (6.0, 0.30, 0.02)},
-    "spring": {"load.stiffness": (700.0, 0.30, 0.03), "load.preload": (5.0, 0.30, 0.05)},
-    "antagonist": {"load.stiffness": (250.0, 0.30, 0.05), "load.preload": (6.0, 0.30, 0.05)},
-}
-_ABSOLUTE: dict[str, tuple[float, float, float]] = {
-    "wire.austenite_start_temperature": (334.0, 4.0, 0.5),
-    "wire.austenite_finish_temperature": (353.0, 4.0, 0.5),
-    "wire.martensite_start_temperature": (320.0, 4.0, 0.5),
-    "wire.martensite_finish_temperature": (307.5, 3.0, 0.5),
-    "environment.ambient_temperature": (293.5, 2.5, 0.2),
-}
-BELIEVED = (*_RELATIVE, *_OF_LOAD["beam"], *_ABSOLUTE)
-# Only together do the area and h, the mass and c_p act; the owners have weighed and measured the
-# wire well, so a wrong number hides in the other one.
-_WEIGHED = ("wire.mass", "wire.surface_area")
-_DIGITS = 3
 # How wrong a wrong number is, in its own stated standard deviations.
 WRONG_BY = (2.5, 5.0)
 
-_STAGES = {
-    "electrical": ("wire.resistance",),
-    "thermal": ("wire.heat_transfer_coefficient", "wire.specific_heat", *_WEIGHED,
-                "environment.ambient_temperature"),
-    "transformation": (*(n for n in _ABSOLUTE if n.startswith("wire.")),
-                       "wire.stress_influence_austenite", "wire.stress_influence_martensite"),
-}  # fmt: skip
+
+@dataclass(frozen=True)
+class Number:
+    """One that the owners of a rig have an opinion on; the fields are explained in rigs.yaml."""
+
+    middle: float
+    spread: float
+    std: float
+    stage: str = "mechanical"
+    weighed: bool = False
+    absolute: bool = False
+
+    def at(self, place: float) -> float:
+        """Between the ends of the population, -1 and 1."""
+        moved = self.spread * place
+        return self.middle + moved if self.absolute else self.middle * (1.0 + moved)
+
+    def stated_std(self, value: float) -> float:
+        """The standard deviation that the owners state for a number that they believe in."""
+        return float(f"{self.std if self.absolute else abs(value) * self.std:.3g}")
 
 
-def stage_of_parameter(name: str) -> str:
-    """The stage in which a wrong number of this name shows first."""
-    return next((stage for stage, names in _STAGES.items() if name in names), "mechanical")
+def _read() -> dict[str, dict[str, Number]]:
+    document = yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text())
+    return {
+        part: {name: Number(**row, absolute=part == "temperatures") for name, row in rows.items()}
+        for part, rows in document.items()
+    }
+
+
+_POPULATION = _read()
+
+
+def numbers(load: str) -> dict[str, Number]:
+    """Of a composite, or of wires with another load."""
+    return _POPULATION["wire"] | _POPULATION[load] | _POPULATION["temperatures"]
 
 
 def draw_truth(rng: np.random.Generator, load: str = "beam") -> Parameters:
-    """The true numbers of one rig of the population, a composite or wires with another load."""
-    values = {
-        name: float(middle * (1.0 + spread * rng.uniform(-1.0, 1.0)))
-        for name, (middle, spread, _) in (_RELATIVE | _OF_LOAD[load]).items()
-    } | {
-        name: float(middle + spread * rng.uniform(-1.0, 1.0))
-        for name, (middle, spread, _) in _ABSOLUTE.items()
-    }
-    return _rig(values, {}, load)
+    """The true numbers of one rig of the population."""
+    drawn = {name: float(n.at(rng.uniform(-1.0, 1.0))) for name, n in numbers(load).items()}
+    return _rig(drawn, {}, load)
 
 
 def true_values(truth: Parameters) -> dict[str, float]:
     """The numbers that the owners of a rig have an opinion on."""
-    names = (*_RELATIVE, *_OF_LOAD[load_kind(truth)], *_ABSOLUTE)
-    return {name: float(truth[name]) for name in names}
-
-
-def stated_std(name: str, value: float) -> float:
-    """The standard deviation that the owners state for a number that they believe in."""
-    relative = {**_RELATIVE, **{n: row for own in _OF_LOAD.values() for n, row in own.items()}}
-    spread = abs(value) * relative[name][2] if name in relative else _ABSOLUTE[name][2]
-    return float(f"{spread:.{_DIGITS}g}")
+    return {name: float(truth[name]) for name in numbers(load_kind(truth))}
 
 
 def draw_nominal(
@@ -113,18 +95,17 @@ def draw_nominal(
     """What the owners believe: the truth, wrong by one draw of the uncertainty they state, or by so
     many stated standard deviations as `wrong` says."""
     values, stds = {}, {}
-    for name, true in true_values(truth).items():
-        drawn = rng.standard_normal()
-        values[name] = true + (wrong or {}).get(name, drawn) * stated_std(name, true)
+    for name, number in numbers(load_kind(truth)).items():
+        true, drawn = float(truth[name]), rng.standard_normal()
+        values[name] = true + (wrong or {}).get(name, drawn) * number.stated_std(true)
         # From the believed number: the true one must not follow from its uncertainty.
-        stds[name] = stated_std(name, values[name])
+        stds[name] = number.stated_std(values[name])
     return _rig(values, stds, load_kind(truth))
 
 
 def recalibrated(load: str) -> tuple[str, ...]:
     """Numbers of a rig that may hide a wrong one."""
-    names = (*_RELATIVE, *_OF_LOAD[load], *_ABSOLUTE)
-    return tuple(name for name in names if name not in _WEIGHED)
+    return tuple(name for name, number in numbers(load).items() if not number.weighed)
 
 
 def draw_wrong(rng: np.random.Generator, load: str = "beam") -> dict[str, float]:
@@ -134,23 +115,15 @@ def draw_wrong(rng: np.random.Generator, load: str = "beam") -> dict[str, float]
     return {str(name): float(size) for name, size in zip(names, sizes, strict=True)}
 
 
-def rig_of(label: Mapping[str, Any]) -> Parameters:
-    """The true rig of a label."""
-    return _rig(dict(label["truth"]), {}, label.get("load", "beam"))
-
-
 def world_of(truth: Parameters, features: Mapping[str, float]) -> World:
     """A rig of the population with these features."""
     return World(truth, {**_STILL.get(load_kind(truth), {}), **features})
 
 
-def _rig(values: dict[str, float], stds: dict[str, float], load: str = "beam") -> Parameters:
-    if load != "beam":
-        wires = {"load.kind": load, "wire.diameter": 0.3e-3, **_WIRES[load]}
-        return Parameters({**wires, **values}, stds)
-    layout = {"bench.channels": CHANNELS, "bench.channel_sides": SIDES, "wire.diameter": 0.3e-3}
-    both = {BACK: stds[FRONT]} if stds else {}
-    return Parameters({**layout, **values, BACK: values[FRONT]}, {**stds, **both})
+def _rig(values: dict[str, float], stds: dict[str, float], load: str) -> Parameters:
+    values, stds = ({**given, BACK: given[FRONT]} if FRONT in given else given
+                    for given in (values, stds))  # fmt: skip
+    return Parameters({"wire.diameter": 0.3e-3, **_LAYOUT[load], **values}, stds)
 
 
 # --- What the rig is driven with: triangles, steps, staircases and holds, with rests between.
@@ -167,8 +140,7 @@ _PARTIAL = (-16.0, -3.0)
 _SWIFT = 1.09  # a triangle lags behind its steady temperature
 
 
-@dataclass(frozen=True)
-class Pulse:
+class Pulse(NamedTuple):
     """Voltage of one side's wires by corners [s since the start of the record, V], piecewise
     linear, zero before and after."""
 
@@ -197,20 +169,6 @@ class Drive:
     def grid(self, period: float) -> Array:
         """(n,) times from 0 to the end."""
         return np.asarray(np.arange(int(round(self.duration / period)) + 1) * period, dtype=float)
-
-    def to_json(self) -> dict[str, object]:
-        """Plain dictionary for a label."""
-        return {
-            "family": self.family,
-            "duration": self.duration,
-            "pulses": [[p.side, list(p.times), list(p.volts)] for p in self.pulses],
-        }
-
-    @classmethod
-    def from_json(cls, document: Mapping) -> "Drive":
-        """What `to_json` wrote."""
-        pulses = tuple(Pulse(s, tuple(t), tuple(v)) for s, t, v in document["pulses"])
-        return cls(document["family"], document["duration"], pulses)
 
 
 def draw_drives(truth: Parameters, rng: np.random.Generator) -> dict[str, Drive]:
@@ -325,24 +283,28 @@ class Stage:
     truth: Parameters
     sensors: Sensors
     drives: Mapping[str, Drive]
-    _played: dict[tuple, Outcome] = field(default_factory=dict, repr=False, compare=False)
+    _played: dict[tuple, Outcome] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the wires."""
         return tuple(self.truth["bench.channels"])
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Side of each wire."""
+        """Of each wire."""
         return tuple(self.truth["bench.channel_sides"])
 
     @classmethod
     def from_label(cls, label: Mapping[str, Any]) -> Self:
         """The stage of a case; its features are label["features"], without the effect
         label["base"]."""
-        drives = {name: Drive.from_json(drive) for name, drive in label["drives"].items()}
-        return cls(rig_of(label), Sensors.from_json(label["sensors"]), drives)
+        return cls(
+            _rig(dict(label["truth"]), {}, label.get("load", "beam")),
+            msgspec.convert(label["sensors"], Sensors),
+            msgspec.convert(label["drives"], dict[str, Drive]),
+        )
 
     def play(
         self, features: Mapping[str, float], record: str, fine: float = 1.0,

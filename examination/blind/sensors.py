@@ -1,8 +1,7 @@
 """The bench's instruments: converters, an infrared camera, a range sensor, and their noise."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from typing import Any, Self
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -109,16 +108,6 @@ class Sensors:
     dropout: float = 0.01
     camera_clock: float = 0.0
     seed: int = 0
-
-    def to_json(self) -> dict[str, Any]:
-        """Plain dictionary for a label."""
-        return asdict(self)
-
-    @classmethod
-    def from_json(cls, document: Mapping[str, Any]) -> Self:
-        """What `to_json` wrote."""
-        noise = {quantity: Noise(**values) for quantity, values in document["noise"].items()}
-        return cls(**{**document, "noise": noise})
 
     def std(self, quantity: str) -> float:
         """Noise and rounding of a quantity together."""

@@ -47,7 +47,7 @@ class Sized:
         return features
 
 
-def size(case: Case, stage: Stage) -> Sized:
+def size(case: Case) -> Sized:
     """Find the features of a case: nuisances below their limit, effects at their targets."""
     # The rig's nuisances at their wanted gap.
     wanted, scale = case.nuisance_gap, 1.0
@@ -55,7 +55,7 @@ def size(case: Case, stage: Stage) -> Sized:
     nuisance_gap = 0.0
     for trial in range(_TRIALS):
         scaled = {name: scale * value for name, value in case.nuisances.items()}
-        reached = measured(stage, scaled, {}, fine=COARSE if trial == 0 else 1.0)
+        reached = measured(case, scaled, {}, fine=COARSE if trial == 0 else 1.0)
         if trial and reached <= cases.NUISANCE_LIMIT:
             little, nuisance_gap = scaled, reached
             break
@@ -75,22 +75,22 @@ def size(case: Case, stage: Stage) -> Sized:
 
         amount = 1.0
         for _ in range(3):
-            reached = measured(stage, smoother(amount), little, fine=COARSE)
+            reached = measured(case, smoother(amount), little, fine=COARSE)
             # Smoothing acts by its variance: the gap grows between the first and second power.
             amount *= float(np.clip((case.mild_gap / reached) ** 0.7, 0.2, 3.0))
         base = smoother(amount)
-        kinetics_gap = measured(stage, base, little)
+        kinetics_gap = measured(case, base, little)
 
     # What is hidden, at its target or as it comes.
     rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
     features, draws, amounts = dict(base), {}, {}
     for name, target in zip(case.card.effects, case.card.targets, strict=True):
-        drawn = cases.draw({**EFFECTS, **cases.OUTSIDE}[name], rng, stage.peak_current())
+        drawn = cases.draw({**EFFECTS, **cases.OUTSIDE}[name], rng, case.peak_current())
         natural = drawn.natural(rng)
         amount = natural
         if target is not None:
             def gap(amount: float, drawn: Draw = drawn) -> float:
-                return measured(stage, drawn.features(base, amount), base, quantities, COARSE)
+                return measured(case, drawn.features(base, amount), base, quantities, COARSE)
 
             amount = cases.amount_for(drawn, target, gap, natural)
         features = drawn.features(features, amount)
@@ -160,7 +160,7 @@ def separation(
     # What a stated standard deviation of each parameter does, all under their uncertainty.
     columns = []
     for name in rigs.recalibrated(load):
-        step = _STEP * rigs.stated_std(name, stage.truth[name])
+        step = _STEP * rigs.numbers(load)[name].stated_std(stage.truth[name])
         twins = (rigs.FRONT, rigs.BACK) if name == rigs.FRONT else (name,)
         moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
         changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in RECORDS}

@@ -34,9 +34,9 @@ from examination.blind.command import DIAGNOSE
 from examination.blind.measures import TARGETS
 from examination.blind.page import side_by_side
 from examination.blind.reality import Outcome, World
-from examination.blind.rigs import CHANNELS, COMMAND_PERIOD, Drive, rig_of
+from examination.blind.rigs import CHANNELS, COMMAND_PERIOD, Stage
 from examination.blind.score import handed_in, open_labels, score
-from examination.blind.sensors import Sensors, measure
+from examination.blind.sensors import measure
 from examination.pieces import options_of
 from sma_bench.diagnose.decision import PAIR_THRESHOLD, THRESHOLD
 from sma_bench.diagnose.drives import least_stds
@@ -163,10 +163,11 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
     }
     effects = {n: v for name in label["effects"] for n, v in fitted.get(name, {}).items()}
     effects |= fitted.get(files.PAIR_SIGN.join(sorted(label["effects"])), {})
-    bench = rig_of(label).replace(effects)
-    sensors, world = Sensors.from_json(label["sensors"]), World(rig_of(label), {})
+    stage = Stage.from_label(label)
+    bench = stage.truth.replace(effects)
+    sensors, world = stage.sensors, World(stage.truth, {})
     for number, record in enumerate((blind.RECORD, blind.HOLD_OUT)):
-        drive = Drive.from_json(label["drives"][record])
+        drive = stage.drives[record]
         time = drive.grid(COMMAND_PERIOD)
         found = simulate_finely(bench, time, drive.voltage(time))
         outcome = Outcome(

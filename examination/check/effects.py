@@ -91,8 +91,8 @@ class Claim:
 def claims_of(case: Case) -> list[Claim]:
     """Numbers of a case's effect."""
     (effect,) = case.card.effects
-    stage = Stage(case.truth, case.sensors, case.drives)
-    features = size(case, stage).features
+    stage = replace(case)  # what is played for it goes with it
+    features = size(stage).features
 
     def recorded(stage: Stage, name: str, sensors: Sensors) -> Record:
         random = case.stream(name) if name in RECORDS else np.random.default_rng(case.seed)

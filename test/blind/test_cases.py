@@ -15,7 +15,7 @@ from examination.blind.cases import EFFECTS, OUTSIDE, QUANTITIES, draw_cases
 from examination.blind.command import main
 from examination.blind.judgement import UnseenRecord
 from examination.blind.make import make, make_case
-from examination.blind.rigs import BELIEVED, RECORDS, Stage, draw_nominal, draw_truth
+from examination.blind.rigs import RECORDS, Stage, draw_nominal, draw_truth, numbers
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters
 from sma_bench.physics.effects import EFFECTS as LIBRARY
@@ -206,7 +206,7 @@ def test_beliefs_are_wrong_by_one_draw_of_what_they_state():
         rng = np.random.default_rng(seed)
         truth = draw_truth(rng)
         nominal = draw_nominal(truth, rng)
-        errors += [(nominal[n] - truth[n]) / nominal.std(n) for n in BELIEVED]
+        errors += [(nominal[n] - truth[n]) / nominal.std(n) for n in numbers("beam")]
     assert np.std(errors) == pytest.approx(1.0, abs=0.05)
     assert np.mean(errors) == pytest.approx(0.0, abs=0.07)
 

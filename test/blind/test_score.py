@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -64,8 +65,8 @@ def made(tmp_path_factory):
         labels.append({
             "id": name, "kind": kind, "effects": list(effects), "severity": 9.0, "where": WHERE,
             "signals": "all", "features": features, "truth": true_values(case.truth),
-            "sensors": case.sensors.to_json(),
-            "drives": {n: d.to_json() for n, d in case.drives.items()},
+            "sensors": asdict(case.sensors),
+            "drives": {n: vars(d) for n, d in case.drives.items()},
         })  # fmt: skip
     manifest = {"seed": 5, "split": "open", "cases": list(CASES),
                 "sha256": seal(root / "labels.sealed", labels)}  # fmt: skip
