@@ -22,45 +22,35 @@ PAPER = Parameters.defaults()
 WIRE = specimens.wire_rig(PAPER)
 
 
-def test_same_seed_gives_the_same_record_and_another_one_does_not():
-    one, same, other = (protocol_record("ramp", WIRE, seed) for seed in (1, 1, 2))
-    for name, signal in one.signals.items():
-        assert np.array_equal(signal.values, same[name].values)
-        assert not np.array_equal(signal.values, other[name].values)
-
-
-def test_staircase_settles_at_the_temperatures_of_eq_4():
+def test_staircase_settles_at_the_temperatures_of_eq_4_and_a_clamped_wire_stays_tight():
     record = protocol_record("staircase", WIRE)
     kelvin = record["wire.temperature"]
     late = (kelvin.time > 3.0 + 24 * 30.0 + 15.0) & (kelvin.time < 3.0 + 25 * 30.0 - 1.0)
     expected = float(steady_temperature(6.0, WIRE))
     assert np.mean(kelvin.values[late]) == pytest.approx(expected, abs=0.02)
     assert np.std(kelvin.values[late]) == pytest.approx(0.085, abs=0.02)
-
-
-def test_records_are_called_synthetic_and_can_be_written_as_a_bag(tmp_path):
-    for record in (protocol_record("ramp", WIRE), *specimens.composite_records(PAPER)):
-        assert str(record.path).startswith("synthetic ")
-    write_record(tmp_path / "bag", record)
-    assert (tmp_path / "bag" / "metadata.yaml").is_file()
-
-
-def test_range_sensors_see_the_tip_from_both_sides():
-    record = specimens.composite_records(PAPER)[1]
-    front, back = record["front.range"].values, record["back.range"].values
-    assert np.max(np.abs(front + back - 0.2)) < 1e-3
-    assert record["deflection"].values.max() == pytest.approx(0.1 - front.min(), abs=5e-4)
-
-
-def test_clamped_wire_follows_its_reference_and_stays_tight():
     record = specimens.clamped_record(PAPER)
     kelvin, force = record["wire.temperature"], record["force"]
     late = (kelvin.time > 57.0) & (kelvin.time < 59.9)
     assert np.mean(kelvin.values[late]) == pytest.approx(328.15, abs=0.1)
-    section = np.pi * 0.15e-3**2
-    at_rest = PRETENSION * PAPER["wire.martensite_modulus"] * section
+    at_rest = PRETENSION * PAPER["wire.martensite_modulus"] * np.pi * 0.15e-3**2
     assert force.values[:20].mean() == pytest.approx(at_rest, abs=0.1)
     assert force.values.min() > 0.5 * at_rest
+
+
+def test_a_record_is_its_seeds_is_called_synthetic_and_can_be_written_as_a_bag(tmp_path):
+    one, same, other = (protocol_record("ramp", WIRE, seed) for seed in (1, 1, 2))
+    for name, signal in one.signals.items():
+        assert np.array_equal(signal.values, same[name].values)
+        assert not np.array_equal(signal.values, other[name].values)
+    write_record(tmp_path / "bag", one)
+    assert (tmp_path / "bag" / "metadata.yaml").is_file()
+    composites = specimens.composite_records(PAPER)
+    assert all(str(record.path).startswith("synthetic ") for record in (one, *composites))
+    front, back = (composites[1][f"{side}.range"].values for side in ("front", "back"))
+    assert np.max(np.abs(front + back - 0.2)) < 1e-3
+    largest = composites[1]["deflection"].values.max()
+    assert largest == pytest.approx(0.1 - front.min(), abs=5e-4)
 
 
 def test_dsc_takes_the_latent_heat_up_and_gives_it_back():
