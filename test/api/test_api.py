@@ -12,7 +12,6 @@ import sma_bench
 from sma_bench import InputError, api
 from sma_bench.cli import main
 
-COMPOSITE = "config/composite_rig.yaml"
 RATE = 20.0
 # Nothing heavy is imported with the package; its functions hide the rooms of their names.
 CODE = """
@@ -60,16 +59,6 @@ def test_identification_is_that_of_the_command_and_prints_its_numbers(tmp_path, 
     resistance = next(line for line in str(found).splitlines() if "wire.resistance" in line)
     assert f"{found.estimates['wire.resistance'].std:.2g} ohm" in resistance
     assert "<td>" in found._repr_html_() and "wire.resistance" in found._repr_html_()
-
-
-def test_a_bag_and_its_voltages_drive_the_same_simulation(tmp_path, pytestconfig):
-    believed = str(pytestconfig.rootpath / COMPOSITE)
-    first = sma_bench.simulate("composite_triangle", believed, rate=RATE)
-    again = sma_bench.simulate((first.time, first.voltage), believed)
-    np.testing.assert_array_equal(again.deflection, first.deflection)
-    sma_bench.write_record(tmp_path / "bag", sma_bench.load(first))
-    replayed = sma_bench.simulate(tmp_path / "bag", believed)
-    np.testing.assert_allclose(replayed.deflection, first.deflection, atol=1e-6)
 
 
 def test_an_effect_is_switched_on_by_its_size_and_a_protocol_may_be_written_in_the_notebook():
@@ -171,12 +160,3 @@ def test_mistakes_get_one_clear_line(call, given, said):
     with pytest.raises(InputError, match=said) as caught:
         call(given)
     assert "\n" not in str(caught.value)
-
-
-def test_models_are_compared_under_the_names_that_they_are_given(staircase):
-    softer = sma_bench.load_parameters({"wire.resistance": 3.0})
-    models = {"as built": "config/wire_rig.yaml", "softer": softer}
-    shown = sma_bench.compare(staircase, models=models)
-    assert {d.record for d in shown.differences} == {"as built", "softer"}
-    one = sma_bench.compare(staircase, models={"wire.resistance": 3.0})
-    assert len(one.differences) < len(shown.differences)

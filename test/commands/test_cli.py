@@ -94,13 +94,6 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(words, tmp_path, ca
     assert os.listdir(tmp_path) == ["file"]
 
 
-def test_identify_shows_the_tangents_of_a_real_dsc_run_in_a_report(tmp_path, capsys, measured_data):
-    dsc = measured_data / "sma_react" / "input" / "preprocessor_samples" / "DSC.txt"
-    assert main(["identify", str(dsc), "--report", str(tmp_path / "report")]) == 0
-    drawn = {path.stem for path in (tmp_path / "report").glob("*.png")}
-    assert {f"figure_07_dsc_segment_{number}" for number in (2, 4, 6, 8)} <= drawn
-
-
 def test_a_number_is_said_to_be_from_the_experiment_whose_value_it_is(measured_data):
     folder = measured_data / "sma_react" / "input" / "cal_sample_1"
     records = [open_record(folder / f"{stress} MPa.txt") for stress in (7, 50, 150)]

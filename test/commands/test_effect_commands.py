@@ -62,23 +62,6 @@ def test_every_effect_can_be_switched_on_and_shows_where_it_says(effect, bench, 
     assert {name.rpartition(".")[2] for name in changed} == set(effect.acts_on)
 
 
-def test_several_effects_and_their_other_numbers_add_up(bench, tmp_path):
-    options, _ = bench
-    both, apart = tmp_path / "both", tmp_path / "apart"
-    effects = ("supply_drop=0.2", "transition_drift = 5", "transition_drift.cycles=1")
-    sets = (
-        "supply_drop.resistance=0.2",
-        "transition_drift.shift=5.0",
-        "transition_drift.cycles=1.0",
-    )
-    given = [word for text in effects for word in ("--effect", text)]
-    settings = [word for text in sets for word in ("--set", f"effect.{text}")]
-    assert main([*options, "--out", str(both), *given]) == 0
-    assert main([*options, "--out", str(apart), *settings]) == 0
-    for name in SIGNALS:
-        assert np.array_equal(read_record(both)[name].values, read_record(apart)[name].values)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [

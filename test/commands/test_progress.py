@@ -6,16 +6,11 @@ import re
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 from rich.cells import cell_len
 
 from sma_bench.commands.terminal import WorkState
-from sma_bench.diagnose import search
-from sma_bench.diagnose.diagnosis import diagnose
-from sma_bench.physics.effects import EFFECTS
-from sma_bench.tasks.work import diagnosis_steps
 
 WORK = """
 import sys, time
@@ -36,22 +31,6 @@ class Clock:
         return self.now
 
 
-def test_time_left_counts_down_a_share_never_goes_back_and_an_overdue_estimate_is_not_shown():
-    clock = Clock()
-    state = WorkState(clock)
-    assert state.left is None
-    clock.now += 30.0
-    state.report(0.25, "pairs")
-    assert state.left == pytest.approx(90.0)
-    clock.now += 20.0
-    assert state.left == pytest.approx(70.0)
-    assert state.words == "25%, 1 min 10 s left"
-    state.report(0.2, "two")
-    assert (state.share, state.what) == (0.25, "two")
-    clock.now += 160.0
-    assert state.left is None and state.words == "25%, 3 min 30 s gone"
-
-
 @pytest.mark.parametrize("slowness", [0.5, 1.0, 2.0, 4.0])
 def test_the_time_left_of_a_plan_follows_the_machine_and_never_stands_still(slowness):
     clock = Clock()
@@ -67,19 +46,6 @@ def test_the_time_left_of_a_plan_follows_the_machine_and_never_stands_still(slow
     quarter = whole // 4
     falls = [a[1] - b[1] for a, b in zip(soon, soon[quarter:], strict=False)]
     assert min(falls) > quarter / 2
-
-
-def test_every_step_that_a_diagnosis_tells_has_its_share():
-    """The texts are told by functions that would take long to call; they stand in the source."""
-    files = (search.__file__, sys.modules[diagnose.__module__].__file__)
-    source = "".join(Path(file).read_text() for file in files)
-    texts = {*re.findall(r'progress\("([^"]+)"\)', source), *EFFECTS}
-    assert len(texts) > len(EFFECTS) + 5
-    told = []
-    step = diagnosis_steps(lambda share, what="": told.append((share, what)))
-    for text in texts - {"records", "recalibration was stuck: once more"}:
-        step(text)
-    assert told and [text for share, text in told if not share] == []
 
 
 def test_elsewhere_than_on_a_terminal_there_are_lines_on_standard_error():

@@ -110,35 +110,6 @@ def test_pictures_are_small_and_each_is_shown_on_a_page():
     assert [p.name for p in pictures if f"pictures/{p.name}" not in text] == []
 
 
-PAGE = """
-Words. `./bench nothing`
-
-```
-mkdir made
-cd made   # a comment
-sma-bench parameters --out lab.yaml
-ros2 run nothing
-```
-
-<!-- file: drive.yaml -->
-```yaml
-steps: []
-```
-<!-- shown: drive.yaml -->
-```yaml
-steps: []
-```
-```python
-x = 1
-```
-<!-- not run: it would fail -->
-```
-./bench nothing
-```
-```text
-./bench nothing
-```
-"""
 BAD_PAGES = [
     "```\n./bench identfy x\n```",
     "```\nsma-bench info nowhere | cat\n```",
@@ -147,14 +118,6 @@ BAD_PAGES = [
     "<!-- file: a -->\n```text\nx\n```\n<!-- shown: a -->\n```text\ny\n```",
     "```python\n1 / 0\n```",
 ]
-
-
-def test_a_page_is_run_in_order_and_only_what_can_be(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "page.md").write_text(PAGE)
-    assert PageRunner(tmp_path / "home").play(tmp_path / "page.md") == 4
-    assert "wire:" in (tmp_path / "made" / "lab.yaml").read_text()
-    assert (tmp_path / "made" / "drive.yaml").read_text() == "steps: []\n"
 
 
 @pytest.mark.parametrize("text", BAD_PAGES)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sma_bench.border import COUNTS, NUMBER, NUMBER_OR_NULL, TEXT, read_fields, shown
+from sma_bench.border import read_fields, shown
 from sma_bench.dashboard.live_state import LiveState, Seen, diagnosis_summary
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_failure, recorder_state
@@ -63,18 +63,6 @@ def test_any_json_is_read_or_left_in_one_line(document):
 def test_a_hostile_text_is_read_or_left_in_one_line(text):
     """What nodes and pages make of them: test_dashboard.py."""
     read_everywhere(text)
-
-
-def test_a_field_is_of_its_kind_or_named_as_wrong():
-    for kind, right, wrong in (
-        (TEXT, "a", 1), (NUMBER, 1, True), (NUMBER_OR_NULL, None, "1"),
-        (COUNTS, {"a": 1}, {"a": 1.0}),
-    ):
-        assert read_fields(json.dumps({"x": right, "y": 1}), {"x": kind}, "t") == {"x": right}
-        with pytest.raises(InputError, match=f"t: x is .*, expected {kind}"):
-            read_fields(json.dumps({"x": wrong}), {"x": kind}, "t")
-        with pytest.raises(InputError, match="t: x is missing"):
-            read_fields("{}", {"x": kind}, "t")
 
 
 def test_what_people_and_pages_see_of_hostile_texts_is_short_and_bounded():

@@ -226,21 +226,6 @@ def test_after_a_killed_setup_the_good_environment_is_back(good: Any) -> None:
     assert good.python.read_text() == "good" and not good.before.exists()
 
 
-def test_a_notebook_comes_when_asked_and_interrupted_leaves_the_rest_good(
-    good: Any, bench_script: ModuleType
-) -> None:
-    good._step = ended_by(KeyboardInterrupt())
-    with pytest.raises(KeyboardInterrupt):
-        good.set_up(["runtime", "package", "notebook"])
-    assert good.missing(["runtime", "package", "notebook"]) == ["notebook"]
-    assert good.python.read_text() == "good"
-    assert bench_script.command_line(["notebook", "x.ipynb"]) == ["-m", "jupyterlab", "x.ipynb"]
-    assert bench_script.NEEDS["notebook"] == "notebook"
-    pins, runtime = ((ROOT / f"requirements{n}.txt").read_text() for n in ("-notebook", ""))
-    assert "\njupyterlab==" in pins and "\npandas==" in pins
-    assert "pandas" not in runtime and "jupyter" not in runtime
-
-
 UNUSABLE = {
     "is Python 3.9": "echo 3.9",
     "does not run": "echo 'pyenv: python3.12: command not found' >&2; exit 127",

@@ -1,6 +1,5 @@
 """A damaged bag is read up to the damage, or refused, and what was lost is said."""
 
-import os
 import random
 import shutil
 import sqlite3
@@ -9,7 +8,6 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from rosbags.rosbag2.enums import CompressionMode
 
 from sma_bench.errors import InputError
 from sma_bench.records import read_record
@@ -90,16 +88,6 @@ def test_a_write_ahead_log_beside_a_db3_is_said_and_left_alone(tmp_path, write_b
     assert {file.name: file.read_bytes() for file in died.iterdir()} == before
 
 
-def test_broken_messages_of_a_message_compressed_bag_are_counted(tmp_path, write_bag, ramp):
-    bag = write_bag(tmp_path / "bag", ramp, "sqlite3", CompressionMode.MESSAGE)
-    with closing(sqlite3.connect(next(bag.glob("*.db3")))) as database:
-        database.execute("UPDATE messages SET data = substr(data, 1, 20) WHERE id IN (5, 9)")
-        database.commit()
-    record = read_record(bag)
-    assert len(record["wire.voltage"]) == 198
-    assert [f.numbers for f in losses(record, "/bench/wire/power")] == [{"messages": 2}]
-
-
 BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
     f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
 )
@@ -129,13 +117,3 @@ def test_nothing_readable_is_one_line(tmp_path, mcap, write_bag):
         require_one_line(tmp_path / name)
     mcap.unlink()
     require_one_line(mcap.parent, "bag.mcap")
-
-
-@pytest.mark.parametrize("mode", [CompressionMode.NONE, CompressionMode.STORAGE])
-def test_whole_messages_of_the_chunk_that_a_file_ends_in_are_read(tmp_path, write_bag, ramp, mode):
-    bag = write_bag(tmp_path / "bag", ramp, "mcap", mode, chunk=1 << 20)
-    storage = next(bag.glob("*.mcap"))
-    os.truncate(storage, storage.stat().st_size // 2)
-    voltage = read_record(bag)["wire.voltage"].values
-    assert len(voltage) > 20
-    np.testing.assert_allclose(voltage, np.arange(len(voltage)) * 1e-3, atol=1e-8)

@@ -1,12 +1,9 @@
 """Tables of other loggers: six formats of one bench, guesses and questions, hostile files."""
 
-import itertools
 import json
 import tracemalloc
 import zipfile
 import zlib
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,14 +17,12 @@ from sma_bench.border import MEGABYTE, Budget
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records import arrays_in_files, describe, open_record, read_record
-from sma_bench.records.check import check_response
 from sma_bench.records.tables import read_table_file
 
 h5py = pytest.importorskip("h5py")
 openpyxl = pytest.importorskip("openpyxl")
 io = pytest.importorskip("scipy.io")
 
-SPRING = Path(__file__).resolve().parents[3] / "shared" / "data" / "foreign" / "spring"
 SUPPLY = 12.0
 RIG = """/**:
   ros__parameters:
@@ -118,31 +113,6 @@ def test_every_format_gives_the_same_record_of_the_bench(write, tmp_path, rig):
     np.testing.assert_allclose(volts.values, expected, rtol=1e-6, atol=1e-6)
     np.testing.assert_allclose(moved.values, -np.interp(moved.time, TIME, MOVED), atol=2e-9)
     np.testing.assert_allclose(np.diff(volts.time), volts.period, atol=1e-6)
-
-
-@pytest.mark.skipif(not SPRING.exists(), reason="shared data are not here")
-def test_five_loggers_of_one_foreign_bench_agree_with_their_files_and_each_other(tmp_path):
-    files = ["run_a.csv", "run_b_european.txt", "run_c.mat", "run_d.xlsx", "run_e.h5"]
-    records = [imported(SPRING / f, SPRING / "rig.yaml", tmp_path / f) for f in files]
-    a = np.loadtxt(SPRING / files[0], delimiter=",", skiprows=1)
-    volts, moved = records[0]["wire.voltage"], records[0]["elongation"]
-    np.testing.assert_allclose(moved.time, a[:, 0] / 1e3, atol=1e-9)
-    zero = np.median(a[: int(np.argmax(a[:, 1] > 0)) + 1, 2])
-    np.testing.assert_allclose(moved.values, (zero - a[:, 2]) / 1e3, atol=1e-12)
-    np.testing.assert_allclose(volts.values, 12.0 * np.sqrt(a[:, 1] / 100), rtol=1e-6)
-    assert [len(r["wire.voltage"]) for r in records] == [12000, 12000, 2400, 6000, 12000]
-    assert [len(r["elongation"]) for r in records] == [12000, 12000, 12000, 6000, 12000]
-    for record in records:  # one bench: the same stroke, rest and drive
-        assert record.duration == pytest.approx(240, abs=0.1)
-        assert record["elongation"].values.min() == pytest.approx(-0.0155, abs=1e-4)
-        assert abs(record["elongation"].values[0]) < 2e-5
-        assert 4.4 < record["wire.voltage"].values.max() < 4.7
-        assert list(check_response(record)) == []
-    for command, response in itertools.permutations(records, 2):
-        swapped = {**command.signals, "elongation": response["elongation"]}
-        (told,) = check_response(replace(command, signals=swapped))
-        assert "stored runs or channels swapped" in told.text
-    assert records[1]["ambient.temperature"].values[0] == pytest.approx(297.75)
 
 
 def test_a_bag_says_where_it_comes_from_and_its_map_gives_it_again(tmp_path, rig):
@@ -384,20 +354,6 @@ def test_texts_of_a_spreadsheet_without_end_take_no_longer_than_its_budget(tmp_p
     read_table_file(good)
     with pytest.raises(InputError, match="takes more than 0.03"):
         read_table_file(bomb)
-
-
-def test_moments_beyond_all_measure_and_names_that_are_no_text_are_one_line(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
-    parquet = pytest.importorskip("pyarrow.parquet")
-    moments = pyarrow.array([-(2**40)] * 9, pyarrow.timestamp("s"))
-    parquet.write_table(pyarrow.table({"t": moments}), tmp_path / "early.parquet")
-    with pytest.raises(InputError, match="not a readable Parquet file"):
-        read_table_file(tmp_path / "early.parquet")
-    with h5py.File(tmp_path / "names.h5", "w") as file:
-        for name in ("t", "u"):
-            file.create_dataset(name, data=np.arange(9.0)).attrs["unit"] = np.bytes_(b"\xff")
-    with pytest.raises(InputError, match="sma-bench import"):
-        open_record(tmp_path / "names.h5")
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,6 @@ import pytest
 from matplotlib.figure import Figure
 
 from sma_bench.errors import InputError
-from sma_bench.report import page
 from sma_bench.report.drawing import COLUMNS
 from sma_bench.report.page import Picture, Section, Table, write_report
 
@@ -42,21 +41,6 @@ def sections():
     table = Table(["name", "value"], [["<script>", "1.0"]], frozenset({1}))
     picture = Picture("fig", "A line", "from nothing", figure)
     return [Section("Result <b>", ["a & b"], ["note"], [table], [picture])]
-
-
-def test_page_is_well_formed_escaped_and_needs_nothing_else(tmp_path):
-    tags = parse(write_report(tmp_path / "r", "T < U", "summary", sections()))
-    assert "script" not in [tag for tag, _ in tags.seen]
-    assert "<script>" in tags.text and "T < U" in tags.text
-    (source,) = [attrs["src"] for tag, attrs in tags.seen if tag == "img"]
-    assert source.startswith("data:image/png;base64,iVBOR")
-    assert (tmp_path / "r" / "fig.png").stat().st_size > 1000
-    (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="cannot write the report"):
-        write_report(tmp_path / "file" / "r", "T", "s", sections())
-    kept = page._together("96 % [93, 99] of the gap gone, then --out improved.yaml")
-    assert '<span class="keep">[93, 99]</span> of' in kept
-    assert '<span class="keep">--out</span>' in kept
 
 
 def test_a_report_replaces_a_report_whole_and_nothing_else(tmp_path, monkeypatch):
