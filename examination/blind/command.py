@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import shlex
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -11,6 +10,7 @@ from typing import Any, NoReturn
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import read_parameters, write_parameters
+from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.results import write_result
 
 # What --help does without is loaded where it is needed: the cases bring numba and scipy along.
@@ -70,11 +70,9 @@ def parser() -> argparse.ArgumentParser:
     command(run_cases, "put every case to the diagnosis, or to a rival", "run", **{
         "set": the_set,
         "--rival": ({"choices": (BIC,)}, "a naive method instead of the diagnosis"),
-        "--program": ({"metavar": "COMMAND"}, "another that takes what sma-bench diagnose takes"),
         "--answers": ({"metavar": "DIR"}, "folder for the answers (default: DIR/answers/<who>)"),
         "--jobs": (2, "cases at a time"),
         "--time-limit": (120.0, "s for a case (half as long more a further record)"),
-        "--again": ({"action": "store_true"}, "ask failed cases again; answers are always kept"),
     })  # fmt: skip
     command(score_cases, "open the labels and print every measure", "score", **{
         "set": the_set,
@@ -112,18 +110,12 @@ def run_cases(args: argparse.Namespace) -> None:
     for option, value in (("jobs", args.jobs), ("time-limit", args.time_limit)):
         if not value > 0:
             raise InputError(f"--{option} is {value:g}, expected more than 0")
-    name, program = DIAGNOSIS, DIAGNOSE
-    if args.rival:
-        name, program = args.rival, (sys.executable, "-m", HERE, "rival", args.rival)
-    elif args.program is not None:
-        program = tuple(shlex.split(args.program))
-        if not program:
-            raise InputError("--program is empty, expected a command line")
-        name = Path(program[0]).name
+    name = args.rival or DIAGNOSIS
+    program = (sys.executable, "-m", HERE, "rival", name) if args.rival else DIAGNOSE
     cases = read_case_set(args.set)
-    answers = Path(args.answers) if args.answers else cases.answers / name
+    answers = Path(args.answers or cases.answers / name)
     write_examination(answers, Examination(name, program, args.time_limit, cases.sealed_sha256))
-    waiting = open_cases(cases.names, answers, args.again)
+    waiting = open_cases(cases.names, answers)
     failed = examine(Examinee(program, args.time_limit), waiting, cases.folder, answers, args.jobs)
     left = len(open_cases(cases.names, answers))
     counts = {"cases": len(cases.names), "asked": len(waiting), "failed": failed, "open": left}
@@ -135,7 +127,7 @@ def score_cases(args: argparse.Namespace) -> None:
     """Judge all complete answers; the labels stay sealed while one is missing."""
     from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, follow_up
-    from examination.blind.page import page, write_page
+    from examination.blind.page import page
     from examination.blind.score import followed_up, handed_in, open_labels, score
 
     _refuse_existing(args, args.markdown)
@@ -155,7 +147,8 @@ def score_cases(args: argparse.Namespace) -> None:
     text = page(cases, papers, scores, path.name)
     print(text)
     if args.markdown:
-        write_page(path, text)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_text_atomically(path, text)
 
 
 def answer_as_rival(args: argparse.Namespace) -> None:

@@ -28,7 +28,6 @@ from examination.blind.case_files import (
     checked_answer,
     is_kept,
     keep,
-    read_kept,
 )
 from examination.blind.cases import QUANTITIES
 from examination.blind.reality import happen
@@ -168,13 +167,9 @@ def _kill(process: subprocess.Popen[str]) -> None:
 # --- Every case of a set put to one program; what is answered stays answered.
 
 
-def open_cases(cases: Sequence[str], answers: Path, again: bool = False) -> list[str]:
-    """Those of the cases that have no answer in the examinee's folder yet; with `again` those that
-    failed, too."""
-    return sorted(
-        case for case in cases
-        if not is_kept(answers, case) or (again and read_kept(answers, case).answer is None)
-    )  # fmt: skip
+def open_cases(cases: Sequence[str], answers: Path) -> list[str]:
+    """Those of the cases that have no answer in the examinee's folder yet."""
+    return sorted(case for case in cases if not is_kept(answers, case))
 
 
 def examine(

@@ -121,6 +121,11 @@ class Measure:
     floor: Bound = None
     aim: Bound = None
 
+    @property
+    def title(self) -> str:
+        """Of a row, with its unit."""
+        return self.name + (" (points)" if self.style == "points" else "")
+
     def of(self, cases: Cases) -> Measured:
         """The number of those judged cases that it is among."""
         statistic, name, *arguments = self.what

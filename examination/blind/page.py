@@ -2,27 +2,18 @@
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
-from pathlib import Path
 
 from examination.blind.case_files import CaseSet
 from examination.blind.measures import OTHERS, TARGETS, Bound, Measure, Measured
 from examination.blind.score import FOLLOWED_UP, Paper, Score, confusion, groups
 from sma_bench.installation import VERSION
-from sma_bench.parameters.yaml_file import write_text_atomically
 
-NOTES = "## Notes"
 _MOST_SHOWN = 4
 _DASH = "–"
 # By style of a measure: factor, digits, unit behind the number.
 _STYLES = {"share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
            "seconds": (1.0, 1, " s")}  # fmt: skip
 Rows = Sequence[Sequence[str]]
-
-
-def title(measure: Measure) -> str:
-    """Name of a row with its unit."""
-    return measure.name + (" (points)" if measure.style == "points" else "")
 
 
 def number(measure: Measure, value: float) -> str:
@@ -57,7 +48,7 @@ def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[t
     for m in measures:
         found = [score.measured[m.name] for score in scores]
         values = [f"{number(m, f.value)} ({interval(m, f)})" if f.n else _DASH for f in found]
-        rows.append((title(m), *values))
+        rows.append((m.title, *values))
     return rows
 
 
@@ -77,7 +68,7 @@ def tables(score: Score) -> list[str]:
     rows = {}
     for m in (*TARGETS, *OTHERS):
         found = score.measured[m.name]
-        rows[m] = (title(m), str(found.n), number(m, found.value), interval(m, found))
+        rows[m] = (m.title, str(found.n), number(m, found.value), interval(m, found))
     bounds = {m: (bound(m, m.floor), bound(m, m.aim), m.met(score.measured[m.name])) for m in rows}
     header = ("measure", "cases", "value", "95 % interval")
     targets = [rows[m] + bounds[m] for m in TARGETS]
@@ -111,12 +102,9 @@ def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name:
     lines = ["# The withheld-effect check", "", head, "", "```"]
     lines += [f"./bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases"]
     for paper in papers:
-        words = paper.examination.program
         if not paper.name.endswith(FOLLOWED_UP):
-            rival = f" --rival {paper.name}" if "rival" in words else ""
-            own = rival or paper.name == "diagnosis"
-            other = "" if own else f" --program '{' '.join(words)}'"
-            lines.append(f"./bench blind run cases{rival}{other}")
+            rival = f" --rival {paper.name}" if "rival" in paper.examination.program else ""
+            lines.append(f"./bench blind run cases{rival}")
     lines += [f"./bench blind score cases --markdown {name}", "```", ""]
     lines += [f"- {summary(score)}" for score in scores]
     lines += ["", "Value (95 % interval); Clopper-Pearson for shares.", ""]
@@ -130,15 +118,6 @@ def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name:
     lines += ["## Definitions", ""]
     lines += [f"- **{m.name}**: {m.definition}" for m in (*TARGETS, *OTHERS) if m.definition]
     return "\n".join(lines) + "\n"
-
-
-def write_page(path: Path, text: str) -> None:
-    """Write a page; what stands below `## Notes` in it stays."""
-    with suppress(OSError, UnicodeDecodeError):
-        _, found, notes = path.read_text(encoding="utf-8").partition(f"\n{NOTES}\n")
-        text += f"\n{NOTES}\n{notes.rstrip()}\n" if found else ""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_text_atomically(path, text)
 
 
 def _table(header: Sequence[str], rows: Rows) -> list[str]:
