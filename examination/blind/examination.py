@@ -91,28 +91,26 @@ class Examinee:
                 records.append(f"{EXPERIMENT}_{number}")
                 _copy(bag, desk / records[-1])
             begin = time.monotonic()
-            line = self._run(desk, records)
-            seconds = time.monotonic() - begin
-            if line:
-                return Given(None, line, seconds)
             try:
+                self._run(desk, records)
+                if not (desk / _RESULT).is_file():
+                    raise InputError("no result was written")
                 result = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
-                answer, improved = checked_answer(result, "result"), desk / _IMPROVED
-                if improved.is_file():
-                    read_parameters(improved)
-                    return Given(result, "", seconds, improved.read_text(encoding="utf-8"))
-                if answer.verdict in _NEEDS_IMPROVED:
+                answer, improved = checked_answer(result, "result"), None
+                if (desk / _IMPROVED).is_file():
+                    read_parameters(desk / _IMPROVED)
+                    improved = (desk / _IMPROVED).read_text(encoding="utf-8")
+                elif answer.verdict in _NEEDS_IMPROVED:
                     raise InputError(f"verdict {answer.verdict} without improved parameters")
-            except FileNotFoundError:
-                return Given(None, "no result was written", seconds)
+                return Given(result, "", time.monotonic() - begin, improved)
             except InputError as error:
-                return Given(None, str(error).replace(f"{desk}/", ""), seconds)
+                line = str(error).replace(f"{desk}/", "")
             except (ValueError, RecursionError) as error:
-                return Given(None, f"result is not JSON: {str(error).splitlines()[0]}", seconds)
-            return Given(result, "", seconds)
+                line = f"result is not JSON: {str(error).splitlines()[0]}"
+            return Given(None, line, time.monotonic() - begin)
 
-    def _run(self, desk: Path, records: Sequence[str]) -> str:
-        """Run the program in its folder; "" or the line that says why there is no answer."""
+    def _run(self, desk: Path, records: Sequence[str]) -> None:
+        """Run the program in its folder; raises InputError where it gives no answer."""
         command = [
             *self._program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT,
             "--json", _RESULT, "--out", _IMPROVED,
@@ -137,15 +135,15 @@ class Examinee:
             except subprocess.TimeoutExpired:
                 _kill(process)
                 process.wait()
-                return f"no answer within {limit:g} s"
+                raise InputError(f"no answer within {limit:g} s") from None
             finally:
                 with self._lock:
                     self._running.discard(process)
             errors.seek(0)
             said = [text.strip() for text in errors if text.strip()]
-        if code == 0:
-            return ""
-        return f"exit code {code}: {said[-1] if said else 'nothing said'}"[:_LONGEST_LINE]
+        if code:
+            said = said or ["nothing said"]
+            raise InputError(f"exit code {code}: {said[-1]}"[:_LONGEST_LINE])
 
 
 def _copy(source: Path, target: Path) -> None:
@@ -175,9 +173,7 @@ def open_cases(cases: Sequence[str], answers: Path) -> list[str]:
 def examine(
     examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path, jobs: int = 1
 ) -> int:
-    """Put `cases` below `folder` to a program, `jobs` at a time, and keep each answer as soon as it
-    is there; how many failed. Interrupted, it ends the running programs and leaves their cases
-    open."""
+    """Put `cases` below `folder` to a program; how many failed."""
     ask = {case: partial(examinee.ask, folder.absolute() / case) for case in cases}
     return ask_all(examinee, ask, answers, jobs)
 
@@ -185,8 +181,8 @@ def examine(
 def ask_all(
     examinee: Examinee, ask: Mapping[str, Callable[[], Given]], answers: Path, jobs: int
 ) -> int:
-    """Do every call of `ask`, and keep what it gives under its name in `answers`; a line on
-    standard error says why one failed."""
+    """Do every call of `ask`, `jobs` at a time, and keep what it gives under its name in `answers`
+    as soon as it is there; how many failed. Interrupted, it ends what runs and leaves it open."""
     failed = 0
     with ThreadPoolExecutor(jobs) as pool:
         running = {pool.submit(call): name for name, call in ask.items()}
@@ -261,7 +257,15 @@ def _do_and_ask(
                     continue
                 bags.append(Path(folder) / f"{EXPERIMENT}_{number}")
                 protocol = bench_protocol(asked.protocol, believed)
-                perform(label, protocol, bags[-1], random, asked, number)
+                # Recorded on the case's own bench, with quantities that are measured more.
+                stage, (grid, voltage) = Stage.from_label(label), protocol.sample(COMMAND_PERIOD)
+                world = world_of(stage.truth, label["features"])
+                wanted = {*QUANTITIES[label["signals"]], *asked.quantities}
+                signals = measure(
+                    happen(world, grid, voltage), world, stage.sensors, protocol.channels, random,
+                    tuple(q for q in QUANTITIES["all"] if q in wanted),
+                )
+                write_record(bags[-1], signals, "bench", _START_NS + number * _HOUR_NS)
         except InputError as error:
             return Given(None, str(error), 0.0)
         nominal = Path(folder) / NOMINAL
@@ -299,20 +303,3 @@ def bench_protocol(document: Mapping[str, Any], nominal: Parameters) -> Protocol
             f"next_experiment: lasts {protocol.duration:g} s, expected at most {LONGEST:g} s"
         )
     return protocol
-
-
-def perform(
-    label: Mapping[str, Any], protocol: Protocol, bag: Path, rng: np.random.Generator,
-    asked: NextExperiment | None = None, number: int = 0,
-) -> None:
-    """Run a protocol on the bench of a sealed label and record it in a new folder; `asked` names
-    quantities that are measured more."""
-    time, voltage = protocol.sample(COMMAND_PERIOD)
-    stage = Stage.from_label(label)
-    world = world_of(stage.truth, label["features"])
-    outcome = happen(world, time, voltage)
-    more = asked.quantities if asked else ()
-    wanted = {*QUANTITIES[label["signals"]], *more}
-    quantities = tuple(q for q in QUANTITIES["all"] if q in wanted)
-    signals = measure(outcome, world, stage.sensors, protocol.channels, rng, quantities)
-    write_record(bag, signals, "bench", _START_NS + number * _HOUR_NS)
