@@ -4,9 +4,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from examination.attack_lab import instruments
 from examination.attack_lab.instruments import LOADS, ZERO, Alloy, Beam, bend, named
@@ -313,88 +315,13 @@ def beam(random, seed: int, **own) -> Case:
     return Case([bend(one, random, **own)], believed, truth, ("E10",))
 
 
-_HOT = {"known": named(a_s=365.0, a_f=380.0), "above": 312.0}
-_PHASES_SWAPPED = {"cold": {"said": "austenite"}, "hot": {"said": "martensite"}}
-CALORIMETER = {
-    "thermometer 1 K high": {"zero": 1.0},
-    "sample lags 8 s": {"lag": 8.0},
-    "20 K/min, a lag of 5 s": {"rate": 20.0, "lag": 5.0},
-    "baseline bowed": {"bow": 250e-6},
-    "baseline jumps in the peak": {"step": 60e-6},
-    "signal saturates": {"top": 95e-6},
-    "an R-phase step": {"peaks": 0.4},
-    "endothermic down": {"turned": True},
-    "spikes": {"spikes": 12},
-    "noise ten times": {"noise": 3e-6},
-    "thermometer 1 % off": {"scale": 1.01},
-    "the sample trains 3 K a cycle": {"drift": 3.0},
-}
-LOAD_FRAME = {
-    "thermocouple 2 K high": {"zero": 2.0},
-    "thermocouple lags by 2 K": {"lag": 2.0},
-    "gauge length 2 % off": {"gauge": 1.02},
-    "section 4 % off": {"area": 1.04},
-    "creep": {"creep": 1.5e-3},
-    "a slip of the grips": {"slip": 4e-3},
-    "an R-phase step": {"tail": 0.35},
-    "an R-phase step of 8 %": {"tail": 0.08},
-    "strain stuck for a while": {"one": {"stuck": True}},
-    "strain and stress swapped in one file": {"one": {"swapped": True}},
-    "another wire at one load": {"other": True},
-    "one load misnoted by 30 %": {"one": {"area": 1.3}},
-    "friction of 8 MPa": {"friction": 8e6},
-    "turned round early": {"span": (285.0, 352.0)},
-    "training of 2 K a cycle": {"cycles": 3, "drift": 2.0},
-    "extensometer ends": {"top": 0.035},
-}
-TENSILE_MACHINE = {
-    "soft grips": {"compliance": 2.5e-11},
-    "gauge length 2 % off": {"gauge": 1.02},
-    "section 4 % off": {"area": 1.04},
-    "load cell saturates": {"force_top": 300e6},
-    "a slip in the rise": {"slip": 2e-3},
-    "long toe": {"toe": 0.008},
-    "phases swapped": _PHASES_SWAPPED,
-    "yields in the last rise": {"cold": {"yielding": 250e6}},
-    "stopped on the plateau": {"cold": {"end": 0.035}},
-    "few points": {"points": 60},
-}
-CLAMPS = {
-    "camera 4 % low": {"camera": 0.96},
-    "spot half filled": {"camera": 0.5},
-    "force's sign turned": {"turned": True},
-    "load cell 2 % off": {"force_gain": 1.02},
-    "load cell drifts 0.3 N": {"force_drift": 0.3},
-    "clamps give way": {"clamps": 8e-6},
-    "slack": {"preload": 2e6},
-    "A_s stated 25 K too high, transforms": _HOT,
-    "creep": {"creep": 0.02e6},
-    "wrong diameter: 6 % too large": {"known": {"wire.diameter": 0.318e-3}},
-    "force stuck": {"stuck": True},
-    "force late by 5 s": {"late": 5.0},
-}
-# All loops of a load frame fitted together.
-LOOPS = ("thermocouple 2 K high", "thermocouple lags by 2 K", "section 4 % off")
-LOOPS += ("gauge length 2 % off", "creep", "an R-phase step of 8 %")
-LOOPS += ("another wire at one load", "friction of 8 MPa")
-BEAM = {
-    "current gain 1.5 %": {"gains": {"current": 1.015}},
-    "camera 5 % high": {"gains": {"temperature": 1.05}},
-    "range sensor 2 % high": {"gains": {"deflection": 1.02}},
-    "temperatures of two channels swapped": {"swapped": True},
-    "range sensor stuck": {"stuck": "deflection"},
-    "range sensor clips": {"clip": 0.012},
-    "residual deflection of 1.5 mm": {"residual": 1.5e-3},
-    "range sensor late by 1 s": {"late": 1.0},
-}
-_loops = partial(frame, experiments=("E9",))
+_FAULTS = yaml.safe_load(Path(__file__).with_name("attacks.yaml").read_text(encoding="utf-8"))
+_MAKERS = {"E5": dsc, "E6": frame, "E5, E6": frame, "E7": machine, "E8": clamps}
+_MAKERS |= {"E9": partial(frame, experiments=("E9",)), "E10": beam}
 ATTACKS = (
     *(Attack("E1 to E3", name, make) for name, make in WIRES.items()),
-    *(Attack("E5", name, partial(dsc, **own)) for name, own in CALORIMETER.items()),
-    *(Attack("E6", name, partial(frame, **own)) for name, own in LOAD_FRAME.items()),
-    Attack("E5, E6", "calorimeter 6 K off", partial(frame, calorimeter={"zero": 6.0})),
-    *(Attack("E7", name, partial(machine, **own)) for name, own in TENSILE_MACHINE.items()),
-    *(Attack("E8", name, partial(clamps, **own)) for name, own in CLAMPS.items()),
-    *(Attack("E9", name, partial(_loops, **LOAD_FRAME[name])) for name in LOOPS),
-    *(Attack("E10", name, partial(beam, **own)) for name, own in BEAM.items()),
+    *(
+        Attack(experiment, name, partial(make, **own))
+        for experiment, make in _MAKERS.items() for name, own in _FAULTS[experiment].items()
+    ),
 )

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from examination.tables.truths import FloatArray, Quantity, Truth
 
@@ -19,101 +20,13 @@ PLAIN = 0.93  # probability of a feature's first habit: a file has a few odditie
 KNOWN = 0.7  # probability that a file starts from what a user sent (`SEEN`)
 START = dt.datetime(2024, 3, 14, 9, 58, 30)
 
-# Of each feature the habits; the first is the plain one.
-HABITS: dict[str, tuple[str, ...]] = {
-    "separator": ("comma", "semicolon", "tab", "blanks"),
-    "decimal": ("point", "comma"),
-    "thousands": ("none", "sign", "blank"),
-    "quotes": ("none", "titles", "all"),
-    "encoding": ("utf-8", "utf-8-sig", "utf-16", "latin-1", "cp437", "mac_roman"),
-    "titles": ("English", "German", "French", "Spanish", "symbols", "T_name", "topics"),
-    "units": ("(u)", "[u]", "/ u", "_u", "comma u", "row u", "row (u)", "row [u]", "in cells",
-              "not of T", "(u) Run #1", "none"),
-    "scale": ("usual", "small", "SI", "other", "um alone"),
-    "time": (
-        "s", "ms", "min", "days", "s, no unit", "ms, no unit", "min, no unit", "date and time",
-        "date and whole s", "AM/PM", "mm:ss", "hh:mm:ss", "date-time", "whole seconds", "whole s",
-        "ISO with zone", "epoch", "a clock each", "elapsed and date-time", "none",
-    ),
-    "index": ("none", "unnamed", "titled", "row names", "numbers without a title"),
-    "cells": ("full", "sparse last", "gaps", "surplus separators", "surplus comment", "SI letters"),
-    "notes": ("none", "key: value", "# lines", "a sentence"),
-    "header": ("plain", "#", "##", "twice", "none"),
-    "blocks": ("one", "again", "footer"),
-    "file": ("text", "xlsx", "xlsx, notes first", "xlsx, a second sheet", "mat", "mat, a matrix",
-             "h5", "h5, compound"),
-    "beside": ("nothing", "comment", "status", "setpoint", "second thermometer", "crosshead"),
-    "current": ("driven is positive", "battery's sign", "mean of a switched supply"),
-}  # fmt: skip
-
-# What users sent, by its habits: each row of the two lists of reports that a table can be.
-_BENCH_SEEN: tuple[dict[str, str], ...] = (
-    {"titles": "T_name", "units": "not of T"}, {"titles": "symbols", "units": "not of T"},
-    {"units": "not of T", "titles": "T_name", "time": "ms"}, {"time": "min, no unit"},
-    {"time": "whole s", "separator": "semicolon"}, {"time": "whole seconds", "titles": "German"},
-    {"time": "date and whole s"}, {"time": "date and time"}, {"time": "whole s"},
-    {"time": "whole seconds"}, {"index": "unnamed"}, {"index": "row names"},
-    {"index": "numbers without a title", "separator": "blanks", "units": "row u"},
-    {"time": "AM/PM"}, {"time": "none"}, {"decimal": "comma", "quotes": "all", "time": "ms"},
-    {"decimal": "comma", "time": "ms"}, {"decimal": "comma"}, {"units": "comma u"},
-    {"cells": "sparse last", "titles": "topics", "time": "epoch"},
-    {"thousands": "sign", "scale": "um alone"},
-    {"time": "a clock each"}, {"time": "ms, no unit"}, {"time": "min, no unit"},
-    {"titles": "German", "separator": "semicolon", "decimal": "comma", "time": "date-time"},
-    {"units": "in cells"}, {"cells": "SI letters"}, {"current": "mean of a switched supply"},
-    {"current": "battery's sign"}, {"file": "xlsx, a second sheet"}, {"header": "#"},
-    {"blocks": "again"}, {"units": "/ u"}, {"cells": "surplus separators"},
-)  # fmt: skip
-_MACHINE_SEEN: tuple[dict[str, str], ...] = (
-    {"file": "xlsx, a second sheet"}, {"units": "(u) Run #1"}, {"units": "/ u", "header": "##"},
-    {"encoding": "cp437"}, {"encoding": "mac_roman"}, {"titles": "symbols", "units": "[u]"},
-    {"units": "row (u)", "quotes": "all"}, {"blocks": "again", "separator": "tab"},
-    {"beside": "crosshead", "units": "row u"}, {"header": "none"}, {"thousands": "sign"},
-    {"decimal": "comma", "quotes": "all"}, {"units": "row [u]", "separator": "blanks"},
-    {"titles": "German", "separator": "semicolon", "decimal": "comma", "units": "row u"},
-    {"units": "none"}, {"file": "xlsx", "titles": "French"}, {"scale": "other", "units": "/ u"},
-)  # fmt: skip
-
-_WORDS = {
-    "time": ("Time", "Zeit", "Temps", "Tiempo", "t", "t", "time"),
-    "voltage": ("Voltage", "Spannung", "Tension", "Voltaje", "U", "V_wire", "power/voltage"),
-    "current": ("Current", "Strom", "Courant", "Corriente", "I", "I_wire", "power/current"),
-    "temperature": ("Temperature", "Temperatur", "Température", "Temperatura", "T1", "T_wire",
-                    "temperature/temperature"),
-    "ambient": ("Room temperature", "Raumtemperatur", "Température ambiante",
-                "Temperatura ambiente", "T_amb", "T_room", "ambient/temperature"),
-    "length": ("Position", "Weg", "Déplacement", "Desplazamiento", "x", "pos_wire",
-               "joint_states/wire/position"),
-    "force": ("Force", "Kraft", "Force", "Fuerza", "F", "F_wire", "joint_states/wire/effort"),
-    "extension": ("Extension", "Dehnweg", "Allongement", "Alargamiento", "dL", "dL_wire",
-                  "extension"),
-    "duty": ("PWM", "Tastverhältnis", "Rapport cyclique", "Ciclo de trabajo", "PWM", "PWM_wire",
-             "pwm/duty"),
-    "heat flow": ("Heat Flow", "Wärmestrom", "Flux de chaleur", "Flujo de calor", "Q", "Q_flow",
-                  "heat_flow"),
-    "strain": ("Strain", "Dehnung", "Déformation", "Deformación", "e", "strain_wire", "strain"),
-    "stress": ("Stress", "Spannung", "Contrainte", "Tensión", "S", "stress_wire", "stress"),
-    "date": ("Date", "Datum", "Date", "Fecha", "Date", "Date", "date"),
-}  # fmt: skip
+_DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encoding="utf-8"))
+HABITS: dict[str, list[str]] = _DATA["habits"]
+_BENCH_SEEN, _MACHINE_SEEN = _DATA["bench_seen"], _DATA["machine_seen"]
+_WORDS: dict[str, list[str]] = _DATA["words"]
 _STYLES = HABITS["titles"]
 
-# Of each kind of quantity, by scale: unit as written, SI in one of it, offset, decimals.
-_UNITS: dict[str, tuple[tuple[str, float, float, int], ...]] = {
-    "voltage": (("V", 1.0, 0.0, 3), ("mV", 1e-3, 0.0, 1), ("V", 1.0, 0.0, 4), ("mV", 1e-3, 0.0, 0)),
-    "current": (("A", 1.0, 0.0, 4), ("mA", 1e-3, 0.0, 1), ("A", 1.0, 0.0, 5), ("mA", 1e-3, 0.0, 2)),
-    "temperature": (("°C", 1.0, 273.15, 2), ("degC", 1.0, 273.15, 3), ("K", 1.0, 0.0, 3),
-                    ("C", 1.0, 273.15, 2)),
-    "length": (("mm", 1e-3, 0.0, 3), ("um", 1e-6, 0.0, 1), ("m", 1.0, 0.0, 6),
-               ("µm", 1e-6, 0.0, 1)),
-    "force": (("N", 1.0, 0.0, 3), ("cN", 1e-2, 0.0, 1), ("N", 1.0, 0.0, 4), ("kN", 1e3, 0.0, 7)),
-    "duty": (("%", 1e-2, 0.0, 2), ("%", 1e-2, 0.0, 1), ("1", 1.0, 0.0, 4), ("%", 1e-2, 0.0, 0)),
-    "heat flow": (("mW", 1e-3, 0.0, 4), ("uW", 1e-6, 0.0, 1), ("W", 1.0, 0.0, 8),
-                  ("W/g", 1.0, 0.0, 5)),
-    "strain": (("%", 1e-2, 0.0, 4), ("%", 1e-2, 0.0, 3), ("mm/mm", 1.0, 0.0, 6),
-               ("mm/mm", 1.0, 0.0, 6)),
-    "stress": (("MPa", 1e6, 0.0, 2), ("kPa", 1e3, 0.0, 1), ("Pa", 1.0, 0.0, 0),
-               ("N/mm²", 1e6, 0.0, 3)),
-}  # fmt: skip
+_UNITS: dict[str, list[tuple[str, float, float, int]]] = _DATA["units"]
 _UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
 _NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
 _NUMBERED_TIMES = ("s", "ms", "min", "days", "s, no unit", "ms, no unit", "min, no unit", "epoch")
