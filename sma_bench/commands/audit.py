@@ -8,18 +8,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import audit
 
 
-@options.command(
-    "audit lab.yaml",
-    "audit --set wire.resistance=2.8 --json audit.json",
-)
-@options.argument("file", "[P.yaml]", "ROS 2 parameter file")
-@options.option(
-    "--paper",
-    "findings on numbers that are all the paper's one by one too, not in one line "
-    "(default without P.yaml and --set)",
-)
-@options.parameter_options
-@options.json_option("the findings")
+@options.command("audit")
 def run(args: SimpleNamespace) -> int:
     """Print every finding; exit code 0 (a clash is a result, not an error)."""
     if args.file and args.params:

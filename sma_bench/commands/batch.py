@@ -18,40 +18,12 @@ from sma_bench.findings import Finding
 from sma_bench.lifeline import interrupts_held
 from sma_bench.parameters import write_parameters
 from sma_bench.progress import counted
-from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks
+from sma_bench.tasks.batch import IDENTIFY, Outcome, Task, do_tasks
 
 _BAD_INPUT = 2
 
 
-@options.command(
-    "batch identify bags/* --out identified --jobs 2",
-    "batch diagnose monday tuesday --params lab.yaml --dask tcp://cluster:8786",
-)
-@options.argument(
-    "kind",
-    "identify|diagnose",
-    "what to do with each record",
-    type=options.Words((IDENTIFY, DIAGNOSE)),
-)
-@options.argument("records", "RECORD...", "bag, or instrument file; each by itself")
-@options.parameter_options
-@options.output(
-    "--out DIR",
-    options.OWN,
-    "write NAME.json and NAME.yaml of each record there, as soon as it is done",
-)
-@options.json_option("all results, in the order of the records,")
-@options.option(
-    "--jobs N",
-    "processes (default: one a core); the results do not depend on it",
-    type=int,
-    default=len(os.sched_getaffinity(0)),
-)
-@options.option(
-    "--dask ADDRESS",
-    "on the workers of this dask scheduler instead, tcp://host:8786 say; they see the "
-    "records under the same path",
-)
+@options.command("batch")
 def run(args: SimpleNamespace) -> int:
     """Do every record, print a table in their order; 2 where one failed, the others unharmed."""
     parameters = options.parameters_from_options(args)
@@ -68,7 +40,8 @@ def run(args: SimpleNamespace) -> int:
             raise InputError(f"{args.out}: cannot be made: {error.strerror}") from None
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:
-        done_so_far = closing(do_tasks(tasks, args.jobs, args.dask))
+        jobs = len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs
+        done_so_far = closing(do_tasks(tasks, jobs, args.dask))
         with progress(f"batch {args.kind}") as report, done_so_far as work:
             count = counted(report, len(tasks), "record")
             for done, (k, outcome) in enumerate(work, start=1):

@@ -31,28 +31,7 @@ _AVERAGED = 100
 """readings of one known load, at 100 Hz"""
 
 
-@options.command(
-    "calibrate supply 5.91=6.00 8.87=9.01 11.83=12.02 --out lab.yaml",
-    "calibrate front_current --csv front_current.csv --out lab.yaml",
-)
-@options.argument("sensor", "SENSOR", "sensor of the Uno", type=options.Words(sorted(SENSORS)))
-@options.argument("pairs", "[READING=KNOWN...]", "device's reading (V, A) and known load (V, A, m)")
-@options.option("--csv FILE", "two columns: reading, known load", type=options.Files())
-@options.option("--device PORT", "read the device at this port")
-@options.several(
-    "--known LOAD",
-    "with --device: the known loads, in the order in which they will be applied",
-    type=float,
-)
-@options.option(
-    "--shift M",
-    "depth of a range sensor's lens behind its face in m (default: the parameter's)",
-    type=float,
-)
-@options.output(
-    "--out P.yaml", options.OWN, "parameter file to write; the other names in one that exists stay"
-)
-@options.json_option("the result")
+@options.command("calibrate")
 def run(args: SimpleNamespace) -> int:
     """Fit, print, write; a calibration of this sensor that --out holds goes with --force only."""
     sensor, quantity = args.sensor, SENSORS[args.sensor].quantity

@@ -16,30 +16,7 @@ _PRESENCE, _ANSWER = 10.0, 600.0  # s within which a node has to be found, and t
 _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
 
 
-@options.command(
-    "call experiment/start --set protocol=ramp",
-    "call serial_bridge/enable --namespace /lab",
-    "call identification/identify --set record=[my_record] --json result.json",
-)
-@options.argument(
-    "service",
-    "NODE/SERVICE",
-    "experiment/start, experiment/stop, serial_bridge/enable, diagnosis/diagnose, ...",
-)
-@options.option("--namespace NAME", "of the bench's nodes (default /bench)", default="/bench")
-@options.option(
-    "--set NAME=VALUE",
-    "parameter of the node to set before, e.g. --set protocol=ramp (repeatable)",
-    dest="settings",
-    multiple=True,
-)
-@options.option(
-    "--patience S",
-    "how long the node may take to appear and to answer, together (default 10 and 600)",
-    type=float,
-)
-@options.json_option("the answer")
-@options.ros_option
+@options.command("call")
 def run(args: SimpleNamespace) -> int:
     """Set, call, print the answer."""
     node, slash, service = args.service.strip("/").rpartition("/")

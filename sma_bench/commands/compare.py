@@ -8,24 +8,7 @@ from sma_bench.commands.terminal import output_console, print_table, progress, s
 _LEAST_SHIFT = 1e-3  # s, worth a line
 
 
-@options.command(
-    "compare monday tuesday --out page",
-    "compare monday --model lab.yaml --model improved.yaml --json difference.json",
-)
-@options.argument("records", "RECORD...", "bags; the first is what the others are compared with")
-@options.several(
-    "--model FILE",
-    "parameter files: each model is simulated under the first record's voltages",
-    dest="models",
-)
-@options.several(
-    "--signals SIGNAL",
-    "draw these signals or quantities (default: of each quantity what differs most)",
-)
-@options.option("--namespace NAME", "where two benches are in one bag: the one to take")
-@options.json_option("shifts and differences")
-@options.output("--out DIR", options.FOLDER, "write a page with the figure")
-@options.figure_options()
+@options.command("compare")
 def run(args: SimpleNamespace) -> int:
     """Lay them over each other, print what differs, write what was asked for."""
     from sma_bench.api import compare, load

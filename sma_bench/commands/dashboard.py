@@ -14,16 +14,7 @@ _PORT = 8642
 _LARGEST_PORT = 65535
 
 
-@options.command("dashboard", "dashboard --namespace /lab --port 9000")
-@options.option(
-    "--namespace NAME", "where the bench's topics are (default: bench)", default="bench"
-)
-@options.option(
-    "--host ADDRESS", "address to listen on (default: 127.0.0.1, this computer only)",
-    default="127.0.0.1",
-)
-@options.option("--port PORT", f"default {_PORT}; 0 for any that is free", type=int, default=_PORT)
-@options.ros_option
+@options.command("dashboard")
 def run(args: SimpleNamespace) -> int:
     """Serve until SIGINT or SIGTERM; 0 then.
 
@@ -61,7 +52,9 @@ async def _serve(args: SimpleNamespace) -> int:
         loop.add_signal_handler(number, finish)
     namespace = "/" + args.namespace.strip("/")
     with listening_node(
-        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error),
+        namespace,
+        LiveState(),
+        lambda error: loop.call_soon_threadsafe(finish, error),
         options.ros_arguments(args),
     ) as node:
         namespace = node.get_namespace()  # ROS's arguments may name another

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
-from sma_bench.commands.options import NEW, command, json_option, option, output
+from sma_bench.commands import options
 from sma_bench.commands.terminal import WorkState, output_console, progress, write_json
 from sma_bench.errors import InputError
 
@@ -20,22 +20,7 @@ GONE = {
 _SEEDS = 2**31
 
 
-@command(
-    "demo --draw 3",
-    "demo --out my_demo --draw 7 --json demo.json",
-)
-@output("--out DIR", NEW, "new folder (default: sma_bench_demo_<time>)")
-@option("--speed X", "at most X times real time (default 40)", type=float, default=40.0)
-@option(
-    "--draw SEED",
-    "simulate a wire drawn at random around Table I instead of Table I itself, and hide the effect "
-    "of this draw instead of one by the clock",
-    type=int,
-)
-@json_option("truth, estimates, diagnosis and the reports' paths")
-@option("--paper", "", hidden=True)
-@option("--investigate", "", hidden=True)
-@option("--hardware", "", hidden=True)
+@options.command("demo")
 def run(args: SimpleNamespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not."""

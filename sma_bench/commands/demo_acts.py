@@ -156,16 +156,26 @@ class Stage:
         report(0.0, protocol)
         channels = bench["bench.channels"]
         self.client.run_recorded(
-            _PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed, simulated_time=True,
+            _PROTOCOLS / f"{protocol}.yaml",
+            protocol,
+            duration,
+            bag,
+            heed,
+            simulated_time=True,
             needed=[
-                "voltage_command", "experiment/marker",
+                "voltage_command",
+                "experiment/marker",
                 *(f"{channel}/{what}" for channel in channels for what in _READINGS),
             ],
         )
         return str(bag)
 
     def ask(
-        self, node: str, service: str, settings: Mapping[str, Any], files: tuple[Path, ...],
+        self,
+        node: str,
+        service: str,
+        settings: Mapping[str, Any],
+        files: tuple[Path, ...],
         report: Report,
     ) -> dict[str, Any]:
         """Start a node in place of the bench, which has done its part, and call its service."""

@@ -26,39 +26,15 @@ if TYPE_CHECKING:
 _CELLS_SHOWN = 6
 
 
-def quantities() -> tuple[str, ...]:
-    """Quantities that a diagnosis compares."""
-    from sma_bench.estimation.observation import QUANTITIES
-
-    return QUANTITIES
-
-
-@options.command(
-    "diagnose my_bag --params lab.yaml --hold-out other_bag --report gap",
-    "diagnose my_bag --params lab.yaml --signals deflection --json diagnosis.json",
-)
-@options.argument("records", "RECORD...", "bag (folder, .mcap, .db3)")
-@options.parameter_options
-@options.several("--hold-out RECORD", "bags on which the shrinkage is measured, unseen by its fit")
-@options.several(
-    "--signals QUANTITY",
-    "compare these only, of current, temperature, deflection: what would the record "
-    "have shown without the others?",
-    type=options.Words(quantities),
-)
-@options.json_option("the result")
-@options.output("--report DIR", options.FOLDER, "write a page with figures")
-@options.figure_options()
-@options.output(
-    "--out improved.yaml", options.FILE, "write a ROS 2 parameter file with the improvement"
-)
+@options.command("diagnose")
 def run(args: SimpleNamespace) -> int:
     """Diagnose, print the argument, write the files that were asked for."""
+    from sma_bench.estimation.observation import QUANTITIES
     from sma_bench.tasks.work import diagnose_files, write_improved
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
     with progress("diagnose") as report:
-        compared = args.signals or quantities()
+        compared = args.signals or QUANTITIES
         result = diagnose_files(args.records, args.hold_out, parameters, compared, report)
     if args.json:
         write_json(args.json, result.to_json())

@@ -6,12 +6,7 @@ from sma_bench.commands import options
 from sma_bench.commands.terminal import output_console, print_table, write_json
 
 
-@options.command(
-    "effects",
-    "effects --json effects.json",
-)
-@options.option("--markdown", "print the documentation page")
-@options.json_option("the table")
+@options.command("effects")
 def run(args: SimpleNamespace) -> int:
     """Print the table or the page."""
     from sma_bench.parameters.documentation import effects_page, range_of

@@ -10,13 +10,7 @@ from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import share_directory
 
 
-@options.command(
-    "example",
-    "example ten_tasks",
-    "example wire_rig --out my_rig",
-)
-@options.argument("name", "[NAME]", "page or rig; all are listed without it")
-@options.output("--out FOLDER", options.FOLDER, "folder to make (default: NAME)")
+@options.command("example")
 def run(args: SimpleNamespace) -> int:
     """Copy the files of one example; a rig of config/ becomes a lab.yaml."""
     share = share_directory()

@@ -21,42 +21,7 @@ if TYPE_CHECKING:
     from sma_bench.identify import Identification
 
 
-def experiments() -> tuple[str, ...]:
-    """Experiments that parameters are identified from."""
-    from sma_bench.identify import EXPERIMENTS
-
-    return EXPERIMENTS
-
-
-@options.command(
-    "identify my_bag --params lab.yaml --out identified.yaml",
-    "identify staircase ramp DSC.txt --report identified --json identified.json",
-    "identify my_bag --experiment E1 --set wire.mass=0.09e-3",
-)
-@options.argument("records", "RECORD...", "bag (folder, .mcap, .db3) or instrument file")
-@options.parameter_options
-@options.option(
-    "--experiment EXPERIMENT",
-    "do this one only, of E0, E1, ... E10 (repeatable; default: all that the records hold)",
-    dest="experiments",
-    type=options.Words(experiments),
-    multiple=True,
-)
-@options.option(
-    "--phase FILE=PHASE",
-    "of a tensile test: martensite or austenite (repeatable; FILE may be a pattern as "
-    "'cold*'), where neither its file nor M_f and A_f of the wire tell",
-    dest="phases",
-    multiple=True,
-)
-@options.stated_option
-@options.option("--namespace NAME", "where two benches are in one bag: the one to take")
-@options.output(
-    "--out identified.yaml", options.FILE, "write a ROS 2 parameter file that nodes load"
-)
-@options.json_option("the result")
-@options.output("--report DIR", options.FOLDER, "write a page with figures")
-@options.figure_options()
+@options.command("identify")
 def run(args: SimpleNamespace) -> int:
     """Identify, print a table, write the files that were asked for; 3 where the model does not
     fit the records."""

@@ -11,44 +11,7 @@ from sma_bench.errors import InputError
 MAP_SUFFIX = ".map.yaml"
 
 
-@options.command(
-    "import run.csv --params rig.yaml --out run",
-    "import monday.xlsx tuesday.xlsx --map run.map.yaml --out week --json week.json",
-)
-@options.argument(
-    "files",
-    "FILE...",
-    "CSV, TSV or text, Excel (.xlsx), MATLAB (.mat), HDF5 or Parquet; each is one run",
-)
-@options.option(
-    "--map MAP.yaml",
-    "which column is what; proposed and written beside --out when not given",
-    dest="map_file",
-    type=options.Files(),
-)
-@options.option(
-    "--params P.yaml",
-    "the rig's parameter file: channels, load.kind, bench.drive, bench.supply_voltage",
-    type=options.Files(),
-)
-@options.option(
-    "--unit COLUMN=UNIT",
-    "of a column whose title does not tell it, 'time=ms' (repeatable)",
-    dest="units",
-    multiple=True,
-)
-@options.option(
-    "--together",
-    "the files are one run, the position in one and the duty in another: one bag, one clock",
-    is_flag=True,
-)
-@options.output(
-    "--out BAG",
-    options.OWN,
-    "bag to write (new folder); of several files, a folder with a bag for each",
-    required=True,
-)
-@options.json_option("what was imported")
+@options.command("import")
 def run(args: SimpleNamespace) -> int:
     """Read every file, then write every bag: a file that is wrong leaves none of them."""
     import numpy as np

@@ -49,14 +49,7 @@ _TABLES = {
 }  # fmt: skip
 
 
-@options.command(
-    "info my_bag",
-    "info two_benches --namespace /left --json info.json",
-)
-@options.argument("record", "RECORD", "bag, storage file or instrument file")
-@options.stated_option
-@options.option("--namespace NAME", "look only at the topics below this namespace")
-@options.json_option("what is shown")
+@options.command("info")
 def run(args: SimpleNamespace) -> int:
     """Print topics, signals and findings, whatever they say.
 

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
 from sma_bench.commands import options
-from sma_bench.commands.diagnose import quantities
 from sma_bench.commands.terminal import output_console, print_table, progress, say, write_json
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
@@ -23,41 +22,15 @@ _YES = ("y", "yes")
 Runner = Callable[["NextRun"], None]
 
 
-@options.command(
-    "investigate --params lab.yaml --folder gap --budget 20",
-    "investigate my_bag --params lab.yaml --folder gap --simulated bench.yaml --yes",
-)
-@options.argument("records", "[RECORD...]", "bags that there are already")
-@options.parameter_options
-@options.option(
-    "--folder DIR",
-    "records, diagnoses and the story; the same folder goes on where it was stopped",
-    required=True,
-)
-@options.option(
-    "--budget MINUTES", "that the bench may be driven in all (default 30)", type=float, default=30.0
-)
-@options.option("--yes", "run what is proposed without asking")
-@options.several(
-    "--signals QUANTITY",
-    "compare these only, of current, temperature, deflection",
-    type=options.Words(quantities),
-)
-@options.option(
-    "--simulated BENCH.yaml",
-    "a bench in software that is what this file says, without ROS",
-    type=options.Files(),
-)
-@options.option("--namespace NAME", "of the running experiment node (default /bench)")
-@options.json_option("the story")
+@options.command("investigate")
 def run(args: SimpleNamespace) -> int:
     """Go on until named, inseparable, or out of time; 0 whatever the verdict."""
-    from sma_bench.tasks.investigation import HEADER, OPEN, TEST, Investigation
+    from sma_bench.tasks.investigation import HEADER, OPEN, QUANTITIES, TEST, Investigation
 
     options.one_only(args, "simulated", "namespace")
     if not args.budget > 0.0:
         raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
-    case = Investigation(args.folder, args.budget, args.signals or quantities())
+    case = Investigation(args.folder, args.budget, args.signals or QUANTITIES)
     case.begin(options.parameters_from_options(args), args.records)
     runner = _simulated(args.simulated, case.believed) if args.simulated else _bench(args)
     while True:

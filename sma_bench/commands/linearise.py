@@ -14,39 +14,8 @@ if TYPE_CHECKING:
     from sma_bench.physics.linearised import Coefficient, Linearised
     from sma_bench.physics.operating_point import OperatingPoint
 
-BRANCHES = ("heating", "cooling")
 
-
-@options.command(
-    "linearise --params config/composite_rig.yaml",
-    "linearise --params lab.yaml --deflection 0.02 --branch cooling --report tangent",
-    "linearise --params lab.yaml --voltage 4.6 --json linear.json",
-)
-@options.option(
-    "--deflection M",
-    "signed deflection of the point, its side driven evenly (default: half of "
-    "the largest to the front, as the paper)",
-    type=float,
-)
-@options.several(
-    "--voltage V", "held commands, one for all wires or one each, on a full loop", type=float
-)
-@options.several(
-    "--temperature K", "wire temperatures, one for all or one each, on a full loop", type=float
-)
-@options.option(
-    "--branch heating|cooling",
-    "of the changes to come",
-    default="heating",
-    type=options.Words(BRANCHES),
-)
-@options.option(
-    "--latent-heat J/KG", "of eq. (1); 0 as in the paper's eq. (2)", type=float, default=0.0
-)
-@options.json_option("point, coefficients and state space")
-@options.output("--report DIR", options.FOLDER, "write a page with the figure")
-@options.figure_options()
-@options.parameter_options
+@options.command("linearise")
 def run(args: SimpleNamespace) -> int:
     """Print point, coefficients as printed and corrected, gains; write what was asked for."""
     from sma_bench.physics.linearised import coefficient_table, linearise

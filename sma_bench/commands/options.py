@@ -1,10 +1,8 @@
 """What the command lines share: options, what may be written, examples in the help.
 
-A command is a function of its options, an example or more of it beside:
+A command is a function of its options, which commands.yaml declares with examples beside:
 
-    @command("info my_bag")
-    @argument("record", "RECORD", "bag, storage file or instrument file")
-    @json_option("what is shown")
+    @options.command("info")
     def run(args: SimpleNamespace) -> int: ...
 """
 
@@ -15,12 +13,14 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
+from pkgutil import resolve_name
 from types import FrameType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import click
 from click.shell_completion import CompletionItem
 
+from sma_bench.border import load_yaml, read_yaml
 from sma_bench.commands import COMMANDS
 from sma_bench.errors import InputError, did_you_mean
 
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from sma_bench.report.drawing import PaperColumn
 
 Decorated = Callable[..., Any]
-Decorator = Callable[[Decorated], Decorated]
 
 
 # --- A command.
@@ -89,28 +88,63 @@ class Command(click.Command):
         formatter.write(f"\nexamples:\n{lines}\n")
 
 
-def command(*examples: str, about: str = "", **settings: Any) -> Callable[[Decorated], Command]:
-    """A command of the name of its module; its function gets the options as one namespace, and as
-    `command_line` what was typed."""
+def command(name: str, about: str = "", **settings: Any) -> Callable[[Decorated], Command]:
+    """A command as commands.yaml declares it; its function gets the options as one namespace, and
+    as `command_line` what was typed."""
+    table = read_yaml(Path(__file__).with_name("commands.yaml"))
+    rows: dict[str, Any] = {}
+    for shown, row in table[name]["takes"].items():
+        group = table["shared"].get(shown)
+        rows |= {s: _filled(r, row) for s, r in group.items()} if group else {shown: row}
+    params = [_parameter(shown, {"help": r} if isinstance(r, str) else r)
+              for shown, r in rows.items()]  # fmt: skip
+    if any(isinstance(p.type, Output) and p.type.kind != NEW for p in params):
+        told = "replace outputs that exist (inputs never)"
+        params.append(click.Option(["--force"], is_flag=True, help=told))
+    settings.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
 
     def made(function: Decorated) -> Command:
         def body(**options: Any) -> Any:
             context = click.get_current_context()
             return function(SimpleNamespace(**options, command_line=context.obj))
 
-        params = list(reversed(getattr(function, "__click_params__", ())))
-        if any(isinstance(p.type, Output) and p.type.kind != NEW for p in params):
-            told = "replace outputs that exist (inputs never)"
-            params.append(click.Option(["--force"], is_flag=True, help=told))
-        name = examples[0].split()[0]
-        settings.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
         whole = Command(
-            name, callback=body, params=params, help=about or COMMANDS.get(name, ""), **settings
+            name, callback=body, params=params, help=about or COMMANDS[name], **settings
         )
-        whole.examples = examples
+        whole.examples = table[name]["examples"]
         return whole
 
     return made
+
+
+def _filled(row: Any, words: str) -> Any:
+    """A shared row with what a command says of it."""
+    if isinstance(row, str):
+        return row.replace("{}", words)
+    return {**row, "help": row["help"].replace("{}", words)}
+
+
+def _parameter(shown: str, row: Mapping[str, Any]) -> click.Parameter:
+    """One of click from its row; `shown` is "--rate HZ", "--yes" (a flag), or of an argument
+    RECORD, [RECORD], RECORD... or [RECORD...]."""
+    settings: dict[str, Any] = {k: v for k, v in row.items() if k not in _OWN_SETTINGS}
+    if "words" in row:
+        settings["type"] = Words(row["words"], row.get("others", False))
+    elif "writes" in row:
+        settings["type"] = Output(row["writes"])
+    elif "type" in row:
+        settings["type"] = _TYPES[row["type"]]
+    elif "several" in row or "name" in row:
+        settings["type"] = Files()
+    if "name" in row:
+        return Argument(
+            [row["name"]], metavar=shown, nargs=-1 if "..." in shown else 1,
+            required=not shown.startswith("["), **settings,
+        )  # fmt: skip
+    option, _, metavar = shown.partition(" ")
+    settings["metavar" if metavar else "is_flag"] = metavar or True
+    kind = Several if "several" in row else click.Option
+    return kind([option, *filter(None, [row.get("dest")])], **settings)
 
 
 def run_command(whole: click.Command, path: str, arguments: Sequence[str]) -> int:
@@ -172,25 +206,22 @@ class Files(click.ParamType):
 
 
 class Words(click.ParamType):
-    """One of some words, which may be looked up when they are asked for: the help need not load
-    what knows them. With `others` they are only what completion offers."""
+    """One of some words, or of those at MODULE:NAME, which are looked up when they are asked for:
+    the help need not load what knows them. With `others` they are only what completion offers."""
 
     name = "word"
 
-    def __init__(
-        self, words: Sequence[str] | Callable[[], Iterable[str]], others: bool = False
-    ) -> None:
-        self.choices = () if callable(words) else tuple(words)
-        self.words = words if callable(words) else lambda: self.choices
-        self.others = others
+    def __init__(self, known: Sequence[str] | str, others: bool) -> None:
+        self.known, self.others = known, others
 
-    def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str | None:
-        """All of them, where they are few and known beforehand."""
-        return "|".join(self.choices) or None
+    def words(self) -> list[str]:
+        """All of them."""
+        found = resolve_name(self.known) if isinstance(self.known, str) else self.known
+        return list(found() if callable(found) else found)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The word itself."""
-        known = list(self.words())
+        known = self.words()
         if not self.others and value not in known:
             near = did_you_mean(value, known) or f", expected one of {', '.join(known)}"
             self.fail(f"{value!r}{near}", param, ctx)
@@ -203,31 +234,8 @@ class Words(click.ParamType):
         return [CompletionItem(word) for word in self.words() if word.startswith(incomplete)]
 
 
-def argument(name: str, shown: str, help: str, **settings: Any) -> Decorator:
-    """Add a positional argument; `shown` is RECORD, [RECORD], RECORD... or [RECORD...]. It is a
-    file where no other type is given."""
-    several = "..." in shown
-    return click.argument(
-        name,
-        cls=Argument,
-        metavar=shown,
-        help=help,
-        nargs=-1 if several else 1,
-        required=not shown.startswith("["),
-        **{"type": Files(), **settings},
-    )
-
-
-def option(shown: str, help: str, dest: str = "", **settings: Any) -> Decorator:
-    """Add an option, "--rate HZ" say, or "--yes", a flag."""
-    name, _, metavar = shown.partition(" ")
-    settings["metavar" if metavar else "is_flag"] = metavar or True
-    return click.option(name, *filter(None, [dest]), help=help, **settings)
-
-
-def several(shown: str, help: str, dest: str = "", **settings: Any) -> Decorator:
-    """Add an option with one value or more; files where no other type is given."""
-    return option(f"{shown} ...", help, dest, cls=Several, **{"type": Files(), **settings})
+_OWN_SETTINGS = {"name", "dest", "words", "others", "writes", "several", "type"}
+_TYPES = {"file": Files(), "float": float, "int": int, "unprocessed": click.UNPROCESSED}
 
 
 def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None:
@@ -241,27 +249,6 @@ def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None
         options = " or ".join(f"--{name.replace('_', '-')}" for name in names)
         found = " and ".join(f"--{name}" for name in given) or "none"
         raise InputError(f"{found} given, expected {options}")
-
-
-def parameter_options(function: Decorated) -> Decorated:
-    """Add --params and --set; `parameters_from_options` reads them."""
-    file = option(
-        "--params P.yaml", "ROS 2 parameter file (default: the paper's Table I)", type=Files()
-    )
-    override = option(
-        "--set NAME=VALUE",
-        "override one parameter, e.g. --set wire.resistance=2.8 (repeatable)",
-        dest="overrides",
-        multiple=True,
-        type=Words(_parameter_names, others=True),
-    )
-    return file(override(function))
-
-
-def _parameter_names() -> Iterable[str]:
-    from sma_bench.parameters.table import BY_NAME
-
-    return BY_NAME
 
 
 def parameters_from_options(args: SimpleNamespace) -> "Parameters":
@@ -287,8 +274,6 @@ def named_value(text: str) -> tuple[str, Any]:
     Raises:
         InputError: it is not that.
     """
-    from sma_bench.border import load_yaml
-
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise InputError(f"--set {text}: expected NAME=VALUE")
@@ -296,45 +281,6 @@ def named_value(text: str) -> tuple[str, Any]:
         return name.strip(), load_yaml(value)
     except InputError:
         raise InputError(f"--set {text}: {value!r} is not a value") from None
-
-
-def stated_option(function: Decorated) -> Decorated:
-    """--state, for what an instrument's file does not hold."""
-    return option(
-        "--state WHAT=VALUE",
-        "what an instrument's file does not hold, with its unit: 'stress=200 MPa', 'mass=12 mg', "
-        "gauge_length, area, diameter, temperature (repeatable)",
-        dest="stated", multiple=True,
-    )(function)
-
-
-def json_option(what: str) -> Decorator:
-    """Add --json [FILE]; `what` it holds."""
-    return output(
-        "--json [FILE]",
-        FILE,
-        f"write {what} as JSON; without FILE, or to -, on standard output and nothing else there",
-        is_flag=False,
-        flag_value=STANDARD_OUTPUT,
-    )
-
-
-def figure_options(default: str | None = None) -> Decorator:
-    """Add --column and --font: figures for papers; `column_of` reads them."""
-    unasked = f"default {default}" if default else "default: PNG only"
-
-    def both(function: Decorated) -> Decorated:
-        column = option(
-            "--column single|double|MM",
-            "write every figure as SVG and PDF in this width too (single is 89 mm, double 183 mm), "
-            f"and as CSV what is drawn in it ({unasked})",
-            default=default,
-            type=Words(("single", "double"), others=True),
-        )
-        font = option("--font PT", "size of the letters in such a figure", type=float)
-        return column(font(function))
-
-    return both
 
 
 def column_of(args: SimpleNamespace) -> "PaperColumn | None":
@@ -359,15 +305,6 @@ def column_of(args: SimpleNamespace) -> "PaperColumn | None":
     return column if args.font is None else column._replace(font=args.font)
 
 
-def ros_option(function: Decorated) -> Decorated:
-    """Add --ros-args, which takes all that follows; `ros_arguments` reads it."""
-    return option(
-        "--ros-args ARGUMENT ...",
-        "all that follows is for ROS, e.g. -p "
-        "qos_overrides./diagnostics.subscription.reliability:=best_effort",
-    )(function)
-
-
 def ros_arguments(args: SimpleNamespace) -> list[str]:
     """What rclpy.init takes."""
     return ["--ros-args", *shlex.split(args.ros_args)] if args.ros_args else []
@@ -376,7 +313,7 @@ def ros_arguments(args: SimpleNamespace) -> list[str]:
 # --- What a command may write: no output replaces what exists without --force, and no input ever.
 
 STANDARD_OUTPUT = "-"
-FILE, FOLDER, BAG, NEW, OWN = "file", "folder", "bag", "new folder", "checked by the command"
+FILE, FOLDER, BAG, NEW, OWN = "file", "folder", "bag", "new folder", "own"
 _RECORD = "metadata.yaml"
 
 
@@ -386,11 +323,6 @@ class Output(Files):
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
-
-
-def output(shown: str, kind: str, help: str, **settings: Any) -> Decorator:
-    """Add an option that names what is written; its command has --force then."""
-    return option(shown, help, type=Output(kind), **settings)
 
 
 def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], force: bool) -> None:

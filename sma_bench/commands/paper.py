@@ -28,20 +28,7 @@ _READ, _COMPARED = 0.05, 0.5
 _MIXED = "From the records given ({given}) where they allow, else from synthetic data, as marked."
 
 
-@options.command(
-    "paper --out paper",
-    "paper staircase ramp --params lab.yaml --out paper --json paper.json",
-)
-@options.argument(
-    "records",
-    "[RECORD...]",
-    "bags and instrument files to draw from instead of synthetic data; --params without "
-    "any draws the page of a simulated wire and composite of these parameters",
-)
-@options.output("--out DIR", options.FOLDER, "folder to write to", required=True)
-@options.figure_options()
-@options.json_option("tables and errata")
-@options.parameter_options
+@options.command("paper")
 def run(args: SimpleNamespace) -> int:
     """Write index.html, one PNG a figure and one CSV a table."""
     from sma_bench.commands.paper_drawing import paper_page, to_json

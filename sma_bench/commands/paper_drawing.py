@@ -102,7 +102,9 @@ def sort_records(
 def _uses(record: object, parameters: Parameters) -> list[tuple[str, object]]:
     """Groups of LabRecords that a record belongs to, and what it is there."""
     for kind, group in (
-        (DscRecord, "dsc"), (IsobaricRecord, "isobaric"), (TensileRecord, "tensile"),
+        (DscRecord, "dsc"),
+        (IsobaricRecord, "isobaric"),
+        (TensileRecord, "tensile"),
     ):
         if isinstance(record, kind):
             return [(group, record)]
@@ -166,19 +168,26 @@ def identify_lab(
         ("E5", records.dsc, lambda: identify_heating_rates(records.dsc)),
         ("E6", records.upfr, lambda: identify_isobaric(records.upfr, parameters)),
         (
-            "E6 stresses", records.isobaric,
+            "E6 stresses",
+            records.isobaric,
             lambda: identify_isobaric(records.isobaric, parameters),
         ),
         (
-            "E7", records.tensile,
+            "E7",
+            records.tensile,
             lambda: identify_tensile(
                 records.tensile, identified_parameters(parameters, list(found.values()))
             ),
         ),
-        ("E8", records.clamped, lambda: identify_thermal_expansion(
-            records.clamped, parameters,
-            temperature=f"{records.clamped[0].channels[0]}.temperature",
-        )),
+        (
+            "E8",
+            records.clamped,
+            lambda: identify_thermal_expansion(
+                records.clamped,
+                parameters,
+                temperature=f"{records.clamped[0].channels[0]}.temperature",
+            ),
+        ),
     )
     for kind, given, run in wanted:
         if not given:
@@ -267,9 +276,15 @@ def paper_page(
     is_drawn = bool(runs)
     runs = runs or _runs(made, composite_rig(paper), notes, synthetic=True)
     return PaperPage(
-        outcomes, drawn, validation is None, runs, not is_drawn,
-        {name: table_rows(name, outcomes) for name in TABLES}, paper_errata(),
-        notes, own,
+        outcomes,
+        drawn,
+        validation is None,
+        runs,
+        not is_drawn,
+        {name: table_rows(name, outcomes) for name in TABLES},
+        paper_errata(),
+        notes,
+        own,
     )
 
 
@@ -285,8 +300,12 @@ def _synthetic_outcomes(
 
 
 def _validation(
-    records: LabRecords, parameters: Parameters, outcomes: Mapping[str, ExperimentResults],
-    notes: list[Finding], *, synthetic: bool = False,
+    records: LabRecords,
+    parameters: Parameters,
+    outcomes: Mapping[str, ExperimentResults],
+    notes: list[Finding],
+    *,
+    synthetic: bool = False,
 ) -> Picture | None:
     """Fig. 6, simulated with what was identified from data of the same origin."""
     if not records.validation:
@@ -318,18 +337,28 @@ def to_json(page: PaperPage) -> dict[str, Any]:
     """Tables, errata, captions and remarks."""
     return {
         "figures": {
-            str(number): [{"title": p.title, "caption": p.caption, "file": f"{p.name}.png"}
-                          for p in pictures]
+            str(number): [
+                {"title": p.title, "caption": p.caption, "file": f"{p.name}.png"} for p in pictures
+            ]
             for number, pictures in page.pictures().items()
         },
-        "tables": {name: [
-            {"quantity": row.printed.symbol, "description": row.printed.description,
-             "unit": row.printed.unit, "paper": row.printed.value,
-             "identified": (
-                 None if math.isnan(row.value) else {"value": row.value, "std": row.std}
-             ),
-             "synthetic": row.synthetic, "source": row.source} for row in rows
-        ] for name, rows in page.tables.items()},
+        "tables": {
+            name: [
+                {
+                    "quantity": row.printed.symbol,
+                    "description": row.printed.description,
+                    "unit": row.printed.unit,
+                    "paper": row.printed.value,
+                    "identified": (
+                        None if math.isnan(row.value) else {"value": row.value, "std": row.std}
+                    ),
+                    "synthetic": row.synthetic,
+                    "source": row.source,
+                }
+                for row in rows
+            ]
+            for name, rows in page.tables.items()
+        },
         "errata": [
             {f.name: getattr(erratum, f.name) for f in fields(erratum)} for erratum in page.errata
         ],

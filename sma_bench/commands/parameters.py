@@ -10,14 +10,7 @@ from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.table import TABLE
 
 
-@options.command(
-    "parameters",
-    "parameters --set wire.resistance=2.8 --out lab.yaml",
-)
-@options.parameter_options
-@options.option("--markdown", "print the documentation page")
-@options.output("--out P.yaml", options.FILE, "write a ROS 2 parameter file")
-@options.json_option("the table")
+@options.command("parameters")
 def run(args: SimpleNamespace) -> int:
     """Print the table, the page, or write the file."""
     parameters = options.parameters_from_options(args)

@@ -9,26 +9,7 @@ from sma_bench.progress import in_turn, part
 _READING = 0.3  # of the time, about
 
 
-@options.command(
-    "report my_bag --out my_report",
-    "report my_bag identified.json diagnosis.json --params lab.yaml --out my_report",
-)
-@options.argument(
-    "inputs",
-    "RECORD|RESULT...",
-    "bag, instrument file, or a result of identify or diagnose (.json)",
-)
-@options.output(
-    "--out DIR",
-    options.FOLDER,
-    "folder for index.html, and its figures (PNG, SVG, PDF) and tables (CSV) for papers",
-    required=True,
-)
-@options.figure_options("double")
-@options.option("--title TITLE", "head of the page", default="SMA bench report")
-@options.option("--namespace NAME", "where two benches are in one bag: the one to show")
-@options.json_option("summary and provenance")
-@options.parameter_options
+@options.command("report")
 def run(args: SimpleNamespace) -> int:
     """Read everything, then write everything; 0 whatever the inputs say."""
     from sma_bench.report.collected_report import (
@@ -41,6 +22,7 @@ def run(args: SimpleNamespace) -> int:
     )
     from sma_bench.report.page import Made, write_report
 
+    args.column = args.column or "double"
     parameters, column = options.parameters_from_options(args), options.column_of(args)
     with progress("report") as report:
         reading = in_turn(args.inputs, part(report, 0.0, _READING), lambda path: f"reading {path}")

@@ -2,42 +2,23 @@
 
 import runpy
 import sys
-from collections.abc import Iterable
 from types import SimpleNamespace
 
-import click
-
-from sma_bench.commands import COMMANDS
-from sma_bench.commands.options import Words, argument, command
+from sma_bench.commands import COMMANDS, options
 from sma_bench.errors import InputError
+from sma_bench.parameters.node_tables import NODE_TABLES
 
 NETWORK_OPTION = "--network"
 
 
-def _nodes() -> Iterable[str]:
-    from sma_bench.parameters.node_tables import NODE_TABLES
-
-    return sorted(NODE_TABLES)
-
-
-@command(
-    "run simulator --ros-args -r __ns:=/bench --params-file config/wire_rig.yaml",
-    "run experiment --ros-args -r __ns:=/bench -p protocol:=ramp",
-    "run simulator --help",
-    about=f"{COMMANDS['run']}\n\nnodes: {', '.join(_nodes())}",
+@options.command(
+    "run",
+    f"{COMMANDS['run']}\n\nnodes: {', '.join(sorted(NODE_TABLES))}",
     context_settings={
         "help_option_names": ["-h", "--help"],
         "ignore_unknown_options": True,
         "allow_interspersed_args": False,  # what follows NODE is the node's
     },
-)
-@argument("node", "NODE", "node to run", type=Words(_nodes))
-@argument(
-    "rest",
-    "[--network] [--ros-args ...]",
-    "--network lets other machines of the network reach the node; else this one only, unless "
-    "ROS_AUTOMATIC_DISCOVERY_RANGE is SUBNET",
-    type=click.UNPROCESSED,
 )
 def run(args: SimpleNamespace) -> int:
     """Run a node until it ends.

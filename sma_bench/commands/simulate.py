@@ -1,6 +1,6 @@
 """sma-bench simulate: the paper's model on a protocol or on the voltages of a bag."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,44 +18,7 @@ LARGEST_RATE = 10_000.0
 _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
 
 
-def _protocols() -> Iterable[str]:
-    from sma_bench.protocols import protocol_names
-
-    return protocol_names()
-
-
-def _effects() -> Iterable[str]:
-    from sma_bench.parameters.parameter import EFFECT_NAMES
-
-    return EFFECT_NAMES
-
-
-@options.command(
-    "simulate --protocol composite_triangle --params config/composite_rig.yaml --out made",
-    "simulate --input my_bag --out again --effect latent_heat=12e3 --noise 1",
-)
-@options.option(
-    "--protocol NAME", "a protocol's name or file", type=options.Words(_protocols, others=True)
-)
-@options.option("--input BAG", "use the voltages measured in a bag", type=options.Files())
-@options.output("--out BAG", options.BAG, "bag to write (new folder)", required=True)
-@options.option("--rate HZ", "samples a second of a protocol", type=float, default=100.0)
-@options.option(
-    "--effect NAME=VALUE",
-    "switch an effect on by its size, e.g. --effect latent_heat=12e3; NAME.NUMBER=VALUE "
-    "for its other numbers (repeatable; sma-bench effects lists them)",
-    dest="effects",
-    type=options.Words(_effects, others=True),
-    multiple=True,
-)
-@options.option(
-    "--noise SEED",
-    "read through the simulator node's instruments: their noise, drawn from this seed, "
-    "and their steps; exact values when not given",
-    type=int,
-)
-@options.json_option("what was simulated")
-@options.parameter_options
+@options.command("simulate")
 def run(args: SimpleNamespace) -> int:
     """Write a bag of the contract with simulated signals, exact or as instruments read them."""
     from sma_bench.protocols import load_protocol

@@ -24,7 +24,7 @@ from sma_bench.physics.effects import EFFECTS
         ("simulate --protocol composite_tri", ["composite_triangle"]),
         ("simulate --effect ", list(EFFECTS)),
         ("audit --set wire.res", ["wire.resistance"]),
-        ("run ", sorted(NODE_TABLES)),
+        ("run ", list(NODE_TABLES)),
         ("calibrate supp", ["supply"]),
     ],
 )
