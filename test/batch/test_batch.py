@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 
 import pytest
 
@@ -18,7 +18,7 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import protocol_record
-from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks, run_task
+from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Task, do_tasks, run_task
 
 psutil = pytest.importorskip("psutil")
 
@@ -105,25 +105,6 @@ def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, numbe
     assert stdout.count("not done: interrupted") == _MANY - int(done[1])
 
 
-@pytest.mark.slow
-def test_ctrl_c_while_processes_begin_is_one_line(bags):
-    process = sma_bench("batch", "identify", bags / "wire_2.5", bags / "wire_2.9", "--jobs", 2)
-
-    def begun():
-        """Whether one of the processes below has begun to load what it needs."""
-        for child in below(process):
-            with suppress(psutil.Error):
-                if any("numpy" in library.path for library in child.memory_maps()):
-                    return True
-        return False
-
-    wait_for(begun)
-    os.killpg(process.pid, signal.SIGINT)
-    _, stderr = process.communicate(timeout=_LONG)
-    assert process.returncode == 130
-    assert "Traceback" not in stderr and stderr.endswith("sma-bench: interrupted\n")
-
-
 class Deadly(str):
     """A kind of task that ends its process: looking it up does."""
 
@@ -162,9 +143,7 @@ def cluster_of(workers, folder):
 
 
 @pytest.mark.slow
-def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(
-    bags, tmp_path, capsys, monkeypatch
-):
+def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(bags, tmp_path):
     paths = [str(bags / "wire_2.5"), str(tmp_path / "missing"), str(bags / "wire_2.9")]
     tasks = [Task(IDENTIFY, path, Parameters.of_paper()) for path in paths]
     with cluster_of(2, tmp_path) as (address, cluster):
@@ -180,19 +159,6 @@ def test_a_cluster_gives_the_same_as_this_process_until_it_is_lost(
     for k in (0, 2):
         assert spread[k].result["parameters"] == here[k].result["parameters"]
         assert spread[k].result["parameters"]["wire.resistance"]["n"] > 0
-
-    def lost_after_one(tasks, jobs, cluster):
-        yield 1, Outcome(tasks[1].path, error="b: cannot be read")
-        raise InputError(f"dask scheduler {cluster}: lost")
-
-    monkeypatch.setattr(batch, "do_tasks", lost_after_one)
-    words = ["identify", "a", "b", "--dask", "tcp://x", "--json", str(tmp_path / "all.json")]
-    with pytest.raises(InputError, match="dask scheduler tcp://x: lost"):
-        run_command(batch.run, "batch", words)
-    assert "0 of 2 records done" in capsys.readouterr().out
-    first, second = json.loads((tmp_path / "all.json").read_text())["records"]
-    assert first["error"] == "not done: dask scheduler tcp://x: lost"
-    assert second["error"] == "b: cannot be read"
 
 
 @pytest.mark.parametrize("address", ["nowhere", "inproc://127.0.0.1/1/1", "tcp://127.0.0.1:1"])

@@ -1,9 +1,5 @@
 """What a shell is offered, and what several values of an option and ROS's arguments become."""
 
-import os
-import subprocess
-import sys
-
 import pytest
 
 from sma_bench.cli import COMMANDS, load_command, main
@@ -39,13 +35,6 @@ def test_a_shell_is_offered_what_may_follow(line, offered, monkeypatch, capsys):
     assert shown.err == ""
     # A file is the shell's own.
     assert [line.partition(",")[2] or "FILE" for line in shown.out.splitlines()] == offered
-
-
-def test_an_installed_command_writes_the_script_of_the_shell():
-    command = [sys.executable, "-m", "sma_bench.cli"]
-    environment = {**os.environ, "_SMA_BENCH_COMPLETE": "zsh_source"}
-    script = subprocess.check_output(command, text=True, env=environment)
-    assert "#compdef sma-bench" in script
 
 
 def parsed(*words):

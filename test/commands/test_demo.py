@@ -2,12 +2,10 @@
 
 import importlib.util
 import json
-from io import StringIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from examination.blind.case_files import checked_answer
 from sma_bench.cli import main
@@ -20,7 +18,6 @@ from sma_bench.commands.demo_acts import (
     hidden_bench,
     hidden_effect,
     hidden_numbers,
-    print_argument,
     promise_holds,
     reveal,
 )
@@ -132,22 +129,6 @@ def test_the_reveal_says_whether_the_first_choice_was_right(said, wrong, words):
     first, second, *_ = reveal(said, TRUTH)
     assert first == "The bench hid slack (mechanical): slack.strain 0.004."
     assert second.endswith(words)
-
-
-def test_sizes_are_compared_and_the_argument_is_printed_whole_on_a_narrow_terminal():
-    size = {"effect.slack.strain": {"value": 0.0038, "std": 0.0001, "unit": "1"}}
-    said = answer({"slack": 0.98, "ambient_drift": 0.002}, **size)
-    *_, compared = reveal(said, TRUTH)
-    assert compared == "slack.strain: found 0.0038, true 0.004 (-2.0 standard errors)"
-    console = Console(file=StringIO(), width=80)
-    print_argument(console, said)
-    printed = console.file.getvalue()
-    assert max(map(len, printed.splitlines())) <= 80
-    told = " ".join(printed.split())
-    assert "slack explains the gap (probability 98 %)" in told
-    assert "deflection while driven, front side" in told and "(mechanical stage)" in told
-    assert "0.980" in told and "ambient_drift" not in told
-    assert "94 % [90, 97] of the gap gone" in told
 
 
 @pytest.mark.slow

@@ -8,7 +8,6 @@ from planted import believed, few_effects, planted_record
 
 from sma_bench.diagnose import diagnose, next_experiment
 from sma_bench.diagnose.decision import weigh
-from sma_bench.errors import InputError
 from sma_bench.protocols import parse_protocol
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
@@ -40,18 +39,6 @@ def test_the_proposed_experiment_breaks_the_tie_when_it_is_run(short_record, tmp
     assert diagnosed([short_record, longer]).decision.cause == ("ambient_drift",)
 
 
-def test_a_proposal_that_is_refused_is_a_finding_and_loses_no_diagnosis(short_record, monkeypatch):
-    def refused(*_):
-        raise InputError("protocol separate: step 2: 12 V, expected at most 10 V")
-
-    monkeypatch.setattr(next_experiment, "parse_protocol", refused)
-    tied = diagnosed([short_record])
-    assert tied.decision.verdict == "ambiguous" and tied.next_experiment is None
-    (remark,) = [f for f in tied.findings if f.subject == "next experiment"]
-    assert remark.severity == "warning" and "expected at most 10 V" in remark.text
-    assert tied.to_json()["next_experiment"] is None
-
-
 def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):
     found = planted_diagnosis
     puzzled = replace(found.decision, verdict="unexplained")
@@ -66,14 +53,3 @@ def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_di
     )
     assert proposed.separates == () and "what no effect explains" in proposed.why
     assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0
-    seen = replace(missing, response=1e3 * np.ones_like(smooth.response))
-    assert (
-        next_experiment.next_experiment(
-            puzzled,
-            replace(found.search, flexible=seen),
-            weigh(found.search),
-            found.observations,
-            found.parameters,
-        )
-        is None
-    )  # the records show more of it than any drive would

@@ -80,19 +80,6 @@ def test_recalibration_has_the_stage_whose_parameters_moved_beyond_belief(moved,
     assert stage_of(said, searched(moved), []) == (stage or "mechanical")
 
 
-def test_every_stage_has_the_probability_of_its_explanations():
-    shares = {"slack": 0.5, "latent_heat": 0.2, "recalibration": 0.2, "side_asymmetry": 0.1}
-    said = decision(
-        "effect", *(candidate(n, p, (n,) * (n != "recalibration")) for n, p in shares.items())
-    )
-    found = stages_of(said, searched({RESISTANCE: 0.1}), [])
-    assert found == pytest.approx({"mechanical": 0.6, "thermal": 0.2})  # 0.2 tell of none
-    assert list(found) == ["mechanical", "thermal"]
-    electrical = stages_of(said, searched({RESISTANCE: 9.0}), [])
-    assert electrical == pytest.approx({"mechanical": 0.6, "thermal": 0.2, "electrical": 0.2})
-    assert stage_of(decision("no_gap", candidate("no_gap", 1.0)), searched(), []) == ""
-
-
 OTHER_WAY = ("ambient_drift", "deflection_drift")
 
 

@@ -12,8 +12,6 @@ from sma_bench.records import open_record
 from sma_bench.records.isobaric import IsobaricRecord, find_cycles, read_isobaric
 from sma_bench.records.tensile import TensileRecord, read_tensile
 
-TITLES = ("Temperature (C)", "Strain (mm/mm)", "Stress (MPa)")
-
 
 def loop(points=60, step=0.03):
     """(n, 3) degC, strain, MPa of one cycle from 20 to 100 degC and back."""
@@ -88,24 +86,6 @@ def test_units_come_from_titles_or_a_note_or_of_strain_its_span_else_are_asked(w
     pulled = np.linspace(0, 6, 60)
     with pytest.raises(InputError, match="Strain has no unit, values are 0 to 6: which one"):
         read_tensile(write(np.column_stack([pulled, 80 * pulled]), "Strain,Stress (MPa)"))
-
-
-def test_an_instruments_excel_and_matlab_files_are_read_as_its_text(write, tmp_path):
-    openpyxl, io = pytest.importorskip("openpyxl"), pytest.importorskip("scipy.io")
-    rows = loop()
-    text = read_isobaric(write(rows, ",".join(TITLES)))
-    book = openpyxl.Workbook()
-    for row in (TITLES, *rows.tolist()):
-        book.active.append(row)
-    book.save(tmp_path / "i.xlsx")
-    names = ("temperature_C", "strain", "stress_MPa")
-    io.savemat(tmp_path / "i.mat", dict(zip(names, rows.T, strict=True)))
-    for name in ("i.xlsx", "i.mat"):
-        record = open_record(tmp_path / name)
-        assert record.stress == pytest.approx(text.stress)
-        assert len(record.cycles) == len(text.cycles)
-        one, other = (r.cycles[0].branches[0].strain for r in (record, text))
-        np.testing.assert_allclose(one, other, atol=1e-11)
 
 
 FLAT = np.column_stack([20.0 + 0.01 * np.arange(120), loop()[:, 1:]])

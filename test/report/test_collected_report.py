@@ -16,7 +16,7 @@ from test_page import parse
 from sma_bench.cli import main
 from sma_bench.records import Signal
 from sma_bench.records.bag_writer import write_record
-from sma_bench.report.drawing import script, thinned
+from sma_bench.report.drawing import script
 from sma_bench.report.page import digest
 
 EVIL = "<script>alert(1)</script> & $\\frac{$"
@@ -168,12 +168,3 @@ def test_instrument_files_are_drawn(measured_data, tmp_path):
     page = (out / "index.html").read_text()
     assert len(re.findall("<img", page)) == 3
     assert "tensile test" in page and "isobaric test at 50" in page
-
-
-def test_thinning_keeps_every_peak():
-    time = np.arange(100_000.0)
-    values = np.zeros_like(time)
-    values[[17, 54_321]] = (3.0, -2.0)
-    t, v = thinned(time, values, 3000)
-    assert len(t) <= 3000 and v.max() == 3.0 and v.min() == -2.0
-    assert (np.diff(t) > 0.0).all()

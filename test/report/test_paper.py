@@ -2,7 +2,6 @@
 
 import json
 import re
-from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import numpy as np
@@ -14,11 +13,8 @@ from sma_bench.commands import paper_drawing
 from sma_bench.commands.paper_drawing import identify_lab, paper_page, sort_records
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length_from_mass
 from sma_bench.parameters.table import DSC_CYCLES
-from sma_bench.physics import Boundary, simulate
-from sma_bench.protocols import load_protocol
-from sma_bench.records import Record, Signal
+from sma_bench.records import Record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.report.errata import paper_errata
 from sma_bench.report.paper_page import TABLES, html_table, row_remarks, table_rows
@@ -342,21 +338,6 @@ def test_sorting_tells_what_each_record_is_good_for(other_wire):
     # Repeats at one stress are a UPFR test and no diagram.
     found, _ = sort_records(specimens.upfr_records(PAPER), PAPER)
     assert len(found.upfr) == 3 and found.isobaric == ()
-    # A bag of a load frame that holds loads is an isobaric test.
-    wire = specimens.wire_rig(PAPER)
-    time, volts = load_protocol("triangle", wire).sample(0.02)
-    held = simulate(wire, time, volts, boundary=Boundary.held_stress(50e6))
-    moved = -wire_length_from_mass(wire) * held.contraction[:, 0]
-    signals = [
-        Signal("wire.voltage", "V", time, volts[:, 0]),
-        Signal("wire.temperature", "K", time, held.temperature[:, 0]),
-        Signal("elongation", "m", time, moved),
-        Signal("force", "N", time, held.force[:, 0]),
-    ]
-    found, _ = sort_records([Record(Path("bag"), 0, {s.name: s for s in signals})], wire)
-    (test,) = found.upfr
-    assert test.stress == pytest.approx(50e6, rel=1e-6)
-    assert len(test.cycles) == 3 and found.clamped == ()
 
 
 def test_parameters_without_records_redraw_the_paper_for_that_wire():

@@ -106,19 +106,6 @@ def test_tables_for_papers_hold_plain_numbers(tmp_path):
     ]
 
 
-def test_simulations_and_identifications_draw_themselves():
-    simulation = sma_bench.simulate("quick_staircase", rate=10.0)
-    titles = [panel["title"] for panel in curves_of(simulation.plot().figure)]
-    assert titles[:2] == ["voltage [V]", "current [A]"] and "martensite fraction" in titles
-    found = sma_bench.identify(sma_bench.measure(simulation))
-    left, right = found.plot().figure.axes
-    names = [text.get_text() for text in left.get_yticklabels()]
-    assert "wire.resistance" in names[0] and right.get_xlabel() == "informed [%]"
-    assert "correlation" in found.plot("correlation").name
-    with pytest.raises(InputError, match="plot: nonsense, expected one of agreement, correlation"):
-        found.plot("nonsense")
-
-
 # --- Records over each other.
 
 
@@ -141,19 +128,6 @@ def test_clocks_are_aligned_by_the_drive_and_the_worst_difference_is_found(recor
     (upper, lower) = curves_of(found.plot("deflection").figure)
     assert [line["label"] for line in upper["lines"]] == ["monday", "tuesday"]
     assert lower["title"] == "difference [mm]"
-
-
-def test_another_drive_is_said_not_to_be_aligned(record):
-    other = later(record, 0.0)
-    for k, wire in enumerate(WIRES):
-        volts = np.where((TIME > 1.0) & (16.0 - k > TIME), 1.0, 0.0)
-        signal = other[f"{wire}.voltage"]
-        other.signals[f"{wire}.voltage"] = replace(signal, values=volts)
-    found = sma_bench.compare([record, other])
-    assert found.shifts["arrays (2)"] == 0.0
-    assert found.remarks == (
-        "arrays (2): no drive in common with arrays; both clocks count from their start",
-    )
 
 
 def test_records_and_models_are_compared_by_the_command(tmp_path, capsys):
