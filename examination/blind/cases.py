@@ -27,6 +27,13 @@ class Move:
     weight: tuple[float, float] = (1.0, 1.0)
     factor: bool = False
 
+    def moved(self, features: Mapping[str, float], amount: float) -> float:
+        """The feature of a world that had these."""
+        feature = BY_NAME[self.feature]
+        before = features.get(self.feature, feature.off)
+        value = before * float(np.exp(amount)) if self.factor else before + amount
+        return float(np.clip(value, feature.low, feature.high))
+
 
 @dataclass(frozen=True)
 class Setting:
@@ -91,15 +98,10 @@ class Draw:
         """Features of a world that had `base` and now has the effect, too."""
         changed = {**base, **self.settings}
         for move, weight in zip(self.symptom.moves, self.weights, strict=True):
-            feature = BY_NAME[move.feature]
-            before = base.get(move.feature, feature.off)
-            if self.symptom.of_peak_current:
-                value = self.peak_current * (1.0 - amount)
-            elif move.factor:
-                value = before * float(np.exp(self.sign * amount * weight))
-            else:
-                value = before + self.sign * amount * weight
-            changed[move.feature] = float(np.clip(value, feature.low, feature.high))
+            by = self.sign * amount * weight
+            if self.symptom.of_peak_current:  # of a limit that is off at 0
+                by = self.peak_current * (1.0 - amount)
+            changed[move.feature] = move.moved(base, by)
         return changed
 
     def natural(self, rng: np.random.Generator) -> float:
@@ -111,18 +113,15 @@ def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Dra
     """Direction, weights and settings of one occurrence; the largest current [A] of the records."""
     sign = int(rng.choice(symptom.signs))
     weights = tuple(float(rng.uniform(*move.weight)) for move in symptom.moves)
-    settings = {}
-    for s in symptom.settings:
-        if s.spread == "log":
-            settings[s.feature] = float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))))
-        else:
-            settings[s.feature] = float(rng.uniform(s.low, s.high))
+    settings = {
+        s.feature: float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))) if s.spread == "log"
+                         else rng.uniform(s.low, s.high))
+        for s in symptom.settings
+    }  # fmt: skip
     return Draw(symptom, sign, weights, settings, peak_current)
 
 
-def amount_for(
-    drawn: Draw, target: float, gap: Callable[[float], float], start: float
-) -> float:
+def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start: float) -> float:
     """Amount whose gap is `target`, or the nearest that the effect's bounds allow.
 
     Gaps grow about as amounts do: steps in proportion from `start` until the target is bracketed,
@@ -199,9 +198,7 @@ def deal(n: int, rng: np.random.Generator, load: str = "beam") -> list[Card]:
         mild: set[int] = set()
         if kind == NONE:
             mild = set(rng.permutation(count)[: round(MILD_KINETICS_SHARE * count)].tolist())
-        cards += [
-            Card(kind, *hidden[k], signals[k], noises[k], k in mild) for k in range(count)
-        ]
+        cards += [Card(kind, *hidden[k], signals[k], noises[k], k in mild) for k in range(count)]
     return [cards[k] for k in rng.permutation(len(cards))]
 
 

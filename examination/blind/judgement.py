@@ -279,16 +279,13 @@ def unseen_drive(drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", 
     """Raised cosines that reach as high as a case's own records; no family of theirs."""
     highest = max(max(pulse.volts) for drive in drives.values() for pulse in drive.pulses)
     phase = np.linspace(0.0, 1.0, _CORNERS)
-    shape = (1.0 - np.cos(2.0 * np.pi * phase)) / 2.0
-    pulses = tuple(
-        Pulse(
-            sides[k % len(sides)],
-            tuple(np.round(start + length * phase, 2).tolist()),
-            tuple((height * highest * np.sqrt(shape)).tolist()),
-        )
+    shape = np.sqrt((1.0 - np.cos(2.0 * np.pi * phase)) / 2.0)
+    pulses = [
+        Pulse(sides[k % len(sides)], tuple(np.round(start + length * phase, 2).tolist()),
+              tuple((height * highest * shape).tolist()))
         for k, (start, length, height) in enumerate(_HILLS)
-    )
-    return Drive(UNSEEN, _DURATION, pulses)
+    ]  # fmt: skip
+    return Drive(UNSEEN, _DURATION, tuple(pulses))
 
 
 class UnseenRecord:
@@ -305,18 +302,15 @@ class UnseenRecord:
 
     def gaps(self, parameters: Parameters) -> dict[str, float]:
         """Root mean square of measured less simulated, of every signal and every quantity."""
-        simulation = simulate(parameters, self.time, self.voltage)
+        found = simulate(parameters, self.time, self.voltage)
+        simulated = self.stage.named({
+            "current": found.current, "temperature": found.temperature_reading,
+            "deflection": found.deflection_reading,
+        })  # fmt: skip
         square = {
-            f"{channel}.{quantity}": float(
-                np.mean((self.readings[f"{channel}.{quantity}"] - of_wires[:, k]) ** 2)
-            )
-            for quantity, of_wires in (
-                ("current", simulation.current), ("temperature", simulation.temperature_reading)
-            )
-            for k, channel in enumerate(self.stage.channels)
-        }  # fmt: skip
-        moved = self.readings["deflection"] - simulation.deflection_reading
-        square["deflection"] = float(np.mean(moved**2))
+            name: float(np.mean((read - simulated[name]) ** 2))
+            for name, read in self.readings.items()
+        }
         for quantity in PER_WIRE:
             of_wires = [square[f"{channel}.{quantity}"] for channel in self.stage.channels]
             square[quantity] = float(np.mean(of_wires))

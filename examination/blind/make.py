@@ -2,8 +2,6 @@
 
 import json
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -35,23 +33,22 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
         believed = case.truth.replace({name: case.nominal[name] for name in twins})
     truth = {r: case.read(sized.features, r) for r in RECORDS}
     without = {r: case.read(sized.base, r, parameters=believed) for r in RECORDS}
-    gap = {}
-    for r in RECORDS:
-        found_gaps = gaps(truth[r], without[r], case.sensors, quantities)
-        gap[r] = {name: round(value, 4) for name, value in found_gaps.items()}
+    gap = {
+        r: {name: round(value, 4) for name, value in
+            gaps(truth[r], without[r], case.sensors, quantities).items()}
+        for r in RECORDS
+    }  # fmt: skip
     severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
+    stages = [{**EFFECTS, **OUTSIDE}[name].stage for name in card.effects]
     if card.kind == RECALIBRATION:
         stages = sorted({rigs.numbers(load)[name].stage for name in case.wrong})
-    else:
-        stages = [{**EFFECTS, **OUTSIDE}[name].stage for name in card.effects]
     # Of each effect: the gap that it makes beside the others.
-    severities = dict.fromkeys(card.effects, severity)
-    if len(card.effects) > 1:
-        severities = {
-            name: round(measured(case, sized.features, sized.without(name), quantities), 4)
-            for name in card.effects
-        }
-    found: dict[str, Any] | None = None
+    severities = {
+        name: severity if len(card.effects) == 1
+        else round(measured(case, sized.features, sized.without(name), quantities), 4)
+        for name in card.effects
+    }  # fmt: skip
+    found: dict[str, Any] = {}
     if card.kind not in (NONE, RECALIBRATION):
         own = card.effects[0] if len(card.effects) == 1 else ""
         found = separation(case, sized.base, truth, without, quantities, own)
@@ -86,8 +83,8 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
         "kinetics_gap": round(sized.kinetics_gap, 4),
         "wrong": dict(case.wrong),
         "where": place,
-        "distinguishable": found is None or found["distinguishable"],
-        "separation": found and {k: v for k, v in found.items() if k != "distinguishable"},
+        "distinguishable": found.pop("distinguishable", True),
+        "separation": found or None,
         "features": dict(sorted(sized.features.items())),
         "base": dict(sorted(sized.base.items())),
         "load": load,
@@ -106,9 +103,7 @@ LARGEST_SET = 9999
 _LAYOUT = 1
 
 
-def make(
-    out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam"
-) -> dict[str, Any]:
+def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") -> dict[str, Any]:
     """Make n cases in a new folder, which appears when all of them are there; its manifest. The
     same seed and n give the same bytes, whatever the number of jobs.
 
@@ -121,42 +116,30 @@ def make(
     ):  # fmt: skip
         if not low <= value <= high:
             raise InputError(f"blind make: {what} {value}, expected {low} to {high}")
-    with new_folder(out) as folder:
-        (folder / CASES).mkdir()
-        cases = draw_cases(seed, n, load)
-        if jobs > 1:
-            calls = (joblib.delayed(make_case)(case, folder / CASES) for case in cases)
-            made = joblib.Parallel(jobs, return_as="generator")(calls)
-        else:  # joblib's own way in one process now and then lets an interrupt past its caller
-            made = (make_case(case, folder / CASES) for case in cases)
-        labels = list(made)
-        manifest = {
-            "layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "split": split_of(seed),
-            "load": load, "cases": [label["id"] for label in labels],
-            "sha256": seal(folder / LABELS, labels),
-        }  # fmt: skip
-        (folder / MANIFEST).write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
-    return manifest
-
-
-@contextmanager
-def new_folder(out: str | Path) -> Iterator[Path]:
-    """A folder to fill that becomes `out` when all went well, and vanishes when not."""
-    out = Path(out)
     if out.exists():
         raise InputError(f"{out}: exists already, expected a new folder")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        hidden = TemporaryDirectory(
-            prefix=f".{out.name}.", dir=out.parent, ignore_cleanup_errors=True
-        )
-        with hidden as parent:
+        with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as parent:
             folder = Path(parent) / out.name
-            folder.mkdir()
-            yield folder
+            (folder / CASES).mkdir(parents=True)
+            cases = draw_cases(seed, n, load)
+            if jobs > 1:
+                calls = (joblib.delayed(make_case)(case, folder / CASES) for case in cases)
+                labels = joblib.Parallel(jobs)(calls)
+            else:  # joblib's own way in one process now and then lets an interrupt past its caller
+                labels = [make_case(case, folder / CASES) for case in cases]
+            manifest = {
+                "layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "load": load,
+                "split": split_of(seed), "cases": [label["id"] for label in labels],
+                "sha256": seal(folder / LABELS, labels),
+            }  # fmt: skip
+            text = json.dumps(manifest, indent=1) + "\n"
+            (folder / MANIFEST).write_text(text, encoding="utf-8")
             folder.rename(out)
     except OSError as error:
         raise InputError(f"{out}: cannot be made: {error.strerror}") from None
+    return manifest
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:

@@ -330,13 +330,14 @@ class Stage:
     ) -> dict[str, Array]:
         """What the instruments would read without noise: signal -> (n,), every 20 ms."""
         outcome = self.play(features, record, fine, parameters)
-        clean = readings(outcome, world_of(self.truth, features), self.sensors)
-        signals = {
+        return self.named(readings(outcome, world_of(self.truth, features), self.sensors))
+
+    def named(self, clean: Mapping[str, Array]) -> dict[str, Array]:
+        """Signal -> (n,) of readings (n, w) by quantity."""
+        return {
             f"{channel}.{quantity}": clean[quantity][:, wire]
-            for quantity in PER_WIRE
-            for wire, channel in enumerate(self.channels)
-        }
-        return {**signals, "deflection": clean["deflection"]}
+            for quantity in PER_WIRE for wire, channel in enumerate(self.channels)
+        } | {"deflection": clean["deflection"]}  # fmt: skip
 
     def peak_current(self) -> float:
         """A; the largest of both records in the baseline."""

@@ -10,7 +10,6 @@ import numpy.typing as npt
 from examination.blind import cases, rigs
 from examination.blind.case_files import RECALIBRATION
 from examination.blind.cases import EFFECTS, QUANTITIES, Case, Draw, Symptom
-from examination.blind.reality import BY_NAME
 from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
 from sma_bench.parameters.parameters import load_kind
 
@@ -214,12 +213,6 @@ def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
         for share in (_SHAPES if symptom.settings else _SHAPES[:1])
     ]
     for k, move in enumerate(symptom.moves):
-        feature = BY_NAME[move.feature]
-        before = base.get(move.feature, feature.off)
-        weight = max(move.weight, key=abs)
-        if move.factor:
-            moved = before * float(np.exp(amount * weight))
-        else:
-            moved = float(np.clip(before + amount * weight, feature.low, feature.high))
+        moved = move.moved(base, amount * max(move.weight, key=abs))
         for shape in shapes if k == 0 else shapes[:1]:
             yield {**base, **shape, move.feature: moved}

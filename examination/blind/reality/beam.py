@@ -24,7 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from examination.blind.reality.world import World
+from examination.blind.reality.world import Numbers, World
 from sma_bench.compiled import inlined
 from sma_bench.parameters.audit import wire_length
 
@@ -51,18 +51,14 @@ class Beam(NamedTuple):
     load: Array
     prestretch: Array
     lever: float
-    stiffening: float
     opposing: float
-    relaxing: float
     relaxation_time: Array
     austenite_modulus: float
     modulus_change: float
     recoverable: float
     expansion: float
     rest_temperature: float
-    unrecovered: float
-    slack: float
-    detwinning_stress: float
+    features: Numbers
 
 
 class Pull(NamedTuple):
@@ -106,12 +102,10 @@ def beam(world: World) -> Beam:
             stiffness, load = np.array([0.0, IDLE]), np.array([held, 0.0])
     return Beam(
         sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]), lever,
-        world.feature("stiffening"), opposing, world.feature("matrix_relaxation"),
-        world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
+        opposing, world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
         p["wire.austenite_modulus"], p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
         p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
-        p["environment.ambient_temperature"], world.feature("unrecovered_strain"),
-        world.feature("slack"), world.feature("detwinning_stress"),
+        p["environment.ambient_temperature"], world.numbers,
     )
 
 
@@ -130,21 +124,21 @@ def wire_stress(beam, pull, i, xi, temperature, contraction):
     austenite = 1.0 - xi
     share, share_slope = austenite, -1.0
     if austenite < pull.transformed[i]:
-        share += beam.unrecovered * (pull.transformed[i] - austenite)
-        share_slope += beam.unrecovered
+        share += beam.features.unrecovered_strain * (pull.transformed[i] - austenite)
+        share_slope += beam.features.unrecovered_strain
     modulus = beam.austenite_modulus + xi * beam.modulus_change
     thermal = beam.expansion * (temperature - beam.rest_temperature)
     stretch = beam.recoverable * share - pull.elongation[i] - pull.detwinned[i] - contraction
     stretch += beam.prestretch[beam.side[i]]
     strain = stretch + thermal / modulus
-    loose = min(max(strain, 0.0), beam.slack)
+    loose = min(max(strain, 0.0), beam.features.slack)
     stress = modulus * (strain - loose)
     along_xi = beam.modulus_change * (stretch - loose) + modulus * beam.recoverable * share_slope
     along, detwinned = -modulus, pull.detwinned[i]
-    if 0.0 < strain < beam.slack:
+    if 0.0 < strain < beam.features.slack:
         stress = along_xi = along = 0.0
     elif beam.opposing > 0.0:
-        yielding = beam.detwinning_stress / max(xi, LEAST_MARTENSITE)
+        yielding = beam.features.detwinning_stress / max(xi, LEAST_MARTENSITE)
         flow, soft, along = detwinning(yielding, modulus, stress, detwinned, contraction)
         stress -= modulus * flow
         along_xi *= soft
@@ -194,10 +188,11 @@ def balance(beam, pull, temperature, step, scratch):
     wires = len(beam.side)
     for s in range(2):
         scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], beam.load[s]
-        if beam.relaxing > 0.0:
+        relaxing = beam.features.matrix_relaxation
+        if relaxing > 0.0:
             worth, shift = memory_of_silicone(beam, pull, step, s)
-            scratch[STIFF, s] *= 1.0 - beam.relaxing + beam.relaxing * worth
-            scratch[LOAD, s] += beam.stiffness[s] * beam.relaxing * shift
+            scratch[STIFF, s] *= 1.0 - relaxing + relaxing * worth
+            scratch[LOAD, s] += beam.stiffness[s] * relaxing * shift
     front, back = pull.deflection[0] + pull.change[0], pull.deflection[1] + pull.change[1]
     for i in range(wires):
         scratch[BEFORE, i] = pull.stress[i]
@@ -229,7 +224,7 @@ def linearise(beam, pull, temperature, front, back, scratch):
     """Errors of stresses and balance at these deflections, and their slopes, into `scratch`."""
     for s in range(2):
         d = front if s == 0 else back
-        cubic = beam.stiffness[s] * beam.stiffening * d * d
+        cubic = beam.stiffness[s] * beam.features.stiffening * d * d
         scratch[IMBALANCE, s] = -(scratch[STIFF, s] + cubic) * d - scratch[LOAD, s]
         scratch[SLOPE, s], scratch[GIVE, s] = scratch[STIFF, s] + 3.0 * cubic, 0.0
     for i in range(len(beam.side)):

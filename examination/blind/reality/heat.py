@@ -99,38 +99,17 @@ LEAST_RESISTANCE = 0.05  # of the wire's at rest
 SECONDS_PER_MINUTE = 60.0
 
 
-class Circuit(NamedTuple):
-    """Constants: ohm, 1/K, K, ohm/s, A (0: no limit)."""
-
-    resistance: float
-    austenite_change: float
-    temperature_coefficient: float
-    rest_temperature: float
-    supply: float
-    contact_growth: float
-    limit: float
-
-
-def circuit(world: World) -> Circuit:
-    """The circuit of a world."""
-    p = world.parameters
-    return Circuit(
-        p["wire.resistance"], world.feature("resistance_austenite_change"),
-        world.feature("resistance_temperature_coefficient"), p["environment.ambient_temperature"],
-        world.feature("supply_resistance"), world.feature("contact_growth") / SECONDS_PER_MINUTE,
-        world.feature("current_limit"),
-    )
-
-
 @inlined
-def current(circuit, voltage, temperature, martensite, driven):
+def current(rig, voltage, temperature, martensite, driven):
     """Current [A] of one wire that was driven so long [s], and the power [W] that heats it."""
-    warm = 1.0 + circuit.temperature_coefficient * (temperature - circuit.rest_temperature)
-    phase = 1.0 + circuit.austenite_change * (1.0 - martensite)
-    wire = circuit.resistance * max(warm * phase, LEAST_RESISTANCE)
-    amperes = voltage / (wire + circuit.supply + circuit.contact_growth * driven)
-    if circuit.limit > 0.0:
-        amperes = min(max(amperes, -circuit.limit), circuit.limit)
+    has = rig.features
+    warm = 1.0 + has.resistance_temperature_coefficient * (temperature - rig.beam.rest_temperature)
+    phase = 1.0 + has.resistance_austenite_change * (1.0 - martensite)
+    wire = rig.resistance * max(warm * phase, LEAST_RESISTANCE)
+    contact = has.contact_growth / SECONDS_PER_MINUTE
+    amperes = voltage / (wire + has.supply_resistance + contact * driven)
+    if has.current_limit > 0.0:
+        amperes = min(max(amperes, -has.current_limit), has.current_limit)
     return amperes, amperes * amperes * wire
 
 

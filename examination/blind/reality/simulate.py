@@ -19,10 +19,8 @@ from examination.blind.reality.heat import (
     BACK_WIRE,
     FRONT_WIRE,
     NODES,
-    Circuit,
     Strip,
     ambient,
-    circuit,
     current,
     gusts,
     strip_of,
@@ -39,7 +37,7 @@ from examination.blind.reality.transformation import (
     transform,
     turn,
 )
-from examination.blind.reality.world import World
+from examination.blind.reality.world import Numbers, World
 from sma_bench.compiled import borrowing, inlined, warn_if_plain
 
 Array = NDArray[np.float64]
@@ -49,20 +47,6 @@ STEEPEST = 0.5  # 1/K, transformation per kelvin that an apparent capacity may s
 
 CURRENT, TEMPERATURE, SURFACE, MARTENSITE, STRESS = 0, 1, 2, 3, 4
 QUANTITIES = 5
-
-
-class Habits(NamedTuple):
-    """Constants of a wire's phase and of the tip: features of the world; latent: J per wire."""
-
-    memory: float
-    lag: float
-    latent: float
-    drift: float
-    plastic: float
-    drift_cycles: float
-    friction: float
-    slip: float
-    slip_time: float
 
 
 class Inputs(NamedTuple):
@@ -100,15 +84,17 @@ class Scratch(NamedTuple):
 
 
 class Rig(NamedTuple):
-    """What a world is made of; `pairs` (s, 2) are the wires in front and behind of each strip."""
+    """What a world is made of: ohm and J of latent heat of a wire; `pairs` (s, 2) are the wires in
+    front and behind of each strip."""
 
-    circuit: Circuit
+    features: Numbers
+    resistance: float
+    latent: float
     strip: Strip
     pairs: NDArray[np.int64]
     classes: Classes
     ramps: Array
     beam: Beam
-    habits: Habits
 
 
 @borrowing
@@ -128,10 +114,10 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                 balance(rig.beam, pull, wires.after, step, scratch.beam)
                 aftermath(rig, grains, pull, wires)
                 wanted = pull.deflection[0] - pull.deflection[1]
-                reading = min(reading, wanted + rig.habits.friction)
-                reading = max(reading, wanted - rig.habits.friction)
-        slipped = inputs.time[k] - inputs.time[0] >= rig.habits.slip_time
-        tip[k] = reading + (rig.habits.slip if slipped else 0.0)
+                reading = min(reading, wanted + rig.features.friction)
+                reading = max(reading, wanted - rig.features.friction)
+        slipped = inputs.time[k] - inputs.time[0] >= rig.features.clamp_slip_time
+        tip[k] = reading + (rig.features.clamp_slip if slipped else 0.0)
         sides[k, 0], sides[k, 1] = pull.deflection[0], pull.deflection[1]
         report(rig, inputs, k, field, wires, pull, values)
 
@@ -141,7 +127,7 @@ def report(rig, inputs, k, field, wires, pull, values):
     """Write what every wire is like at sample k."""
     for i in range(len(wires.after)):
         values[k, CURRENT, i] = current(
-            rig.circuit, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i]
+            rig, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i]
         )[0]
         values[k, TEMPERATURE, i] = wires.after[i]
         values[k, MARTENSITE, i] = pull.martensite[i]
@@ -159,15 +145,13 @@ def electricity(rig, inputs, k, wires, pull, step, scratch):
     """Heat [W] into every wire: Joule's, and the latent heat that is still owed."""
     for i in range(len(wires.after)):
         voltage = inputs.voltage[k, i]
-        joule = current(
-            rig.circuit, voltage, wires.after[i], pull.martensite[i], wires.driven[i]
-        )[1]
+        joule = current(rig, voltage, wires.after[i], pull.martensite[i], wires.driven[i])[1]
         if voltage != 0.0:
             wires.driven[i] += step
         paid = PAID_BACK * wires.owed[i]
         wires.owed[i] -= paid
         scratch.source[0, i] = joule + paid / step
-        scratch.source[1, i] = rig.habits.latent * wires.apparent[i]
+        scratch.source[1, i] = rig.latent * wires.apparent[i]
 
 
 @inlined
@@ -188,7 +172,7 @@ def heat(rig, inputs, k, share, field, wires, step, scratch):
 @inlined
 def phase(rig, grains, pull, wires, step):
     """Transform every wire at its new temperature and the stress that its trend predicts."""
-    memory = rig.habits.memory
+    memory = rig.features.return_point_memory
     for i in range(len(wires.after)):
         moved, shift = wires.after[i] - wires.before[i], wires.shift[i]
         if abs(moved) > SMALLEST_MOVE and (moved > 0.0) != grains.rising[i]:
@@ -199,8 +183,8 @@ def phase(rig, grains, pull, wires, step):
         xi, slope = transform(
             rig.classes, rig.ramps, memory, grains, i, wires.after[i] - shift, pull.predicted[i]
         )
-        if rig.habits.lag > 0.0:
-            share = -math.expm1(-step / rig.habits.lag)
+        if rig.features.transformation_lag > 0.0:
+            share = -math.expm1(-step / rig.features.transformation_lag)
             xi = wires.martensite[i] + share * (xi - wires.martensite[i])
             slope *= share
         pull.martensite[i], pull.martensite_slope[i] = xi, slope
@@ -209,7 +193,7 @@ def phase(rig, grains, pull, wires, step):
 @inlined
 def aftermath(rig, grains, pull, wires):
     """What the step's transformation leaves behind: grains' state, fatigue, latent heat."""
-    habits = rig.habits
+    has = rig.features
     for i in range(len(wires.after)):
         settle(grains, i, pull.stress[i] - pull.predicted[i])
         change = pull.martensite[i] - wires.martensite[i]
@@ -218,11 +202,11 @@ def aftermath(rig, grains, pull, wires):
             pull.detwinned[i] *= pull.martensite[i] / wires.martensite[i]
         wires.martensite[i] = pull.martensite[i]
         wires.loops[i] += 0.5 * abs(change)
-        worn = -math.expm1(-wires.loops[i] / habits.drift_cycles)
-        wires.shift[i], pull.elongation[i] = habits.drift * worn, habits.plastic * worn
-        if habits.latent > 0.0:
+        worn = -math.expm1(-wires.loops[i] / has.drift_cycles)
+        wires.shift[i], pull.elongation[i] = has.transition_drift * worn, has.plastic_strain * worn
+        if rig.latent > 0.0:
             moved = wires.after[i] - wires.before[i]
-            wires.owed[i] += habits.latent * (change + wires.apparent[i] * moved)
+            wires.owed[i] += rig.latent * (change + wires.apparent[i] * moved)
             if abs(moved) > SMALLEST_MOVE:
                 wires.apparent[i] = min(max(-change / moved, 0.0), STEEPEST)
 
@@ -273,19 +257,14 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
 
     front, back = ([i for i, s in enumerate(world.sides) if s == side]
                    for side in ("front", "back"))  # fmt: skip
-    habits = Habits(
-        memory=world.feature("return_point_memory"), lag=world.feature("transformation_lag"),
-        latent=world.parameters["wire.mass"] * world.feature("latent_heat"),
-        drift=world.feature("transition_drift"), plastic=world.feature("plastic_strain"),
-        drift_cycles=world.feature("drift_cycles"), friction=world.feature("friction"),
-        slip=world.feature("clamp_slip"), slip_time=world.feature("clamp_slip_time"),
-    )
+    p = world.parameters
     rig = Rig(
-        circuit(world), strip_of(world), np.array([front, back], dtype=np.int64).T.copy(),
-        grain_classes(world), ramp_table(world.feature("kinetics_smoothness")), beam(world), habits,
+        world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
+        strip_of(world), np.array([front, back], dtype=np.int64).T.copy(),
+        grain_classes(world), ramp_table(world.feature("kinetics_smoothness")), beam(world),
     )
     # Cold, all martensite, never driven.
-    still = float(world.parameters["environment.ambient_temperature"])
+    still = float(p["environment.ambient_temperature"])
     before, after = np.full((2, wires), still)
     at_rest = Wires(before, after, np.ones(wires), *(np.zeros(wires) for _ in range(5)))
     scratch = Scratch(

@@ -51,29 +51,21 @@ def grain_classes(world: World) -> Classes:
     finishes = p["wire.austenite_finish_temperature"], p["wire.martensite_finish_temperature"]
     shifts = (
         world.feature("stress_influence_factor_austenite") / p["wire.stress_influence_austenite"],
-        world.feature("stress_influence_factor_martensite")
-        / p["wire.stress_influence_martensite"],
+        world.feature("stress_influence_factor_martensite") / p["wire.stress_influence_martensite"],
     )
     spread, r_share = world.feature("grain_spread"), world.feature("r_phase")
     offsets, weights = _normal(spread)
+    rates = 1.0 / (finishes[0] - starts[0]), 1.0 / (starts[1] - finishes[1])
     rows = [
-        (
-            (1.0 - r_share) * weight,
-            finishes[0] + offset, 1.0 / (finishes[0] - starts[0]), shifts[0],
-            finishes[1] + offset, 1.0 / (starts[1] - finishes[1]), shifts[1],
-        )
+        ((1.0 - r_share) * weight, finishes[0] + offset, rates[0], shifts[0],
+         finishes[1] + offset, rates[1], shifts[1])
         for offset, weight in zip(offsets, weights, strict=True)
-    ]
+    ]  # fmt: skip
     if r_share > 0.0:
         middle = 0.5 * (starts[0] + starts[1])
         hot, cold = middle + 0.5 * (R_WIDTH + R_HYSTERESIS), middle - 0.5 * R_HYSTERESIS
-        rate = 1.0 / R_WIDTH
-        rows.append(
-            (
-                r_share, hot, rate, R_STRESS * shifts[0],
-                cold - 0.5 * R_WIDTH, rate, R_STRESS * shifts[1],
-            )
-        )
+        rows.append((r_share, hot, 1.0 / R_WIDTH, R_STRESS * shifts[0],
+                     cold - 0.5 * R_WIDTH, 1.0 / R_WIDTH, R_STRESS * shifts[1]))  # fmt: skip
     return Classes(*(np.ascontiguousarray(column) for column in np.array(rows).T))
 
 
@@ -175,17 +167,13 @@ def ramp(table, position):
 
 
 @inlined
-def austenite_ramp(classes, table, c, temperature, stress):
-    """f of class c, and its slope along stress."""
-    rate, shift = classes.austenite_rate[c], classes.austenite_shift[c]
-    position = (classes.austenite_finish[c] + shift * stress - temperature) * rate
-    value, slope = ramp(table, position)
-    return value, slope * shift * rate
-
-
-@inlined
-def martensite_ramp(classes, table, c, temperature, stress):
-    """g of class c, and its slope along stress."""
+def ramp_of(classes, table, c, rising, temperature, stress):
+    """f (rising) or g of class c, and its slope along stress."""
+    if rising:
+        rate, shift = classes.austenite_rate[c], classes.austenite_shift[c]
+        position = (classes.austenite_finish[c] + shift * stress - temperature) * rate
+        value, slope = ramp(table, position)
+        return value, slope * shift * rate
     rate, shift = classes.martensite_rate[c], classes.martensite_shift[c]
     position = (temperature - shift * stress - classes.martensite_finish[c]) * rate
     value, slope = ramp(table, position)
@@ -206,8 +194,8 @@ def turn(classes, table, memory, grains, i, temperature, stress):
     rising, line = not grains.rising[i], grains.line
     grains.rising[i] = rising
     for c in range(len(classes.weight)):
-        f = austenite_ramp(classes, table, c, temperature, stress)[0]
-        g = martensite_ramp(classes, table, c, temperature, stress)[0]
+        f = ramp_of(classes, table, c, True, temperature, stress)[0]
+        g = ramp_of(classes, table, c, False, temperature, stress)[0]
         if memory > 0.0:
             known = grains.reversals[i, c]
             if known == LOOPS:
@@ -268,10 +256,7 @@ def transform(classes, table, memory, grains, i, temperature, stress):
     rising, line = grains.rising[i], grains.line
     total, total_slope = 0.0, 0.0
     for c in range(len(classes.weight)):
-        if rising:
-            own, along = austenite_ramp(classes, table, c, temperature, stress)
-        else:
-            own, along = martensite_ramp(classes, table, c, temperature, stress)
+        own, along = ramp_of(classes, table, c, rising, temperature, stress)
         if memory > 0.0:
             close_loops(memory, grains, i, c, own)
         phase = line[i, c, AIM_PHASE] + line[i, c, SLOPE] * (own - line[i, c, AIM_RAMP])
@@ -279,10 +264,7 @@ def transform(classes, table, memory, grains, i, temperature, stress):
         moved_back = other_place(classes, c, rising, temperature, stress) < line[i, c, OTHER_PLACE]
         moved_back = moved_back and line[i, c, OTHER_RAMP] > 0.0
         if moved_back or line[i, c, TRACED] > 0.0:
-            if rising:
-                other, other_along = martensite_ramp(classes, table, c, temperature, stress)
-            else:
-                other, other_along = austenite_ramp(classes, table, c, temperature, stress)
+            other, other_along = ramp_of(classes, table, c, not rising, temperature, stress)
             if line[i, c, TRACED] > 0.0:
                 phase, slope = line[i, c, SLOPE] * (1.0 - other), -line[i, c, SLOPE] * other_along
             if moved_back:

@@ -3,6 +3,7 @@
 All departures off is the baseline. `Features` are what may happen, a `World` is one bench."""
 
 import math
+from collections import namedtuple
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -41,6 +42,8 @@ def _read() -> tuple[Feature, ...]:
 
 FEATURES = _read()
 BY_NAME: dict[str, Feature] = {feature.name: feature for feature in FEATURES}
+# Every feature's number, as compiled functions take them.
+Numbers = namedtuple("Numbers", [feature.name for feature in FEATURES])
 
 
 # --- A world: the true numbers of a rig, and what the baseline model does not know of it.
@@ -95,6 +98,11 @@ class World:
         """Of all wires; those of a weight or a spring have others behind them that do nothing."""
         sides = tuple(self.parameters["bench.channel_sides"])
         return sides if self.load in ("beam", "antagonist") else sides + ("back",) * len(sides)
+
+    @property
+    def numbers(self) -> Numbers:
+        """Of all features."""
+        return Numbers(*(self.feature(name) for name in BY_NAME))
 
     def feature(self, name: str) -> float:
         """Value of a feature; its `off` where the world does not name it."""
