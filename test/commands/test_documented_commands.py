@@ -120,21 +120,15 @@ def test_every_documented_command_is_accepted_and_names_what_exists():
         assert {where: why for where, words in lines if (why := check(words))} == {}
 
 
-@pytest.mark.parametrize(
-    ("check", "lines"),
-    [
-        (
-            check_command,
-            "identfy x; identify; identify x --outt y; run simulatr; check nothing; "
-            "simulate --protocol stairs --out x; audit config/none.yaml; paper staircase",
-        ),
-        (
-            check_ros,
-            "run sma_bench simulatr; launch sma_bench none.launch.py; "
-            "launch sma_bench wire_bench.launch.py protcol:=ramp; "
-            "run sma_bench experiment -p protocol:=stairs",
-        ),
-    ],
-)
+WRONG = {
+    check_command: "identfy x; identify; identify x --outt y; run simulatr; check nothing; "
+    "simulate --protocol stairs --out x; audit config/none.yaml; paper staircase",
+    check_ros: "run sma_bench simulatr; launch sma_bench none.launch.py; "
+    "launch sma_bench wire_bench.launch.py protcol:=ramp; "
+    "run sma_bench experiment -p protocol:=stairs",
+}
+
+
+@pytest.mark.parametrize(("check", "lines"), WRONG.items())
 def test_a_command_that_does_not_exist_is_found(check, lines):
     assert [line for line in lines.split("; ") if check(line.split()) == ""] == []

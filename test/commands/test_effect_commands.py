@@ -6,42 +6,19 @@ import numpy as np
 import pytest
 
 from sma_bench.cli import main
-from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.documentation import effects_page
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.records import Signal, read_record
-from sma_bench.records.bag_writer import write_record
+from sma_bench.records import read_record
 
 SIGNALS = ("front_1.current", "back_1.temperature", "deflection")
-CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 
 
 @pytest.fixture(scope="module")
 def bench(tmp_path_factory):
-    """Options of a simulation of a composite bench on voltages of a bag, and its plain result."""
+    """Options of a simulation with incomplete loops between whole ones, and its plain result."""
     folder = tmp_path_factory.mktemp("effects")
-    time = np.arange(0.0, 8.0, 0.02)
-    beat = time % 4.0
-    front = 6.3 * ((beat < 0.5) | ((beat > 0.65) & (beat < 1.0)))  # an incomplete loop between
-    back = 6.0 * ((time > 2.0) & (beat < 0.8))
-    write_record(
-        folder / "drive",
-        [
-            Signal(f"{channel}.voltage", "V", time, front if channel.startswith("front") else back)
-            for channel in CHANNELS
-        ],
-    )
-    rig = Parameters.defaults().replace(
-        {
-            "bench.channels": CHANNELS,
-            "bench.channel_sides": ("front", "front", "back", "back"),
-            "composite.deflection_per_strain": 1.0,
-            "composite.stress_per_deflection_front": 5.0e9,
-            "composite.stress_per_deflection_back": 4.0e9,
-        }
-    )
-    write_parameters(folder / "rig.yaml", rig)
-    options = ["simulate", "--params", str(folder / "rig.yaml"), "--input", str(folder / "drive")]
+    drive = "--protocol composite_diagnosis_triangles --rate 50"
+    options = ["simulate", "--params", "config/demo_rig.yaml", *drive.split()]
     assert main([*options, "--out", str(folder / "plain")]) == 0
     return options, read_record(folder / "plain")
 

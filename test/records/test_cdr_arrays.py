@@ -17,17 +17,6 @@ def decoded(blobs, kind):
     return list(cdr.decode(b"".join(blobs), lengths, kind, reading_budget(0)))
 
 
-def test_more_layouts_of_one_length_than_are_tried_together(messages):
-    originals = [messages.joints(5, [f"joint_{k:03}"], [float(k)]) for k in range(200)]
-    blobs = [messages.serialise(message) for message in originals]
-    assert len({len(blob) for blob in blobs}) == 1
-    found = {}
-    for batch in decoded(blobs, contract.JOINT_STATE):
-        (name,) = batch.texts["name"]
-        found |= {row: (name, *batch.columns["position"][k]) for k, row in enumerate(batch.rows)}
-    assert found == {k: (f"joint_{k:03}", float(k)) for k in range(200)}
-
-
 @settings(max_examples=300, deadline=None)
 @given(
     blobs=st.lists(st.binary(max_size=80), max_size=6),

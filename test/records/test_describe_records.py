@@ -7,7 +7,7 @@ import pytest
 
 from sma_bench.cli import main
 from sma_bench.errors import InputError
-from sma_bench.records import DscRecord, Record, Signal, describe, open_record, read_record
+from sma_bench.records import Record, Signal, describe, open_record, read_record
 
 
 def test_info_shows_topics_signals_markers_and_findings_and_writes_plain_data(
@@ -56,10 +56,7 @@ def test_records_are_told_apart_by_content(tmp_path, write_bag, ramp, measured_d
     bag, renamed = write_bag(tmp_path / "bag", ramp), tmp_path / "bag.dat"
     next(bag.glob("*.mcap")).rename(renamed)
     assert isinstance(open_record(renamed), Record)
-    dsc = tmp_path / "thing"
-    source = measured_data / "sma_react/input/preprocessor_samples/DSC.txt"
-    dsc.write_bytes(source.read_bytes())
-    assert isinstance(open_record(dsc), DscRecord)
+    dsc = measured_data / "sma_react/input/preprocessor_samples/DSC.txt"
     assert main(["info", str(dsc)]) == 0
     shown = capsys.readouterr().out
     assert "60.200 mg" in shown and "cooling" in shown and "no findings" in shown

@@ -1,7 +1,6 @@
 """What draws itself: figures for pages, notebooks and papers, and records over each other."""
 
 import csv
-import io
 import json
 import re
 from dataclasses import replace
@@ -14,8 +13,8 @@ import sma_bench
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records.bag_writer import write_record
-from sma_bench.report.drawing import COLUMNS, curves_of, line_style, new_figure, noise_band
-from sma_bench.report.page import Picture, Section, Table, csv_text, write_report
+from sma_bench.report.drawing import COLUMNS, curves_of, line_style
+from sma_bench.report.page import Section, Table, write_report
 
 WIRES = ["front_1", "front_2", "back_1", "back_2"]
 TIME = np.arange(0.0, 20.0, 0.05)
@@ -77,21 +76,6 @@ def test_a_column_has_its_width_and_letters_and_leaves_the_figure_as_it_was(reco
     sizes = {float(size) for size in re.findall(r"font(?:-size)?: ?([\d.]+)px", svg)}
     assert min(sizes) >= 5.0 and max(sizes) <= 7.2 + 1e-6
     assert plot.figure.get_size_inches().tolist() == before
-
-
-def test_a_map_has_its_numbers_in_a_table_and_a_noise_band_answers_to_the_pointer():
-    figure, (ax,) = new_figure()
-    ax.imshow([[0.0, 1.0]], cmap="YlOrRd")
-    ax.set_xticks([0, 1], ["drive", "rest"])
-    ax.set_yticks([0], ["back"])
-    text = csv_text(Picture("map", "Map", "of two", figure).drawn).decode()
-    rows = [(r["x"], r["y"], r["value"]) for r in csv.DictReader(io.StringIO(text))]
-    assert rows == [("drive", "back", "0"), ("rest", "back", "1")]
-    figure, (ax,) = new_figure()
-    ax.plot([0.0, 1.0], [5.0, 6.0])
-    noise_band(ax, 0.25)
-    (panel,) = curves_of(figure)
-    assert panel["bands"] == [[-0.25, 0.25]]
 
 
 def test_tables_for_papers_hold_plain_numbers(tmp_path):
