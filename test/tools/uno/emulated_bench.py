@@ -18,8 +18,6 @@ from sma_bench.parameters import Parameters
 from sma_bench.physics import Bench
 from uno.emulated_uno import CHANNELS, EmulatedUno, build_uno
 
-# --- Wires behind the pins: the heat of what the outputs did, the voltages of the sensors.
-
 # A triangulation sensor for 40 to 300 mm (GP2Y0A41SK0F's curve): V = SLOPE / (d + SHIFT) + OFFSET.
 SLOPE = 0.124
 SHIFT = 4.2e-3
@@ -28,16 +26,15 @@ STANDOFF = 0.1
 
 
 class Plant:
-    """The physics of a rig, driven by the outputs' real pulses and seen through the real pins."""
+    """The physics of a rig, driven by the outputs' real pulses and seen through the real pins. The
+    rig's channels hang on the first outputs; the others have nothing connected."""
 
     def __init__(self, uno: EmulatedUno, parameters: Parameters) -> None:
-        """The rig's channels hang on the first outputs; the others have nothing connected."""
         self._uno = uno
         self._wires = len(parameters["bench.channels"])
         # What the outputs did comes as volts that heat, whatever the drive.
         self.bench = Bench(parameters.replace({"bench.drive": "voltage"}))
-        self._squares = np.array(uno.electrics.square_time)
-        self._time = uno.time
+        self._squares, self._time = np.array(uno.electrics.square_time), uno.time
         resistance = parameters["wire.resistance"] / parameters["wire.count"]
         uno.electrics.resistance[:] = [
             resistance if channel < self._wires else math.inf for channel in range(CHANNELS)
@@ -47,14 +44,11 @@ class Plant:
     def advance(self) -> None:
         """Let the time pass that the Uno has just run."""
         dt = self._uno.time - self._time
-        if dt <= 0.0:
-            return
-        self._time = self._uno.time
-        squares = np.array(self._uno.electrics.square_time)
-        heating = np.sqrt((squares - self._squares) / dt)
-        self._squares = squares
-        self.bench.advance(heating[: self._wires], dt)
-        self._show_deflection()
+        if dt > 0.0:
+            before, self._squares = self._squares, np.array(self._uno.electrics.square_time)
+            self._time = self._uno.time
+            self.bench.advance(np.sqrt((self._squares - before) / dt)[: self._wires], dt)
+            self._show_deflection()
 
     def run(self, seconds: float, step: float = 1e-3) -> None:
         """Uno and wires together."""
@@ -63,25 +57,23 @@ class Plant:
             self.advance()
 
     def _show_deflection(self) -> None:
-        deflection = self.bench.deflection
         self._uno.electrics.range_voltage[:] = [
-            SLOPE / (distance + SHIFT) + OFFSET
-            for distance in (STANDOFF - deflection, STANDOFF + deflection)
+            SLOPE / (STANDOFF + sign * self.bench.deflection + SHIFT) + OFFSET
+            for sign in (-1.0, 1.0)
         ]
 
 
-# --- When current could flow, as an oscilloscope at the pins and the wires would see it.
-
 class PinWatch:
-    """Call `look` after every slice of the Uno's time; answers are in s of its clock."""
+    """When current could flow, as an oscilloscope would see it; `look` after every slice."""
 
     def __init__(self, uno: EmulatedUno) -> None:
         self._uno = uno
         self._on_time = 0.0
         self.last_on = 0.0
+        """s of the Uno's clock: when an output was high, or a wire connected, for the last time"""
 
     def look(self) -> None:
-        """Note whether any output was high, or any wire connected, since the last look."""
+        """Note whether it was so since the last look."""
         on_time = sum(self._uno.electrics.on_time) + sum(self._uno.electrics.wire_time)
         if on_time > self._on_time:
             self.last_on = self._uno.time
@@ -89,11 +81,9 @@ class PinWatch:
 
     @property
     def off_for(self) -> float:
-        """Time since an output was high or a wire connected."""
+        """s since then."""
         return self._uno.time - self.last_on
 
-
-# --- The Uno behind a pseudo terminal, in real time.
 
 SLICE = 5e-4
 _PRIORITY = 1
@@ -105,27 +95,22 @@ _AT_ONCE = 5e-3
 
 
 class PtyBench:
-    """Runs a device (run, write, read) at the speed of the wall clock; `path` is the port."""
+    """Runs a device (run, write, read) at the speed of the wall clock; `path` is the port.
+
+    `each_slice()` lets a plant pass the same time, in the same thread; so does `on_open()` what
+    somebody causes who opens the port.
+    """
 
     def __init__(
-        self, device: Any, each_slice: Callable[[], None] | None = None,
-        on_open: Callable[[], None] | None = None,
+        self, device: Any, each_slice: Callable[[], None], on_open: Callable[[], None]
     ) -> None:
-        """`each_slice()` lets a plant pass the same time, in the same thread; so does `on_open()`
-        what somebody causes who opens the port."""
-        self.device = device
-        self._each_slice = each_slice
-        self._on_open = on_open
+        self.device, self._each_slice, self._on_open = device, each_slice, on_open
         self.plug()
         self._jobs: list[Callable[[], None]] = []
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="emulated bench", daemon=True)
-        self.began = 0.0
         self.largest_lag = 0.0
         """s that the device's time was behind the wall's: a loaded computer"""
-
-    def start(self) -> None:
-        """Time begins."""
         self.began = time.monotonic()
         self._thread.start()
 
@@ -136,7 +121,7 @@ class PtyBench:
         self.unplug()
 
     def plug(self) -> None:
-        """A new cable, with a `path` of its own. Between two slices (`do`), or before `start`."""
+        """A new cable, with a `path` of its own. Between two slices (`do`), or before time."""
         self._master, slave = os.openpty()
         tty.setraw(slave)
         os.set_blocking(self._master, False)
@@ -154,15 +139,10 @@ class PtyBench:
             self._plugged = False
             os.close(self._master)
 
-    def do(self, job: Callable[[], None]) -> None:
+    def do(self, job: Callable[[], object]) -> None:
         """Run `job` between two slices and wait for it."""
         done = threading.Event()
-
-        def announced() -> None:
-            job()
-            done.set()
-
-        self._jobs.append(announced)
+        self._jobs.append(lambda: (job(), done.set()))
         done.wait()
 
     def _run(self) -> None:
@@ -175,8 +155,7 @@ class PtyBench:
                 self._jobs.pop(0)()
             self._carry()
             self.device.run(SLICE)
-            if self._each_slice is not None:
-                self._each_slice()
+            self._each_slice()
             # Every delay is caught up: the device's clock must not slip against the wall's.
             now = time.monotonic()
             due += SLICE
@@ -186,7 +165,12 @@ class PtyBench:
 
     def _carry(self) -> None:
         # Nobody may have opened the port, and nobody may read: bytes are then lost, as on a cable.
-        if not self._plugged or not self._opened():
+        events = self._end.poll(0) if self._plugged else []
+        is_open = self._plugged and not (events and events[0][1] & select.POLLHUP)
+        if is_open and not self._is_open:
+            self._on_open()
+        self._is_open = is_open
+        if not is_open:
             self.device.read()
             return
         with contextlib.suppress(OSError):
@@ -196,31 +180,20 @@ class PtyBench:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, sent)
 
-    def _opened(self) -> bool:
-        """Whether somebody has the port open; whoever opens it is noticed first."""
-        events = self._end.poll(0)
-        is_open = not (events and events[0][1] & select.POLLHUP)
-        if is_open and not self._is_open and self._on_open is not None:
-            self._on_open()
-        self._is_open = is_open
-        return is_open
-
 
 @contextlib.contextmanager
 def on_a_port(
-    device: Any, each_slice: Callable[[], None] | None = None,
-    on_open: Callable[[], None] | None = None,
+    device: Any,
+    each_slice: Callable[[], None] = lambda: None,
+    on_open: Callable[[], None] = lambda: None,
 ) -> Iterator[PtyBench]:
     """The device behind a port, for as long as the context lasts."""
     bench = PtyBench(device, each_slice, on_open)
-    bench.start()
     try:
         yield bench
     finally:
         bench.stop()
 
-
-# --- Uno, wires, pins and a port in one.
 
 BOOTLOADER = 0.3
 """s; an Optiboot waits 1 s for somebody who uploads, the Uno's first bootloaders 2 s"""
@@ -229,17 +202,18 @@ _WARM_UP = 0.01
 
 
 class EmulatedBench:
-    """A rig on an emulated Uno, in real time; `path` is the port to open."""
+    """A rig on an emulated Uno; `path` is the port to open."""
 
-    def __init__(
-        self, uno: EmulatedUno, plant: Plant, pins: PinWatch, port: PtyBench, before: float
-    ) -> None:
-        """`before`: s of the Uno's clock when the wall's began to count."""
-        self.uno = uno
-        self.plant = plant
-        self.pins = pins
-        self.port = port
-        self._before = before
+    def __init__(self, uno: EmulatedUno, parameters: Parameters) -> None:
+        self.uno, self.plant, self.pins = uno, Plant(uno, parameters), PinWatch(uno)
+        self.plant.run(_WARM_UP)  # compiles the physics before time begins
+        self._before = uno.time
+        self.port: PtyBench
+
+    def each_slice(self) -> None:
+        """What else passes when the Uno's time does."""
+        self.plant.advance()
+        self.pins.look()
 
     @property
     def path(self) -> str:
@@ -252,41 +226,26 @@ class EmulatedBench:
         opening of the port; its time runs with the wall's, but for a loaded computer's delays."""
         return self.port.began - self._before + self.uno.electrics.started
 
-    def do(self, job: Callable[[], None]) -> float:
+    def do(self, job: Callable[[], object]) -> float:
         """Run `job` between two slices of time; when that was, in s of the Uno's clock."""
         times: list[float] = []
-
-        def timed() -> None:
-            times.append(self.uno.time)
-            job()
-
-        self.port.do(timed)
+        self.port.do(lambda: (times.append(self.uno.time), job()))
         return times[0]
 
 
 @contextlib.contextmanager
 def emulated_bench(
-    parameters: Parameters, uno: EmulatedUno | None = None, bootloader: float = BOOTLOADER
+    parameters: Parameters, uno: EmulatedUno | None = None
 ) -> Iterator[EmulatedBench]:
-    """A bench that is what the parameters say, as long as the context lasts.
-
-    Args:
-        uno: one just powered up; None to build one.
-        bootloader: s between an opening of the port, which resets the Uno, and its program.
+    """A bench in real time that is what the parameters say, as long as the context lasts; on an
+    Uno just powered up, built where there is none.
 
     Raises:
         InputError: the tools to build one are missing.
     """
     with tempfile.TemporaryDirectory(prefix="emulated_uno_") as folder:
         uno = uno or build_uno(Path(folder))
-        uno.electrics.bootloader_time = bootloader
-        plant, pins = Plant(uno, parameters), PinWatch(uno)
-        plant.run(_WARM_UP)  # compiles the physics before time begins
-
-        def each_slice() -> None:
-            plant.advance()
-            pins.look()
-
-        before = uno.time
-        with on_a_port(uno, each_slice, uno.reset) as port:
-            yield EmulatedBench(uno, plant, pins, port, before)
+        uno.electrics.bootloader_time = BOOTLOADER
+        bench = EmulatedBench(uno, parameters)
+        with on_a_port(uno, bench.each_slice, uno.reset) as bench.port:
+            yield bench
