@@ -81,31 +81,14 @@ def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_er
     assert abs(errors.mean()) < 0.1
 
 
-PLACE = {"signal": "deflection", "phase": "drive", "side": "front"}
-GONE = {"rmse_before": 3e-3, "rmse_after": 2e-4, "noise_floor": 1e-4, "fraction": 0.94}
-AT_NOISE = dict.fromkeys(("rmse_before", "rmse_after", "noise_floor"), 1e-2)
-SHRINKAGE = {
-    "deflection": {**GONE, "ci90": [0.9, 0.97]},
-    "current": {**AT_NOISE, "fraction": None, "ci90": [None, None]},
-}
-
-
-def answer(probabilities, verdict="effect", **parameters):
+def answer(probabilities, verdict="effect"):
     """A diagnosis result of candidates, the first of which is the cause where one is named."""
     candidates = [
-        {"name": name, "stage": "mechanical", "probability": p, "gap_over_noise": 3.0}
+        {"name": name, "stage": "mechanical", "probability": p, "parameters": {}}
         for name, p in probabilities.items()
     ]
-    candidates[0]["parameters"] = parameters
-    found = [{**PLACE, "gap": 30.0, "share": 0.6, "rms": 3e-3}]
-    return {
-        "verdict": verdict,
-        "cause": candidates[0]["name"].split("+") if verdict == "effect" else [],
-        "candidates": candidates,
-        "where": {**PLACE, "stage": "mechanical", "table": found},
-        "shrinkage": SHRINKAGE,
-        "next_experiment": None,
-    }
+    cause = candidates[0]["name"].split("+") if verdict == "effect" else []
+    return {"verdict": verdict, "cause": cause, "candidates": candidates}
 
 
 OTHER = {"opposing_wires": 0.6, "slack": 0.3, "ambient_drift+slack": 0.05}

@@ -1,4 +1,5 @@
-"""Every command's help ends in examples that its own parser takes; errors, colours, JSON."""
+"""Every command's help ends in examples that its own parser takes; errors, colours, JSON;
+tables fit the terminal."""
 
 import json
 import shlex
@@ -6,9 +7,12 @@ import subprocess
 import sys
 
 import pytest
+from rich.cells import cell_len
 from test_documented_commands import check_command
 
 from sma_bench.cli import COMMANDS, main
+from sma_bench.parameters.table import BY_NAME
+from sma_bench.physics.effects import EFFECTS
 
 ESCAPE = "\x1b"
 PRINT_NO_RESULT = {"run", "dashboard", "example"}
@@ -89,6 +93,18 @@ def test_json_is_all_there_is_on_standard_output_unless_it_goes_to_a_file(tmp_pa
     assert found["effects"] == ["latent_heat=12e3"]
     assert found["signals"]["wire.temperature"] == "K"
     assert found["samples"] == pytest.approx(10.0 * found["duration"], abs=2)
+
+
+@pytest.mark.parametrize("columns", ["80", "60", "40"])
+@pytest.mark.parametrize("words", [["effects"], ["parameters"], ["audit"]])
+def test_what_commands_print_fits_and_names_can_be_looked_up(words, columns, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", columns)
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    assert max(cell_len(line.rstrip()) for line in out.splitlines()) <= int(columns)
+    names = {"effects": EFFECTS, "parameters": BY_NAME}.get(words[0], {})
+    if columns == "80":
+        assert [name for name in names if len(name) <= 36 and name not in out] == []
 
 
 HELP = """

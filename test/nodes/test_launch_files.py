@@ -165,17 +165,6 @@ def test_arguments_reach_the_nodes_and_a_camera_takes_the_place_of_true_temperat
         assert reader[name] == pictures[name]
 
 
-def test_what_the_rigs_file_says_of_its_camera_stays(tmp_path):
-    rig = tmp_path / "rig.yaml"
-    rig.write_text(
-        "/**: {ros__parameters: {image_width: 200, regions: ['5 5 100 50 x'],"
-        " read_cold_wires: false}}\n"
-    )
-    nodes = {n.executable: n for n in plan_bench(WIRE, {"params": str(rig), "camera": "true"})}
-    assert nodes["synthetic_camera"].parameters["image_width"] == 200
-    assert not {"image_width", "regions", "read_cold_wires"} & set(nodes["ir_camera"].parameters)
-
-
 @pytest.fixture
 def bag(tmp_path):
     time = np.arange(0.0, 2.0, 0.05)
