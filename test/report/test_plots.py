@@ -129,18 +129,3 @@ def test_records_and_models_are_compared_by_the_command(tmp_path, capsys):
     names = {path.name for path in (tmp_path / "page").iterdir()}
     assert {"overlay.pdf", "overlay.svg", "overlay.csv", "differences.csv"} <= names
     assert "lab.yaml" in (tmp_path / "page" / "index.html").read_text()
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("--column wide", "--column wide"),
-        ("--font 8", "--font is 8 pt, expected 4 to 24 pt, and --column with it"),
-        ("", "1 record or model given, expected two or more"),
-    ],
-)
-def test_what_cannot_be_compared_is_one_line(record, words, said, tmp_path, capsys):
-    write_record(tmp_path / "monday", record.signals.values())
-    assert main(["compare", str(tmp_path / "monday"), *words.split()]) == 2
-    error = capsys.readouterr().err
-    assert said in error and error.count("\n") == 1

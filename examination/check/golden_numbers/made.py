@@ -64,17 +64,15 @@ class Number:
         """By how many of this number's tolerances `now` is off; infinite if not comparable."""
         if self.value == now.value:
             return 0.0
-        if not (is_number(self.value) and is_number(now.value)):
+        if not (self.tolerance and is_number(self.value) and is_number(now.value)):
             return math.inf
-        if not math.isfinite(self.value - now.value) or not self.tolerance:
-            return math.inf
-        return (now.value - self.value) / self.tolerance
+        moved = (now.value - self.value) / self.tolerance
+        return moved if math.isfinite(moved) else math.inf
 
     def is_outside(self, now: "Number") -> bool:
         """Whether `now` is farther off than this number allows."""
         moved = self.moved(now)
         return {"": abs(moved), "+": moved, "-": -moved}[self.side] > 1.0
-
 
     def __str__(self) -> str:
         return f"{self.value:.7g}" if is_number(self.value) else str(self.value)
