@@ -106,11 +106,8 @@ class Answer:
 
 
 def checked_answer(document: Any, where: str = "answer") -> Answer:
-    """An Answer from the plain document of a diagnosis.
-
-    Raises:
-        InputError: what is missing, of another type or against the contract, in one line.
-    """
+    """An Answer from the plain document of a diagnosis; raises InputError where something is
+    missing, of another type or against the contract, in one line."""
     import msgspec  # robots that examine nobody do without
 
     try:
@@ -175,12 +172,11 @@ class CaseSet:
 
     @property
     def folder(self) -> Path:
-        """Where the cases lie."""
         return self.root / CASES
 
     @property
     def answers(self) -> Path:
-        """Where answers lie by default."""
+        """By default."""
         return self.root / ANSWERS
 
     def labels(self) -> list[dict[str, Any]]:

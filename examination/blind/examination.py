@@ -227,16 +227,13 @@ def follow_up(
     """Do what the examinee's answers ask for, and keep each one after it in `answers`/after_1 to
     after_3; what has been answered stays."""
     for number, name in enumerate(FOLLOW_UPS):
-        asking = {
-            case: history for case in cases.names
-            if len(history := answers_of(answers, case)) == number + 1
-            and asks_for_more(history[-1])
-        }
-        ask = {
-            case: partial(_do_and_ask, cases.folder.absolute() / case, cases.seed, labels[case],
-                          history, examinee)
-            for case, history in asking.items()
-        }
+        ask = {}
+        for case in cases.names:
+            history, place = answers_of(answers, case), cases.folder.absolute() / case
+            if len(history) == number + 1 and asks_for_more(history[-1]):
+                ask[case] = partial(
+                    _do_and_ask, place, cases.seed, labels[case], history, examinee
+                )
         ask_all(examinee, ask, answers / name, jobs)
 
 

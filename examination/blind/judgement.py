@@ -26,6 +26,7 @@ SET_MASS = 0.9
 CONFIDENT = 0.8
 MOVED = 2.0
 _BENIGN = frozenset((NO_GAP, RECALIBRATION))
+_SILENCE = Answer("", (), (), None, {}, None)
 # What is right to say of a case without an effect of the library. Where nothing is wrong, the
 # parameters still differ from the truth by their uncertainty, and saying that is no error.
 _RIGHT_NAMES = {
@@ -108,25 +109,20 @@ class Judged:
         return self.answer is not None
 
     @property
-    def verdict(self) -> str:
-        """"" without an answer."""
-        return self.answer.verdict if self.answer else ""
-
-    @property
-    def candidates(self) -> tuple[Candidate, ...]:
-        """Most probable first; none without an answer."""
-        return self.answer.candidates if self.answer else ()
+    def said(self) -> Answer:
+        """The answer, an empty one where there is none."""
+        return self.answer or _SILENCE
 
     @property
     def first_choice(self) -> Candidate | None:
         """The most probable candidate."""
-        return self.candidates[0] if self.answer else None
+        return next(iter(self.said.candidates), None)
 
     @property
     def credible_set(self) -> tuple[Candidate, ...]:
         """The fewest candidates whose probabilities make 90 %, most probable first."""
         total, chosen = 0.0, []
-        for candidate in self.candidates:
+        for candidate in self.said.candidates:
             if total < SET_MASS - 1e-9:
                 chosen.append(candidate)
             total += candidate.probability
@@ -144,7 +140,7 @@ class Judged:
 
     @property
     def named_and_right(self) -> bool:
-        return self.verdict == "effect" and self.first_choice_right
+        return self.said.verdict == "effect" and self.first_choice_right
 
     @property
     def stated(self) -> tuple[float, bool] | None:
@@ -154,7 +150,7 @@ class Judged:
     @property
     def parameter_found(self) -> bool:
         """Verdict recalibration, and one of the wrong parameters is moved."""
-        return self.verdict == RECALIBRATION and not self.moved.isdisjoint(self.label.wrong)
+        return self.said.verdict == RECALIBRATION and not self.moved.isdisjoint(self.label.wrong)
 
     @property
     def family_right(self) -> bool:
@@ -176,22 +172,22 @@ class Judged:
     @property
     def truth_probability(self) -> float:
         """Probability of the candidates that are made of nothing but what is true."""
-        return sum(c.probability for c in self.candidates if c.parts <= self.label.names)
+        return sum(c.probability for c in self.said.candidates if c.parts <= self.label.names)
 
     @property
     def says_gap(self) -> bool:
         """Any verdict but no_gap, unless an ambiguous one leaves no_gap in its 90 % set."""
-        if self.verdict == "ambiguous":
+        if self.said.verdict == "ambiguous":
             return not self._set_has(frozenset((NO_GAP,)))
-        return self.verdict not in ("", NO_GAP)
+        return self.said.verdict not in ("", NO_GAP)
 
     @property
     def alarms(self) -> bool:
         """Says that the model misses something: an effect, something unexplained, or ambiguous
         with neither no_gap nor recalibration in the 90 % set. No answer counts as an alarm."""
-        if self.verdict == "ambiguous":
+        if self.said.verdict == "ambiguous":
             return not self._set_has(_BENIGN)
-        return self.verdict in ("", "effect", UNEXPLAINED)
+        return self.said.verdict in ("", "effect", UNEXPLAINED)
 
     @property
     def alarms_with_reason(self) -> bool:
@@ -199,7 +195,7 @@ class Judged:
 
     @property
     def abstains(self) -> bool:
-        return self.verdict in ("ambiguous", UNEXPLAINED)
+        return self.said.verdict in ("ambiguous", UNEXPLAINED)
 
     @property
     def abstains_or_flags(self) -> bool:
@@ -210,15 +206,15 @@ class Judged:
     def confident_and_wrong(self) -> bool:
         """Verdict `effect` with a cause that shares nothing with the truth, or one candidate that
         shares nothing with it at a probability of 0.8 or more."""
-        sure = [c.parts for c in self.candidates if c.probability >= CONFIDENT]
-        if self.answer and self.answer.cause:
-            sure.append(frozenset(self.answer.cause))
+        sure = [c.parts for c in self.said.candidates if c.probability >= CONFIDENT]
+        if self.said.cause:
+            sure.append(frozenset(self.said.cause))
         return any(not parts & self.label.names for parts in sure)
 
     def names(self, how_many: str) -> bool:
         """The cause, or without one the most probable candidate, has `one` or `both` in it."""
         first = self.first_choice.parts if self.first_choice else frozenset()
-        named = frozenset(self.answer.cause if self.answer else ()) or first
+        named = frozenset(self.said.cause) or first
         return self.label.names <= named if how_many == "both" else bool(named & self.label.names)
 
     def place_right(self, key: str) -> bool | None:
@@ -228,11 +224,12 @@ class Judged:
         """
         if not self.label.where:
             return None
-        if self.answer is None or self.answer.where is None:
+        place = self.said.where
+        if place is None:
             return False
         if key == "stage" and self.label.own_stages:
-            return self.answer.where.stage in self.label.own_stages
-        return quantity_of(getattr(self.answer.where, key)) == quantity_of(self.label.where[key])
+            return place.stage in self.label.own_stages
+        return quantity_of(getattr(place, key)) == quantity_of(self.label.where[key])
 
     @property
     def settled(self) -> bool | None:
@@ -240,13 +237,13 @@ class Judged:
         if not self.followed:
             return None
         last = Judged(self.label, self.second)
-        return last.verdict != "ambiguous" and last.first_choice_right
+        return last.said.verdict != "ambiguous" and last.first_choice_right
 
     def claim(self, what: str) -> float | bool | None:
         """Of the claimed and the true fraction of one signal: the deflection where it has a gap
         above the noise, else the signal with the largest; None where none has, or nothing is
         claimed."""
-        said = self.answer.shrinkage if self.answer else {}
+        said = self.said.shrinkage
         usable = {
             name: claim.fraction for name, claim in said.items()
             if claim.fraction is not None and name in self.shrunk

@@ -105,11 +105,8 @@ _LAYOUT = 1
 
 def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") -> dict[str, Any]:
     """Make n cases in a new folder, which appears when all of them are there; its manifest. The
-    same seed and n give the same bytes, whatever the number of jobs.
-
-    Raises:
-        InputError: the folder exists or cannot be made, or a number out of range.
-    """
+    same seed and n give the same bytes, whatever the number of jobs. Raises InputError where the
+    folder exists or cannot be made, and for a number out of range."""
     out = Path(out)
     for what, value, low, high in (
         ("seed", seed, 0, 2**31 - 1), ("number of cases", n, 1, LARGEST_SET), ("jobs", jobs, 1, 64),

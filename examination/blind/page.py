@@ -84,10 +84,9 @@ def tables(score: Score) -> list[str]:
             lines += ["", f"{name.capitalize()}:", "", *_table(header, body)]
     choices = []
     for truth, row in confusion(score.cases).items():
-        chosen = sorted(row, key=lambda name: -row[name])
-        often = [f"{row[name]} {name}" for name in chosen[:_MOST_SHOWN]]
-        if len(chosen) > _MOST_SHOWN:
-            often.append(f"{len(chosen) - _MOST_SHOWN} more")
+        often = [f"{row[name]} {name}" for name in sorted(row, key=lambda name: -row[name])]
+        if len(often) > _MOST_SHOWN:
+            often[_MOST_SHOWN:] = [f"{len(often) - _MOST_SHOWN} more"]
         choices.append((truth, str(sum(row.values())), ", ".join(often)))
     header = ("truth", "cases", "most frequent first choices")
     return [*lines, "", "Truth against first choice:", "", *_table(header, choices)]

@@ -363,20 +363,6 @@ def gaps(
     }
 
 
-def phases(drive: Drive) -> tuple[npt.NDArray[np.str_], npt.NDArray[np.str_]]:
-    """(n,) drive, rest or initial, and (n,) the side driven now or last ("" before)."""
-    time = drive.grid(COMMAND_PERIOD)
-    driven = drive.voltage(time) > 0.0
-    phase = np.full(len(time), "rest", dtype="<U7")
-    phase[driven.any(axis=1)] = "drive"
-    started = np.maximum.accumulate(driven.any(axis=1))
-    phase[~started] = "initial"
-    side = np.full(len(time), "", dtype="<U5")
-    for pulse in drive.pulses:
-        side[time >= pulse.times[0]] = pulse.side
-    return phase, side
-
-
 def where(
     with_effect: Mapping[str, Array], without: Mapping[str, Array], stage: Stage, record: str,
     quantities: Iterable[str],
@@ -384,7 +370,13 @@ def where(
     """The gap by signal, phase and side, largest share first: rows of signal, phase, side, gap
     (over noise, root mean square in the cell) and share (of the squared gaps over noise of all
     samples that the record holds)."""
-    phase, side = phases(stage.drives[record])
+    drive = stage.drives[record]
+    time = drive.grid(COMMAND_PERIOD)
+    driven = (drive.voltage(time) > 0.0).any(axis=1)
+    phase = np.where(driven, "drive", np.where(np.maximum.accumulate(driven), "rest", "initial"))
+    side = np.full(len(time), "", dtype="<U5")  # that is driven now or was last
+    for pulse in drive.pulses:
+        side[time >= pulse.times[0]] = pulse.side
     rows = []
     for name in gaps(with_effect, without, stage.sensors, quantities):
         quantity = quantity_of(name)

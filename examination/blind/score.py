@@ -1,5 +1,6 @@
 """Answers and labels brought together, once every answer is there."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,7 +32,6 @@ class Paper:
 
     @property
     def name(self) -> str:
-        """How tables call it."""
         return self.examination.name
 
 
@@ -57,12 +57,8 @@ class Score:
 
 
 def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
-    """The complete papers of some folders, or of all that lie in the set; the labels are not
-    touched.
-
-    Raises:
-        InputError: nobody has answered, an answer is missing, or it is to another set.
-    """
+    """The complete papers of some folders, or of all that lie in the set; raises InputError where
+    nobody has answered, an answer is missing, or it is to another set."""
     there = sorted(cases.answers.glob(f"*/{files.EXAMINATION}"))
     found = list(folders) or [path.parent for path in there]
     if not found:
@@ -132,15 +128,15 @@ def followed_up(papers: Sequence[Paper]) -> list[Paper]:
 _ROWS = (*STAGE_OF, "pair", "none", "mild kinetics", "recalibration", "outside")
 _EDGES = (0.0, 1.5, 3.0, 6.0, 12.0, np.inf)
 
+
 def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
     """What is true (rows) against the most probable candidate, as they occur."""
-    table: dict[str, dict[str, int]] = {}
+    table: dict[str, Counter[str]] = {}
     for case in cases:
         chosen = case.first_choice.name if case.first_choice else "no answer"
         chosen = "two effects" if files.PAIR_SIGN in chosen else chosen
-        row = table.setdefault(truth_of(case), {})
-        row[chosen] = row.get(chosen, 0) + 1
-    return {name: table[name] for name in sorted(table, key=_place)}
+        table.setdefault(truth_of(case), Counter())[chosen] += 1
+    return {name: dict(table[name]) for name in sorted(table, key=_place)}
 
 
 def truth_of(case: Judged) -> str:
@@ -151,14 +147,11 @@ def truth_of(case: Judged) -> str:
     return "mild kinetics" if mild else case.label.kind
 
 
-def _place(name: str) -> int:
-    return _ROWS.index(name) if name in _ROWS else len(_ROWS)
+def _place(name: str) -> tuple[int, str]:
+    return _ROWS.index(name) if name in _ROWS else len(_ROWS), name
 
 
-Groups = dict[str, dict[str, dict[str, Measured]]]
-
-
-def groups(cases: Sequence[Judged]) -> Groups:
+def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]:
     """Title -> group -> measure: singles by severity, by signals and by effect; all by kind."""
 
     def severity(case: Judged) -> str:
@@ -167,7 +160,7 @@ def groups(cases: Sequence[Judged]) -> Groups:
         return f"{k + 1}: {above}{_EDGES[k]:g}" + f" to {_EDGES[k + 1]:g}" * (not above)
 
     singles = [c for c in cases if c.label.kind == "single"]
-    found: Groups = {}
+    found = {}
     for title, among, group_of in (
         ("single effects by severity (gap over noise)", singles, severity),
         ("single effects by signals", singles, lambda c: c.label.signals),
@@ -183,6 +176,6 @@ def groups(cases: Sequence[Judged]) -> Groups:
             split.setdefault(group_of(case), []).append(case)
         found[title] = {
             group: {m.name: m.of(split[group]) for m in OF_GROUPS}
-            for group in sorted(split, key=lambda name: (_place(name), name))
+            for group in sorted(split, key=_place)
         }
     return found

@@ -68,6 +68,18 @@ IN_NOISE = {"deflection": shrunk(0.75, noise=2.0), "current": shrunk(0.1)}
 SINGLES = [(SINGLE, SLACK), (SINGLE, LEADING), (SINGLE, QUIET), (SINGLE, None), (SMALL, SLACK)]
 PAIRS = [(TWO, SLACK), (TWO, BOTH), (TWO, QUIET)]
 CLAIMED = [(SINGLE, CLAIMS, SEEN), (SINGLE, CLAIMS, IN_NOISE), (SINGLE, CLAIMS)]
+# Quantities are compared, not channels; the stage is that of the larger effect, or of any wrong
+# parameter.
+BACK_REST = {"signal": "back_2.temperature", "phase": "rest", "side": "back", "stage": "sensor"}
+LAID = [(label("single", "slack", where=BACK_REST), answer("effect", {"slack": 1.0}, ["slack"], {
+    "signal": "front_1.temperature", "phase": "rest", "side": "front", "stage": "sensor"}))]
+BOTH_STAGES = {"where": BACK_REST, "stages": ("mechanical", "thermal")}
+IN_ONE = label("single", "slack", where=BACK_REST, stages=("mechanical",))
+IN_LARGER = label("pair", "slack", "latent_heat", **BOTH_STAGES,
+                  severities={"slack": 2.0, "latent_heat": 9.0})  # fmt: skip
+IN_ANY = label("recalibration", **BOTH_STAGES)
+MECHANICAL, THERMAL = (answer("effect", {"slack": 1.0}, ["slack"], PLACE | {"stage": stage})
+                       for stage in ("mechanical", "thermal"))  # fmt: skip
 
 COUNTED = [  # measure, its cases, how many of how many
     # A gap that is too small does not count; an answer that leaves no_gap in its set sees none.
@@ -92,6 +104,11 @@ COUNTED = [  # measure, its cases, how many of how many
     ("confident and wrong", [
         (label("single", "supply_drop"), DOUBTFUL), (SINGLE, SURE), (NONE, SURE), (OUTSIDE, TIED),
         (label("pair", "slack", "latent_heat"), SLACK), (SINGLE, None)], (2, 6)),
+    *((f"where: {key}", LAID, (right, 1)) for key, right in
+      (("signal", 1), ("phase", 1), ("side", 0), ("stage", 1))),
+    ("where: stage", [(IN_ONE, MECHANICAL), (IN_LARGER, THERMAL), (IN_ANY, MECHANICAL),
+                      (IN_ANY, THERMAL)], (4, 4)),
+    ("where: stage", [(IN_ONE, THERMAL), (IN_LARGER, MECHANICAL), (IN_ONE, None)], (0, 3)),
     ("pairs: at least one", PAIRS, (2, 3)),
     ("pairs: both", PAIRS, (1, 3)),
     ("90 % interval of shrinkage covers", CLAIMED, (1, 2)),
@@ -119,29 +136,6 @@ def test_shares_and_values_are_what_is_worked_out_by_hand_from_the_definition():
     for name, case, expected in VALUES:
         found = MEASURES[name].of([Judged(*case)])
         assert found.value == pytest.approx(expected, nan_ok=True), (name, case)
-
-
-def test_where_compares_quantities_not_channels():
-    place = {"signal": "front_1.temperature", "phase": "rest", "side": "front", "stage": "thermal"}
-    said = answer("effect", {"side_heat_coupling": 1.0}, ["side_heat_coupling"], place)
-    true = place | {"signal": "back_2.temperature", "side": "back"}
-    case = Judged(label("single", "side_heat_coupling", where=true), said)
-    found = [MEASURES[f"where: {key}"].of([case]).value for key in place]
-    assert found == [1.0, 1.0, 0.0, 1.0]
-
-
-@pytest.mark.parametrize(("kind", "severities", "stages"), [
-    ("single", {"slack": 2.0}, {"mechanical"}),
-    ("pair", {"slack": 2.0, "latent_heat": 9.0}, {"thermal"}),
-    ("recalibration", {}, {"mechanical", "thermal"}),
-])  # fmt: skip
-def test_the_stage_is_that_of_the_larger_effect_or_of_any_wrong_parameter(kind, severities, stages):
-    every = ["mechanical", "thermal"][: 1 if kind == "single" else 2]
-    found = Label("1", kind, tuple(severities), where={"stage": "sensor"}, stages=tuple(every),
-                  severities=severities)  # fmt: skip
-    for stage in ("mechanical", "thermal"):
-        said = answer("effect", {"slack": 1.0}, ["slack"], PLACE | {"stage": stage})
-        assert Judged(found, said).place_right("stage") == (stage in stages)
 
 
 def test_a_parameter_is_moved_by_twice_its_stated_deviation():

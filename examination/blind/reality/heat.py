@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
-# --- The air around a bench: its slow temperature, its gusts, and what the film at a surface
-# carries.
+# --- The air around a bench: its temperature, its gusts, and what the film at a surface carries.
 #
 # Free convection from a horizontal cylinder: S. W. Churchill and H. H. S. Chu, Int. J. Heat
 # Mass Transfer 18 (1975) 1049, eq. 12. Radiation to surroundings at the temperature of the air.
@@ -47,9 +46,7 @@ def free_convection(excess: Array, air: float, diameter: float) -> Array:
 def radiation(excess: Array, air: float) -> Array:
     """h [W/(m2 K)] that radiation amounts to; arguments as `free_convection`."""
     surface = air + excess
-    return np.asarray(
-        EMISSIVITY * STEFAN_BOLTZMANN * (surface**2 + air**2) * (surface + air)
-    )
+    return EMISSIVITY * STEFAN_BOLTZMANN * (surface**2 + air**2) * (surface + air)
 
 
 def relative_film(world: World) -> Array:
@@ -89,8 +86,7 @@ def gusts(world: World, time: Array) -> Array:
     return factor
 
 
-# --- Current through a wire: its resistance by phase and temperature, leads, contacts, the
-# driver.
+# --- Current through a wire: its resistance by phase and temperature, leads, contacts, driver.
 #
 # The resistance of martensite and austenite differs, and both rise with temperature (NiTi: D.
 # C. Lagoudas, Shape Memory Alloys, 2008, table 1.1); only the wire's own part heats it.

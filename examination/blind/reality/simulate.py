@@ -176,9 +176,7 @@ def phase(rig, grains, pull, wires, step):
     for i in range(len(wires.after)):
         moved, shift = wires.after[i] - wires.before[i], wires.shift[i]
         if abs(moved) > SMALLEST_MOVE and (moved > 0.0) != grains.rising[i]:
-            turn(
-                rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift, pull.stress[i]
-            )
+            turn(rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift, pull.stress[i])
         pull.predicted[i] = pull.stress[i] + pull.stress_change[i]
         xi, slope = transform(
             rig.classes, rig.ramps, memory, grains, i, wires.after[i] - shift, pull.predicted[i]

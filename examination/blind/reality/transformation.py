@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
-# --- What a wire's grains are: classes with transition temperatures of their own, and their
-# ramps.
+# --- What a wire's grains are: classes with transition temperatures of their own, their ramps.
 
 Array = NDArray[np.float64]
 
