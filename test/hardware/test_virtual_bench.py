@@ -16,9 +16,7 @@ from sma_bench.physics import simulate
 from sma_bench.physics.effects import effect_values
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
-PERFECT = SETTINGS | {
-    name: 0.0 for name in SETTINGS if name.endswith(("_noise", "_resolution"))
-}
+PERFECT = SETTINGS | {name: 0.0 for name in SETTINGS if name.endswith(("_noise", "_resolution"))}
 WIRE = Parameters.defaults()
 COMPOSITE = read_parameters(Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml")
 
@@ -77,24 +75,21 @@ def test_mechanics_of_every_load_are_read_as_its_sensors_see_them():
 
 
 def test_readings_of_a_pulse_do_not_depend_on_the_wait_before_it_and_pulses_differ():
-    pulses = []
-    for wait in (1.0, 7.5):
-        bench = VirtualBench(WIRE, SETTINGS)
-        run(bench, (0.0,), wait)
-        begin = round(wait / 0.05)
-        for length in (begin, begin + 400):
-            found = [
-                reading.values
-                for k in range(length + 1, length + 41)
-                for voltage in [(2.0,)]
-                for reading in bench.advance(voltage, k * 50_000_000)
-                if reading.kind != "ambient"
-            ]
-            pulses.append(found)
-            list(bench.advance((0.0,), (begin + 400) * 50_000_000))
-    first, second, first_late, second_late = pulses
-    assert first == first_late
-    assert second == second_late
+    def pulse(bench, begin):
+        found = [
+            reading.values
+            for k in range(begin + 1, begin + 41)
+            for reading in bench.advance((2.0,), k * 50_000_000)
+            if reading.kind != "ambient"
+        ]
+        list(bench.advance((0.0,), (begin + 400) * 50_000_000))
+        return found
+
+    early, late = VirtualBench(WIRE, SETTINGS), VirtualBench(WIRE, SETTINGS)
+    run(early, (0.0,), 1.0)
+    run(late, (0.0,), 7.5)
+    first, second = pulse(early, 20), pulse(early, 420)
+    assert [first, second] == [pulse(late, 150), pulse(late, 550)]
     assert first != second
 
 
@@ -112,8 +107,12 @@ def test_noise_and_steps_are_those_of_the_hardware():
 def test_instruments_show_the_effects_that_are_on():
     effects = {
         name: number
-        for effect, size in (("supply_drop", 0.3), ("ambient_drift", 0.01),
-                             ("temperature_underfill", 0.4), ("deflection_drift", 1e-5))
+        for effect, size in (
+            ("supply_drop", 0.3),
+            ("ambient_drift", 0.01),
+            ("temperature_underfill", 0.4),
+            ("deflection_drift", 1e-5),
+        )
         for name, number in effect_values(effect, size).items()
     }
     readings = run(VirtualBench(COMPOSITE.replace(effects), PERFECT), (3.0, 0.0, 0.0, 0.0), 20.0)
@@ -131,8 +130,11 @@ def test_instruments_show_the_effects_that_are_on():
     still = run(VirtualBench(COMPOSITE, PERFECT), (0.0,) * 4, 1.0)["mechanics"][-1].values
     assert back - still[1] == pytest.approx(still[0] - front)
     drift = 0.5 * (back - front)
-    plain = simulate(COMPOSITE.replace(effects), np.arange(0.0, 20.0, 0.01),
-                     np.tile([3.0, 0.0, 0.0, 0.0], (2000, 1)))
+    plain = simulate(
+        COMPOSITE.replace(effects),
+        np.arange(0.0, 20.0, 0.01),
+        np.tile([3.0, 0.0, 0.0, 0.0], (2000, 1)),
+    )
     assert drift == pytest.approx(plain.deflection[-1] + 1e-5 * time, abs=1e-9)
 
 
