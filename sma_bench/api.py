@@ -8,8 +8,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from numpy.typing import ArrayLike
-
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose import diagnose as _diagnose
 from sma_bench.errors import InputError
@@ -166,8 +164,20 @@ def simulate(
     for name, size in (effects or {}).items():
         bench = bench.replace(effect_values(name, float(size)), where="effects")
     if (protocol := _protocol(drive, bench)) is not None:
-        return simulate_protocol(protocol, bench, _period(rate))
-    return simulate_finely(*_driven(drive, bench))
+        if not 0.0 < rate <= 10_000.0:
+            raise InputError(f"simulate: rate is {rate:g} Hz, expected 0 to 10000")
+        return simulate_protocol(protocol, bench, 1.0 / rate)
+    if isinstance(drive, tuple):
+        if len(drive) != 2:
+            raise InputError(f"simulate: {len(drive)} arrays given, expected time and voltage")
+        return simulate_finely(bench, *drive)
+    if isinstance(drive, str) and not Path(drive).exists():
+        raise InputError(
+            f"simulate: {drive}: neither a bag nor a protocol, expected one of "
+            f"{', '.join(protocol_names())}"
+        )
+    (record,) = _bags([load(drive)])
+    return simulate_finely(*drive_of(record, bench))
 
 
 def measure(simulation: Simulation, seed: int = 1) -> Record:
@@ -339,24 +349,3 @@ def _protocol(drive: Any, bench: Parameters) -> Protocol | None:
     if isinstance(drive, Mapping) and "steps" in drive:
         return parse_protocol(drive, bench)
     return None
-
-
-def _driven(drive: Any, bench: Parameters) -> tuple[Parameters, ArrayLike, ArrayLike]:
-    """The bench as the drive is to be taken, time (n,) s and voltage (n, w) V."""
-    if isinstance(drive, tuple):
-        if len(drive) != 2:
-            raise InputError(f"simulate: {len(drive)} arrays given, expected time and voltage")
-        return bench, *drive
-    if isinstance(drive, str) and not Path(drive).exists():
-        raise InputError(
-            f"simulate: {drive}: neither a bag nor a protocol, expected one of "
-            f"{', '.join(protocol_names())}"
-        )
-    (record,) = _bags([load(drive)])
-    return drive_of(record, bench)
-
-
-def _period(rate: float) -> float:
-    if not 0.0 < rate <= 10_000.0:
-        raise InputError(f"simulate: rate is {rate:g} Hz, expected 0 to 10000")
-    return 1.0 / rate

@@ -345,6 +345,15 @@ def csv_cell(text: str) -> str:
     return text
 
 
+def make_folder(folder: Path) -> Path:
+    """The folder, made where it is not there, and those above it; InputError where it cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
+    return folder
+
+
 def write_files(files: Mapping[Path, bytes]) -> None:
     """Write files so that all of them appear or none: what is there is replaced once all are on the
     disk, and put back should that fail halfway. A file that is replaced keeps its mode, and a link

@@ -5,6 +5,7 @@ from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
+from sma_bench.border import make_folder
 from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
@@ -34,10 +35,7 @@ def run(args: SimpleNamespace) -> int:
         files = [Path(args.out) / f"{name}{end}" for name in names for end in (".json", ".yaml")]
         given = [Path(path) for path in (*paths, args.params) if path and Path(path).exists()]
         options.keep_safe({str(file): (file, options.FILE) for file in files}, given, args.force)
-        try:
-            Path(args.out).mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise InputError(f"{args.out}: cannot be made: {error.strerror}") from None
+        make_folder(Path(args.out))
     outcomes: list[Outcome | None] = [None] * len(tasks)
     try:
         jobs = len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs

@@ -1,9 +1,10 @@
 """sma-bench info: what a record holds, and whether it can be trusted."""
 
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-from sma_bench.border import printable
+from sma_bench.border import printable, read_yaml
 from sma_bench.commands import options
 from sma_bench.commands.terminal import (
     output_console,
@@ -17,36 +18,6 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 
 _MOST_MARKERS = 20
-
-# Of each table of `describe`: heading, key, format.
-_TABLES = {
-    "topics": (
-        ("topic", "name", ""), ("type", "type", ""), ("messages", "count", ""),
-        ("signals", "signals", ""),
-    ),
-    "signals": (
-        ("signal", "name", ""), ("unit", "unit", ""), ("samples", "samples", ""),
-        ("rate Hz", "rate", ".4g"), ("jitter s", "jitter", ".2g"),
-        ("longest gap s", "longest_gap", ".3g"), ("delay s", "delay", ".3g"), ("min", "min", ".5g"),
-        ("max", "max", ".5g"),
-    ),
-    "segments": (
-        ("segment", "number", ""), ("kind", "kind", ""), ("K/s", "rate", ".4f"),
-        ("samples", "samples", ""), ("start s", "start", ".0f"), ("end s", "end", ".0f"),
-        ("from K", "from", ".2f"), ("to K", "to", ".2f"),
-    ),
-    "branches": (
-        ("cycle", "cycle", ""), ("kind", "kind", ""), ("samples", "samples", ""),
-        ("from K", "from", ".2f"), ("to K", "to", ".2f"), ("strain from", "strain_from", ".5f"),
-        ("strain to", "strain_to", ".5f"),
-    ),
-    "cycles": (
-        ("cycle", "cycle", ""), ("lower cycle K", "lower_cycle_temperature", ".2f"),
-        ("upper cycle K", "upper_cycle_temperature", ".2f"),
-        ("actuation strain", "actuation_strain", ".5f"),
-        ("residual strain", "residual_strain", ".5f"),
-    ),
-}  # fmt: skip
 
 
 @options.command("info")
@@ -77,11 +48,12 @@ def run(args: SimpleNamespace) -> int:
 
 def _show(description: dict[str, Any]) -> None:
     say(f"{printable(description['path'])}: {_first_line(description)}")
-    for name, columns in _TABLES.items():
+    for name, columns in read_yaml(Path(__file__).with_suffix(".yaml")).items():
         if rows := description.get(name):
-            numbers = [k for k, c in enumerate(columns) if isinstance(rows[0][c[1]], (int, float))]
-            cells = [[_cell(row[key], form) for _, key, form in columns] for row in rows]
-            print_table(output_console(), [column[0] for column in columns], cells, right=numbers)
+            keys = [key for key, _ in columns.values()]
+            numbers = [k for k, key in enumerate(keys) if isinstance(rows[0][key], (int, float))]
+            cells = [[_cell(row[key], form) for key, form in columns.values()] for row in rows]
+            print_table(output_console(), list(columns), cells, right=numbers)
     markers = description.get("markers", [])
     for marker in markers[:_MOST_MARKERS]:
         say(f"  {marker['time']:10.3f} s  {printable(marker['text'])}")

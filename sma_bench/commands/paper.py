@@ -4,28 +4,14 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+from sma_bench.border import read_yaml
 from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, progress, write_json
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import in_turn, part
 
-_TITLE = "Systems Actuated by Shape Memory Alloys: figures, tables and errata"
-_SUMMARY = (
-    "N. Keshtkar et al., Systems Actuated by Shape Memory Alloys: Identification and Modeling, "
-    "redrawn by sma_bench. {origin}"
-)
-_OWN = (
-    "All data on this page are synthetic: the paper's experiments on simulated benches and "
-    "specimens of the parameters given ({given}), identified by the same code as real records; "
-    "the paper's own numbers stand beside them."
-)
-_SYNTHETIC = (
-    "All data on this page are synthetic: the paper's experiments on simulated benches and "
-    "specimens, identified by the same code as real records."
-)
 # Shares of the time, about: all records read, all experiments compared.
 _READ, _COMPARED = 0.05, 0.5
-_MIXED = "From the records given ({given}) where they allow, else from synthetic data, as marked."
 
 
 @options.command("paper")
@@ -40,8 +26,9 @@ def run(args: SimpleNamespace) -> int:
     parameters, column = options.parameters_from_options(args), options.column_of(args)
     given = ", ".join(args.records)
     own = ", ".join([*([args.params] if args.params else []), *args.overrides])
-    origin = _OWN.format(given=own) if own else _SYNTHETIC
-    summary = _SUMMARY.format(origin=_MIXED.format(given=given) if given else origin)
+    text = read_yaml(Path(__file__).with_suffix(".yaml"))
+    origin = text["own"].format(given=own) if own else text["synthetic"]
+    summary = text["summary"].format(origin=text["mixed"].format(given=given) if given else origin)
     with progress("paper") as report:
         reading = in_turn(args.records, part(report, 0.0, _READ), lambda path: f"reading {path}")
         records = [open_record(path) for path in reading]
@@ -50,7 +37,7 @@ def run(args: SimpleNamespace) -> int:
         made = Made(args.command_line, [*args.records, *filter(None, [args.params])])
         index = write_report(
             args.out,
-            _TITLE,
+            text["title"],
             f"{summary} {made.head}",
             [*page.sections(), made.section()],
             column=column,

@@ -47,6 +47,8 @@ from sma_bench.synthetic import paper_specimens as specimens
 from sma_bench.synthetic.paper_specimens import composite_rig, wire_rig
 
 _SAME_STRESS = 5e6  # Pa
+_ONE_RECORD = ("validation", "dsc", "clamped")
+"""groups of LabRecords of which the simulated laboratory makes one"""
 
 
 def synthetic_records(parameters: Parameters, groups: Sequence[str]) -> LabRecords:
@@ -55,17 +57,12 @@ def synthetic_records(parameters: Parameters, groups: Sequence[str]) -> LabRecor
     Args:
         parameters: what the simulated wire and composite are made of.
     """
-    make: dict[str, Callable[[], tuple[object, ...]]] = {
-        "thermal": lambda: specimens.thermal_records(parameters),
-        "validation": lambda: (specimens.validation_record(parameters),),
-        "dsc": lambda: (specimens.dsc_record(parameters),),
-        "upfr": lambda: specimens.upfr_records(parameters),
-        "isobaric": lambda: specimens.isobaric_records(parameters),
-        "tensile": lambda: specimens.tensile_records(parameters),
-        "clamped": lambda: (specimens.clamped_record(parameters),),
-        "composite": lambda: specimens.composite_records(parameters),
+    made = {
+        group: (getattr(specimens, f"{group}_record")(parameters),) if group in _ONE_RECORD
+        else getattr(specimens, f"{group}_records")(parameters)
+        for group in groups
     }
-    return LabRecords(**{group: make[group]() for group in groups})  # type: ignore[arg-type]
+    return LabRecords(**made)
 
 
 def sort_records(

@@ -25,6 +25,7 @@ from rclpy.exceptions import ParameterException
 from rclpy.executors import Executor, ExternalShutdownException
 from rclpy.logging import get_logger
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.qos import QoSProfile
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
@@ -121,6 +122,16 @@ class BenchNode(OverridableNode):
 
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
         self.every(_DIAGNOSE_EVERY, self.diagnose)
+
+    def listen(
+        self, kind: type, what: str, on_message: Callable[..., None], qos: QoSProfile | int,
+        numbered: bool = False,
+    ) -> None:
+        """Subscribe to `<channel>/WHAT` of every channel: on_message(channel, message), with the
+        channel's number for its name where `numbered`."""
+        for k, channel in enumerate(self.parameters["bench.channels"]):
+            heard = partial(on_message, k if numbered else channel)
+            self.create_subscription(kind, f"{channel}/{what}", heard, qos)
 
     def every(self, seconds: float, act: Callable[[], None]) -> None:
         """Call `act` once in so many s of the wall's clock."""

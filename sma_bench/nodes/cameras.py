@@ -5,7 +5,6 @@ import importlib
 import math
 import time
 from contextlib import suppress
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -61,10 +60,7 @@ class IrCamera(BenchNode):
         self._report = CameraReport(channels, self.settings["stale_limit"], time.monotonic())
         self.create_subscription(Image, "thermal_image", self._image, NEWEST)
         if self.settings["read_cold_wires"]:
-            for k, channel in enumerate(channels):
-                self.create_subscription(
-                    BatteryState, f"{channel}/power", partial(self._power, k), NEWEST
-                )
+            self.listen(BatteryState, "power", self._power, NEWEST, numbered=True)
         # The Optris driver says when the camera's flag is closed, in a type of its own.
         with suppress(ImportError):
             flag_type = importlib.import_module("optris_drivers2.msg").Flag
@@ -153,10 +149,7 @@ class SyntheticCameraNode(BenchNode):
         # The message's own array: without field checks it keeps a copy of what it is given.
         self._pixels = np.frombuffer(self._message.data, "<u2").reshape(self._camera.shape)
         self._publisher = self.create_publisher(Image, "thermal_image", _IMAGE_QOS)
-        for k, channel in enumerate(channels):
-            self.create_subscription(
-                Temperature, f"{channel}/true_temperature", partial(self._temperature, k), 10
-            )
+        self.listen(Temperature, "true_temperature", self._temperature, 10, numbered=True)
         self.create_subscription(JointState, "joint_states", self._joints, 10)
         self.every(1.0 / self.settings["rate"], self._take)
 

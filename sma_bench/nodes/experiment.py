@@ -68,14 +68,8 @@ class ExperimentNode(BenchNode):
         self._marker = self.create_publisher(String, "experiment/marker", LATCHED)
         self._state_publisher = self.create_publisher(String, "~/state", LATCHED)
         self._progress = self.create_publisher(String, "~/progress", LATCHED)
-        for channel in channels:
-            self.create_subscription(
-                BatteryState, f"{channel}/power", partial(self._on_power, channel), NEWEST
-            )
-            self.create_subscription(
-                Temperature, f"{channel}/temperature", partial(self._on_temperature, channel),
-                NEWEST,
-            )
+        self.listen(BatteryState, "power", self._on_power, NEWEST)
+        self.listen(Temperature, "temperature", self._on_temperature, NEWEST)
         self._joint = TIP if moves_tip(self.parameters) else "wire"
         self.create_subscription(JointState, "joint_states", self._on_joints, NEWEST)
         follow_recorder(self, self._guard.recorder)

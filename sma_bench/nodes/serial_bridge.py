@@ -8,7 +8,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable
-from functools import partial
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import Temperature
@@ -82,10 +81,7 @@ class SerialBridge(BenchNode):
         self._state = self.create_publisher(String, "~/state", LATCHED)
         self.create_subscription(Float64MultiArray, COMMAND, self._on_command, COMMANDED)
         self._commanders = Commanders(self)
-        for channel in self._channels:
-            self.create_subscription(
-                Temperature, f"{channel}/temperature", partial(self._on_temperature, channel), 10
-            )
+        self.listen(Temperature, "temperature", self._on_temperature, 10)
         follow_recorder(self, self._driver.recorder)
         driver = self._driver
         self.serve(

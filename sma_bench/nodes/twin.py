@@ -3,7 +3,6 @@
 import math
 import time
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -126,13 +125,8 @@ class TwinNode(BenchNode):
         self._heard, self._readings, self._hertz = time.monotonic(), 0, 0.0
         self._reported = 0, self._heard
         self._restarts = 0
-        for k, channel in enumerate(channels):
-            self.create_subscription(
-                BatteryState, f"{channel}/power", partial(self._on_power, k), _OFFERED
-            )
-            self.create_subscription(
-                Temperature, f"{channel}/temperature", partial(self._on_temperature, k), _OFFERED
-            )
+        self.listen(BatteryState, "power", self._on_power, _OFFERED, numbered=True)
+        self.listen(Temperature, "temperature", self._on_temperature, _OFFERED, numbered=True)
         self.create_subscription(JointState, "joint_states", self._on_joint, _OFFERED)
         self.serve(accept=self._accept)
         self.every(_STEP_EVERY, self._step)

@@ -101,11 +101,7 @@ class NodeCalls:
         Raises:
             InputError: no such service in time, or it answered with a failure.
         """
-        client = self.know(service)
-        self._wait_for_service(service, client, timeout)
-        future = client.call_async(Trigger.Request())
-        self.wait(service, future.done, timeout)
-        answer = future.result()
+        answer = self._call(service, Trigger, Trigger.Request(), timeout)
         if not answer.success:
             raise InputError(f"{service}: {answer.message}")
         return str(answer.message)
@@ -116,16 +112,10 @@ class NodeCalls:
         Raises:
             InputError: no such node in time, or it refused one; the line says why.
         """
-        service = f"{node}/set_parameters"
-        client = self.know(service, SetParameters)
-        self._wait_for_service(service, client, timeout)
-        request = SetParameters.Request()
-        request.parameters = [
-            RosParameter(name, value=value).to_parameter_msg() for name, value in values.items()
-        ]
-        future = client.call_async(request)
-        self.wait(service, future.done, timeout)
-        for name, result in zip(values, future.result().results, strict=True):
+        set_to = [RosParameter(name, value=v).to_parameter_msg() for name, v in values.items()]
+        request = SetParameters.Request(parameters=set_to)
+        answer = self._call(f"{node}/set_parameters", SetParameters, request, timeout)
+        for name, result in zip(values, answer.results, strict=True):
             if not result.successful:
                 raise InputError(f"{node}: {name}: {result.reason}")
 
@@ -138,11 +128,15 @@ class NodeCalls:
         own = self._namespace + "/"
         return {topic.removeprefix(own): n for topic, n in state["messages"].items()}
 
-    def _wait_for_service(self, service: str, client: Client, timeout: float) -> None:
+    def _call(self, service: str, kind: Any, request: Any, timeout: float) -> Any:
+        client = self.know(service, kind)
         self.wait(service, client.service_is_ready, timeout)
         # The server matches the client a little later; until then its answers are lost.
         matched = time.monotonic() + _MATCHING
         self.wait(service, lambda: time.monotonic() > matched, timeout)
+        future = client.call_async(request)
+        self.wait(service, future.done, timeout)
+        return future.result()
 
     def run_recorded(
         self, protocol: str | Path, name: str, seconds: float, bag: str | Path,

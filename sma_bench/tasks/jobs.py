@@ -16,7 +16,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from sma_bench.border import is_inside, read_bytes
+from sma_bench.border import is_inside, make_folder, read_bytes
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.progress import COMPILING, Report, part, silent
@@ -145,15 +145,19 @@ def told_share(state: str) -> tuple[float, str] | None:
 # --- Where a task may read and write.
 
 
-def records_inside(settings: Mapping[str, Any], parameter: str = "record") -> list[str]:
+def records_inside(
+    settings: Mapping[str, Any], parameter: str = "record", required: bool = False
+) -> list[str]:
     """Paths of the records that a list parameter names, relative ones below `record_root`.
 
     Raises:
         InputError: one lies outside the root, `..` and links followed, those in the folder of a
-            bag too.
+            bag too; none is named where one is required.
     """
     # ROS cannot type an empty array: [""] stands for none.
     names, root = [name for name in settings[parameter] if name], settings["record_root"]
+    if required and not names:
+        raise InputError(f"{parameter}: is empty, expected the path of one record or more")
     return [str(_inside(root, name, parameter, "record_root")) for name in names]
 
 
@@ -202,32 +206,18 @@ def _inside(root: str, path: str, parameter: str, root_parameter: str) -> Path:
     return found
 
 
-def _made(folder: Path) -> Path:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
-    return folder
-
-
-def _required(records: list[str]) -> list[str]:
-    if not records:
-        raise InputError("record: is empty, expected the path of one record or more")
-    return records
-
-
 # --- The tasks.
 
 
 def identify(settings: Mapping[str, Any], parameters: Parameters, tell: Report) -> str:
     """Identify from `record`; `identified.yaml` and `identified.json` go to `output_directory`."""
-    records = _required(records_inside(settings))
+    records = records_inside(settings, required=True)
     output = output_inside(settings, "output_directory")
     from sma_bench.tasks.work import identify_files, write_identified
 
     experiments = [name for name in settings["experiments"] if name] or None
     result = identify_files(records, parameters, experiments, report=tell)
-    folder = _made(Path(output))
+    folder = make_folder(Path(output))
     files = folder / "identified.yaml", folder / "identified.json"
     require_own(*files, parameter="output_directory")
     write_identified(files[0], result, "the identification node", records)
@@ -238,7 +228,8 @@ def identify(settings: Mapping[str, Any], parameters: Parameters, tell: Report) 
 def diagnose(settings: Mapping[str, Any], parameters: Parameters, tell: Report) -> str:
     """Diagnose `record`, `hold_out` aside; write `improved` and `report` where they are asked for;
     the contract's JSON."""
-    records, hold_out = _required(records_inside(settings)), records_inside(settings, "hold_out")
+    records = records_inside(settings, required=True)
+    hold_out = records_inside(settings, "hold_out")
     improved = output_inside(settings, "improved", ".yaml")
     report = output_inside(settings, "report")
     from sma_bench.tasks.work import diagnose_files, write_improved
@@ -246,7 +237,7 @@ def diagnose(settings: Mapping[str, Any], parameters: Parameters, tell: Report) 
     share = _DIAGNOSED if report else 1.0
     result = diagnose_files(records, hold_out, parameters, report=part(tell, 0.0, share))
     if improved:
-        _made(Path(improved).parent)
+        make_folder(Path(improved).parent)
         write_improved(improved, result, "the diagnosis node")
     if report:
         from sma_bench.report.diagnosis_report import write_diagnosis_report
