@@ -296,14 +296,23 @@ def test_no_two_starts_have_the_same_nonce_and_none_is_told_unasked(host):
     assert len(seen) == 6
 
 
-def test_a_recorded_session_arms_nothing_after_a_reset(host):
-    said = b"".join((line("?"), line("C " + " ".join(map(str, LIMITS)))))
+def test_a_recorded_session_arms_nothing_after_a_reset_nor_its_command_in_the_next(driving):
+    host = driving
+    replayed = host.command_line(9000, 9000, 9000, 9000)
+    session = line("?") + line("C " + " ".join(map(str, LIMITS)))
+    host.uno.write(b"!")
+    host.run(0.01)
+    host.consent("R")
     host.arm()
-    said += line(command("A", host.session)) + host.command_line(9000, 0, 0, 0)
+    before = sum(host.uno.electrics.on_time)
+    host.uno.write(replayed)
+    host.run(0.05)
+    assert sum(host.uno.electrics.on_time) == before
+    session += line(command("A", host.session)) + host.command_line(9000, 0, 0, 0)
     host.uno.reset()
     host.run(0.2)
     before = sum(host.uno.electrics.on_time)
-    host.uno.write(said)
+    host.uno.write(session)
     host.run(0.2)
     assert sum(host.uno.electrics.on_time) == before
     assert host.telemetry[-1].state == DeviceState.IDLE
@@ -351,15 +360,3 @@ def test_what_a_weak_supply_could_not_carry_is_forgotten_when_armed_anew(host):
     assert channel_powers(host.telemetry[-1], PowerCalibration())[0].voltage == pytest.approx(
         5.0, rel=0.01
     )
-
-
-def test_replayed_commands_are_refused(driving):
-    replayed = driving.command_line(9000, 9000, 9000, 9000)
-    driving.uno.write(b"!")
-    driving.run(0.01)
-    driving.consent("R")
-    driving.arm()
-    on_time = sum(driving.uno.electrics.on_time)
-    driving.uno.write(replayed)
-    driving.run(0.05)
-    assert sum(driving.uno.electrics.on_time) == on_time
