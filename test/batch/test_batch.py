@@ -83,7 +83,7 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, number):
     done = tmp_path / "out" / "wire_2.5.yaml"
     records = [bags / "wire_2.5", *[bags / "wire_2.9"] * (_MANY - 1)]
@@ -91,7 +91,8 @@ def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, numbe
     wait_for(lambda: done.exists() or process.poll() is not None)
     workers = below(process)
     assert len(workers) >= 2
-    os.kill(process.pid, number)
+    # Ctrl-C reaches all processes of a terminal.
+    (os.killpg if number == signal.SIGINT else os.kill)(process.pid, number)
     stdout, stderr = process.communicate(timeout=_LONG)
     assert psutil.wait_procs(workers, 20.0)[1] == []
     assert json.loads(done.with_suffix(".json").read_text())["parameters"]

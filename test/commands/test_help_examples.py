@@ -38,6 +38,8 @@ def test_help_shows_examples_that_the_command_takes(name, capsys):
         ("simulate --rate fast", "'--rate': 'fast'"),
         ("audit --nothing", "unknown option --nothing"),
         ("simulate --out x", "--protocol or --input"),
+        ("compare a b --column wide", "--column"),
+        ("compare a b --font 8", "--column with it"),
         ("linearise --deflection -0.01 --voltage 1", "--deflection and --voltage"),
         ("completion bash", "_SMA_BENCH_COMPLETE"),
         ("blind run", "./bench blind"),
