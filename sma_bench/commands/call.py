@@ -3,6 +3,7 @@
 import math
 import re
 import time
+from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,7 +31,10 @@ def run(args: SimpleNamespace) -> int:
     settings = dict(options.named_value(text) for text in args.settings)
     answer = _call(args, node, service, settings)
     if args.json:
-        write_json(args.json, {"service": f"{node}/{service}", "answer": _parsed(answer)})
+        parsed: Any = answer
+        with suppress(InputError):  # results are JSON themselves
+            parsed = read_json(answer, "answer", _LARGEST_ANSWER)
+        write_json(args.json, {"service": f"{node}/{service}", "answer": parsed})
     say(answer.rstrip() or "done")
     return 0
 
@@ -56,11 +60,3 @@ def _call(args: SimpleNamespace, node: str, service: str, settings: dict[str, An
                 client.set_parameters(node, settings)
             left = max(end - time.monotonic(), 0.0) if args.patience else _ANSWER
             return client.trigger(f"{node}/{service}", left)
-
-
-def _parsed(answer: str) -> Any:
-    """Results are JSON themselves."""
-    try:
-        return read_json(answer, "answer", _LARGEST_ANSWER)
-    except InputError:
-        return answer

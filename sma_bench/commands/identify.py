@@ -43,7 +43,10 @@ def run(args: SimpleNamespace) -> int:
         write_json(args.json, result.to_json())
     if args.out:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
-    print_result(result, _asked(args))
+    # What advice depends on; only bags can be diagnosed.
+    bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
+    params, out, page = (text or "" for text in (args.params, args.out, args.report))
+    print_result(result, Invocation(tuple(bags), params, out, page))
     if args.report:
         from sma_bench.report.collected_report import write_identification_report
         from sma_bench.report.page import Made
@@ -53,12 +56,6 @@ def run(args: SimpleNamespace) -> int:
             page = write_identification_report(args.report, result, report, made, column)
         say(f"report {page}")
     return MISFIT if result.is_misfit else 0
-
-
-def _asked(args: SimpleNamespace) -> Invocation:
-    """What advice depends on; only bags can be diagnosed."""
-    bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
-    return Invocation(tuple(bags), args.params or "", args.out or "", args.report or "")
 
 
 def phase_of(text: str) -> tuple[str, Any]:

@@ -36,7 +36,6 @@ from sma_bench.twin.twin import (
 # Topics are called as those of the bench that they stand beside, and have their types and stamps.
 # A residual is measured less predicted; what is not part of it is NaN.
 
-
 PREDICTED, RESIDUAL, ENERGY = "twin", "twin/residual", "twin/energy"
 
 
@@ -92,8 +91,6 @@ class TwinTopics:
             return JointState(name=[self._name], position=[value])
         return JointState(name=[self._name], position=[elongation], effort=[value])
 
-
-# --- Runs the model beside the bench on the measured voltages, and says where the two part.
 
 # Reliable unless a publisher that is there already is not: a lost voltage is a wrong prediction.
 # Deep, as a player or a simulation faster than life comes in bursts.

@@ -1,6 +1,6 @@
 """From files to results and from results to files, for whoever asks."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -84,14 +84,9 @@ def diagnose_files(
         read_record(path)
         for path in in_turn([*paths, *hold_out], reading, lambda path: f"reading {path}")
     ]
-    reporter = diagnosis_steps(part(report, _READING_BAGS, 1.0))
+    reporter = by_name(part(report, _READING_BAGS, 1.0), _PLAN)
     seen = len(paths)
     return diagnose(records[:seen], parameters, records[seen:], reporter, quantities)
-
-
-def diagnosis_steps(report: Report) -> Callable[[str], None]:
-    """Turns what a diagnosis says it is doing into a share of its time."""
-    return by_name(report, _PLAN)
 
 
 def write_identified(
@@ -108,9 +103,7 @@ def write_identified(
     if said := result.fit_line:
         comment = f"{said}.\n{comment}"
     origins = {name: f"identified, {result.origin(name)}" for name in result.estimates}
-    write_parameters(
-        path, result.parameters, comment, sources=origins, template=template
-    )
+    write_parameters(path, result.parameters, comment, sources=origins, template=template)
 
 
 def write_improved(path: str | Path, result: "Diagnosis", author: str) -> None:
