@@ -179,10 +179,6 @@ class CaseSet:
         """By default."""
         return self.root / ANSWERS
 
-    def labels(self) -> list[dict[str, Any]]:
-        """The sealed labels; raises InputError unless they are the ones that the manifest names."""
-        return unseal(self.root / LABELS, self.sealed_sha256)
-
 
 def read_case_set(root: str | Path) -> CaseSet:
     """The set in a folder that `./bench blind make` has written; labels are not touched. Raises

@@ -1,15 +1,17 @@
 """Cases: what every effect moves, which case hides what, and all that is drawn for it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import yaml
 
-from examination.blind.case_files import RECALIBRATION, STAGE_OF
+from examination.blind import rigs
+from examination.blind.case_files import RECALIBRATION
 from examination.blind.reality import BY_NAME
-from examination.blind.rigs import RECORDS, Stage, draw_drives, draw_nominal, draw_truth, draw_wrong
+from examination.blind.rigs import RECORDS, Stage
 from examination.blind.sensors import NOISE_MODELS, Noise, Sensors
 from sma_bench.parameters import Parameters
 
@@ -20,17 +22,16 @@ LOADS = ("beam", "force", "spring", "antagonist")
 
 @dataclass(frozen=True)
 class Move:
-    """A feature that goes with the effect's amount a: by a times a number of the range `weight`, or
+    """How a feature goes with the effect's amount a: by a times a number of the range `weight`, or
     by the factor exp of that."""
 
-    feature: str
     weight: tuple[float, float] = (1.0, 1.0)
     factor: bool = False
 
-    def moved(self, features: Mapping[str, float], amount: float) -> float:
-        """The feature of a world that had these."""
-        feature = BY_NAME[self.feature]
-        before = features.get(self.feature, feature.off)
+    def moved(self, name: str, features: Mapping[str, float], amount: float) -> float:
+        """The feature of this name of a world that had these."""
+        feature = BY_NAME[name]
+        before = features.get(name, feature.off)
         value = before * float(np.exp(amount)) if self.factor else before + amount
         return float(np.clip(value, feature.low, feature.high))
 
@@ -39,7 +40,6 @@ class Move:
 class Setting:
     """A feature that shapes the effect whatever its amount; `spread` even or log."""
 
-    feature: str
     low: float
     high: float
     spread: str = "even"
@@ -49,32 +49,22 @@ class Setting:
 class Symptom:
     """One effect; the fields are explained in symptoms.yaml."""
 
-    moves: tuple[Move, ...]
+    moves: dict[str, Move]
     natural: tuple[float, float]
-    stage: str
+    stage: str = ""
     signs: tuple[int, ...] = (1,)
-    settings: tuple[Setting, ...] = ()
+    settings: dict[str, Setting] = field(default_factory=dict)
     in_deflection: bool = True
     of_peak_current: bool = False
     loads: tuple[str, ...] = LOADS
 
 
-def _read() -> tuple[dict[str, Symptom], dict[str, Symptom]]:
-    document = yaml.safe_load(Path(__file__).with_name("symptoms.yaml").read_text())
-    for rows in document.values():
-        for name, row in rows.items():
-            row |= {
-                "moves": [Move(feature, **move) for feature, move in row["moves"].items()],
-                "settings": [Setting(f, **s) for f, s in row.get("settings", {}).items()],
-                "stage": STAGE_OF.get(name) or row["stage"],
-            }
-            rows[name] = Symptom(**{k: tuple(v) if isinstance(v, list) else v
-                                    for k, v in row.items()})  # fmt: skip
-    return document["effects"], document["outside"]
-
-
+_TABLE = msgspec.convert(
+    yaml.safe_load(Path(__file__).with_name("symptoms.yaml").read_text()),
+    dict[str, dict[str, Symptom]],
+)
 # The contract's effects, and what no diagnosis has in its library.
-EFFECTS, OUTSIDE = _read()
+EFFECTS, OUTSIDE = _TABLE["effects"], _TABLE["outside"]
 
 # The largest amount that a target may ask for, over the largest natural one.
 STRETCH = 1.5
@@ -97,11 +87,11 @@ class Draw:
     def features(self, base: Mapping[str, float], amount: float) -> dict[str, float]:
         """Features of a world that had `base` and now has the effect, too."""
         changed = {**base, **self.settings}
-        for move, weight in zip(self.symptom.moves, self.weights, strict=True):
+        for (name, move), weight in zip(self.symptom.moves.items(), self.weights, strict=True):
             by = self.sign * amount * weight
             if self.symptom.of_peak_current:  # of a limit that is off at 0
                 by = self.peak_current * (1.0 - amount)
-            changed[move.feature] = move.moved(base, by)
+            changed[name] = move.moved(name, base, by)
         return changed
 
     def natural(self, rng: np.random.Generator) -> float:
@@ -112,11 +102,11 @@ class Draw:
 def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Draw:
     """Direction, weights and settings of one occurrence; the largest current [A] of the records."""
     sign = int(rng.choice(symptom.signs))
-    weights = tuple(float(rng.uniform(*move.weight)) for move in symptom.moves)
+    weights = tuple(float(rng.uniform(*move.weight)) for move in symptom.moves.values())
     settings = {
-        s.feature: float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))) if s.spread == "log"
-                         else rng.uniform(s.low, s.high))
-        for s in symptom.settings
+        name: float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))) if s.spread == "log"
+                    else rng.uniform(s.low, s.high))
+        for name, s in symptom.settings.items()
     }  # fmt: skip
     return Draw(symptom, sign, weights, settings, peak_current)
 
@@ -323,9 +313,9 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
     def stream(purpose: str) -> np.random.Generator:
         return _stream(seed, index, purpose)
 
-    truth = draw_truth(stream("rig"), load)
+    truth = rigs.draw_truth(stream("rig"), load)
     beliefs, little, bag = map(stream, ("beliefs", "nuisances", "bag"))
-    mistakes = draw_wrong(beliefs, load)
+    mistakes = rigs.draw_wrong(beliefs, load)
     wrong = mistakes if card.kind == RECALIBRATION else {}
     nuisances = {n: float(little.uniform(*limits)) for n, limits in _NUISANCES.items()}
     storage, namespace = str(bag.choice(_STORAGES)), str(bag.choice(_NAMESPACES))
@@ -342,10 +332,13 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         noise, jitter=float(rng.uniform(*_JITTER)), dropout=float(rng.uniform(*_DROPOUT)),
         camera_clock=float(rng.uniform(*_CAMERA_CLOCK)), seed=int(rng.integers(2**31)),
     )  # fmt: skip
+    random = stream("drives")
+    families = random.choice(rigs.FAMILIES, size=2, replace=False).tolist()
+    drives = {r: rigs.draw_drive(f, truth, random) for r, f in zip(RECORDS, families, strict=True)}
     return Case(
-        truth, sensors, draw_drives(truth, stream("drives")),
+        truth, sensors, drives,
         seed=seed, index=index, name=name, card=card, wrong=wrong, nuisances=nuisances,
-        nominal=draw_nominal(truth, beliefs, wrong),
+        nominal=rigs.draw_nominal(truth, beliefs, wrong),
         nuisance_gap=float(little.uniform(*NUISANCE_GAP)),
         mild_gap=float(np.exp(little.uniform(*np.log(MILD_GAP)))),
         storage=storage, namespace=namespace,

@@ -11,8 +11,8 @@ import joblib
 
 from examination.bags import in_sqlite3
 from examination.blind import rigs
-from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, seal
-from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, draw_cases, split_of
+from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, STAGE_OF, seal
+from examination.blind.cases import NONE, OUTSIDE, QUANTITIES, Case, draw_cases, split_of
 from examination.blind.rigs import RECORDS, gaps
 from examination.blind.sensors import measure
 from examination.blind.severity import Sized, measured, separation, size
@@ -39,7 +39,7 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
         for r in RECORDS
     }  # fmt: skip
     severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
-    stages = [{**EFFECTS, **OUTSIDE}[name].stage for name in card.effects]
+    stages = [STAGE_OF.get(name) or OUTSIDE[name].stage for name in card.effects]
     if card.kind == RECALIBRATION:
         stages = sorted({rigs.numbers(load)[name].stage for name in case.wrong})
     # Of each effect: the gap that it makes beside the others.

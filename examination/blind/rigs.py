@@ -62,15 +62,9 @@ class Number:
         return float(f"{self.std if self.absolute else abs(value) * self.std:.3g}")
 
 
-def _read() -> dict[str, dict[str, Number]]:
-    document = yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text())
-    return {
-        part: {name: Number(**row, absolute=part == "temperatures") for name, row in rows.items()}
-        for part, rows in document.items()
-    }
-
-
-_POPULATION = _read()
+_POPULATION = msgspec.convert(
+    yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text()), dict[str, dict[str, Number]]
+)
 
 
 def numbers(load: str) -> dict[str, Number]:
@@ -169,13 +163,6 @@ class Drive:
     def grid(self, period: float) -> Array:
         """(n,) times from 0 to the end."""
         return np.asarray(np.arange(int(round(self.duration / period)) + 1) * period, dtype=float)
-
-
-def draw_drives(truth: Parameters, rng: np.random.Generator) -> dict[str, Drive]:
-    """Drives of a record and of the one to hold out, of two different families."""
-    families = rng.choice(FAMILIES, size=2, replace=False)
-    drawn = zip(RECORDS, families, strict=True)
-    return {name: draw_drive(str(family), truth, rng) for name, family in drawn}
 
 
 def draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Drive:

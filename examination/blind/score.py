@@ -80,7 +80,8 @@ def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
 
 def open_labels(cases: CaseSet) -> dict[str, dict[str, Any]]:
     """The labels by case; raises InputError where the seal is broken, or the labels are others'."""
-    labels = {label["id"]: label for label in cases.labels()}
+    sealed = files.unseal(cases.root / files.LABELS, cases.sealed_sha256)
+    labels = {label["id"]: label for label in sealed}
     if set(labels) != set(cases.names):
         raise InputError(f"{cases.root}: labels and cases do not belong together")
     return labels

@@ -209,10 +209,10 @@ def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
     size."""
     amount = symptom.signs[0] * symptom.natural[0]
     shapes: list[dict[str, float]] = [
-        {s.feature: s.low * (s.high / s.low) ** share for s in symptom.settings}
+        {name: s.low * (s.high / s.low) ** share for name, s in symptom.settings.items()}
         for share in (_SHAPES if symptom.settings else _SHAPES[:1])
     ]
-    for k, move in enumerate(symptom.moves):
-        moved = move.moved(base, amount * max(move.weight, key=abs))
+    for k, (name, move) in enumerate(symptom.moves.items()):
+        moved = move.moved(name, base, amount * max(move.weight, key=abs))
         for shape in shapes if k == 0 else shapes[:1]:
-            yield {**base, **shape, move.feature: moved}
+            yield {**base, **shape, name: moved}
