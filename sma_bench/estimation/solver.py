@@ -28,7 +28,7 @@ _MOST_STEPS, _FAR_STEPS = 10, 30
 _MISFIT_ROUNDS = 2
 _RADIUS = 8.0  # prior deviations a step
 _GAIN, _SETTLED = 0.3, 1.0  # nats: a step that gains less is the last, near the end and afar
-_SHORTEST = 1e-2
+_SHORTEST = 1e-2  # prior deviations: a step that is shorter and promises little is not taken
 _NEAR = 0.1  # prior deviations: derivatives of the baseline are not taken anew
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 _STRETCHES = 6  # a record: about a pulse and its rest
@@ -279,7 +279,8 @@ class _State:
         before = self.x, self.z, self.predicted
         for damping in _DAMPINGS:
             step = self._step(normal, force, damping, low, high)
-            if np.max(np.abs(step), initial=0.0) < _SHORTEST:
+            gain = 0.5 * float(step @ force[: len(step)])
+            if np.max(np.abs(step), initial=0.0) < _SHORTEST and gain < _SETTLED:
                 break
             self.x = np.clip(before[0] + step, low, high)
             self.predicted = self.problem.predict(self.unknowns.parameters(self.x))
