@@ -137,3 +137,15 @@ def test_single_readings_far_off_are_left_out_and_named(name, wrong):
         np.delete(own.values, [200, 700])
     )
     assert [f.numbers["outliers"] for f in found] == [2.0]
+
+
+def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_them():
+    drawn = {"resistance": 1.3, "heat_transfer_coefficient": 600.0, "specific_heat": 480.0}
+    rig = {name: value for name, value in LAB.items() if name.startswith(("bench", "load"))}
+    time = np.arange(1200) / 10.0
+    volts = np.repeat([0.0, 0.5, 1.0, 1.5, 1.0, 0.5, 0.0, 1.25], 150)
+    true = rig | {f"wire.{name}": value for name, value in drawn.items()}
+    run = sma_bench.simulate((time, volts[:, None]), true)
+    found = sma_bench.diagnose(sma_bench.measure(run, 1), rig)
+    assert found.verdict == "recalibration"
+    assert max(c.log_evidence for c in found.candidates) < 2.0
