@@ -64,6 +64,20 @@ _DELAY = 2_000_000  # ns from a stamp to its receipt, at most twice that
 _CHUNK, _PAGE = 2000, 4096
 _SAME_TIME, _SAME = 1e-6, 1e-12  # s; V, A, K, m, N: numbers are read as they were written
 
+# Topic, type, Hz, and its fields with their signals, ranges and widths.
+_MEASURED: tuple[tuple[str, str, float, dict[str, tuple[str, float, float, str]]], ...] = (
+    ("wire/power", contract.BATTERY_STATE, 50.0,
+     {"voltage": ("wire.voltage", 0, 6, "f4"), "current": ("wire.current", 0, 2, "f4")}),
+    ("wire/temperature", contract.TEMPERATURE, 20.0,
+     {"temperature": ("wire.temperature", 20, 90, "f8")}),
+    ("joint_states", contract.JOINT_STATE, 25.0,
+     {"tip": ("deflection", -0.02, 0.02, "f8"), "wire": ("elongation", -0.02, 0.02, "f8"),
+      "effort": ("force", -0.02, 0.02, "f8")}),
+    ("front/range", contract.RANGE, 20.0, {"range": ("front.range", 0.05, 0.2, "f4")}),
+    ("voltage_command", contract.MULTI_ARRAY, 50.0, {"data": ("voltage_command", 0, 6, "f8")}),
+    ("experiment/marker", contract.STRING, 0.5, {"data": ("markers", 0, 0, "f8")}),
+)  # fmt: skip
+
 _QOS = {
     "none": "", "profiles": "- history: 1\n  depth: 10\n  reliability: 2\n  durability: 2\n",
 }  # fmt: skip
@@ -154,7 +168,8 @@ def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Strea
         begin = 0 if content != "one message each" else 10**9
     prefix = {"/": "/", "/lab/a/rig": "/lab/a/rig/"}.get(habits["topics"], "/bench/")
 
-    def stream(name: str, kind: str, rate: float) -> Stream:
+    streams = []
+    for name, kind, rate, fields in _MEASURED:
         time = np.arange(1 if content == "one message each" else int(seconds * rate)) / rate
         if stamps == "jitter":
             time += rng.uniform(0.0, 0.9 / rate, len(time))
@@ -162,35 +177,19 @@ def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Strea
             time = time[(rng.random(len(time)) > 0.1) | (time == 0.0)]
         stamp = begin + np.rint(time * 1e9).astype(np.int64)
         received = stamp + np.sort(rng.integers(_DELAY // 10, _DELAY, len(time)))
-        return Stream(prefix + name, kind, stamp, received, received.copy())
-
-    def drawn(of: Stream, low: float, high: float, kind: str = "f8") -> FloatArray:
-        values = rng.uniform(low, high, len(of.stamp)).astype(kind).astype(float)
-        if content in ("NaN", "infinite"):
-            values[rng.random(len(values)) < 0.1] = np.nan if content == "NaN" else np.inf
-        return values
-
-    power = stream("wire/power", contract.BATTERY_STATE, 50.0)
-    power.fields = {"voltage": drawn(power, 0, 6, "f4"), "current": drawn(power, 0, 2, "f4")}
-    power.signals = {f"wire.{name}": values for name, values in power.fields.items()}
-    warmth = stream("wire/temperature", contract.TEMPERATURE, 20.0)
-    warmth.fields = {"temperature": drawn(warmth, 20, 90)}
-    warmth.signals = {"wire.temperature": warmth.fields["temperature"] + contract.CELSIUS_ZERO}
-    joints = stream("joint_states", contract.JOINT_STATE, 25.0)
-    joints.fields = {name: drawn(joints, -0.02, 0.02) for name in ("tip", "wire", "effort")}
-    names = ("deflection", "elongation", "force")
-    joints.signals = dict(zip(names, joints.fields.values(), strict=True))
-    distance = stream("front/range", contract.RANGE, 20.0)
-    distance.fields = {"range": drawn(distance, 0.05, 0.2, "f4")}
-    distance.signals = {"front.range": distance.fields["range"]}
-    command = stream("voltage_command", contract.MULTI_ARRAY, 50.0)
-    command.fields = {"data": rng.uniform(0, 6, len(command.stamp))}
-    command.signals = {"voltage_command": command.fields["data"]}
-    marker = stream("experiment/marker", contract.STRING, 0.5)
-    marker.fields = {"data": np.arange(len(marker.stamp), dtype=float)}
-    marker.signals = {"markers": marker.fields["data"]}
-    others = [s for s in (warmth, joints, distance, command, marker) if rng.random() < 0.7]
-    return [marker] if content == "markers alone" else [power, *others]
+        s = Stream(prefix + name, kind, stamp, received, received.copy())
+        for part, (signal, low, high, width) in fields.items():
+            values = np.arange(len(time), dtype=float)
+            if kind != contract.STRING:
+                values = rng.uniform(low, high, len(time)).astype(width).astype(float)
+            if content in ("NaN", "infinite") and kind not in contract.HEADERLESS:
+                values[rng.random(len(time)) < 0.1] = np.nan if content == "NaN" else np.inf
+            s.fields[part] = values
+            is_celsius = kind == contract.TEMPERATURE
+            s.signals[signal] = values + contract.CELSIUS_ZERO if is_celsius else values
+        streams.append(s)
+    others = [s for s in streams[1:] if rng.random() < 0.7]
+    return streams[-1:] if content == "markers alone" else [streams[0], *others]
 
 
 def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
