@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
@@ -141,18 +142,12 @@ class RidgeSearch:
         self.limit = CLEAR * self._noise * (2 * half + 1)
         """Excess radiance, summed across the wire, of a wire that could just be seen."""
 
-    def hottest(self) -> Ridge | None:
-        """The brightest ridge along the region, None when nothing stands out.
+    def ridge(self, dark: bool = False) -> Ridge | None:
+        """The brightest ridge along the region, or the darkest valley; None where none stands out.
 
         A hot spot does not attract it: no group of lines counts more than the median one.
         """
-        return self._best(self._height, dark=False)
-
-    def coldest(self) -> Ridge | None:
-        """The darkest valley along the region, None when nothing stands out."""
-        return self._best(-self._height, dark=True)
-
-    def _best(self, height: Array, dark: bool) -> Ridge | None:
+        height = -self._height if dark else self._height
         typical = float(np.median(height.max(axis=1)))
         # Beside a valley the surroundings look like ridges, of half its depth, and vice versa.
         if self._noise == 0.0 or typical < float(np.median(-height.min(axis=1))) / 1.5:
@@ -172,17 +167,12 @@ def _height(grouped: Array, half: int) -> Array:
     reach = half + _RING
     across = grouped.shape[1]
     sums = np.zeros((len(grouped), across + 2 * reach + 1))
-    np.cumsum(_beyond(grouped, reach), axis=1, out=sums[:, 1:])
+    # Beyond the border the trend there goes on.
+    beyond = np.pad(grouped, ((0, 0), (reach, reach)), mode="reflect", reflect_type="odd")
+    np.cumsum(beyond, axis=1, out=sums[:, 1:])
     outer = sums[:, 2 * reach + 1 :] - sums[:, :across]
     inner = sums[:, reach + half + 1 :][:, :across] - sums[:, reach - half :][:, :across]
     return inner / (2 * half + 1) - (outer - inner) / (2 * (reach - half))
-
-
-def _beyond(values: Array, reach: int) -> Array:
-    """Values with `reach` more pixels on both sides, in which the trend at the border goes on."""
-    left = 2.0 * values[:, :1] - values[:, reach:0:-1]
-    right = 2.0 * values[:, -1:] - values[:, -2 : -2 - reach : -1]
-    return np.concatenate([left, values, right], axis=1)
 
 
 def _best_path(scores: Array) -> NDArray[np.intp]:
@@ -192,12 +182,7 @@ def _best_path(scores: Array) -> NDArray[np.intp]:
     inside = slice(_SHIFT, _SHIFT + across)
     totals[0, inside] = scores[0]
     for k in range(1, groups):
-        before = totals[k - 1]
-        # The highest of nine neighbours, by twos, fours, eights.
-        twos = np.maximum(before[:-1], before[1:])
-        fours = np.maximum(twos[:-2], twos[2:])
-        eights = np.maximum(fours[:-4], fours[4:])
-        np.add(np.maximum(eights[:-1], before[8:]), scores[k], out=totals[k, inside])
+        totals[k, inside] = maximum_filter1d(totals[k - 1], 2 * _SHIFT + 1)[inside] + scores[k]
     path = np.empty(groups, np.intp)
     path[-1] = totals[-1, inside].argmax()
     for k in range(groups - 1, 0, -1):
@@ -343,10 +328,20 @@ def read_wire(
     raw, begin = region.band(frame, reach)
     radiance = radiance_of_raw(raw)
     search = RidgeSearch(radiance, begin, region.shape[1], optics.width)
-    ridge = search.hottest() or (search.coldest() if cold else None)
+    ridge = search.ridge() or (search.ridge(dark=True) if cold else None)
     if ridge is None:
-        return _unseen(radiance, search, optics)
-    lines = _whole_lines(ridge, begin, reach, radiance.shape[1])
+        beside = float(temperature_of(float(np.median(radiance))))
+        colder = search.ridge(dark=True) is not None
+        what = "wire colder than its" if colder else "no wire stands out from the"
+        return WireReading(
+            reason=f"{what} background of {beside - CELSIUS_ZERO:.1f} degC",
+            background=beside,
+            limit=search.limit / optics.width / slope_at(beside),
+        )
+    middle = np.rint(ridge.centre).astype(int) + begin
+    # Lines in which the wire is seen with all of its surroundings.
+    whole = ridge.seen & (middle >= reach) & (middle + reach < radiance.shape[1])
+    lines = np.flatnonzero(whole)
     visible = len(lines) / region.shape[0]
     if visible < optics.least_visible:
         return WireReading(
@@ -354,24 +349,16 @@ def read_wire(
             f"{100 * optics.least_visible:.0f} % or more",
             visible=visible, clearness=ridge.clearness,
         )
-    profile = _profile(radiance, ridge, lines, begin, half)
+    across = middle[lines, np.newaxis] + np.arange(-reach, reach + 1)
+    window = radiance[lines[:, np.newaxis], across].astype(float)
+    profile = _profile(window, ridge.slope[lines], half)
     return _reading(profile, ridge, search, optics, surface, visible)
 
 
-def _whole_lines(ridge: Ridge, begin: int, reach: int, columns: int) -> NDArray[np.intp]:
-    """Lines in which the wire is seen with `reach` pixels on both sides."""
-    middle = np.rint(ridge.centre).astype(int) + begin
-    return np.flatnonzero(ridge.seen & (middle >= reach) & (middle + reach < columns))
-
-
-def _profile(
-    radiance: NDArray, ridge: Ridge, lines: NDArray[np.intp], begin: int, half: int
-) -> _Profile:
-    middle = np.rint(ridge.centre).astype(int) + begin
-    reach = half + _NEAR + _FAR
-    offsets = np.arange(-reach, reach + 1)
-    window = radiance[lines[:, np.newaxis], middle[lines, np.newaxis] + offsets].astype(float)
-    distance = np.abs(offsets)
+def _profile(window: Array, slope: Array, half: int) -> _Profile:
+    """Of pixels (lines, across) with the wire in their middle."""
+    reach = window.shape[1] // 2
+    distance = np.abs(np.arange(-reach, reach + 1))
     near = window[:, (distance > half) & (distance <= half + _NEAR)].mean(axis=1)
     far = window[:, distance > half + _NEAR].mean(axis=1)
     background = (near + far) / 2.0
@@ -382,7 +369,7 @@ def _profile(
         excess=inner - background[:, np.newaxis],
         background=background,
         curvature=near - far,
-        tilt=np.hypot(1.0, ridge.slope[lines]),
+        tilt=np.hypot(1.0, slope),
         ripple=float(np.abs(beside).max()),
         extremes=(float(window.min()), float(window.max())),
     )
@@ -478,28 +465,14 @@ def _dithered_rounding(profile: _Profile, background: float) -> float:
 
 def _range_fault(profile: _Profile, optics: Optics) -> str:
     coldest, hottest = profile.extremes
-    for radiance, limit, beyond in (
-        (coldest, optics.lowest, coldest <= radiance_at(optics.lowest)),
-        (hottest, optics.highest, hottest >= radiance_at(optics.highest)),
-    ):
-        if beyond:
-            seen = float(temperature_of(radiance)) - CELSIUS_ZERO
-            return (
-                f"pixel of {seen:.1f} degC at the end of the camera's range "
-                f"({limit - CELSIUS_ZERO:g} degC)"
-            )
-    return ""
-
-
-def _unseen(radiance: NDArray, search: RidgeSearch, optics: Optics) -> WireReading:
-    beside = float(temperature_of(float(np.median(radiance))))
-    celsius = beside - CELSIUS_ZERO
-    colder = search.coldest() is not None
-    return WireReading(
-        reason=(
-            f"wire colder than its background of {celsius:.1f} degC" if colder
-            else f"no wire stands out from the background of {celsius:.1f} degC"
-        ),
-        background=beside,
-        limit=search.limit / optics.width / slope_at(beside),
+    if coldest <= radiance_at(optics.lowest):
+        radiance, limit = coldest, optics.lowest
+    elif hottest >= radiance_at(optics.highest):
+        radiance, limit = hottest, optics.highest
+    else:
+        return ""
+    seen = float(temperature_of(radiance)) - CELSIUS_ZERO
+    return (
+        f"pixel of {seen:.1f} degC at the end of the camera's range "
+        f"({limit - CELSIUS_ZERO:g} degC)"
     )

@@ -3,7 +3,7 @@ its time may go: not faster than asked, not ahead of an active driver. No ROS.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,12 +58,6 @@ class VirtualBench:
         self._pulses = 0
         self._driven = False
         self._build_instruments()
-        self._readers: dict[str, Callable[[tuple[float, ...]], list[Any]]] = {
-            "power": self._read_power,
-            "temperature": self._read_temperature,
-            "mechanics": self._read_ranges if self.composite else self._read_load_frame,
-            "ambient": self._read_ambient,
-        }
 
     def advance(self, voltage: tuple[float, ...], until: int) -> Iterator[GroupReading]:
         """Readings in the order of time while `voltage` (one per channel) is held `until` ns."""
@@ -77,7 +71,7 @@ class VirtualBench:
             self._step(volts, due)
             for kind in RATES:
                 if self._due[kind] == due:
-                    yield GroupReading(kind, due, self._readers[kind](voltage))
+                    yield GroupReading(kind, due, self._read(kind, voltage))
                     self._taken[kind] += 1
                     self._due[kind] = round(self._taken[kind] * NANOSECONDS / self._rates[kind])
         self._step(volts, until)
@@ -89,49 +83,41 @@ class VirtualBench:
 
     def _build_instruments(self) -> None:
         sequence = np.random.SeedSequence([self._settings["seed"], self._pulses])
+        wires = len(self.channels)
+        # The last thermometer is the air's.
+        counts = {
+            "voltage": wires, "current": wires, "temperature": wires + 1, "range": 2, "force": 1,
+        }
+        self._instruments = {
+            quantity: [
+                Instrument.of(self._settings, quantity, seed) for seed in sequence.spawn(count)
+            ]
+            for quantity, count in counts.items()
+        }
 
-        def instrument(quantity: str) -> Instrument:
-            return Instrument.of(self._settings, quantity, sequence.spawn(1)[0])
+    def _of(self, quantity: str, true: list[float]) -> list[float]:
+        """Readings of true values by the first instruments of a quantity."""
+        instruments = self._instruments[quantity][: len(true)]
+        return [one.read(value) for one, value in zip(instruments, true, strict=True)]
 
-        self._volt = [instrument("voltage") for _ in self.channels]
-        self._ampere = [instrument("current") for _ in self.channels]
-        self._celsius = [instrument("temperature") for _ in self.channels]
-        self._air = instrument("temperature")
-        self._range = [instrument("range"), instrument("range")]
-        self._force = instrument("force")
-
-    def _read_power(self, voltage: tuple[float, ...]) -> list[tuple[float, float]]:
-        volts, amperes = direct_reading(
-            self._bench.parameters, voltage, self._bench.current(voltage)
-        )
-        return [
-            (volt.read(applied), ampere.read(current))
-            for volt, ampere, applied, current in zip(
-                self._volt, self._ampere, volts.tolist(), amperes.tolist(), strict=True
-            )
-        ]
-
-    def _read_temperature(self, _: tuple[float, ...]) -> list[float]:
-        kelvin = self._bench.temperature_reading.tolist()
-        return [
-            camera.read(true - CELSIUS_ZERO)
-            for camera, true in zip(self._celsius, kelvin, strict=True)
-        ]
-
-    def _read_ambient(self, _: tuple[float, ...]) -> list[float]:
-        return [self._air.read(self._bench.ambient_temperature - CELSIUS_ZERO)]
-
-    def _read_ranges(self, _: tuple[float, ...]) -> list[float]:
-        # Bending to the front brings the tip nearer to the front sensor.
-        deflection = self._bench.deflection_reading
-        front, back = self._range
-        return [front.read(self._standoff - deflection), back.read(self._standoff + deflection)]
-
-    def _read_load_frame(self, _: tuple[float, ...]) -> list[float]:
-        elongation = 0.0  # where the frame holds the clamps
-        if self.moves:
-            elongation = self._range[0].read(self._bench.deflection_reading)
-        return [elongation, self._force.read(float(self._bench.force.sum()))]
+    def _read(self, kind: str, voltage: tuple[float, ...]) -> list[Any]:
+        bench = self._bench
+        if kind == "power":
+            volts, amperes = direct_reading(bench.parameters, voltage, bench.current(voltage))
+            read = self._of("voltage", volts.tolist()), self._of("current", amperes.tolist())
+            return list(zip(*read, strict=True))
+        if kind == "temperature":
+            return self._of("temperature", (bench.temperature_reading - CELSIUS_ZERO).tolist())
+        if kind == "ambient":
+            air = self._instruments["temperature"][-1]
+            return [air.read(bench.ambient_temperature - CELSIUS_ZERO)]
+        if self.composite:
+            # Bending to the front brings the tip nearer to the front sensor.
+            deflection = bench.deflection_reading
+            return self._of("range", [self._standoff - deflection, self._standoff + deflection])
+        # Where the frame holds the clamps there is no elongation.
+        elongation = self._of("range", [bench.deflection_reading]) if self.moves else [0.0]
+        return elongation + self._of("force", [float(bench.force.sum())])
 
 
 # Of the command timeout: how far simulated time may run ahead of a driver that is slower than
@@ -202,11 +188,8 @@ class Lockstep:
             self._waiting_since = wall
         if wall - self._waiting_since <= self._patience:
             return True
-        self._give_in()
-        return False
-
-    def _give_in(self) -> None:
         slow = max(self._slice, _SLOW_DRIVER_LEAD * self._timeout)
         self._given_up = self._lead >= slow
         self._lead = slow
         self._waiting_since = None
+        return False

@@ -62,32 +62,30 @@ def _staircase(n: Numbers, scale: Scale) -> list[Line]:
     return [(f"{level:g} {scale.unit}", n["dwell"], level, level) for level in levels]
 
 
-def _ramp(n: Numbers, _: Scale) -> list[Line]:
-    return [("", n["duration"], n["start"], n["stop"])]
-
-
-def _triangle(n: Numbers, scale: Scale) -> list[Line]:
-    return [
-        ("rise", n["rise"], scale.rest, n["peak"]),
-        ("fall", n["fall"], n["peak"], scale.rest),
-    ]
-
-
 def _hold(n: Numbers, _: Scale) -> list[Line]:
     return [("", n["duration"], n["level"], n["level"])]
 
 
-def _rest(n: Numbers, scale: Scale) -> list[Line]:
-    return [("", n["duration"], scale.rest, scale.rest)]
-
-
 KINDS: dict[str, StepKind] = {
     "staircase": StepKind(("start", "stop", "increment"), ("dwell",), _staircase),
-    "ramp": StepKind(("start", "stop"), ("duration",), _ramp),
-    "triangle": StepKind(("peak",), ("rise", "fall"), _triangle, waits=False),
+    "ramp": StepKind(
+        ("start", "stop"), ("duration",),
+        lambda n, _: [("", n["duration"], n["start"], n["stop"])],
+    ),
+    "triangle": StepKind(
+        ("peak",), ("rise", "fall"),
+        lambda n, scale: [
+            ("rise", n["rise"], scale.rest, n["peak"]), ("fall", n["fall"], n["peak"], scale.rest),
+        ],
+        waits=False,
+    ),
     "step": StepKind(("level",), ("duration",), _hold),
     "hold": StepKind(("level",), ("duration",), _hold),
-    "rest": StepKind((), ("duration",), _rest, drives=False),
+    "rest": StepKind(
+        (), ("duration",),
+        lambda n, scale: [("", n["duration"], scale.rest, scale.rest)],
+        drives=False,
+    ),
 }
 
 
@@ -141,7 +139,7 @@ class Quantity:
     keys: tuple[str, ...]
     targets: Callable[[Parameters], tuple[tuple[str, ...], tuple[str, ...]]]
     rest: Callable[[Parameters], float]
-    require: Callable[[str, float, Parameters, str], None]
+    require: Callable[[str, float, Parameters, str], None] = lambda *_: None
 
 
 def protocol_names() -> list[str]:
@@ -467,10 +465,6 @@ def _text(mapping: Mapping[str, Any], key: str, where: str) -> str:
 TIP = "tip"
 
 
-def _any_level(_key: str, _level: float, _parameters: Parameters, _where: str) -> None:
-    return
-
-
 TEMPERATURE = Quantity(
     what="reference",
     folder="references",
@@ -478,7 +472,6 @@ TEMPERATURE = Quantity(
     keys=("unit", *PROTOCOL_KEYS),
     targets=bench_channels,
     rest=lambda parameters: float(parameters["environment.ambient_temperature"]),
-    require=_any_level,
 )
 DEFLECTION = Quantity(
     what="reference",
@@ -487,7 +480,6 @@ DEFLECTION = Quantity(
     keys=("unit", *PROTOCOL_KEYS),
     targets=lambda _: ((TIP,), ()),
     rest=lambda _: 0.0,
-    require=_any_level,
 )
 QUANTITIES = {quantity.unit: quantity for quantity in (TEMPERATURE, DEFLECTION)}
 
