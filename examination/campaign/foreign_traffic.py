@@ -33,6 +33,7 @@ _PARAMETERS = {
     },
 }  # fmt: skip
 _FOREIGN = (String, Float64, Image, Temperature)
+_HEADS, _LENGTHS = (b"\0\1\0\0", b"\0\1\0\0", b"\xff\1", b""), (0, 1, 7, 40, 300)
 _AT_ONCE = 20
 _LEAPS, _BACK = (0.5, 60.0, 3600.0, 86_400.0), 3600.0
 _START = 1e5
@@ -49,7 +50,19 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
             talker.nodes.start(node, _PARAMETERS.get(node, {}))
             try:
                 for topic, kind in topics.items():
-                    _shout(talker, node, topic, kind, size, rng)
+                    # Of another type, and of the right one a CDR header, or not even that, and
+                    # bytes.
+                    own = talker.node.create_publisher(kind, topic, RELIABLE)
+                    foreign = rng.choice([other for other in _FOREIGN if other is not kind])
+                    other = talker.stranger.create_publisher(foreign, topic, RELIABLE)
+                    talker.until(f"{node} listens to {topic}", own.get_subscription_count)
+                    for number in range(size):
+                        other.publish(foreign())
+                        own.publish(rng.choice(_HEADS) + rng.randbytes(rng.choice(_LENGTHS)))
+                        if number % _AT_ONCE == 0:
+                            talker.listen(0.02)
+                    talker.node.destroy_publisher(own)
+                    talker.stranger.destroy_publisher(other)
                 talker.listen(0.5)
                 talker.nodes.check()
                 talker.parameters_of(node)
@@ -61,26 +74,6 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
             tried, found = 2 * size * len(topics), wrong or "alive, parameters answered"
             outcomes.append(Outcome("traffic", what, tried, found, "node goes on", not wrong))
     return outcomes
-
-
-def _shout(
-    talker: Talker, node: str, topic: str, kind: type, size: int, rng: random.Random
-) -> None:
-    """Messages of another type, and of the right one a CDR header, or not even that, and bytes."""
-    own = talker.node.create_publisher(kind, topic, RELIABLE)
-    foreign = rng.choice([other for other in _FOREIGN if other is not kind])
-    other = talker.stranger.create_publisher(foreign, topic, RELIABLE)
-    try:
-        talker.until(f"{node} listens to {topic}", own.get_subscription_count)
-        for number in range(size):
-            other.publish(foreign())
-            head = rng.choice([b"\x00\x01\x00\x00", b"\x00\x01\x00\x00", b"\xff\x01", b""])
-            own.publish(head + rng.randbytes(rng.choice([0, 1, 7, 40, 300])))
-            if number % _AT_ONCE == 0:
-                talker.listen(0.02)
-    finally:
-        talker.node.destroy_publisher(own)
-        talker.stranger.destroy_publisher(other)
 
 
 def leaping_clocks(size: int, seed: int, folder: Path) -> list[Outcome]:

@@ -12,7 +12,7 @@ import stat
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -22,9 +22,16 @@ import numpy as np
 import yaml
 
 from examination.bags import in_sqlite3
-from examination.campaign import good_files, hostile_bags, mutations
+from examination.campaign import good_files, hostile_bags
 from examination.campaign.allowance import allowance
 from examination.campaign.drawn_bags import HABITS, Stream, write_bag
+from examination.campaign.mutations import (
+    NUMBERS,
+    changed_series,
+    hostile_document,
+    hostile_table,
+    mutated,
+)
 from examination.campaign.outcome import Outcome
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
@@ -84,24 +91,13 @@ def drive() -> Record:
         return read_record(bag)
 
 
-def _good_bag(rng: random.Random, path: Path) -> Path:
-    """Twenty readings, or the drive."""
-    storage = rng.choice(("mcap", "sqlite3"))
-    if rng.random() < 0.8:
-        return hostile_bags.small_bag(path, storage)
-    write_record(path, list(drive().signals.values()))
-    if storage == "sqlite3":
-        in_sqlite3(path)
-    return path
-
-
 def hostile_drive(rng: random.Random, folder: Path) -> Case:
     """The drive, of which some readings, times, signals or bytes are not what a bench says."""
     signals = [s for s in drive().signals.values() if rng.random() < 0.9]
     for _ in range(rng.choice((0, 1, 1, 2, 3)) if signals else 0):
         k = rng.randrange(len(signals))
         if len(signals[k]) > 1:
-            time, values = mutations.changed_series(rng, signals[k].time, signals[k].values)
+            time, values = changed_series(rng, signals[k].time, signals[k].values)
             signals[k] = replace(signals[k], time=time, values=values)
     bag = folder / "bag"
     with np.errstate(over="ignore", invalid="ignore"):
@@ -114,7 +110,7 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
         in_sqlite3(bag)
     if rng.random() < 0.4:
         storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
-        storage.write_bytes(mutations.mutated(rng, storage.read_bytes(), most=2))
+        storage.write_bytes(mutated(rng, storage.read_bytes(), most=2))
     return Case(bag, ("--params", str(_RIG)) if rng.random() < 0.5 else ())
 
 
@@ -127,7 +123,7 @@ def _altered_bag(rng: random.Random, folder: Path, **habits: str) -> Path:
             some = slice(rng.randrange(len(s.stamp)), None, rng.choice((1, 7, 1000)))
             for values in s.fields.values() if rng.random() < 0.3 else ():
                 with np.errstate(over="ignore"):  # some messages have 32 bits for it
-                    values[some] = np.float32(rng.choice(mutations.NUMBERS))
+                    values[some] = np.float32(rng.choice(NUMBERS))
             if rng.random() < 0.3:
                 s.stamp[some] = rng.choice(_STAMPS)
             if rng.random() < 0.3:
@@ -144,7 +140,7 @@ def hostile_mcap(rng: random.Random, folder: Path) -> Case:
     content = path.read_bytes()[len(hostile_bags.MAGIC) :]
     shape = rng.choice(("plain", "edited", "chunk", "chunk", "twice", "nested", "size", "bomb"))
     if shape == "edited":
-        content = mutations.mutated(rng, content)
+        content = mutated(rng, content)
     elif shape == "nested":
         for _ in range(rng.choice((1, 30, 1200))):
             content = hostile_bags.chunk(content, compressed=False)
@@ -185,53 +181,47 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
 
 
 def hostile_yaml(rng: random.Random, folder: Path) -> Case:
-    """A good bag whose metadata are not, or with parameters that are not."""
-    bag = _good_bag(rng, folder / "bag")
+    """Twenty readings or the drive, whose metadata or parameters are altered."""
+    bag, storage = folder / "bag", rng.choice(("mcap", "sqlite3"))
+    if rng.random() < 0.8:
+        hostile_bags.small_bag(bag, storage)
+    else:
+        write_record(bag, list(drive().signals.values()))
+        if storage == "sqlite3":
+            in_sqlite3(bag)
+    good, path = good_files.PARAMETERS, folder / "p.yaml"
     if rng.random() < 0.3:
-        (bag / "metadata.yaml").write_bytes(
-            mutations.hostile_document(rng, yaml.safe_load(good_files.METADATA))
-        )
-        return Case(bag)
-    (folder / "p.yaml").write_bytes(
-        mutations.hostile_document(rng, yaml.safe_load(good_files.PARAMETERS))
-    )
-    return Case(bag, ("--params", str(folder / "p.yaml")))
+        good, path = good_files.METADATA, bag / "metadata.yaml"
+    path.write_bytes(hostile_document(rng, yaml.safe_load(good)))
+    return Case(bag, ("--params", str(path)) if path.parent == folder else ())
 
 
 def hostile_result(rng: random.Random, folder: Path) -> Case:
     """A result of identify or diagnose, altered."""
-    path = folder / "result.json"
-    path.write_bytes(
-        mutations.hostile_document(
-            rng, rng.choice((good_files.RESULT, good_files.DIAGNOSIS)), is_json=True
-        )
-    )
+    path, good = folder / "result.json", rng.choice((good_files.RESULT, good_files.DIAGNOSIS))
+    path.write_bytes(hostile_document(rng, good, is_json=True))
     return Case(path)
 
 
 def hostile_instrument(rng: random.Random, folder: Path) -> Case:
     """A file of an instrument whose numbers, titles or units are altered."""
     parser = rng.choice(good_files.parsers()[:4])
-    path = folder / parser.file
-    path.write_bytes(
-        mutations.mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3))
-    )
-    return Case(path)
+    content = mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3))
+    (folder / parser.file).write_bytes(content)
+    return Case(folder / parser.file)
 
 
 def hostile_import(rng: random.Random, folder: Path) -> Case:
     """A table of another logger, of two in five with a rig file or a map beside it."""
-    name, content = mutations.hostile_table(rng)
+    name, content = hostile_table(rng)
     (folder / name).write_bytes(content)
     beside = rng.choice(("", "", "", "--params", "--map"))
     if not beside:
         return Case(folder / name, tabled=())
     document = good_files.MAP if beside == "--map" else yaml.safe_load(good_files.PARAMETERS)
-    (folder / "beside.yaml").write_bytes(
-        mutations.hostile_document(rng, document)
-        if rng.random() < 0.8
-        else yaml.safe_dump(document).encode()
-    )
+    is_hostile, good = rng.random() < 0.8, yaml.safe_dump(document).encode()
+    hostile = hostile_document(rng, document) if is_hostile else good
+    (folder / "beside.yaml").write_bytes(hostile)
     return Case(folder / name, tabled=(beside, str(folder / "beside.yaml")))
 
 
@@ -297,7 +287,9 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
         name, rng = names[k % len(names)], random.Random(f"{seed} {k}")
         for left in ("given", "out"):
             shutil.rmtree(folder / left, ignore_errors=True)
-        with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else _undrawn():
+        # Figures are put together but not rendered, which takes most of the time.
+        undrawn = mock.patch.object(Picture, "_file", lambda *_, **__: b"")
+        with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else undrawn:
             said, succeeded = try_case(MAKERS[name][1], rng, folder)
         results[name] += succeeded
         for text in said:
@@ -312,13 +304,6 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
             what, met = f"well formed: {name}, through all commands", not failures[name]
             outcomes.append(Outcome("hostile", what, tried, found, "failed 0", met))
     return outcomes
-
-
-@contextlib.contextmanager
-def _undrawn() -> Iterator[None]:
-    """Reports whose figures are put together but not rendered, which takes most of the time."""
-    with mock.patch.object(Picture, "_file", lambda *_, **__: b""):
-        yield
 
 
 def _warm_up(folder: Path) -> None:
@@ -369,9 +354,8 @@ def run_command(command: str, case: Case, out: Path, seconds: float = SECONDS) -
             code = main(arguments)
     except Exception as error:  # that is what is looked for
         return f"{type(error).__name__}: {str(error)[:_SHOWN]!r}", 1
-    lines = [
-        line for line in errors.getvalue().splitlines() if not line.startswith("sma-bench: note:")
-    ]
+    said = errors.getvalue().splitlines()
+    lines = [line for line in said if not line.startswith("sma-bench: note:")]
     if code not in (0, 2, MISFIT) or (code == 2 and len(lines) != 1):
         return f"ends with {code} and {len(lines)} lines {lines[:2]!r:.{_SHOWN}}", code
     if lines and max(map(len, lines)) > LONGEST_LINE + 20:
@@ -415,7 +399,7 @@ def edited_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     outcomes = []
     for parser in good_files.parsers():
         rng = random.Random(f"{seed} {parser.name}")
-        inputs = [parser.good, *(mutations.mutated(rng, parser.good) for _ in range(size))]
+        inputs = [parser.good, *(mutated(rng, parser.good) for _ in range(size))]
         tried = [(try_input(parser, content, folder), content) for content in inputs]
         wrong = [f"{text} at {content[:_SHOWN]!r}" for text, content in tried if text]
         outcomes.append(Outcome.of("parsers", f"edited: {parser.name}", size, wrong))
