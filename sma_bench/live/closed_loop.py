@@ -18,9 +18,16 @@ from sma_bench.protocols.reading import DEFLECTION, TEMPERATURE, Quantity, load_
 
 
 class ClosedLoop(OpenLoop, ABC):
-    """A controller on a reference; one from a topic goes on until it is stopped. SI units."""
+    """A controller on a reference; one from a topic goes on until it is stopped. SI units.
+
+    Attributes:
+        quantity: of the reference; controller: of a bench's parameters, a period and the tuning.
+        reference_fault: why levels cannot be followed on a bench, or "".
+    """
 
     quantity: ClassVar[Quantity]
+    controller: ClassVar[Callable[..., Any]]
+    reference_fault: ClassVar["staticmethod[[Sequence[float], Parameters], str]"]
 
     def __init__(
         self, settings: dict[str, Any], parameters: Parameters,
@@ -32,14 +39,6 @@ class ClosedLoop(OpenLoop, ABC):
         self._asked: Sequence[float] | None = None
         # The first design also compiles the physics, which must not wait for the start.
         self.begin(settings, parameters)
-
-    @abstractmethod
-    def design(self, parameters: Parameters, tuning: dict[str, Any]) -> Any:
-        """The controller."""
-
-    @abstractmethod
-    def reference_fault(self, level: Sequence[float], parameters: Parameters) -> str:
-        """Why a reference cannot be followed, or ""."""
 
     @abstractmethod
     def answer(self, wanted: Sequence[float], upcoming: Sequence[float]) -> list[float]:
@@ -64,7 +63,7 @@ class ClosedLoop(OpenLoop, ABC):
         """Design the controller anew, for the parameters of the moment."""
         self._asked = None
         tuning = {parameter.name: settings[parameter.name] for parameter in TUNING}
-        self._law = self.design(parameters, tuning)
+        self._law = self.controller(parameters, self._period, **tuning)
 
     def volts(self, protocol: Protocol, elapsed: float) -> list[float]:
         """One step of the controller."""
@@ -91,20 +90,14 @@ class TemperatureLoop(ClosedLoop):
     """Holds wires at temperatures (experiment E8): one PI a wire."""
 
     quantity = TEMPERATURE
+    controller = TemperatureController
+    reference_fault = staticmethod(temperature_reference_fault)
 
     def __init__(self, settings: dict[str, Any], parameters: Parameters, *rest: Any) -> None:
         if "temperature" not in settings["feedback"]:
             raise InputError("feedback: temperature control cannot do without temperature")
         self._kelvin = dict.fromkeys(parameters["bench.channels"], math.nan)
         super().__init__(settings, parameters, *rest)
-
-    def design(self, parameters: Parameters, tuning: dict[str, Any]) -> TemperatureController:
-        """The controller."""
-        return TemperatureController(parameters, self._period, **tuning)
-
-    def reference_fault(self, level: Sequence[float], parameters: Parameters) -> str:
-        """Why wire temperatures (K) cannot be followed, or ""."""
-        return temperature_reference_fault(level, parameters)
 
     def answer(self, wanted: Sequence[float], _: Sequence[float]) -> list[float]:
         """Volts for the wanted temperatures."""
@@ -120,6 +113,8 @@ class DeflectionLoop(ClosedLoop):
     """Bends the composite as wanted; without fresh deflections it does not drive."""
 
     quantity = DEFLECTION
+    controller = DeflectionController
+    reference_fault = staticmethod(deflection_reference_fault)
 
     def __init__(
         self, settings: dict[str, Any], parameters: Parameters, *rest: Any, freshness: Freshness
@@ -128,17 +123,9 @@ class DeflectionLoop(ClosedLoop):
         self._freshness = freshness
         super().__init__(settings, parameters, *rest)
 
-    def design(self, parameters: Parameters, tuning: dict[str, Any]) -> DeflectionController:
-        """The controller."""
-        return DeflectionController(parameters, self._period, **tuning)
-
     def fault(self, now: float) -> str:
         """Why it cannot be followed now, or ""."""
         return self._freshness.fault(now)
-
-    def reference_fault(self, level: Sequence[float], parameters: Parameters) -> str:
-        """Why a deflection (m) cannot be followed, or ""."""
-        return deflection_reference_fault(level, parameters)
 
     def answer(self, wanted: Sequence[float], upcoming: Sequence[float]) -> list[float]:
         """Volts for the wanted deflection."""

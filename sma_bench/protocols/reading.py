@@ -185,9 +185,13 @@ def parse_protocol(
 
 
 def parse_levels(
-    document: Any, parameters: Parameters, quantity: Quantity, where: str, name: str
+    document: Any, parameters: Parameters, quantity: Quantity, where: str = "", name: str = ""
 ) -> Protocol:
     """A Protocol whose levels are those of a quantity; arguments as for parse_protocol."""
+    where = where or quantity.what
+    with_unit = isinstance(document, dict) and "unit" in quantity.keys
+    if with_unit and document.get("unit") != quantity.unit:
+        raise InputError(f"{where}: unit is {document.get('unit')!r}, expected {quantity.unit}")
     _require_keys(document, quantity.keys, ("steps",), where)
     steps, times = document["steps"], _repeat(document, where)
     if not isinstance(steps, list) or not steps:
@@ -204,7 +208,7 @@ def parse_levels(
     if load and load not in LOAD_KINDS:
         raise InputError(f"{where}: load is {load!r}, expected {', '.join(LOAD_KINDS)}")
     protocol = Protocol(
-        name=_text(document, "name", where) or name,
+        name=_text(document, "name", where) or name or quantity.what,
         channels=quantity.targets(parameters)[0],
         segments=tuple(_numbered(once, times)),
         description=_text(document, "description", where),
@@ -497,22 +501,4 @@ def load_reference(
         InputError: as load_protocol, or another unit.
     """
     path = locate(name_or_path, quantity)
-    return parse_reference(read_yaml(path), parameters, quantity, str(path), path.stem)
-
-
-def parse_reference(
-    document: Any,
-    parameters: Parameters,
-    quantity: Quantity,
-    where: str = "reference",
-    name: str = "reference",
-) -> Protocol:
-    """A reference from the plain mapping of its file; `Protocol.level` gives the levels.
-
-    Raises:
-        InputError: as load_reference.
-    """
-    unit = document.get("unit") if isinstance(document, dict) else quantity.unit
-    if unit != quantity.unit:
-        raise InputError(f"{where}: unit is {unit!r}, expected {quantity.unit}")
-    return parse_levels(document, parameters, quantity, where, name)
+    return parse_levels(read_yaml(path), parameters, quantity, str(path), path.stem)

@@ -270,31 +270,25 @@ def dsc_record(parameters: Parameters) -> DscRecord:
 def upfr_records(parameters: Parameters) -> tuple[IsobaricRecord, ...]:
     """E6: three specimens with the paper's mean and deviation; first cycle, as prestrained. Those
     of another wire deviate as much from its own temperatures."""
-    if not is_papers_wire(parameters):
-        wire = wire_rig(parameters)
-        ends = [_tangent_ends(wire, end) for end in (0, 1)]
-        return upfr_tests(
-            wire, *(
-                [end + deviation * k for k in REPEATS]
-                for end, (_, deviation) in zip(ends, (UPFR_START, UPFR_FINISH), strict=True)
-            ),
-        )
-    cooling = {TRANSITIONS[symbol]: DSC_CYCLES[0][symbol] for symbol in ("M_s", "M_f")}
+    wire, means = wire_rig(parameters), (UPFR_START[0], UPFR_FINISH[0])
+    if is_papers_wire(parameters):
+        wire = wire.replace({TRANSITIONS[end]: DSC_CYCLES[0][end] for end in ("M_s", "M_f")})
+    else:
+        means = _tangent_ends(wire)
     return upfr_tests(
-        wire_rig(parameters).replace(cooling),
-        [UPFR_START[0] + UPFR_START[1] * k for k in REPEATS],
-        [UPFR_FINISH[0] + UPFR_FINISH[1] * k for k in REPEATS],
+        wire,
+        [means[0] + UPFR_START[1] * k for k in REPEATS],
+        [means[1] + UPFR_FINISH[1] * k for k in REPEATS],
     )
 
 
-def _tangent_ends(wire: Parameters, end: int) -> float:
-    """Where the tangents of a heating under the holding force meet, K: start (0) or finish (1)."""
-    start, finish = (
-        wire[f"wire.austenite_{which}_temperature"] for which in ("start", "finish")
-    )
+def _tangent_ends(wire: Parameters) -> tuple[float, float]:
+    """Where the tangents of a heating under the holding force meet, K: start and finish."""
+    start = wire["wire.austenite_start_temperature"]
+    finish = wire["wire.austenite_finish_temperature"]
     shift = HOLDING_FORCE / wire_section(wire) / wire["wire.stress_influence_austenite"]
     inward = (0.5 - 1.0 / math.pi) * (finish - start)
-    return float((start + inward, finish - inward)[end] + shift)
+    return float(start + inward + shift), float(finish - inward + shift)
 
 
 def isobaric_records(parameters: Parameters) -> tuple[IsobaricRecord, ...]:

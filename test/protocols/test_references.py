@@ -12,7 +12,7 @@ from sma_bench.protocols.reading import (
     QUANTITIES,
     TEMPERATURE,
     load_reference,
-    parse_reference,
+    parse_levels,
     shipped_names,
 )
 
@@ -37,7 +37,7 @@ def test_deflections_go_both_ways_and_wires_that_are_not_driven_rest_at_ambient(
         [0.0, 0.03, 0.015, 0.0, -0.03]
     )
     step = {"kind": "triangle", "peak": 310.0, "rise": 1.0, "fall": 1.0, "drive": "back"}
-    reference = parse_reference({"unit": "K", "steps": [step]}, COMPOSITE, TEMPERATURE)
+    reference = parse_levels({"unit": "K", "steps": [step]}, COMPOSITE, TEMPERATURE)
     np.testing.assert_allclose(reference.level(0.5), [296.15, 296.15, 303.075, 303.075])
 
 
@@ -66,6 +66,6 @@ def test_bad_reference_is_one_line():
         (["unit"], "expected a mapping"),
     ):
         with pytest.raises(InputError, match=expected):
-            parse_reference(document, WIRE, TEMPERATURE, "r.yaml")
+            parse_levels(document, WIRE, TEMPERATURE, "r.yaml")
     with pytest.raises(InputError, match="reference stairs: not one of .*temperature_staircase"):
         load_reference("stairs", WIRE, TEMPERATURE)
