@@ -169,26 +169,26 @@ def fit_sensor(
     Raises:
         InputError: as `fit_calibration` and `fit_range_calibration`.
     """
-    prefix = f"calibration.{name}."
-    if not SENSORS[name].is_range:
+    kind, std = SENSORS[name], {}
+    if kind.is_range:
+        ranger = fit_range_calibration(readings, known, shift)
+        found = {"gain": ranger.gain, "offset": ranger.offset, "shift": shift}
+        calibrated = [ranger.distance(x) for x in readings]
+        uncertainty = _left_open(kind.quantity, fit_calibration(calibrated, known), [], known)
+        # The tip at rest is zero, whatever the distance.
+        uncertainty.pop("sensor.deflection.offset", None)
+    else:
         fit = fit_calibration(readings, known)
-        line = fit.calibration
-        left = [line.apply(x) - y for x, y in zip(readings, known, strict=True)]
-        return SensorFit(
-            {prefix + "gain": line.gain, prefix + "offset": line.offset},
-            {prefix + "gain": fit.gain_std, prefix + "offset": fit.offset_std},
-            _rms(left), _left_open(SENSORS[name].quantity, fit, readings, known),
-        )
-    sensor = fit_range_calibration(readings, known, shift)
-    left = [sensor.distance(x) - y for x, y in zip(readings, known, strict=True)]
-    values = {"gain": sensor.gain, "offset": sensor.offset, "shift": shift}
-    distances = [sensor.distance(x) for x in readings]
-    scale = fit_calibration(distances, known)
-    uncertainty = _left_open(SENSORS[name].quantity, scale, [], known)
-    # The tip at rest is zero, whatever the distance.
-    uncertainty.pop("sensor.deflection.offset", None)
-    named = {prefix + key: value for key, value in values.items()}
-    return SensorFit(named, {}, _rms(left), uncertainty)
+        found = {"gain": fit.calibration.gain, "offset": fit.calibration.offset}
+        std = {"gain": fit.gain_std, "offset": fit.offset_std}
+        calibrated = [fit.calibration.apply(x) for x in readings]
+        uncertainty = _left_open(kind.quantity, fit, readings, known)
+    named, named_std = (
+        {f"calibration.{name}.{key}": value for key, value in numbers.items()}
+        for numbers in (found, std)
+    )
+    rest = math.sqrt(float(np.mean(np.square(np.subtract(calibrated, known)))))
+    return SensorFit(named, named_std, rest, uncertainty)
 
 
 def _left_open(
@@ -215,7 +215,3 @@ def _last_digit(values: Sequence[float]) -> float:
     """What the last decimal that any of them has is worth; 0 where all are whole."""
     places = [-int(Decimal(repr(float(value))).normalize().as_tuple().exponent) for value in values]
     return 10.0 ** -max(places) if max(places, default=0) > 0 else 0.0
-
-
-def _rms(values: Sequence[float]) -> float:
-    return math.sqrt(float(np.mean(np.square(values))))

@@ -68,11 +68,6 @@ class MeasuredVoltages:
             waiting.clear()
             self._latest[k], self._held[k] = -math.inf, math.nan
 
-    @property
-    def known_until(self) -> float:
-        """s; -inf until every channel has been heard."""
-        return min(self._latest)
-
     def missing(self) -> list[int]:
         """Wires not heard of."""
         return [k for k, latest in enumerate(self._latest) if latest == -math.inf]
@@ -80,7 +75,7 @@ class MeasuredVoltages:
     def changes(self) -> tuple[Array, Array]:
         """Times (n,) s of the readings, as far as all channels are known, and the voltages (n, w) V
         held from each on; NaN for a wire whose first reading is yet to come."""
-        until = self.known_until
+        until = min(self._latest)  # -inf until every channel has been heard
         times: list[float] = []
         volts: list[list[float]] = []
         while True:
