@@ -20,20 +20,20 @@ from examination.campaign.drawn_bags import HABITS, LOSS, OUTCOMES, RAISED, RIGH
 from examination.pieces import IN_PIECES, in_pieces, options_of
 
 BLOCK = 20  # bags of one piece at most
-_SHOWN = 300
+_SHOWN_BAGS, _SHOWN = 20, 300  # wrong ones, and characters of each
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw, read, compare; 0 if nothing was silently wrong, 1 if something was."""
     options = options_of(
         "bags", __doc__, argv, bags=(200, "how many"), first=(0, "number of the first"),
-        seed=(1, "of all of them"), faults=(20, "show so many wrong ones"), **IN_PIECES,
+        seed=(1, "of all of them"), **IN_PIECES,
     )  # fmt: skip
     numbers = range(options.first, options.first + options.bags)
     jobs = [(options.seed, k, min(k + BLOCK, numbers.stop)) for k in numbers[::BLOCK]]
     found = [one for block in in_pieces(try_bags, jobs, options) for one in block]
     wrong = [one for one in found if one["outcome"] in (WRONG, RAISED)]
-    for one in wrong[: options.faults]:
+    for one in wrong[:_SHOWN_BAGS]:
         print(f"{one['number']}: {one['why'][-_SHOWN:]}\n    {one['odd']}")
     print(table(found))
     return 1 if wrong else 0

@@ -12,7 +12,7 @@ verdict asks for. Some ten seconds a case; synthetic.
 
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,7 +34,6 @@ from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit, recalibrate
 from sma_bench.estimation.unknowns import unknowns_of_records
-from sma_bench.parameters import Parameters
 from sma_bench.records.record import Record
 
 INTERVAL = 1.645  # standard errors: 90 %
@@ -42,35 +41,22 @@ WANTED = (0.80, 0.95)
 _QUIET = 1e-3  # of the sensors' noise
 _STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread, as a diagnosis begins
 
-Features = Mapping[str, float]
-
-
-def _as(feature: str) -> Callable[[Features, Parameters], float]:
-    return lambda features, _: features[feature]
-
-
-def _slope(phase: str) -> Callable[[Features, Parameters], float]:
-    factor = f"stress_influence_factor_{phase}"
-    return lambda features, p: (features[factor] - 1.0) / p[f"wire.stress_influence_{phase}"]
-
-
 # Numbers that mean the same in the model and in the reality. The others do not: two relaxation
 # times are no one, a wave no parabola, the silicone beside a wire no room.
-SAME: dict[str, Callable[[Features, Parameters], float]] = {
-    "effect.supply_drop.resistance": _as("supply_resistance"),
-    "effect.phase_dependent_resistance.austenite_change": _as("resistance_austenite_change"),
-    "effect.phase_dependent_resistance.temperature_coefficient": _as(
+SAME = {
+    "effect.supply_drop.resistance": "supply_resistance",
+    "effect.phase_dependent_resistance.austenite_change": "resistance_austenite_change",
+    "effect.phase_dependent_resistance.temperature_coefficient": (
         "resistance_temperature_coefficient"
     ),
-    "effect.latent_heat.heat": _as("latent_heat"),
-    "effect.side_heat_coupling.conductance": _as("side_conductance"),
-    "effect.stress_dependent_transition.austenite": _slope("austenite"),
-    "effect.stress_dependent_transition.martensite": _slope("martensite"),
-    "effect.residual_strain.share": _as("unrecovered_strain"),
-    "effect.side_asymmetry.ratio": _as("stiffness_asymmetry"),
-    "effect.slack.strain": _as("slack"),
-    "effect.temperature_lag.time_constant": _as("camera_lag"),
+    "effect.latent_heat.heat": "latent_heat",
+    "effect.side_heat_coupling.conductance": "side_conductance",
+    "effect.residual_strain.share": "unrecovered_strain",
+    "effect.side_asymmetry.ratio": "stiffness_asymmetry",
+    "effect.slack.strain": "slack",
+    "effect.temperature_lag.time_constant": "camera_lag",
 }
+_SLOPE = "effect.stress_dependent_transition."
 
 
 @dataclass(frozen=True)
@@ -133,9 +119,14 @@ def claims_of(case: Case) -> list[Claim]:
     claims, values = [], found.unknowns.values(found.x)
     for k in range(found.unknowns.baseline, len(found.x)):
         name = found.unknowns.names[k]
-        true = SAME[name](features, case.truth) if name in SAME else best[name]
-        errors = (float(found.errors[k]), float(found.std[k]))
-        claims.append(Claim(case.name, name, float(values[k]), *errors, true, name in SAME, gain))
+        is_slope = name.startswith(_SLOPE)
+        true = features[SAME[name]] if name in SAME else best[name]
+        if is_slope:
+            influence = name.replace(_SLOPE, "stress_influence_")
+            factor = features[influence.replace("influence", "influence_factor")]
+            true = (factor - 1.0) / case.truth[f"wire.{influence}"]
+        errors, same = (float(found.errors[k]), float(found.std[k])), is_slope or name in SAME
+        claims.append(Claim(case.name, name, float(values[k]), *errors, true, same, gain))
     return claims
 
 
