@@ -173,6 +173,7 @@ def _twin_node(case: str, rig: Path, seconds: float) -> Iterator[Figure]:
         heard.clear()
         bench.spin(lambda: heard)
         _, shares = bench.shares(seconds)
+        bench.spin(lambda: len(heard) > 1)
         (first, start), (last, end) = heard[0], heard[-1]
     names = ("model_time", "restarts", "readings_late")
     model, restarts, late = (float(end[name]) - float(start[name]) for name in names)
