@@ -37,6 +37,7 @@ _AGAINST = 0.9  # of a current's readings that have not its voltage's sign
 # Standard deviations, and share of the usual range, that a single reading lies off both beside it;
 # most of them in a record, as more are a sensor's way.
 _OUTLYING, _OUT_OF_RANGE, _MOST_OUTLIERS = 12.0, 0.05, 5
+_FEW_STEPS = 3  # of the reading's last digit
 _FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
@@ -154,7 +155,9 @@ def outliers(signal: Signal) -> IntArray:
     off, apart = np.abs(values[1:-1] - beside), np.abs(values[2:] - values[:-2])
     scatter = float(np.median(off)) / 0.6745
     low, high = np.quantile(values, [0.01, 0.99])
-    least = max(_OUTLYING * scatter, _OUT_OF_RANGE * float(high - low))
+    # A reading of few digits flickers by a step.
+    steps = _FEW_STEPS * _resolution(values)
+    least = max(_OUTLYING * scatter, _OUT_OF_RANGE * float(high - low), steps)
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
     return found if len(found) <= _MOST_OUTLIERS else none
 

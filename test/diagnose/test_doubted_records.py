@@ -137,6 +137,11 @@ def test_single_readings_far_off_are_left_out_and_named(name, wrong):
         np.delete(own.values, [200, 700])
     )
     assert [f.numbers["outliers"] for f in found] == [2.0]
+    # A reading of few digits flickers by its last one, which is none.
+    slow = 296.1 + 0.1 * (np.arange(len(own)) * 5 // len(own))
+    slow[[100, 300, 800]] += 0.1
+    flickering = {name: replace(own, values=np.round(slow, 1))}
+    assert not mended(replace(record, signals=record.signals | flickering))[1]
 
 
 def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_them():
