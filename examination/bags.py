@@ -5,7 +5,7 @@ from pathlib import Path
 
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 
-from sma_bench.records.messages import TYPES
+from sma_bench.records.bag_writer import TYPES
 
 
 def in_sqlite3(bag: Path) -> Path:

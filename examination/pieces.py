@@ -3,7 +3,6 @@
 import argparse
 import json
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -29,9 +28,8 @@ def options_of(
 ) -> argparse.Namespace:
     """Options of `./bench check NAME`, of which `in_pieces` needs IN_PIECES.
 
-    Args:
-        own: default and help of each; False for a flag, several for a list, of texts the
-            only ones that there are; a type where there is no default; ... for what must be given.
+    `own`: default and help of each; False for a flag, several for a list, of texts the only ones
+    that there are; a type where there is no default; ... for what must be given.
     """
     parser = argparse.ArgumentParser(prog=f"./bench check {name}", description=doc)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
@@ -54,15 +52,10 @@ def options_of(
 
 
 def in_pieces(
-    run: Callable[[Any], Any], jobs: Sequence[Any], options: argparse.Namespace
+    run: Callable[..., Any], jobs: Sequence[tuple], options: argparse.Namespace
 ) -> list[Any]:
-    """The result of every job, in the order of the jobs.
-
-    Args:
-        run: a function of a module, whose result is plain JSON.
-        jobs: numbers, texts or tuples of them.
-        options: with IN_PIECES.
-    """
+    """The result of every job, the arguments of `run`, in the order of the jobs: a function of a
+    module whose results are plain JSON; the options have IN_PIECES."""
     kept: dict[str, Any] = {}
     if options.json and options.json.is_file():
         kept = json.loads(options.json.read_text())
@@ -71,7 +64,7 @@ def in_pieces(
     due = [job for job in jobs if str(job) not in kept]
     begun = time.monotonic()
 
-    def keep(done: int, job: Any, result: Any) -> None:
+    def keep(done: int, job: tuple, result: Any) -> None:
         kept[str(job)] = result
         if options.json:
             write_text_atomically(options.json, json.dumps(kept, indent=1) + "\n")
@@ -81,12 +74,9 @@ def in_pieces(
 
     if options.processes == 1 or len(due) == 1:
         for done, job in enumerate(due, 1):
-            keep(done, job, run(job))
+            keep(done, job, run(*job))
     else:
-        # A fresh interpreter each: forked ones would inherit the threads of numpy and numba; and
-        # linear algebra with threads of its own would only wait.
-        os.environ.setdefault("OMP_NUM_THREADS", "1")
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+        # A fresh interpreter each: forked ones would inherit the threads of numpy and numba.
         with get_context("spawn").Pool(options.processes) as pool:
             found = pool.imap_unordered(partial(_labelled, run), due)
             for done, (job, result) in enumerate(found, 1):
@@ -94,8 +84,18 @@ def in_pieces(
     return [kept[str(job)] for job in jobs]
 
 
-def _labelled(run: Callable[[Any], Any], job: Any) -> tuple[Any, Any]:
-    return job, run(job)
+def _labelled(run: Callable[..., Any], job: tuple) -> tuple[tuple, Any]:
+    return job, run(*job)
+
+
+def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    """Columns under their titles; those whose title begins with > are set to the right."""
+    lines = [[title.lstrip(">") for title in head], *([str(cell) for cell in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    for line in lines:
+        cells = zip(head, line, widths, strict=True)
+        shown = [c.rjust(w) if title[:1] == ">" else c.ljust(w) for title, c, w in cells]
+        print("  ".join(shown).rstrip(), flush=True)
 
 
 def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> float:
@@ -104,10 +104,56 @@ def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> flo
     found: dict[str, list[float]] = {}
     for name, z in deviations:
         found.setdefault(name, []).append(z)
-    share = math.nan
-    print(f"{'number':44s}{'n':>6s}{'inside':>8s}{'bias':>7s}{'rms z':>7s}")
+    share, rows = math.nan, []
     for name, own in [*found.items(), ("all", sum(found.values(), []))]:
         if own:
             share, rms = float(np.mean(np.abs(own) < limit)), math.sqrt(np.mean(np.square(own)))
-            print(f"{name:44s}{len(own):6d}{share:8.1%}{np.median(own):+7.2f}{rms:7.2f}")
+            rows.append((name, len(own), f"{share:.1%}", f"{np.median(own):+.2f}", f"{rms:.2f}"))
+    print_table(("number", ">n", ">inside", ">bias", ">rms z"), rows)
     return share
+
+
+def in_blocks(run: Callable[..., list], options: argparse.Namespace, n: int, *more: Any) -> list:
+    """What `run` finds of `n` draws: it is given seed, first, stop and more of twenty at most, of
+    half of them at least."""
+    step = min(20, max(n // 2, 1))
+    jobs = [(options.seed, k, min(k + step, n), *more) for k in range(0, n, step)]
+    return [one for found in in_pieces(run, jobs, options) for one in found]
+
+
+def applies(rule: dict[str, Any], held: dict[str, Any]) -> bool:
+    """Whether every kind of `if` has one of its habits, and of `but` none."""
+    wanted, but = rule.get("if", {}), rule.get("but", {})
+    has_none = all(held[kind] not in some for kind, some in but.items())
+    return has_none and all(held[kind] in some for kind, some in wanted.items())
+
+
+def without_exclusions(drawn: dict, habits: dict[str, list], rules: Iterable[dict]) -> dict:
+    """What is drawn, with what cannot be together made plain, or what a rule says."""
+    held = dict(drawn)
+    for rule in rules:
+        if applies(rule, held):
+            held |= {kind: habits[kind][0] for kind in rule.get("plain", ())} | rule.get("then", {})
+    return held
+
+
+def outcome_table(
+    found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str, *head: str
+) -> list[str]:
+    """Lines of the format `row`: outcomes by habit, by kind, of all, of those that tell what they
+    mean; then how many are wrong: the last two outcomes."""
+    kinds = sorted({one["kind"] for one in found if "kind" in one})
+    groups = {
+        **{f"{kind}: {habit}": [o for o in found if o["odd"].get(kind) == habit]
+           for kind, each in habits.items() for habit in each[1:]},
+        **{f"a table of: {kind}": [o for o in found if o["kind"] == kind] for kind in kinds},
+        "all": found,
+        "that tell what they mean": [one for one in found if one["tells"]],
+        "that do not": [one for one in found if not one["tells"]],
+    }  # fmt: skip
+    lines = [row.format(*head, *outcomes)]
+    for name, group in groups.items():
+        ends = [one["outcome"] for one in group]
+        lines += [row.format(name, len(ends), *map(ends.count, outcomes))] * bool(ends)
+    wrong = sum(one["outcome"] in outcomes[-2:] for one in found)
+    return [*lines, f"silently wrong {wrong} of {len(found)} ({wrong / len(found):.1%})"]

@@ -115,7 +115,7 @@ def _spring_run(name: str) -> str:
 
 
 def _dsc(every: int) -> str:
-    run = paper_specimens.dsc_record(Parameters.defaults())
+    run = paper_specimens.dsc_run(Parameters.defaults())
     steps, blocks, points = [], [], 0
     for s in run.segments:
         low, high = (t - CELSIUS_ZERO for t in sorted(s.temperature[[0, -1]]))

@@ -5,8 +5,7 @@ ros2 launch sma_bench antagonist_bench.launch.py speed:=10.0
 
 from launch import LaunchDescription
 
-from sma_bench.nodes.bench_launch import bench_launch
-from sma_bench.nodes.bench_plan import ANTAGONIST
+from sma_bench.nodes.bench_plan import ANTAGONIST, bench_launch
 
 
 def generate_launch_description() -> LaunchDescription:

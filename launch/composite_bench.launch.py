@@ -6,8 +6,7 @@ ros2 launch sma_bench composite_bench.launch.py camera:=true description:=true
 
 from launch import LaunchDescription
 
-from sma_bench.nodes.bench_launch import bench_launch
-from sma_bench.nodes.bench_plan import COMPOSITE
+from sma_bench.nodes.bench_plan import COMPOSITE, bench_launch
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -6,7 +6,7 @@ ros2 launch sma_bench replay.launch.py bag:=my_record namespace:=bench descripti
 
 from launch import LaunchDescription
 
-from sma_bench.nodes.bench_launch import replay_launch
+from sma_bench.nodes.bench_plan import replay_launch
 
 
 def generate_launch_description() -> LaunchDescription:

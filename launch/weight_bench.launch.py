@@ -5,8 +5,7 @@ ros2 launch sma_bench weight_bench.launch.py speed:=10.0
 
 from launch import LaunchDescription
 
-from sma_bench.nodes.bench_launch import bench_launch
-from sma_bench.nodes.bench_plan import WEIGHT
+from sma_bench.nodes.bench_plan import WEIGHT, bench_launch
 
 
 def generate_launch_description() -> LaunchDescription:

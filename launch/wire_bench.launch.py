@@ -6,8 +6,7 @@ ros2 launch sma_bench wire_bench.launch.py mode:=hardware params:=lab.yaml
 
 from launch import LaunchDescription
 
-from sma_bench.nodes.bench_launch import bench_launch
-from sma_bench.nodes.bench_plan import WIRE
+from sma_bench.nodes.bench_plan import WIRE, bench_launch
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -18,24 +18,9 @@ if TYPE_CHECKING:
 
 __version__ = VERSION
 __all__ = [
-    "Diagnosis",
-    "Identification",
-    "InputError",
-    "Overlay",
-    "Parameters",
-    "Record",
-    "Signal",
-    "Simulation",
-    "compare",
-    "diagnose",
-    "identify",
-    "load",
-    "load_parameters",
-    "measure",
-    "simulate",
-    "to_frame",
-    "write_parameters",
-    "write_record",
+    "Diagnosis", "Identification", "InputError", "Overlay", "Parameters", "Record", "Signal",
+    "Simulation", "compare", "diagnose", "identify", "load", "load_parameters", "measure",
+    "simulate", "to_frame", "write_parameters", "write_record",
 ]
 
 
@@ -61,11 +46,7 @@ def __dir__() -> list[str]:
     return ["__version__", *__all__]
 
 
-def _drawing_room(module: str) -> ModuleType:
-    return import_module(f"sma_bench.report.{module}")
-
-
-Drawn.drawing_room = _drawing_room
+Drawn.drawing_room = lambda module: import_module(f"sma_bench.report.{module}")
 for _name in __all__:
     setattr(_Package, _name, _on_first_use(_name))
 sys.modules[__name__].__class__ = _Package

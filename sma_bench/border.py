@@ -29,6 +29,7 @@ DEEPEST = 64
 # What a bag or table may unfold to, and how long that may take: more than any recorder's asks for.
 _BYTES, _BYTES_OF_EACH = 64 * MEGABYTE, 64
 _SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
+_LOOK = 16 * 1024  # bytes, between two looks at the clock
 _LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
 _LONGEST_INTEGER, _LONGEST_REASON = 80, 150  # characters
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -46,29 +47,23 @@ class Budget:
         self.left = self.size = size
         self.seconds = seconds
         self._until = time.thread_time() + seconds
+        self._next = size - _LOOK
 
     def take(self, size: int) -> None:
-        """Spend bytes.
-
-        Raises:
-            OverBudget: there are not so many left, or the time is over.
-        """
+        """Spend bytes. Raises OverBudget: there are not so many left, or the time is over."""
         self.left -= size
         if self.left < 0:
             raise OverBudget(f"unfolds to more than {self.size / MEGABYTE:.0f} MB")
-        self.check()
+        if self.left <= self._next:
+            self._next = self.left - _LOOK
+            self.check()
 
     def check(self) -> None:
-        """Ask for the time.
-
-        Raises:
-            OverBudget: it is over.
-        """
+        """Ask for the time. Raises OverBudget: it is over."""
         if self.is_over():
             raise OverBudget(f"takes more than {self.seconds:.3g} s to read")
 
     def is_over(self) -> bool:
-        """Whether the time is over."""
         return time.thread_time() > self._until
 
 
@@ -81,15 +76,15 @@ def reading_budget(size: int) -> Budget:
 
 
 def read_bytes(path: str | Path, largest: int) -> bytes:
-    """A regular file, whole: a pipe would block and a device never end.
-
-    Raises:
-        InputError: unreadable, no regular file, or larger than `largest` bytes.
-    """
+    """A regular file, whole: a pipe would block and a device never end. Raises InputError:
+    unreadable, no regular file, or larger than `largest` bytes."""
     try:
         handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
         with os.fdopen(handle, "rb") as file:
-            require_regular(path, os.fstat(handle).st_mode)
+            mode = os.fstat(handle).st_mode
+            if stat.S_ISDIR(mode):
+                raise InputError(f"{path}: cannot read: Is a directory")
+            _require_regular(path, mode)
             content = file.read(largest + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror}") from None
@@ -110,14 +105,6 @@ def read_text(path: str | Path, largest: int) -> str:
         raise InputError(f"{path}: not a text file") from None
 
 
-def require_regular(path: str | Path, mode: int) -> None:
-    """InputError where the mode is that of a folder, pipe, socket or device."""
-    if stat.S_ISDIR(mode):
-        raise InputError(f"{path}: cannot read: Is a directory")
-    if not stat.S_ISREG(mode):
-        raise InputError(f"{path}: a pipe, socket or device, expected a regular file")
-
-
 def require_there(path: Path) -> None:
     """InputError where there is neither a regular file nor a folder."""
     try:
@@ -127,7 +114,12 @@ def require_there(path: Path) -> None:
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if not stat.S_ISDIR(mode):
-        require_regular(path, mode)
+        _require_regular(path, mode)
+
+
+def _require_regular(path: str | Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        raise InputError(f"{path}: a pipe, socket or device, expected a regular file")
 
 
 def is_inside(path: Path, folder: Path) -> bool:
@@ -142,22 +134,24 @@ def is_inside(path: Path, folder: Path) -> bool:
 
 
 def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> Any:
-    """What a JSON text holds: numbers are finite, nothing is nested deeper than DEEPEST.
+    """What a JSON text of a topic, a service's answer or a file holds: numbers are finite, nothing
+    is nested deeper than DEEPEST. `where` leads the line of an error; `largest`: characters. Raises
+    InputError: too long, not JSON, too deep, or with a number that nothing can use."""
 
-    Args:
-        text: of a topic, a service's answer or a file.
-        where: leads the line of an error.
-        largest: characters.
+    def integer(digits: str) -> int:
+        if not -_LARGEST_INTEGER <= int(digits) < _LARGEST_INTEGER:
+            raise ValueError(f"an integer of {len(digits)} digits, expected one of 64 bits")
+        return int(digits)
 
-    Raises:
-        InputError: too long, not JSON, too deep, or with a number that nothing can use.
-    """
+    def finite(number: str) -> float:
+        if not math.isfinite(float(number)):
+            raise ValueError(f"the number {number:.20}, expected a finite one or null")
+        return float(number)
+
     if len(text) > largest:
         raise InputError(f"{where}: {len(text)} characters, expected at most {largest}")
     try:
-        document = json.loads(
-            text, parse_int=_integer, parse_float=_finite, parse_constant=_no_constant
-        )
+        document = json.loads(text, parse_int=integer, parse_float=finite, parse_constant=finite)
         json.dumps(document, ensure_ascii=False).encode()  # half characters cannot be
     except (ValueError, RecursionError) as error:
         reason = printable(" ".join(str(error).split()))[:_LONGEST_REASON]
@@ -171,57 +165,34 @@ def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> An
     return document
 
 
-def read_json_object(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> dict[str, Any]:
+# What a field of a JSON object on a topic may be; a number is a float then.
+TEXT, NUMBER, NUMBER_OR_NULL, COUNTS = "a text", "a number", "a number or null", "counts by name"
+AN_OBJECT, A_LIST = "an object", "a list"
+_KINDS = {dict: AN_OBJECT, list: A_LIST, str: TEXT, bool: "true or false", type(None): "null"}
+
+
+def read_json_object(text: str | bytes, where: str) -> dict[str, Any]:
     """As `read_json`, for a text that must hold an object."""
-    document = read_json(text, where, largest)
+    document = read_json(text, where)
     if not isinstance(document, dict):
-        raise InputError(f"{where}: {_kind(document)}, expected a JSON object")
+        found = _KINDS.get(type(document), NUMBER)
+        raise InputError(f"{where}: {found}, expected a JSON object")
     return document
 
 
-# What a field of a JSON object on a topic may be; a number is a float then.
-TEXT, NUMBER, NUMBER_OR_NULL, COUNTS = "a text", "a number", "a number or null", "counts by name"
-_KINDS = {
-    dict: "an object", list: "a list", str: "a text", bool: "true or false", type(None): "null",
-}  # fmt: skip
-
-
 def read_fields(text: str, fields: Mapping[str, str], where: str) -> dict[str, Any]:
-    """The named fields of a JSON object, each of its kind; others are left out.
-
-    Raises:
-        InputError: as `read_json_object`; a field that is missing or of another kind.
-    """
+    """The named fields of a JSON object, each of its kind; others are left out. Raises InputError:
+    as `read_json_object`; a field that is missing or of another kind."""
     document = read_json_object(text, where)
     for name, kind in fields.items():
         if name not in document:
             raise InputError(f"{where}: {name} is missing")
         value = document[name]
-        found = _kind(value)
+        found = _KINDS.get(type(value), NUMBER)
         counts = isinstance(value, dict) and all(type(count) is int for count in value.values())
         if found not in kind and not (kind == COUNTS and counts):
             raise InputError(f"{where}: {name} is {found}, expected {kind}")
     return {name: document[name] for name in fields}
-
-
-def _kind(value: Any) -> str:
-    return _KINDS.get(type(value), NUMBER)
-
-
-def _integer(text: str) -> int:
-    if not -_LARGEST_INTEGER <= int(text) < _LARGEST_INTEGER:
-        raise ValueError(f"an integer of {len(text)} digits, expected one of 64 bits")
-    return int(text)
-
-
-def _finite(text: str) -> float:
-    if not math.isfinite(float(text)):
-        raise ValueError(f"the number {text:.20} is beyond all measure")
-    return float(text)
-
-
-def _no_constant(text: str) -> float:
-    raise ValueError(f"{text} is no number, expected a finite one or null")
 
 
 class _Loader(yaml.CSafeLoader):
@@ -229,12 +200,15 @@ class _Loader(yaml.CSafeLoader):
     writes is passed over, merge keys are not taken."""
 
     def flatten_mapping(self, node: Any) -> None:
+        keys = set()
         for key, _ in node.value:
             if key.tag == "tag:yaml.org,2002:merge":
                 raise _refusal("merge keys (<<) are not taken", key)
+            if isinstance(key, yaml.ScalarNode) and key.value in keys:
+                raise _refusal(f"{key.value} stands twice", key)
+            keys.add(key.value if isinstance(key, yaml.ScalarNode) else None)
 
     def integer(self, node: Any) -> int:
-        """An integer of 64 bits, as ROS has them."""
         if len(node.value) > _LONGEST_INTEGER:
             raise _refusal(f"an integer of {len(node.value)} digits", node)
         number = int(self.construct_yaml_int(node))
@@ -243,7 +217,6 @@ class _Loader(yaml.CSafeLoader):
         return number
 
     def text(self, node: Any) -> str:
-        """A text that can be written again."""
         found = str(self.construct_scalar(node))
         if any("\ud800" <= letter <= "\udfff" for letter in found):
             raise _refusal("half a character, a surrogate without its other one", node)
@@ -265,9 +238,7 @@ _Loader.add_constructor("tag:yaml.org,2002:value", _Loader.text)  # a plain =
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_yaml_seq)
 
 # Constructors of dates, sets and bases stumble over what they do not expect.
-_WRONG_YAML = (
-    yaml.YAMLError, ValueError, RecursionError, TypeError, LookupError, AttributeError,
-)  # fmt: skip
+_WRONG_YAML = (yaml.YAMLError, ValueError, RecursionError, TypeError, LookupError, AttributeError)
 
 
 def load_yaml(text: str, aliases: bool = False) -> Any:
@@ -276,8 +247,7 @@ def load_yaml(text: str, aliases: bool = False) -> Any:
     Aliases are not taken unless asked for (a kilobyte of them can stand for gigabytes): what is
     loaded may then hold one thing many times, so ask for types before anything walks through it.
 
-    Raises:
-        InputError: not YAML, too long or too deep; in one line, without a name.
+    Raises InputError: not YAML, too long or too deep; in one line, without a name.
     """
     if len(text) > LARGEST_YAML:
         raise InputError(f"{len(text)} characters, expected at most {LARGEST_YAML}")
@@ -299,11 +269,8 @@ def load_yaml(text: str, aliases: bool = False) -> Any:
 
 
 def read_yaml(path: str | Path, aliases: bool = False) -> Any:
-    """What a YAML file holds; of `aliases` see `load_yaml`.
-
-    Raises:
-        InputError: unreadable or not YAML, in one line.
-    """
+    """What a YAML file holds; of `aliases` see `load_yaml`. Raises InputError: unreadable or not
+    YAML, in one line."""
     text = read_text(path, LARGEST_YAML)
     try:
         return load_yaml(text, aliases)
@@ -357,13 +324,20 @@ def make_folder(folder: Path) -> Path:
 def write_files(files: Mapping[Path, bytes]) -> None:
     """Write files so that all of them appear or none: what is there is replaced once all are on the
     disk, and put back should that fail halfway. A file that is replaced keeps its mode, and a link
-    stays one.
+    stays one. Raises OSError: a folder cannot be written, or something else than a file lies in the
+    way."""
 
-    Raises:
-        OSError: a folder cannot be written, or something else than a file lies in the way.
-    """
+    def beside(target: Path, content: bytes, mode: int) -> Path:
+        handle, name = tempfile.mkstemp(dir=target.parent, prefix=".sma_bench.")
+        staged.append(Path(name))
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+        os.chmod(name, mode)
+        return staged[-1]
+
     umask = os.umask(0)
     os.umask(umask)
+    staged: list[Path] = []
     new: dict[Path, Path] = {}
     old: dict[Path, Path] = {}
     replaced: list[Path] = []
@@ -373,13 +347,14 @@ def write_files(files: Mapping[Path, bytes]) -> None:
             mode = target.stat().st_mode if target.exists() else None
             if mode is not None and not stat.S_ISREG(mode):
                 raise OSError(0, "something else than a file lies there")
-            allowed = 0o666 & ~umask if mode is None else stat.S_IMODE(mode)
-            new[target] = _beside(target, content, allowed)
+            new[target] = beside(
+                target, content, 0o666 & ~umask if mode is None else stat.S_IMODE(mode)
+            )
             if mode is not None and len(files) > 1:
-                old[target] = _beside(target, b"", 0o600)
+                old[target] = beside(target, b"", 0o600)
                 shutil.copy2(target, old[target])
-        for target, staged in new.items():
-            os.replace(staged, target)
+        for target, source in new.items():
+            os.replace(source, target)
             replaced.append(target)
     except BaseException:
         for target in replaced:
@@ -389,17 +364,5 @@ def write_files(files: Mapping[Path, bytes]) -> None:
                 target.unlink()
         raise
     finally:
-        for left in (*new.values(), *old.values()):
+        for left in staged:
             left.unlink(missing_ok=True)
-
-
-def _beside(target: Path, content: bytes, mode: int) -> Path:
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=".sma_bench.")
-    try:
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-        os.chmod(name, mode)
-    except BaseException:
-        os.unlink(name)
-        raise
-    return Path(name)

@@ -5,12 +5,11 @@ interrupted. Click completes commands, options and names in bash, zsh and fish:
 `eval "$(_SMA_BENCH_COMPLETE=bash_source sma-bench)"`.
 """
 
+import gc
 import importlib
 import os
-import shutil
 import signal
 import sys
-import textwrap
 import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -25,6 +24,10 @@ if TYPE_CHECKING:
 
 # The fits' matrices are small: BLAS threads that wait for each other only slow them down.
 _BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+# Objects made between two searches for circular garbage, instead of Python's 700: numba and scipy
+# bring many objects and none of that, and a short command spends some hundredths on looking.
+_GARBAGE = 100_000
 
 LONGEST_LINE = 2000  # characters of an error: names in a file may be of any length
 _COMPLETE = "_SMA_BENCH_COMPLETE"
@@ -48,10 +51,10 @@ sma-bench COMMAND --help shows the options of a command, sma-bench --version the
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command; its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     for variable in _BLAS_THREADS:
         os.environ.setdefault(variable, "1")
+    gc.set_threshold(_GARBAGE)
     warnings.showwarning = _show_warning
     end_with_parent(inherited=True)
     try:
@@ -63,7 +66,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
         line = printable(str(error))
         end = "" if len(line) <= LONGEST_LINE else "..."
-        print(_folded(f"sma-bench: {line[:LONGEST_LINE]}{end}"), file=sys.stderr)
+        print(f"sma-bench: {line[:LONGEST_LINE]}{end}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("sma-bench: interrupted", file=sys.stderr)
@@ -121,20 +124,15 @@ def _complete() -> None:
     Commands("sma-bench").main([], prog_name="sma-bench", complete_var=_COMPLETE)
 
 
-def _folded(line: str) -> str:
-    """A line as it is, on a terminal folded between its words."""
-    if not sys.stderr.isatty():
-        return line
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(line, width, subsequent_indent="  ", break_on_hyphens=False)
-
-
 def _show_warning(
     message: Warning | str, category: object, filename: str, lineno: int, *_: object, **__: object
 ) -> None:
+    """A line for what this package warns of; a library's advice to its programmers is left out."""
+    if not filename.startswith(os.path.dirname(__file__)):
+        return
     from sma_bench.border import printable
 
-    print(_folded(f"sma-bench: note: {printable(str(message))}"), file=sys.stderr)
+    print(f"sma-bench: note: {printable(str(message))}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -5,12 +5,15 @@ import hashlib
 import os
 import sys
 import tempfile
+import threading
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
+from multiprocessing import parent_process
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 try:
     import numba
@@ -20,8 +23,9 @@ try:
 except ImportError:
     numba = None
 
-COMPILES = numba is not None
 PHYSICS = Path(__file__).resolve().parent / "physics"
+
+T = TypeVar("T")
 
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 _listeners: list[Callable[[], None]] = []
@@ -40,19 +44,15 @@ def warn_if_plain() -> None:
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile `function` at its first call and cache the machine code on disk.
-
-    The GIL is let go while it runs, so threads simulate side by side.
-    """
+    """Compile `function` at its first call and cache the machine code on disk. It lets go of the
+    GIL while it runs, so threads simulate side by side."""
     return _cached(function, _OPTIONS)
 
 
 def borrowing(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `compiled`, for a function that allocates nothing: it does not count references.
-
-    Its caller holds all arrays. Where named tuples of arrays go from function to function, the
-    counting takes several times as long as the arithmetic.
-    """
+    """As `compiled`, for a function that allocates nothing: it does not count references, as its
+    caller holds all arrays. Where named tuples of arrays go from function to function, the counting
+    takes several times as long as the arithmetic."""
     return _cached(function, {**_OPTIONS, "_nrt": False})
 
 
@@ -146,3 +146,38 @@ def _cache_folder(room: Path) -> Path | None:
         except OSError:
             continue
     return None
+
+
+# --- Work side by side in threads: the compiled core lets go of the interpreter's lock, and most of
+# a fit is the core's. One level of it: what a thread calls runs in that thread.
+
+_THREADS = 2
+_WORKER = threading.local()
+# s, for which a thread may keep the interpreter from one that comes back from the core after some
+# tenths of a millisecond; Python's own is 5 ms.
+_SWITCH = 2e-4
+
+
+def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
+    """Results in the order of the arguments, the first error raised."""
+    if not threads_to_spare() or len(arguments) < 2:
+        return [function(*args) for args in arguments]
+
+    def work(args: tuple[Any, ...]) -> T:
+        _WORKER.busy = True
+        return function(*args)
+
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(_SWITCH)
+    try:
+        with ThreadPoolExecutor(_THREADS) as pool:
+            return list(pool.map(work, arguments))
+    finally:
+        sys.setswitchinterval(before)
+
+
+def threads_to_spare() -> int:
+    """How many run side by side; none within such work, and in a process of a pool, which has the
+    other cores busy."""
+    busy = getattr(_WORKER, "busy", False) or parent_process() is not None
+    return 0 if busy or os.environ.get("NUMBA_NUM_THREADS") == "1" else _THREADS

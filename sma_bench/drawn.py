@@ -8,20 +8,9 @@ by the first plot.
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 _LONGEST = 400  # characters of a line that stands for a result
-
-
-class Plot(Protocol):
-    """A figure that a notebook shows, and that is saved as PNG, SVG, PDF or CSV."""
-
-    @property
-    def figure(self) -> Any:
-        """The matplotlib figure."""
-
-    def save(self, path: str | Path) -> None:
-        """Write it; the name's ending says which kind."""
 
 
 class Drawn:
@@ -29,18 +18,16 @@ class Drawn:
 
     drawing_room: ClassVar[Callable[[str], ModuleType]]
 
-    def plot(self, *what: str) -> Plot:
-        """A figure, to be shown by a notebook or saved; `what` of it, else what matters most.
+    def plot(self, *what: str) -> Any:
+        """A picture that a notebook shows, with the matplotlib `figure` and `save(path)` as PNG,
+        SVG, PDF or CSV; `what` of it, else what matters most.
 
         Of a record, a simulation or an overlay `what` are signals or quantities ("wire.current",
-        "temperature"), of an identification "agreement" or "correlation", of a diagnosis
-        "signals", "where", "stages", "candidates", "evidence", "shrinkage" or "next".
-
-        Raises:
-            InputError: there is nothing of that name to draw.
+        "temperature"), of an identification "agreement" or "correlation", of a diagnosis "signals",
+        "where", "candidates", "evidence" or "next". Raises InputError: there is nothing of that
+        name to draw.
         """
-        plot: Plot = Drawn.drawing_room("plots").picture_of(self, *what)
-        return plot
+        return Drawn.drawing_room("plots").picture_of(self, *what)
 
 
 class Reported(Drawn):
@@ -49,15 +36,11 @@ class Reported(Drawn):
     writer: ClassVar[tuple[str, str]]
 
     def __repr__(self) -> str:
-        """The first line of its card."""
         return f"<{type(self).__name__}: {str(self).partition(chr(10))[0][:_LONGEST]}>"
 
     def report(self, folder: str | Path) -> Path:
-        """Write the page with its figures into a folder; the path of its index.html.
-
-        Raises:
-            InputError: the folder cannot be written, or holds what is not a report's.
-        """
+        """Write the page with its figures into a folder; the path of its index.html. Raises
+        InputError: the folder cannot be written, or holds what is not a report's."""
         module, function = self.writer
         page: Path = getattr(Drawn.drawing_room(module), function)(folder, self)
         return page

@@ -32,7 +32,6 @@ class Finding:
         return cls(cast(Severity, severity), subject, text)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain dictionary for a result file."""
         return {
             "severity": self.severity,
             "subject": self.subject,

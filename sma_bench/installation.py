@@ -17,8 +17,7 @@ def share_directory() -> Path:
     Looked for in this order: the source tree (a checkout, an editable or a symlinked install),
     every prefix of AMENT_PREFIX_PATH (a colcon install), and sys.prefix (pip install).
 
-    Raises:
-        InputError: no such folder in any of them.
+    Raises InputError: no such folder in any of them.
     """
     candidates = [Path(__file__).resolve().parents[1]]
     prefixes = [p for p in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if p]

@@ -9,7 +9,7 @@ import os
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 _VARIABLE = "SMA_BENCH_STARTED_BY"
 _LOOK = 0.1  # s
@@ -22,20 +22,15 @@ def ending_signals() -> list[signal.Signals]:
     return asked if unheard else [*asked, signal.SIGHUP]
 
 
-def tied_to_this_process(environment: Mapping[str, str] | None = None) -> dict[str, str]:
-    """Environment (this process's own when None) of a process that is to end with this one."""
-    given = os.environ if environment is None else environment
-    return {**given, _VARIABLE: str(os.getpid())}
+def tied_to_this_process() -> dict[str, str]:
+    """Environment of a process that is to end with this one."""
+    return {**os.environ, _VARIABLE: str(os.getpid())}
 
 
 def end_with_parent(number: int = signal.SIGTERM, inherited: bool = False) -> None:
     """Where the environment ties this process to its parent, get signal `number` after it has
-    ended; at once where it has already.
-
-    Args:
-        number: what ends this process.
-        inherited: a program in between may have passed the environment on, which ties nothing.
-    """
+    ended; at once where it has already. `number`: what ends this process; `inherited`: a program in
+    between may have passed the environment on, which ties nothing."""
     parent = os.environ.pop(_VARIABLE, "")
     if parent and not (inherited and parent != str(os.getppid())):
         end_after(int(parent), number)

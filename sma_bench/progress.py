@@ -45,11 +45,8 @@ def counted(report: Report, total: int, unit: str) -> Callable[[int], None]:
 
 
 def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """From which share of the whole to which each step goes.
-
-    Args:
-        plan: how long each step takes, in order, in any unit.
-    """
+    """From which share of the whole to which each step goes. `plan`: how long each step takes, in
+    order, in any unit."""
     ends = [0.0, *accumulate(plan.values())]
     return {
         step: (low / ends[-1], high / ends[-1])

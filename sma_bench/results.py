@@ -1,21 +1,41 @@
-"""Result files, written and read back, and their numbers as people read them (docs/topics.md).
+"""Results: their files (docs/topics.md), their numbers as people read them, and the answer on one
+card, the same on a terminal, a page, a topic and in a notebook.
 
-The types stand in the rooms that compute them: `identify/identification.py`, `diagnose/result.py`.
+The types stand in the rooms that compute them: `identify/result.py`, `diagnose/result.py`. They
+hold facts; every sentence is made last, by the template of the result's kind in `templates/`, and
+no program reads one.
 """
 
 import json
 import math
+import os
+import shlex
+import textwrap
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
+from sma_bench.border import printable
 from sma_bench.errors import InputError
+from sma_bench.installation import VERSION
+from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.parameters.yaml_file import write_text_atomically
+
+if TYPE_CHECKING:
+    import jinja2
 
 LARGEST = 1 << 24  # bytes of a result file
 _LARGEST_NUMBER = 1e100
 T = TypeVar("T")
+NUMBER_HEADER = (
+    "parameter", "value ± statistical ± systematic", "from the records", "reference", "off it", "by"
+)
+TEMPLATES = Path(__file__).with_name("templates")
+_NO_BORDERS = str.maketrans("\n|", " /")
+_WIDTH, _NARROWEST = 96, 40  # cells
 
 
 @dataclass(frozen=True)
@@ -32,11 +52,8 @@ class Invocation:
 
 
 def decoded(kind: type[T], document: Any, where: str) -> T:
-    """A plain dataclass from what its JSON held; null, for what is not finite, becomes NaN.
-
-    Raises:
-        InputError: one line that begins with `where` and names the field.
-    """
+    """A plain dataclass from what its JSON held; null, for what is not finite, becomes NaN. Raises
+    InputError: one line that begins with `where` and names the field."""
     import msgspec  # robots that read no results do without
 
     try:
@@ -56,11 +73,7 @@ def _numbers(value: Any) -> Any:
 
 
 def write_result(path: str | Path, document: dict[str, Any]) -> None:
-    """Write a result file, whole or not at all.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Write a result file, whole or not at all. Raises InputError: the folder cannot be written."""
     write_text_atomically(path, json_text(document))
 
 
@@ -90,9 +103,10 @@ class PaperUnit(NamedTuple):
 
 
 _SCALES = {
+    "voltage_command": PaperUnit("V", 1.0), "voltage": PaperUnit("V", 1.0),
     "current": PaperUnit("mA", 1e3), "temperature": PaperUnit("K", 1.0),
-    "deflection": PaperUnit("mm", 1e3), "elongation": PaperUnit("mm", 1e3),
-    "force": PaperUnit("N", 1.0),
+    "deflection": PaperUnit("mm", 1e3), "range": PaperUnit("mm", 1e3),
+    "elongation": PaperUnit("mm", 1e3), "force": PaperUnit("N", 1.0),
 }
 
 
@@ -134,3 +148,141 @@ def with_error(value: float, std: float) -> str:
     size = max(abs(value), std)
     digits = math.floor(math.log10(size)) - math.floor(math.log10(std)) + 2
     return f"{value:.{min(max(digits, 2), 8)}g} ± {std:.2g}"
+
+
+# --- Cards.
+
+
+class Card(NamedTuple):
+    """The verdict in one line, and rows of a label ("" for that of the row above) and a text."""
+
+    title: str
+    rows: tuple[tuple[str, str], ...]
+
+
+# --- From a result's facts to text.
+
+
+def sentences(result: Any, macro: str, *more: Any) -> list[str]:
+    """Lines that a macro of the result's template makes; `result.template` names it."""
+    made = str(getattr(_templates(TEMPLATES).get_template(result.template).module, macro)(
+        result, *more
+    ))  # fmt: skip
+    return [" ".join(line.split()) for line in made.splitlines() if line.strip()]
+
+
+def cells(result: Any, macro: str, *more: Any) -> list[tuple[str, ...]]:
+    """The same for lines of cells with a bar between them."""
+    lines = sentences(result, macro, *more)
+    return [tuple(cell.strip() for cell in line.split("|")) for line in lines]
+
+
+def card(result: Any, asked: Invocation | None = None, numbers: bool = False) -> Card:
+    """The card of an identification or a diagnosis. `asked`: the command that made it; numbers:
+    with a row for each, where no table has them."""
+    lines = sentences(result, "card", asked)
+    if numbers and getattr(result, "estimates", None):
+        lines[1:1] = sentences(result, "number_lines")
+    (_, title), *rows = ([part.strip() for part in line.split("|", 1)] for line in lines)
+    above = ["", *(label for label, _ in rows)]
+    return Card(title, tuple(
+        ("" if label == last else label, text)
+        for last, (label, text) in zip(above, rows, strict=False)
+    ))  # fmt: skip
+
+
+def card_rows(result: Any) -> list[list[str]]:
+    """The card as plain data, the title first under "": for whoever shows a result and no more."""
+    shown = card(result)
+    return [["", shown.title], *map(list, shown.rows)]
+
+
+@cache
+def _templates(folder: Path) -> "jinja2.Environment":
+    import jinja2  # a tenth of a second that only those who read a result wait for
+
+    class Translated(jinja2.FileSystemBytecodeCache):
+        """Templates are translated once, which takes as long as the import; a full disk does no
+        harm."""
+
+        def dump_bytecode(self, bucket: "jinja2.bccache.Bucket") -> None:
+            with suppress(OSError):
+                super().dump_bytecode(bucket)
+
+    user = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    kept = user / "sma_bench" / f"templates-{VERSION}"
+    with suppress(OSError):
+        kept.mkdir(parents=True, exist_ok=True)
+    environment = jinja2.Environment(  # noqa: S701 (no HTML: pages escape it)
+        loader=jinja2.FileSystemLoader(folder), trim_blocks=True, lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined, bytecode_cache=Translated(str(kept)), auto_reload=False,
+        # What comes from a file begins no row and no cell of its own.
+        finalize=lambda shown: shown.translate(_NO_BORDERS) if isinstance(shown, str) else shown,
+    )
+    environment.globals["effects"] = EFFECTS
+    environment.filters |= {
+        "in_print": in_print, "percent": percent, "signed": signed, "quoted": shlex.quote,
+        "two_errors": two_errors, "is_finite": math.isfinite, "plain_effect": _plain_effect,
+        "shown_unit": lambda unit: "" if unit == "1" else unit,
+        "with_error": lambda number: with_error(number.value, number.std),
+    }
+    return environment
+
+
+def two_errors(number: Any) -> str:
+    """Value ± statistical ± systematic error of an `Estimate`, to the digits that the smaller
+    leaves it, and the unit."""
+    parts = [part for part in (number.statistical, number.systematic) if part > 0.0]
+    if not number.systematic > 0.0 or not all(map(math.isfinite, (number.value, *parts))):
+        return in_unit(with_error(number.value, number.std), number.unit)
+    value = with_error(number.value, min(parts)).partition(" ±")[0]
+    both = f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g}"
+    return in_unit(both, number.unit)
+
+
+def _plain_effect(name: str) -> str:
+    """Its title and stage; "" of one that is not known here."""
+    effect = EFFECTS.get(name)
+    if effect is None:
+        return ""
+    title = effect.text.strip().partition("\n")[0].rstrip(".")
+    return f"{title[:1].lower()}{title[1:]} ({effect.stage} stage)."
+
+
+# --- As lines, and as HTML.
+
+
+def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:
+    """The title and the rows, folded; no line is longer than can be read at ease."""
+    width = max(min(width, _WIDTH), _NARROWEST)
+    lines = textwrap.wrap(printable(shown.title), width)
+    for label, text in shown.rows:
+        lines += textwrap.wrap(
+            printable(text), width, initial_indent=f"{label:7} ", subsequent_indent=" " * 8,
+            break_on_hyphens=False,
+        )
+    return lines
+
+
+def card_text(result: Any, width: int = _WIDTH, asked: Invocation | None = None) -> str:
+    """The card as lines for a terminal of `width`, folded, labels once; of an identification with
+    a number a line below its title, in those columns that have something in them."""
+    shown, rows = card(result, asked), number_rows(result)
+    title = card_lines(Card(shown.title, ()), width)
+    every = [NUMBER_HEADER, *rows] if rows else []
+    columns = [own for own in zip(*every, strict=True) if any(own[1:])]
+    padded = [[f"{cell:{max(map(len, own))}}" for cell in own] for own in columns]
+    table = [printable("  ".join(row).rstrip()) for row in zip(*padded, strict=True)]
+    return "\n".join([*title, *table, *card_lines(shown, width)[len(title) :]])
+
+
+def number_rows(result: Any) -> list[tuple[str, ...]]:
+    """A row a number, as `NUMBER_HEADER`; none of a diagnosis."""
+    return cells(result, "numbers") if getattr(result, "estimates", None) else []
+
+
+def card_html(result: Any) -> str:
+    """The same as tables, every text escaped."""
+    return _templates(TEMPLATES).get_template("card.html.j2").render(
+        card=card(result), header=NUMBER_HEADER, numbers=number_rows(result)
+    )

@@ -1,13 +1,15 @@
-"""Records of a small composite bench on which an effect, or none, has been planted.
+"""Records of small benches on which an effect, or none, has been planted.
 
 The model itself makes them, so they test the plumbing and the arithmetic of a diagnosis; how it
 fares against another reality is for `./bench blind`.
 """
 
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from scipy.signal import lfilter
 
 from sma_bench.diagnose import search
@@ -15,8 +17,9 @@ from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.material import current
-from sma_bench.records import Signal, read_record
+from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_writer import write_record
+from sma_bench.synthetic.bench_records import signals_of, simulate_finely
 
 CHANNELS = ("front_1", "back_1")
 ONE_WIRE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
@@ -29,65 +32,23 @@ ALL = ("current", "temperature", "deflection")
 # Those planted, and for each stage one that it is easily taken for.
 THERMAL = ("supply_drop", "latent_heat", "side_heat_coupling")
 FEW = (*THERMAL, "transition_drift", "residual_strain", "viscoelastic_matrix", "deflection_drift")
-_OFF = {  # of the truth from the belief, in standard deviations
-    "wire.resistance": 0.8,
-    "wire.heat_transfer_coefficient": -0.7,
-    "wire.specific_heat": 0.6,
-    "wire.austenite_start_temperature": 0.5,
-    "composite.stress_per_deflection_front": -0.8,
-    "composite.stress_per_deflection_back": -0.8,
-}
-_STD = {
-    "wire.resistance": 0.02,
-    "wire.heat_transfer_coefficient": 4.0,
-    "wire.specific_heat": 12.0,
-    "wire.surface_area": 1e-6,
-    "wire.mass": 4e-7,
-    "environment.ambient_temperature": 0.2,
-    "wire.austenite_start_temperature": 0.5,
-    "wire.austenite_finish_temperature": 0.5,
-    "wire.martensite_start_temperature": 0.5,
-    "wire.martensite_finish_temperature": 0.5,
-    "wire.martensite_modulus": 0.6e9,
-    "wire.austenite_modulus": 1.6e9,
-    "wire.maximum_recoverable_strain": 8e-4,
-    "composite.deflection_per_strain": 0.03,
-    "composite.stress_per_deflection_front": 2e8,
-    "composite.stress_per_deflection_back": 2e8,
-    "wire.stress_influence_austenite": 4e5,
-    "wire.stress_influence_martensite": 4e5,
-    "wire.thermal_expansion_factor": 1.2e4,
-}
+BENCHES = yaml.safe_load(Path(__file__).with_name("planted.yaml").read_text())
+LAB, LOADS = BENCHES["lab"], BENCHES["loads"]
 
 
 def believed():
     """Parameters of the lab, with their uncertainties."""
+    rig = {"bench.channels": CHANNELS, "bench.channel_sides": ("front", "back")}
+    values = {name: value for name, (value, _, _) in LAB.items()}
     return Parameters.of_paper().replace(
-        {
-            "bench.channels": CHANNELS,
-            "bench.channel_sides": ("front", "back"),
-            "wire.heat_transfer_coefficient": 125.0,
-            "wire.surface_area": 1.9e-4,
-            "wire.specific_heat": 440.0,
-            "wire.austenite_start_temperature": 337.0,
-            "wire.austenite_finish_temperature": 352.0,
-            "wire.martensite_start_temperature": 322.0,
-            "wire.martensite_finish_temperature": 308.0,
-            "wire.stress_influence_austenite": 7.5e6,
-            "wire.stress_influence_martensite": 7.7e6,
-            "composite.deflection_per_strain": 1.0,
-            "composite.stress_per_deflection_front": 4.8e9,
-            "composite.stress_per_deflection_back": 4.8e9,
-        },
-        _STD,
+        rig | values, {name: std for name, (_, std, _) in LAB.items()}
     )
 
 
 def true_bench(effects=None):
     """The bench as it is: a little off the belief, with effects."""
-    belief = believed()
-    moved = {name: belief[name] + k * belief.std(name) for name, k in _OFF.items()}
-    return belief.replace({**moved, **(effects or {})})
+    moved = {name: value + off * std for name, (value, std, off) in LAB.items() if off}
+    return believed().replace(moved | (effects or {}))
 
 
 def drive(turned=False, rate=RATE):
@@ -99,31 +60,22 @@ def drive(turned=False, rate=RATE):
         return np.clip(np.minimum((time - start) / 1.5, (stop - time) / 0.5), 0.0, 1.0)
 
     first, second = 2.6 * stroke(1.0, 5.0) + 2.1 * stroke(14.0, 17.0), 2.5 * stroke(7.5, 11.5)
-    pair = (second, first) if turned else (first, second)
-    return time, np.column_stack(pair)
+    return time, np.column_stack((second, first) if turned else (first, second))
 
 
 def sensor_noise(kind, count, std, random):
-    """(count,) noise of one sensor: white, coloured (5 s memory) or with a slow drift."""
+    """(count,) noise of one sensor: white, or with a drift that it remembers for 40 s."""
     white = std * random.standard_normal(count)
     if kind == "white":
         return white
-    memory = {"coloured": 5.0, "drifting": 40.0}[kind]
-    phi = np.exp(-1.0 / (RATE * memory))
+    phi = np.exp(-1.0 / (RATE * 40.0))
     driving = std * np.sqrt(1.0 - phi**2) * random.standard_normal(count)
     driving[0] /= np.sqrt(1.0 - phi**2)
-    return np.asarray(0.7 * white + lfilter([1.0], [1.0, -phi], driving))
+    return 0.7 * white + lfilter([1.0], [1.0, -phi], driving)
 
 
 def planted_record(
-    path,
-    effects=None,
-    *,
-    quantities=ALL,
-    kind="white",
-    seed=1,
-    turned=False,
-    bench=None,
+    path, effects=None, *, quantities=ALL, kind="white", seed=1, turned=False, bench=None,
     protocol=None,
 ):
     """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""
@@ -131,15 +83,14 @@ def planted_record(
     channels = parameters["bench.channels"]
 
     def driven(rate):
-        return protocol.sample(1.0 / rate) if protocol else drive(turned, rate)
+        time, volts = protocol.sample(1.0 / rate) if protocol else drive(turned, rate)
+        return time, volts[:, : len(channels)]
 
     fine, volts = driven(FINER * RATE)
-    between = 0.5 * (volts + np.vstack([volts[1:], volts[-1:]]))
-    found = simulate(parameters, fine, between[:, : len(channels)])
+    found = simulate(parameters, fine, 0.5 * (volts + np.vstack([volts[1:], volts[-1:]])))
     time, voltage = driven(RATE)
-    random = np.random.default_rng(seed)
     kelvin, xi = found.temperature[::FINER], found.martensite_fraction[::FINER]
-    amperes = current(parameters, voltage[:, : len(channels)], kelvin, xi)
+    amperes = current(parameters, voltage, kelvin, xi)
     exact = {}
     for k, channel in enumerate(channels):
         exact[f"{channel}.voltage"] = voltage[:, k]
@@ -147,7 +98,7 @@ def planted_record(
         exact[f"{channel}.temperature"] = found.temperature_reading[::FINER, k]
     if len(channels) > 1:
         exact["deflection"] = found.deflection_reading[::FINER]
-    signals = []
+    random, signals = np.random.default_rng(seed), []
     for name, values in exact.items():
         quantity = name.rpartition(".")[2]
         if quantity in quantities:
@@ -182,3 +133,46 @@ def few_effects(names=FEW):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "EFFECTS", chosen)
         yield
+
+
+# --- Wires that pull a weight, a spring, each other or a beam.
+
+INFLUENCES = ("wire.stress_influence_austenite", "wire.stress_influence_martensite")
+READ_WITHIN = {"elongation": 2e-5, "deflection": 2e-5, "force": 0.02}  # m, m, N
+
+
+def moving_lab(load, more=(), stds=()):
+    """What is believed of a rig with this load."""
+    wire = {"wire.length": 0.2, **dict.fromkeys(INFLUENCES, 8e6)}
+    rig = {"load.kind": load, **LOADS[load], **dict(more)}
+    return Parameters.of_paper().replace({**wire, **rig}, {"load.preload": 0.5, **dict(stds)})
+
+
+def strokes(bench, shape, period, duration, top=5.5):
+    """Time at 25 Hz and volts up to `top`: strokes of `period` s for `duration` s, one wire after
+    the other, or duties of the same heat."""
+    time = np.arange(0.0, duration, 0.04)
+    inside = ((time - 2.0) % period) / period
+    stroke = {
+        "triangle": 2.0 * np.minimum(inside, 1.0 - inside),
+        "step": (inside < 0.5) * (0.6 + 0.4 * ((time // period) % 2)),
+        "sine": np.sin(np.pi * inside) ** 2,
+    }[shape]
+    wires = len(bench["bench.channels"])
+    turn = (time // period).astype(int) % wires
+    volts = np.stack([top * stroke * (turn == k) * (time > 2.0) for k in range(wires)], axis=1)
+    if bench["bench.drive"] == "duty":
+        volts = volts**2 / bench["bench.supply_voltage"]
+    return time, volts
+
+
+def moving_record(bench, drive, seed, keep=("voltage", "elongation", "deflection")):
+    """What sensors read of a bench under (time, volts)."""
+    random, signals = np.random.default_rng(seed), {}
+    for s in signals_of(simulate_finely(bench, *drive)):
+        quantity = s.name.rpartition(".")[2]
+        if quantity in keep:
+            noise = READ_WITHIN.get(quantity, 0.0)
+            values = s.values + noise * random.standard_normal(len(s.values))
+            signals[s.name] = Signal(s.name, s.unit, s.time, values)
+    return Record(Path("moving"), 0, signals)

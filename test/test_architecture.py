@@ -1,4 +1,4 @@
-"""The rooms of the house: who may import whom, and that ruff and mypy agree with the code."""
+"""The rooms of the house: who may import whom (rooms.yaml), and that ruff and mypy agree."""
 
 import ast
 import importlib.util
@@ -8,6 +8,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE, EXAMINATION = "sma_bench", "examination"
@@ -16,56 +17,17 @@ INDEPENDENT = ("examination.blind.reality", "examination.attack_lab")
 BORROWED = {"compiled", "errors", "parameters", "records"}
 LONGEST_FILE = 600
 
-# Every room (folder or file of the package) and the rooms that it may import, beside the leaves.
-LEAVES = "errors border findings compiled progress lifeline drawn installation"
-ALONE = {"errors", "findings", "compiled", "progress", "lifeline"}
-ALONE.add("drawn")  # is given its room from above: what does not plot does not depend on it
-RESULTS = "records physics parameters results cards estimation"
-ARROWS = {
-    "parameters": "",
-    "protocols": "parameters",
-    "physics": "parameters",
-    "records": "parameters",
-    "estimation": "records physics parameters",
-    "identify": RESULTS,
-    "control": "parameters physics",
-    "hardware": "parameters",
-    "synthetic": "records physics parameters protocols control hardware",
-    "diagnose": f"{RESULTS} protocols",
-    # The running twin learns noise as the diagnosis does, and steps the simulator's own core.
-    "twin": "estimation physics parameters",
-    "results": "parameters",
-    "cards": "parameters results",
-    "report": f"{RESULTS} protocols diagnose identify",
-    "tasks": "diagnose estimation identify records parameters protocols report results cards",
-    # What a running bench does, without ROS.
-    "live": "parameters physics protocols records control hardware",
-    "dashboard": "results cards",
-    "api": "diagnose estimation identify synthetic physics protocols records parameters",
-    # Its context, who may reach it, a bench's client: what nodes and commands share.
-    "ros": "parameters records live dashboard",
-    "cli": "commands",
-}
-ARROWS = {room: {*LEAVES.split(), *below.split()} for room, below in ARROWS.items()}
-_BELOW = (ARROWS.keys() - {"api", "cli"}) | set(LEAVES.split())
-# Nodes and commands use everything but each other, and nothing below uses them.
-ARROWS |= {room: set() for room in ALONE} | {
-    "border": {"errors"},
-    "installation": {"errors"},
-    "": {"api", "drawn", "installation"},  # `import sma_bench` itself
-    "nodes": _BELOW - {"report", "diagnose", "identify", "estimation", "synthetic"},
-    "commands": _BELOW | {"api"},
-}
+HOUSE = yaml.safe_load((ROOT / "test" / "rooms.yaml").read_text())
+LEAVES = HOUSE["leaves"].split()
+ARROWS = {room: {*below.split(), *LEAVES} for room, below in HOUSE["rooms"].items()}
+ARROWS |= {room: {*below.split()} for room, below in HOUSE["alone"].items()}
 USES_ROS = {"nodes", "ros"}
 ROS = {"rclpy", "launch", "launch_ros", "ament_index_python", "rosidl_runtime_py"}
 ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
 
 
-# --- the checker --------------------------------------------------------------------------------
-
-
 def modules(root, top=PACKAGE):
-    """Dotted name of every module below root/top."""
+    """Path of every module below root/top, by its dotted name."""
     paths = {path.relative_to(root): path for path in sorted((root / top).rglob("*.py"))}
     return {
         ".".join(name.with_suffix("").parts).removesuffix(".__init__"): path
@@ -84,9 +46,8 @@ def imports(name, path, known):
             base = node.module.split(".") if node.module else []
             if node.level:
                 base = package[: len(package) - node.level + 1] + base
-            for alias in node.names:
-                full = ".".join([*base, alias.name])
-                yield full if full in known else ".".join(base)
+            full = [".".join([*base, alias.name]) for alias in node.names]
+            yield from (one if one in known else ".".join(base) for one in full)
         elif isinstance(node, ast.Call):
             called = getattr(node.func, "attr", getattr(node.func, "id", ""))
             if called == "import_module" and isinstance(node.args[0], ast.Constant):
@@ -102,11 +63,18 @@ def room(name):
     return top(name.partition(".")[2])
 
 
+def circles(graph):
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        return ["circular import: " + " <- ".join(error.args[1])]
+    return []
+
+
 def violations(root):
     """Everything below root/sma_bench that breaks the rules of the house, a line each."""
     known = modules(root)
-    graph = {}
-    broken = []
+    graph, broken = {}, []
     for name, path in known.items():
         here, length = room(name), len(path.read_text().splitlines())
         if here not in ARROWS:
@@ -139,17 +107,6 @@ def borrowed(root):
     ]
 
 
-def circles(graph):
-    try:
-        TopologicalSorter(graph).prepare()
-    except CycleError as error:
-        return ["circular import: " + " <- ".join(error.args[1])]
-    return []
-
-
-# --- the house ----------------------------------------------------------------------------------
-
-
 def test_rooms_import_only_along_the_arrows_and_these_run_one_way():
     assert violations(ROOT) == []
     assert circles(ARROWS) == []
@@ -157,7 +114,13 @@ def test_rooms_import_only_along_the_arrows_and_these_run_one_way():
     assert len((ROOT / "bench").read_text().splitlines()) <= LONGEST_FILE
 
 
-@pytest.mark.parametrize("arguments", [["ruff", "check", "."], ["mypy"]], ids=["ruff", "mypy"])
+# Of the whole package in .ci/run; here the rooms in which a wrong type is a wrong number.
+TYPED = [f"--package=sma_bench.{room}" for room in ("physics", "estimation", "records", "live")]
+
+
+@pytest.mark.parametrize(
+    "arguments", [["ruff", "check", "."], ["mypy", *TYPED]], ids=["ruff", "mypy"]
+)
 def test_tool_finds_nothing(arguments):
     if importlib.util.find_spec(arguments[0]) is None:
         pytest.skip(f"{arguments[0]} is not installed")
@@ -167,27 +130,19 @@ def test_tool_finds_nothing(arguments):
         pytest.fail(process.stdout + process.stderr, pytrace=False)
 
 
-def test_tests_that_are_run_again_are_there_and_say_why(request):
-    rerun = request.config.pluginmanager.get_plugin(str(ROOT / "test" / "conftest.py")).RERUN
-    for name, reason in rerun.items():
+def test_tests_that_are_run_again_or_first_are_there(request):
+    own = request.config.pluginmanager.get_plugin(str(ROOT / "test" / "conftest.py"))
+    for name, reason in own.RERUN.items():
         path, _, test = name.partition("::")
         assert f"def {test}(" in (ROOT / path).read_text() and len(reason) > 20, name
+    assert [name for name in own.LONGEST if not (ROOT / "test" / f"{name}.py").is_file()] == []
 
 
-# --- the checker can fail -----------------------------------------------------------------------
-
-
+BY_NAME = "import importlib\nimportlib.import_module('sma_bench.nodes.start')"
 BAD_TREES = {
-    "no arrow from physics to identify": {"physics/heat.py": "from ..identify import fit"},
     "no arrow from records to cli": {"records/read.py": "def f():\n    import sma_bench.cli"},
-    # A command that knows a node by its name; a room that is named by its package.
-    "no arrow from commands to nodes": {
-        "commands/run.py": "import importlib\nimportlib.import_module('sma_bench.nodes.start')"
-    },
-    "no arrow from physics to nodes": {
-        "physics/heat.py": "from .. import nodes",
-        "nodes/__init__.py": "",
-    },
+    "no arrow from commands to nodes": {"commands/run.py": BY_NAME},
+    "from physics to nodes": {"physics/heat.py": "from .. import nodes", "nodes/__init__.py": ""},
     "know ROS": {"hardware/link.py": "def f():\n    from sensor_msgs.msg import Temperature"},
     "does not know its judge": {"physics/heat.py": "from examination.blind.reality import World"},
     "circular import": {"physics/a.py": "from .b import y", "physics/b.py": "from . import a"},

@@ -25,9 +25,8 @@ from mkdocs.structure.pages import Page
 from sma_bench import api
 from sma_bench.cli import COMMANDS, load_command
 from sma_bench.nodes.start import NODES
-from sma_bench.parameters.documentation import parameter_table
-from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.report.errata import paper_errata
+from sma_bench.paper.errata import paper_errata
+from sma_bench.parameters.node_tables import NODE_TABLES, parameter_table
 
 ROOT = Path(__file__).resolve().parents[2]
 MORE = "More"
@@ -195,8 +194,8 @@ def _home(name: str) -> str:
 
 
 def nodes_page() -> str:
-    """Every node: what it does and its topics (README.md), its own parameters (its table)."""
-    told = node_rows((ROOT / "README.md").read_text())
+    """Every node: what it does and its topics (docs/nodes.md), its own parameters (its table)."""
+    told = node_rows((ROOT / "docs" / "nodes.md").read_text())
     lines = [
         "# Nodes", "",
         "`ros2 run sma_bench NODE`, or `sma-bench run NODE` without a ROS 2 installation. Names "
@@ -220,10 +219,10 @@ def _first_line(node: str) -> str:
     return (ast.get_docstring(found) or "").partition("\n\n")[0].replace("\n", " ")
 
 
-def node_rows(readme: str) -> dict[str, list[str]]:
-    """What the README's table of nodes says of each, cell by cell."""
-    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", readme, re.MULTILINE)
-    return {node: [cell.replace("](docs/", "](../") for cell in cells] for node, *cells in rows}
+def node_rows(page: str) -> dict[str, list[str]]:
+    """What that page's table says of each, cell by cell."""
+    rows = re.findall(r"^\| `(\w+)` \| (.*?) \| (.*?) \|$", page, re.MULTILINE)
+    return {node: [cell.replace("](", "](../") for cell in cells] for node, *cells in rows}
 
 
 def errata_page() -> str:

@@ -7,17 +7,19 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
+import yaml
 from scipy.optimize import brentq
+from scipy.signal import lfilter
 
-from sma_bench.parameters.table import TRANSITIONS
+from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import DscRecord, DscSegment, Record, Signal
-from sma_bench.records.isobaric import IsobaricRecord, find_cycles
-from sma_bench.records.tensile import TensileRecord
+from sma_bench.records.instruments import IsobaricRecord, TensileRecord, find_cycles
 
 ZERO = 273.15
 LOADS = (14e6, 60e6, 120e6, 180e6)
 SIDES = ("front_1", "back_1")
 STEP, DURATION, RATE = 0.01, 36.0, 50.0  # s, s, Hz
+FAULTS = yaml.safe_load(Path(__file__).with_name("attacks.yaml").read_text(encoding="utf-8"))
 NAMES = {
     **dict(zip(("a_s", "a_f", "m_s", "m_f"), TRANSITIONS.values(), strict=True)),
     "c_a": "wire.stress_influence_austenite",
@@ -30,7 +32,6 @@ NAMES = {
 
 
 def named(**own: float) -> dict[str, float]:
-    """Numbers of an alloy by their names in a parameter file."""
     return {NAMES[symbol]: value for symbol, value in own.items()}
 
 
@@ -51,7 +52,6 @@ class Alloy:
 
     @classmethod
     def drawn(cls, random) -> "Alloy":
-        """Near the paper's."""
         shift, martensite = random.uniform(-6.0, 6.0), random.uniform(21e9, 27e9)
         a_f = 356.0 + shift + random.uniform(-3.0, 3.0)
         m_f = 315.0 + shift + random.uniform(-2.0, 2.0)
@@ -75,8 +75,9 @@ class Alloy:
         return self.e_a + xi * (self.e_m - self.e_a)
 
 
-def faulty(sound: dict, faults: dict) -> SimpleNamespace:
-    """What an instrument does, with its faults."""
+def faulty(instrument: str, faults: dict) -> SimpleNamespace:
+    """What an instrument does, with its faults: see attacks.yaml, `sound`."""
+    sound = FAULTS["sound"][instrument]
     if unknown := faults.keys() - sound.keys():
         raise TypeError(f"no fault {', '.join(unknown)}")
     return SimpleNamespace(**(sound | faults))
@@ -88,24 +89,13 @@ def _half(kelvin, low, high):
 
 def relaxed(values, share):
     """A reading that follows by this share a sample."""
-    out, state = np.empty_like(values), values[0]
-    for k, value in enumerate(values.tolist()):
-        state += share * (value - state)
-        out[k] = state
-    return out
+    rest = 1.0 - share
+    return lfilter([share], [1.0, -rest], values, zi=[rest * values[0]])[0]
 
 
 def dsc(alloy: Alloy, random, span=(ZERO, 453.15), **faults: float) -> DscRecord:
-    """E5: heating and cooling by turns, `cycles` times at `rate` K/min.
-
-    `lag` s between sample and its thermometer; `zero`, `scale`: of the thermometer, K; `drift` K a
-    cycle, or as much as cycles scatter; `noise` W; `peaks` share in a second step; `step` W of a
-    baseline that jumps in the middle of the peak, `bow` W over the scan; `top` W where it clips.
-    """
-    f = {"rate": 5.0, "lag": 3.0, "noise": 0.3e-6, "zero": 0.0, "bow": 10e-6, "top": math.inf}
-    f |= {"step": 0.0, "peaks": 0.0, "spikes": 0, "turned": False, "scale": 1.0, "drift": 0.0}
-    f |= {"scatter": 0.0, "cycles": 2}
-    f = faulty(f, faults)
+    """E5: heating and cooling by turns, `cycles` times at `rate` K/min."""
+    f = faulty("dsc", faults)
     segments, began, mass, heat = [], 0.0, 8e-6, 18e3
     per_second, (low, high) = f.rate / 60.0, span
     for k in range(2 * f.cycles):
@@ -124,25 +114,16 @@ def dsc(alloy: Alloy, random, span=(ZERO, 453.15), **faults: float) -> DscRecord
         read = f.scale * (kelvin - ZERO) + ZERO + f.zero
         if f.scatter:
             read = read + f.scatter * random.standard_normal()
-        kind, time = ("heating" if sign > 0 else "cooling", sign * per_second), began + time
-        segments.append(DscSegment(k + 1, *kind, time, flow, np.zeros(len(time)), read, read))
+        time, nothing = began + time, np.zeros(len(time))
+        segments.append(DscSegment(k + 1, sign * per_second, time, flow, nothing, read, read))
         began = float(time[-1])
     notes = {"Sample ID": "synthetic"}
     return DscRecord(Path("attacked DSC"), mass, notes, tuple(segments), instrument="synthetic")
 
 
 def loops(alloy: Alloy, stress: float, random, span=(285.0, 420.0), **faults: float):
-    """E6, E9: full loops under one stress (Pa): kelvin, strain and stress as they are read.
-
-    `zero`, `lag` K of the thermometer (late both ways); `gauge`, `area`: true over stated; `creep`
-    strain a branch; `slip` strain at once in a branch; `friction` Pa against the motion; `drift` K
-    of the alloy a cycle, or as much as cycles scatter; `top` the strain where the extensometer
-    ends; `noise` K of a reading; `stuck`; `swapped`: strain and stress.
-    """
-    f = {"zero": 0.0, "lag": 0.0, "gauge": 1.0, "area": 1.0, "creep": 0.0, "slip": 0.0}
-    f |= {"tail": 0.0, "cycles": 2, "stuck": False, "swapped": False, "friction": 0.0}
-    f |= {"drift": 0.0, "top": math.inf, "noise": 0.05, "scatter": 0.0}
-    f = faulty(f, faults)
+    """E6, E9: full loops under one stress (Pa): kelvin, strain and stress as they are read."""
+    f = faulty("loops", faults)
     t, eps, points = [], [], 700
     for cycle in range(f.cycles):
         differs = f.scatter * random.standard_normal() if f.scatter else 0.0
@@ -168,7 +149,6 @@ def loops(alloy: Alloy, stress: float, random, span=(285.0, 420.0), **faults: fl
 
 
 def isobaric(alloy: Alloy, stress: float, random, *, area=1.0, **faults) -> IsobaricRecord:
-    """`loops` as a load frame's file."""
     kelvin, strain, held = loops(alloy, stress, random, area=area, **faults)
     name = f"{stress * area / 1e6:.0f} MPa"
     cycles, remarks = find_cycles(kelvin, strain, held, name)
@@ -179,11 +159,8 @@ def isobaric(alloy: Alloy, stress: float, random, *, area=1.0, **faults) -> Isob
 def tensile(
     alloy: Alloy, phase: str, number: int, random, *, said: str | None = None, **faults: float
 ) -> TensileRecord:
-    """E7: one test; `compliance` strain per Pa of grips; `slip` strain lost in the last rise;
-    `gauge`, `area`: true over stated; `noise` Pa; `yielding` Pa where the last rise bends."""
-    f = {"compliance": 0.0, "gauge": 1.0, "area": 1.0, "force_top": math.inf, "toe": 0.0015}
-    f |= {"end": 0.06, "slip": 0.0, "points": 1200, "yielding": math.inf, "noise": 0.5e6}
-    f = faulty(f, faults)
+    """E7: one test, `said` to be of a phase."""
+    f = faulty("tensile", faults)
     cold = phase == "martensite"
     modulus, kelvin = (alloy.e_m, 293.15) if cold else (alloy.e_a, 403.15)
     plateau, level, after = (0.04, 130e6, 0.6e9) if cold else (0.07, 500e6, 1e9)
@@ -207,16 +184,8 @@ def tensile(
 
 
 def clamped(alloy: Alloy, random, up=(298.0, 322.0), **faults: float) -> Record:
-    """E8: a staircase of temperature `up` and down below A_s under tension.
-
-    `camera`: of the excess over the room, `noise` K; `clamps` m of strain a K that they give way
-    (as strain); `force_drift` N over the record; `creep` Pa/s; `late` s of the force's stamps;
-    `area`: true over stated; `above` K it transforms.
-    """
-    f = {"preload": 60e6, "force_gain": 1.0, "force_drift": 0.0, "clamps": 0.0, "camera": 1.0}
-    f |= {"turned": False, "above": math.inf, "creep": 0.0, "stuck": False, "late": 0.0}
-    f |= {"noise": 0.1, "area": 1.0}
-    f = faulty(f, faults)
+    """E8: a staircase of temperature `up` and down below A_s under tension."""
+    f = faulty("clamped", faults)
     hold, room, diameter = 20.0, 296.0, 0.3e-3
     levels = np.linspace(*up, 7)
     steps = np.concatenate([levels, levels[-2::-1]])
@@ -255,7 +224,6 @@ class Beam:
     room: float = 296.0
 
     def driven(self, volts) -> tuple[np.ndarray, np.ndarray]:
-        """Kelvin and deflection over the volts of one side."""
         alloy, kelvin, deflection = self.alloy, np.empty(len(volts)), np.empty(len(volts))
         hot, xi, turn, sigma, warm = self.room, 1.0, (self.room, 1.0), 0.0, True
         for k, v in enumerate(volts.tolist()):
@@ -286,11 +254,8 @@ class Beam:
 
 
 def bend(beam: Beam, random, *, gains=None, swapped=False, stuck=None, **faults: float) -> Record:
-    """Triangles of the front, then of the back wire; readings with `gains` by quantity.
-
-    `clip` m where the range sensor ends, `late` s of its stamps, `residual` m from 14 s on.
-    """
-    f = faulty({"clip": math.inf, "late": 0.0, "residual": 0.0}, faults)
+    """Triangles of the front, then of the back wire; readings with `gains` by quantity."""
+    f = faulty("bend", faults)
     time = np.arange(0.0, DURATION, STEP)
     stamps = np.arange(0.0, DURATION - STEP, 1.0 / RATE)
     signals: dict[str, Signal] = {}

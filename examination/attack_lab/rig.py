@@ -18,8 +18,6 @@ STEPS_PER_TAU = 30.0
 
 @dataclass(frozen=True)
 class Wire:
-    """What a wire is, SI units."""
-
     resistance: float = 2.7
     loss: float = 403.0  # W/(m2 K)
     specific_heat: float = 343.0
@@ -75,8 +73,6 @@ class Wire:
 
 @dataclass(frozen=True)
 class Reading:
-    """Of volts or amperes, as a converter gives them."""
-
     noise: float
     step: float
     gain: float = 1.0
@@ -90,8 +86,6 @@ class Reading:
 
 @dataclass(frozen=True)
 class Sensors:
-    """What a bench's instruments do to the truth."""
-
     rate: float = 50.0  # Hz, volts and amperes
     camera_rate: float = 50.0
     volts: Reading = Reading(0.004, 10.0 / 1023.0)
@@ -134,8 +128,6 @@ def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Reco
 
 @dataclass(frozen=True)
 class Bench:
-    """A wire, its sensors, what is done with it, and what its lab knows of it."""
-
     wire: Wire
     sensors: Sensors
     top: float  # V, of the staircase

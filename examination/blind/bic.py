@@ -19,8 +19,7 @@ import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from examination.blind.case_files import NO_EFFECT, NO_GAP, RECALIBRATION, STAGE_OF
-from sma_bench.diagnose.shrinkage import shrinkage
-from sma_bench.diagnose.sizes import locate
+from sma_bench.diagnose.sizes import locate, shrinkage
 from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.unknowns import Unknowns, unknowns_of_records
@@ -42,49 +41,39 @@ class Fit(NamedTuple):
     square: float
 
 
-def fit(
-    problem: Problem, unknowns: Unknowns, x: Array, rounds: int, slopes: Array | None = None
-) -> Fit:
-    """Least squares from x; the baseline's `slopes`, where they are given, stay as they are."""
-    noise = np.concatenate([np.full(len(b.signal.value), b.signal.noise) for b in problem.blocks])
-    held = 0 if slopes is None else slopes.shape[1]
-
-    def residual(x: Array) -> Array:
-        return (problem.predict(unknowns.parameters(x)) - problem.measured) / noise
-
-    def jacobian(x: Array) -> Array:
-        predicted = problem.predict(unknowns.parameters(x))
-        own = problem.derivatives(unknowns, x, predicted, range(held, len(x)))
-        return (own if slopes is None else np.hstack([slopes, own])) / noise[:, None]
-
-    found = least_squares(residual, x, jacobian, bounds=unknowns.bounds(), x_scale="jac",
-                          ftol=_ENOUGH, max_nfev=2 * rounds)  # fmt: skip
-    return Fit(unknowns.parameters(found.x), found.x, 2.0 * float(found.cost))
-
-
 def every_fit(problem: Problem, nominal: Parameters) -> Mapping[str, Fit]:
-    """The lab's parameters, refitted, and refitted with each effect."""
+    """The lab's parameters, refitted, and refitted with each effect from there."""
+    noise = np.concatenate([np.full(len(b.signal.value), b.signal.noise) for b in problem.blocks])
+
+    def fit(unknowns: Unknowns, x: Array, rounds: int, held: Array | None = None) -> Fit:
+        """Least squares from x; slopes that are `held` stay as they are."""
+        first = 0 if held is None else held.shape[1]
+
+        def residual(x: Array) -> Array:
+            return (problem.predict(unknowns.parameters(x)) - problem.measured) / noise
+
+        def jacobian(x: Array) -> Array:
+            own = slopes(unknowns, x, range(first, len(x)))
+            return (own if held is None else np.hstack([held, own])) / noise[:, None]
+
+        found = least_squares(residual, x, jacobian, bounds=unknowns.bounds(), x_scale="jac",
+                              ftol=_ENOUGH, max_nfev=2 * rounds)  # fmt: skip
+        return Fit(unknowns.parameters(found.x), found.x, 2.0 * float(found.cost))
+
+    def slopes(unknowns: Unknowns, x: Array, which: range) -> Array:
+        return problem.derivatives(unknowns, x, problem.predict(unknowns.parameters(x)), which)
+
     quantities = [q for one in problem.observations for q in one.quantities]
     every = unknowns_of_records(nominal, quantities)
     baseline = replace(every, items=every.items[: every.bench], baseline=every.bench)
-    believed = np.zeros(every.bench)
-    again = fit(problem, baseline, believed, 15)
-
-    def slopes(x: Array) -> Array:
-        predicted = problem.predict(baseline.parameters(x))
-        return problem.derivatives(baseline, x, predicted, range(len(x)))
-
-    at_belief, at_fit = slopes(believed), slopes(again.x)
-    still = replace(baseline, items=(), bench=0, baseline=0, transitions=None)
-    fits = {NO_GAP: fit(problem, still, np.zeros(0), 1), RECALIBRATION: again}
+    again = fit(baseline, np.zeros(every.bench), 15)
+    left = (problem.predict(nominal) - problem.measured) / noise
+    fits = {NO_GAP: Fit(nominal, np.zeros(0), float(left @ left)), RECALIBRATION: again}
+    at_fit = slopes(baseline, again.x, range(every.bench))
     for name in EFFECTS:
         unknowns = baseline.with_effects([name])
         off = np.zeros(len(unknowns.items) - every.bench)
-        # The refit may have led away from a large effect, which is then found alone first.
-        alone = fit(problem, unknowns, np.append(believed, off), 3, np.zeros_like(at_belief))
-        starts = ((np.append(again.x, off), at_fit), (alone.x, at_belief))
-        trials = [fit(problem, unknowns, x, 4, held) for x, held in starts]
-        fits[name] = min(trials, key=lambda trial: trial.square)
+        fits[name] = fit(unknowns, np.append(again.x, off), 6, at_fit)
     return fits
 
 

@@ -5,7 +5,7 @@ import json
 import math
 import re
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -42,31 +42,21 @@ SUM_TOLERANCE = 2e-3
 
 
 @dataclass(frozen=True)
-class Fitted:
-    """A number of an effect."""
-
-    value: float
-
-
-@dataclass(frozen=True)
 class Candidate:
     """One explanation; a joint one of two effects is called `one+other`."""
 
     name: str
     probability: float
     stage: str = ""
-    parameters: dict[str, Fitted] = field(default_factory=dict)
+    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property
     def parts(self) -> frozenset[str]:
-        """The effects that it is made of."""
         return frozenset(self.name.split(PAIR_SIGN))
 
 
 @dataclass(frozen=True)
 class Where:
-    """Where the gap is."""
-
     signal: str
     phase: str
     side: str
@@ -176,16 +166,13 @@ class CaseSet:
 
     @property
     def answers(self) -> Path:
-        """By default."""
         return self.root / ANSWERS
 
 
 def read_case_set(root: str | Path) -> CaseSet:
     """The set in a folder that `./bench blind make` has written; labels are not touched. Raises
     InputError where there is none, or its manifest is damaged."""
-    path = Path(root) / MANIFEST
-    with _damage_of(path):
-        held = json.loads(path.read_text(encoding="utf-8"))
+    with _read(Path(root) / MANIFEST) as held:
         names = tuple(held["cases"])
         if not names or not all(_CASE_NAME.match(name) for name in names):
             raise ValueError(f"cases {names!r:.60}")
@@ -193,10 +180,10 @@ def read_case_set(root: str | Path) -> CaseSet:
 
 
 @contextmanager
-def _damage_of(path: Path) -> Iterator[None]:
-    """Whatever a damaged file raises is one line."""
+def _read(path: Path, decode: Callable[[bytes], Any] = json.loads) -> Iterator[Any]:
+    """What a file holds; whatever a damaged one raises is one line."""
     try:
-        yield
+        yield decode(path.read_bytes())
     except FileNotFoundError:
         raise InputError(f"{path}: no such file, expected one of ./bench blind") from None
     except (OSError, KeyError, TypeError, ValueError, RecursionError, zlib.error) as error:
@@ -219,8 +206,7 @@ def seal(path: Path, labels: Sequence[dict[str, Any]]) -> str:
 def unseal(path: Path, sha256: str) -> list[dict[str, Any]]:
     """The labels of a sealed file; raises InputError where it is unreadable, no sealed labels, or
     has not this sha256."""
-    with _damage_of(path):
-        content = path.read_bytes()
+    with _read(path, bytes) as content:
         if hashlib.sha256(content).hexdigest() != sha256 or not content.startswith(_HEAD):
             raise ValueError("not the labels that the manifest names (sha256 differs)")
         return list(json.loads(zlib.decompress(content[len(_HEAD) :])))
@@ -274,22 +260,19 @@ def keep(
 
 
 def is_kept(folder: Path, case: str) -> bool:
-    """Whether the case has been answered, or has failed."""
     return (folder / case / ANSWER).is_file()
 
 
 def read_kept(folder: Path, case: str) -> Kept:
     """The answer to a case; raises InputError where there is none, or its file is damaged."""
-    path, improved = folder / case / ANSWER, folder / case / IMPROVED
-    with _damage_of(path):
-        held = json.loads(path.read_text(encoding="utf-8"))
+    with _read(folder / case / ANSWER) as held:
         answer = None if held["result"] is None else checked_answer(held["result"])
+        improved = folder / case / IMPROVED
         right = improved if improved.is_file() else None
         return Kept(case, answer, held["line"], held["seconds"], right)
 
 
 def answers_of(folder: Path, case: str) -> list[Kept]:
-    """The answer to a case, and those after each experiment that was performed for it."""
     places = [folder, *(folder / name for name in FOLLOW_UPS)]
     return [read_kept(place, case) for place in places if is_kept(place, case)]
 
@@ -297,8 +280,7 @@ def answers_of(folder: Path, case: str) -> list[Kept]:
 def write_examination(folder: Path, examination: Examination) -> None:
     """Begin a folder of answers, or go on with it; raises InputError where it holds answers to
     another set or of another program."""
-    path = folder / EXAMINATION
-    if path.is_file():
+    if (folder / EXAMINATION).is_file():
         there = read_examination(folder)
         if there.sealed != examination.sealed:
             raise InputError(f"{folder}: holds answers to another set of cases")
@@ -306,12 +288,11 @@ def write_examination(folder: Path, examination: Examination) -> None:
         if (there.name, there.program[1:]) != (examination.name, examination.program[1:]):
             raise InputError(f"{folder}: holds the answers of {' '.join(there.program)}")
     folder.mkdir(parents=True, exist_ok=True)
-    write_text_atomically(path, json.dumps(vars(examination), indent=1) + "\n")
+    text = json.dumps(vars(examination), indent=1) + "\n"
+    write_text_atomically(folder / EXAMINATION, text)
 
 
 def read_examination(folder: Path) -> Examination:
     """Who gave the answers of a folder; raises InputError if nobody did, or the file is damaged."""
-    path = folder / EXAMINATION
-    with _damage_of(path):
-        held = json.loads(path.read_text(encoding="utf-8"))
+    with _read(folder / EXAMINATION) as held:
         return Examination(**held | {"program": tuple(held["program"])})

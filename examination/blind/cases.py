@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -29,7 +30,6 @@ class Move:
     factor: bool = False
 
     def moved(self, name: str, features: Mapping[str, float], amount: float) -> float:
-        """The feature of this name of a world that had these."""
         feature = BY_NAME[name]
         before = features.get(name, feature.off)
         value = before * float(np.exp(amount)) if self.factor else before + amount
@@ -59,9 +59,10 @@ class Symptom:
     loads: tuple[str, ...] = LOADS
 
 
+_HERE = Path(__file__)
+_DEALT = yaml.safe_load(_HERE.with_suffix(".yaml").read_text())
 _TABLE = msgspec.convert(
-    yaml.safe_load(Path(__file__).with_name("symptoms.yaml").read_text()),
-    dict[str, dict[str, Symptom]],
+    yaml.safe_load(_HERE.with_name("symptoms.yaml").read_text()), dict[str, dict[str, Symptom]]
 )
 # The contract's effects, and what no diagnosis has in its library.
 EFFECTS, OUTSIDE = _TABLE["effects"], _TABLE["outside"]
@@ -85,7 +86,6 @@ class Draw:
     peak_current: float
 
     def features(self, base: Mapping[str, float], amount: float) -> dict[str, float]:
-        """Features of a world that had `base` and now has the effect, too."""
         changed = {**base, **self.settings}
         for (name, move), weight in zip(self.symptom.moves.items(), self.weights, strict=True):
             by = self.sign * amount * weight
@@ -139,12 +139,6 @@ def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start:
 # --- Which case hides what: kinds, effects, severities and signals dealt in balance.
 
 SINGLE, NONE, PAIR, OUTSIDE_KIND = "single", "none", "pair", "outside"
-SHARES = {SINGLE: 0.50, NONE: 0.16, RECALIBRATION: 0.08, PAIR: 0.13, OUTSIDE_KIND: 0.13}
-# Gap over noise that an effect is sized for; None takes a size of the literature as it comes.
-SEVERITIES = (1.0, 2.0, 4.0, 8.0, 16.0, None)
-# Both of a pair must be there to be seen.
-PAIR_SEVERITIES = (3.0, 6.0, 12.0, 24.0)
-MILD_KINETICS_SHARE = 0.25
 ALL, PAPER = "all", "paper"
 # What a case shows besides the voltages.
 QUANTITIES = {ALL: ("current", "temperature", "deflection"), PAPER: ("deflection",)}
@@ -165,7 +159,6 @@ class Card:
 
 
 def possible(symptoms: Mapping[str, Symptom], load: str) -> tuple[str, ...]:
-    """Names of those that a rig with this load can have."""
     return tuple(name for name, symptom in symptoms.items() if load in symptom.loads)
 
 
@@ -175,7 +168,7 @@ def deal(n: int, rng: np.random.Generator, load: str = "beam") -> list[Card]:
     Signals and noise models are dealt within each kind, so that neither reveals the kind.
     """
     # Largest remainders; which kinds get the last cases is drawn where they are equal.
-    exact = {kind: share * n for kind, share in SHARES.items()}
+    exact = {kind: share * n for kind, share in _DEALT["shares"].items()}
     counts = {kind: int(value) for kind, value in exact.items()}
     order = sorted(exact, key=lambda kind: (counts[kind] - exact[kind], rng.random()))
     for kind in order[: n - sum(counts.values())]:
@@ -187,7 +180,8 @@ def deal(n: int, rng: np.random.Generator, load: str = "beam") -> list[Card]:
         signals = _signals([effects for effects, _ in hidden], rng)
         mild: set[int] = set()
         if kind == NONE:
-            mild = set(rng.permutation(count)[: round(MILD_KINETICS_SHARE * count)].tolist())
+            few = round(_DEALT["mild_kinetics_share"] * count)
+            mild = set(rng.permutation(count)[:few].tolist())
         cards += [Card(kind, *hidden[k], signals[k], noises[k], k in mild) for k in range(count)]
     return [cards[k] for k in rng.permutation(len(cards))]
 
@@ -205,12 +199,13 @@ def _hidden(
     """Effects and their severities: each name in turn, and each name's severities in turn."""
     if kind in (SINGLE, OUTSIDE_KIND):
         names = possible(EFFECTS if kind == SINGLE else OUTSIDE, load)
-        levels = {name: iter(_in_turns(SEVERITIES, n, rng)) for name in names}
+        levels = {name: iter(_in_turns(_DEALT["severities"], n, rng)) for name in names}
         return [((name,), (next(levels[name]),)) for name in _in_turns(names, n, rng)]
     if kind != PAIR:
         return [((), ())] * n
     every = possible(EFFECTS, load)
-    dealt, both = _in_turns(every, 2 * n, rng), _in_turns(PAIR_SEVERITIES, 2 * n, rng)
+    dealt = _in_turns(every, 2 * n, rng)
+    both = _in_turns(_DEALT["pair_severities"], 2 * n, rng)
     for k in range(0, 2 * n, 2):
         while dealt[k + 1] == dealt[k]:
             dealt[k + 1] = str(rng.choice(every))
@@ -241,30 +236,8 @@ OPEN = "open"
 _STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS)
 _DECK = 2**31 - 1
 
-_STORAGES = ("mcap", "sqlite3")
-_NAMESPACES = ("bench", "lab/bench", "rig_2/bench", "composite/bench")
-_FIRST_DAY, _DAYS = 1_704_067_200, 540  # 2024-01-01, and the days of a campaign
-_WORKING_HOURS = (8 * 3600, 18 * 3600)
-_PAUSE = (200.0, 3000.0)  # s between the starts of a case's two records
-
-# Middle of the noise of each quantity; it varies by a factor from rig to rig.
-_NOISE = {"voltage": 0.004, "current": 0.008, "temperature": 0.25, "deflection": 40e-6}
-_NOISE_FACTOR = (0.7, 1.4)
-_JITTER = (0.0005, 0.0014)
-_DROPOUT = (0.004, 0.02)
-_CAMERA_CLOCK = (-0.004, 0.012)
-
-# What every rig has a little of, at the size that `nuisance_scale` = 1 gives it.
-_NUISANCES = {
-    "grain_spread": (0.0, 0.4),
-    "convection_by_correlation": (0.0, 0.02),
-    "deflection_drift": (-15e-6, 15e-6),
-}
-# Gap over noise of all nuisances together.
-NUISANCE_GAP = (0.05, 0.25)
+# Gap over noise that all nuisances together stay below.
 NUISANCE_LIMIT = 0.3
-# Of a transformation that is a little smoother than the model's.
-MILD_GAP = (1.0, 6.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -288,17 +261,14 @@ class Case(Stage):
     starts: Mapping[str, int]
 
     def stream(self, purpose: str) -> np.random.Generator:
-        """Random numbers of this case for one purpose, from their beginning."""
         return _stream(self.seed, self.index, purpose)
 
 
 def split_of(seed: int) -> str:
-    """The set that cases of this seed belong to."""
     return next((name for name, seeds in SPLITS.items() if seed in seeds), OPEN)
 
 
 def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
-    """The n cases of a seed on rigs with a load, nothing simulated."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DECK,)))
     width = max(4, len(str(n)))
     return [
@@ -309,28 +279,25 @@ def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
 
 def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") -> Case:
     """One case; its card decides about the noise model and the owners' mistakes, no more."""
-
-    def stream(purpose: str) -> np.random.Generator:
-        return _stream(seed, index, purpose)
-
+    stream = partial(_stream, seed, index)
     truth = rigs.draw_truth(stream("rig"), load)
     beliefs, little, bag = map(stream, ("beliefs", "nuisances", "bag"))
     mistakes = rigs.draw_wrong(beliefs, load)
     wrong = mistakes if card.kind == RECALIBRATION else {}
-    nuisances = {n: float(little.uniform(*limits)) for n, limits in _NUISANCES.items()}
-    storage, namespace = str(bag.choice(_STORAGES)), str(bag.choice(_NAMESPACES))
+    nuisances = {n: float(little.uniform(*limits)) for n, limits in _DEALT["nuisances"].items()}
+    storage, namespace = (str(bag.choice(_DEALT[k])) for k in ("storages", "namespaces"))
     # Some working day, the second record after the first.
-    day = _FIRST_DAY + 86400 * int(bag.integers(_DAYS))
-    first = day + float(bag.uniform(*_WORKING_HOURS))
-    starts = (first, first + float(bag.uniform(*_PAUSE)))
+    day = _DEALT["first_day"] + 86400 * int(bag.integers(_DEALT["days"]))
+    first = day + float(bag.uniform(*_DEALT["working_hours"]))
+    starts = (first, first + float(bag.uniform(*_DEALT["pause"])))
     rng, noise = stream("sensors"), {}
-    for quantity, middle in _NOISE.items():
-        std = middle * float(np.exp(rng.uniform(*np.log(_NOISE_FACTOR))))
+    for quantity, middle in _DEALT["noise"].items():
+        std = middle * float(np.exp(rng.uniform(*np.log(_DEALT["noise_factor"]))))
         noise_model = "white" if quantity == "voltage" else card.noise
         noise[quantity] = Noise.of_model(noise_model, std, rng)
     sensors = Sensors(
-        noise, jitter=float(rng.uniform(*_JITTER)), dropout=float(rng.uniform(*_DROPOUT)),
-        camera_clock=float(rng.uniform(*_CAMERA_CLOCK)), seed=int(rng.integers(2**31)),
+        noise, **{n: float(rng.uniform(*_DEALT[n])) for n in ("jitter", "dropout", "camera_clock")},
+        seed=int(rng.integers(2**31)),
     )  # fmt: skip
     random = stream("drives")
     families = random.choice(rigs.FAMILIES, size=2, replace=False).tolist()
@@ -339,8 +306,8 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         truth, sensors, drives,
         seed=seed, index=index, name=name, card=card, wrong=wrong, nuisances=nuisances,
         nominal=rigs.draw_nominal(truth, beliefs, wrong),
-        nuisance_gap=float(little.uniform(*NUISANCE_GAP)),
-        mild_gap=float(np.exp(little.uniform(*np.log(MILD_GAP)))),
+        nuisance_gap=float(little.uniform(*_DEALT["nuisance_gap"])),
+        mild_gap=float(np.exp(little.uniform(*np.log(_DEALT["mild_gap"])))),
         storage=storage, namespace=namespace,
         starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
     )  # fmt: skip

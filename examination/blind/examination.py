@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -44,75 +44,60 @@ _RESULT, _IMPROVED = "result.json", "improved.yaml"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 _NEEDS_IMPROVED = ("effect", "recalibration")
 _LONGEST_LINE = 300
+_LOOK_EVERY = 0.02  # s
 
 
 @dataclass(frozen=True)
-class Given:
-    """What came back: the plain result (None: failed, `line` says why), and the text of the
-    improved parameter file."""
-
-    result: Any
-    line: str
-    seconds: float
-    improved: str | None = None
-
-
 class Examinee:
     """A program that takes the arguments of `sma-bench diagnose`; a case fails after `time_limit` s
-    (half as long more a further record)."""
+    (half as long more a further record), or once it is `stopped`."""
 
-    def __init__(self, program: Sequence[str], time_limit: float) -> None:
-        self._program = tuple(program)
-        self._limit = time_limit
-        self._running: set[subprocess.Popen[str]] = set()
-        self._lock = threading.Lock()
-        self._stopped = False
-
-    def stop(self) -> None:
-        """End what runs, and start nothing more."""
-        with self._lock:
-            self._stopped = True
-            for process in self._running:
-                if process.poll() is None:
-                    _kill(process)
+    program: tuple[str, ...]
+    time_limit: float
+    stopped: threading.Event = field(default_factory=threading.Event)
 
     def ask(
-        self, case: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
-    ) -> Given:
+        self, case: Path, place: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
+    ) -> str:
         """Put a case, the records of further experiments and what the owners believe by now to the
-        program, in a folder of its own that holds copies and nothing else. Whatever the program
-        does is a failed answer; one that cannot be started raises OSError."""
+        program, in a folder of its own that holds copies and nothing else, and keep its answer in
+        `place`; why it failed, or "". Whatever the program does is a failed answer; one that cannot
+        be started raises OSError."""
         with tempfile.TemporaryDirectory(prefix="bench_") as folder:
-            desk, records = Path(folder), [RECORD]
-            for name in (RECORD, HOLD_OUT):
-                _copy(case / name, desk / name)
-            _copy(nominal or case / NOMINAL, desk / NOMINAL)
-            for number, bag in enumerate(experiments, 1):
-                records.append(f"{EXPERIMENT}_{number}")
-                _copy(bag, desk / records[-1])
-            begin = time.monotonic()
+            desk = Path(folder)
+            bags = {f"{EXPERIMENT}_{k}": bag for k, bag in enumerate(experiments, 1)}
+            bags = {RECORD: case / RECORD, **bags, HOLD_OUT: case / HOLD_OUT}
+            for name, bag in bags.items():
+                # Contents only: links and times of files would show where the case lies and when
+                # it was made.
+                shutil.copytree(bag, desk / name, copy_function=shutil.copyfile)
+                os.utime(desk / name)
+            shutil.copyfile(nominal or case / NOMINAL, desk / NOMINAL)
+            begin, result, improved, line = time.monotonic(), None, None, ""
             try:
-                self._run(desk, records)
+                self._run(desk, [name for name in bags if name != HOLD_OUT])
                 if not (desk / _RESULT).is_file():
                     raise InputError("no result was written")
-                result = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
-                answer, improved = checked_answer(result, "result"), None
+                document = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
+                answer = checked_answer(document, "result")
                 if (desk / _IMPROVED).is_file():
                     read_parameters(desk / _IMPROVED)
                     improved = (desk / _IMPROVED).read_text(encoding="utf-8")
                 elif answer.verdict in _NEEDS_IMPROVED:
                     raise InputError(f"verdict {answer.verdict} without improved parameters")
-                return Given(result, "", time.monotonic() - begin, improved)
+                result = document
             except InputError as error:
                 line = str(error).replace(f"{desk}/", "")
             except (ValueError, RecursionError) as error:
                 line = f"result is not JSON: {str(error).splitlines()[0]}"
-            return Given(None, line, time.monotonic() - begin)
+        if not self.stopped.is_set():
+            keep(place.parent, place.name, result, line, time.monotonic() - begin, improved)
+        return line
 
     def _run(self, desk: Path, records: Sequence[str]) -> None:
         """Run the program in its folder; raises InputError where it gives no answer."""
         command = [
-            *self._program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT,
+            *self.program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT,
             "--json", _RESULT, "--out", _IMPROVED,
         ]  # fmt: skip
         # The caller's environment, with one thread a process and without a trace of its folder.
@@ -120,53 +105,31 @@ class Examinee:
         environment = {k: v for k, v in os.environ.items() if k not in ("OLDPWD", "_")}
         environment |= dict.fromkeys(_ONE_THREAD, "1")
         environment |= {"PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
-        limit = self._limit * (1 + len(records)) / 2.0  # half of the time goes with the records
+        limit = self.time_limit * (1 + len(records)) / 2.0  # half of it goes with the records
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-            with self._lock:
-                if self._stopped:
-                    raise InputError("the examination was stopped")
-                process = subprocess.Popen(
-                    command, cwd=desk, env=environment, text=True, start_new_session=True,
-                    stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-                )  # fmt: skip
-                self._running.add(process)
-            try:
-                code = process.wait(timeout=limit)
-            except subprocess.TimeoutExpired:
-                _kill(process)
-                process.wait()
-                raise InputError(f"no answer within {limit:g} s") from None
-            finally:
-                with self._lock:
-                    self._running.discard(process)
+            process = subprocess.Popen(
+                command, cwd=desk, env=environment, text=True, start_new_session=True,
+                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
+            )  # fmt: skip
+            end = time.monotonic() + limit
+            while process.poll() is None:
+                if time.monotonic() > end or self.stopped.is_set():
+                    with suppress(ProcessLookupError):  # it leads a session: all that it started
+                        os.killpg(process.pid, signal.SIGKILL)
+                    process.wait()
+                    raise InputError(f"no answer within {limit:g} s")
+                time.sleep(_LOOK_EVERY)
             errors.seek(0)
             said = [text.strip() for text in errors if text.strip()]
-        if code:
+        if process.returncode:
             said = said or ["nothing said"]
-            raise InputError(f"exit code {code}: {said[-1]}"[:_LONGEST_LINE])
-
-
-def _copy(source: Path, target: Path) -> None:
-    """Contents only: links and times of files would show where the case lies and when it was
-    made."""
-    if source.is_dir():
-        shutil.copytree(source, target, copy_function=shutil.copyfile)
-        os.utime(target)
-    else:
-        shutil.copyfile(source, target)
-
-
-def _kill(process: subprocess.Popen[str]) -> None:
-    """End a process and all that it started: it leads a session of its own."""
-    with suppress(ProcessLookupError):
-        os.killpg(process.pid, signal.SIGKILL)
+            raise InputError(f"exit code {process.returncode}: {said[-1]}"[:_LONGEST_LINE])
 
 
 # --- Every case of a set put to one program; what is answered stays answered.
 
 
 def open_cases(cases: Sequence[str], answers: Path) -> list[str]:
-    """Those of the cases that have no answer in the examinee's folder yet."""
     return sorted(case for case in cases if not is_kept(answers, case))
 
 
@@ -174,28 +137,25 @@ def examine(
     examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path, jobs: int = 1
 ) -> int:
     """Put `cases` below `folder` to a program; how many failed."""
-    ask = {case: partial(examinee.ask, folder.absolute() / case) for case in cases}
-    return ask_all(examinee, ask, answers, jobs)
+    place = folder.absolute()
+    ask = {case: partial(examinee.ask, place / case, answers / case) for case in cases}
+    return ask_all(examinee, ask, jobs)
 
 
-def ask_all(
-    examinee: Examinee, ask: Mapping[str, Callable[[], Given]], answers: Path, jobs: int
-) -> int:
-    """Do every call of `ask`, `jobs` at a time, and keep what it gives under its name in `answers`
-    as soon as it is there; how many failed. Interrupted, it ends what runs and leaves it open."""
+def ask_all(examinee: Examinee, ask: Mapping[str, Callable[[], str]], jobs: int) -> int:
+    """Do every call of `ask`, `jobs` at a time; how many failed. Interrupted, it ends what runs
+    and leaves it open."""
     failed = 0
     with ThreadPoolExecutor(jobs) as pool:
         running = {pool.submit(call): name for name, call in ask.items()}
         try:
             for future in as_completed(running):
-                name, given = running[future], future.result()
-                keep(answers, name, given.result, given.line, given.seconds, given.improved)
-                if given.line:
+                if line := future.result():
                     failed += 1
-                    print(f"failed: {name}: {given.line}", file=sys.stderr)
+                    print(f"failed: {running[future]}: {line}", file=sys.stderr)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
-            examinee.stop()
+            examinee.stopped.set()
             raise
     return failed
 
@@ -215,7 +175,6 @@ _STREAM = 1_000_003
 
 
 def asks_for_more(kept: Kept) -> bool:
-    """An answer with an experiment, whatever its verdict."""
     asked = kept.answer.next_experiment if kept.answer else None
     return asked is not None and bool(asked.protocol or asked.parameters)
 
@@ -231,15 +190,15 @@ def follow_up(
         for case in cases.names:
             history, place = answers_of(answers, case), cases.folder.absolute() / case
             if len(history) == number + 1 and asks_for_more(history[-1]):
-                ask[case] = partial(
-                    _do_and_ask, place, cases.seed, labels[case], history, examinee
-                )
-        ask_all(examinee, ask, answers / name, jobs)
+                given = place, answers / name / case, cases.seed, labels[case], history
+                ask[case] = partial(_do_and_ask, *given, examinee)
+        ask_all(examinee, ask, jobs)
 
 
 def _do_and_ask(
-    case: Path, seed: int, label: Mapping[str, Any], history: Sequence[Kept], examinee: Examinee
-) -> Given:
+    case: Path, place: Path, seed: int, label: Mapping[str, Any], history: Sequence[Kept],
+    examinee: Examinee,
+) -> str:
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
         bags: list[Path] = []
         try:
@@ -264,10 +223,11 @@ def _do_and_ask(
                 )
                 write_record(bags[-1], signals, "bench", _START_NS + number * _HOUR_NS)
         except InputError as error:
-            return Given(None, str(error), 0.0)
+            keep(place.parent, place.name, None, str(error), 0.0)
+            return str(error)
         nominal = Path(folder) / NOMINAL
         write_parameters(nominal, believed, names=sorted(believed.given))
-        return examinee.ask(case, bags, nominal)
+        return examinee.ask(case, place, bags, nominal)
 
 
 def after_tests(

@@ -1,12 +1,17 @@
-"""One case judged: what its label holds to be true, and whether an answer said so."""
+"""Cases judged: what a label holds to be true, whether an answer said so, and every measure of the
+withheld-effect check: a number with its interval over cases."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
+import yaml
+from scipy import stats
 
 from examination.blind.case_files import (
     NO_GAP,
@@ -55,17 +60,7 @@ class Label:
 
     @property
     def names(self) -> frozenset[str]:
-        """The answers that are right."""
         return _RIGHT_NAMES.get(self.kind, frozenset(self.effects))
-
-    @property
-    def own_stages(self) -> frozenset[str]:
-        """One of them has to be named: that of the effect that does most, or of any wrong
-        parameter."""
-        most = max(self.severities.values(), default=0.0)
-        of_effects = zip(self.effects, self.stages, strict=False)
-        largest = {stage for name, stage in of_effects if self.severities.get(name) == most}
-        return frozenset(self.stages if self.kind == "recalibration" else largest or self.stages)
 
 
 @dataclass(frozen=True)
@@ -90,7 +85,7 @@ class Judged:
     experiments, whether an ambiguous answer got what it asked for (`followed`), root mean square
     errors of the parameters in stated deviations, and the seconds that the answer took.
 
-    The properties and methods are what measures.yaml counts; None is not counted.
+    `facts` are what measures.yaml counts and defines; None is not counted.
     """
 
     label: Label
@@ -105,161 +100,87 @@ class Judged:
     failure: str = ""
 
     @property
-    def answered(self) -> bool:
-        return self.answer is not None
-
-    @property
-    def said(self) -> Answer:
-        """The answer, an empty one where there is none."""
-        return self.answer or _SILENCE
-
-    @property
     def first_choice(self) -> Candidate | None:
-        """The most probable candidate."""
-        return next(iter(self.said.candidates), None)
+        return next(iter(self.answer.candidates), None) if self.answer else None
 
-    @property
-    def credible_set(self) -> tuple[Candidate, ...]:
-        """The fewest candidates whose probabilities make 90 %, most probable first."""
-        total, chosen = 0.0, []
-        for candidate in self.said.candidates:
+    @cached_property
+    def facts(self) -> dict[str, Any]:
+        said, label, right = self.answer or _SILENCE, self.label, self.label.names
+        verdict, first = said.verdict, self.first_choice
+        chosen = first.parts if first else frozenset[str]()
+        # The fewest candidates whose probabilities make 90 %, most probable first.
+        total, credible = 0.0, []
+        for candidate in said.candidates:
             if total < SET_MASS - 1e-9:
-                chosen.append(candidate)
+                credible.append(candidate.parts)
             total += candidate.probability
-        return tuple(chosen)
+        in_set = frozenset[str]().union(*credible)
+        right_ones = [parts for parts in credible if parts <= right]
+        holds_truth = bool(right_ones)
+        if label.kind == "pair":
+            holds_truth = frozenset[str]().union(*right_ones) == right
 
-    @property
-    def set_size(self) -> float | None:
-        return float(len(self.credible_set)) if self.answer else None
+        # What the first choice and the verdict come to.
+        first_right = first is not None and chosen <= right
+        stages = {STAGE_OF[name] for name in right if name in STAGE_OF}
+        gap, alarms = verdict not in ("", NO_GAP), verdict in ("", "effect", UNEXPLAINED)
+        if verdict == "ambiguous":
+            gap, alarms = NO_GAP not in in_set, in_set.isdisjoint(_BENIGN)
+        abstains = verdict in ("ambiguous", UNEXPLAINED)
+        sure = [c.parts for c in said.candidates if c.probability >= CONFIDENT]
+        sure += [frozenset(said.cause)] if said.cause else []
+        named, settled = frozenset(said.cause) or chosen, None
+        if self.followed:
+            last = Judged(label, self.second).facts["first_choice_right"]
+            settled = last and (self.second or _SILENCE).verdict != "ambiguous"
+        facts = {
+            "answered": self.answer is not None, "says_gap": gap, "alarms": alarms,
+            "alarms_with_reason": self.answer is not None and alarms, "abstains": abstains,
+            "abstains_or_flags": abstains or UNEXPLAINED in in_set,
+            "set_size": float(len(credible)) if self.answer else None,
+            "set_holds_truth": holds_truth,
+            "truth_probability": sum(c.probability for c in said.candidates if c.parts <= right),
+            "first_choice_right": first_right,
+            "named_and_right": verdict == "effect" and first_right,
+            "family_right": first_right or any(STAGE_OF.get(part) in stages for part in chosen),
+            "parameter_found": verdict == RECALIBRATION and not self.moved.isdisjoint(label.wrong),
+            "confident_and_wrong": any(not parts & right for parts in sure),
+            "names one": bool(named & right), "names both": right <= named, "settled": settled,
+            "stated": (first.probability, first_right) if first else None,
+            "error_before": self.error_before, "error_after": self.error_after,
+            "seconds": self.seconds,
+        }  # fmt: skip
 
-    @property
-    def first_choice_right(self) -> bool:
-        """The most probable candidate is made of nothing but what is true."""
-        first = self.first_choice
-        return first is not None and first.parts <= self.label.names
+        # Where the gap is, if the label has a place: signals are the same when their quantity is,
+        # front_1.temperature and temperature. The stage is that of the effect that does most, or of
+        # any wrong parameter.
+        most = max(label.severities.values(), default=0.0)
+        pairs = zip(label.effects, label.stages, strict=False)
+        own = {stage for name, stage in pairs if label.severities.get(name) == most}
+        if label.kind == "recalibration" or not own:
+            own = set(label.stages)
+        for key in ("signal", "phase", "side", "stage"):
+            facts[f"place_right {key}"] = None
+            if label.where:
+                place = getattr(said.where, key, None)
+                wanted = own if key == "stage" and own else {quantity_of(label.where[key])}
+                facts[f"place_right {key}"] = place is not None and quantity_of(place) in wanted
 
-    @property
-    def named_and_right(self) -> bool:
-        return self.said.verdict == "effect" and self.first_choice_right
-
-    @property
-    def stated(self) -> tuple[float, bool] | None:
-        """Probability of the most probable candidate, and whether it is right."""
-        return (self.first_choice.probability, self.first_choice_right) if self.answer else None
-
-    @property
-    def parameter_found(self) -> bool:
-        """Verdict recalibration, and one of the wrong parameters is moved."""
-        return self.said.verdict == RECALIBRATION and not self.moved.isdisjoint(self.label.wrong)
-
-    @property
-    def family_right(self) -> bool:
-        """The most probable candidate acts in a true stage (or is right where no stage is)."""
-        first = self.first_choice
-        if first is None or self.first_choice_right:
-            return self.first_choice_right
-        stages = {STAGE_OF[name] for name in self.label.names if name in STAGE_OF}
-        return any(STAGE_OF.get(part) in stages for part in first.parts)
-
-    @property
-    def set_holds_truth(self) -> bool:
-        """The 90 % set has the truth in it; of a pair, both effects, together or apart."""
-        right = [c.parts for c in self.credible_set if c.parts <= self.label.names]
-        if self.label.kind == "pair":
-            return frozenset[str]().union(*right) == self.label.names
-        return bool(right)
-
-    @property
-    def truth_probability(self) -> float:
-        """Probability of the candidates that are made of nothing but what is true."""
-        return sum(c.probability for c in self.said.candidates if c.parts <= self.label.names)
-
-    @property
-    def says_gap(self) -> bool:
-        """Any verdict but no_gap, unless an ambiguous one leaves no_gap in its 90 % set."""
-        if self.said.verdict == "ambiguous":
-            return not self._set_has(frozenset((NO_GAP,)))
-        return self.said.verdict not in ("", NO_GAP)
-
-    @property
-    def alarms(self) -> bool:
-        """Says that the model misses something: an effect, something unexplained, or ambiguous
-        with neither no_gap nor recalibration in the 90 % set. No answer counts as an alarm."""
-        if self.said.verdict == "ambiguous":
-            return not self._set_has(_BENIGN)
-        return self.said.verdict in ("", "effect", UNEXPLAINED)
-
-    @property
-    def alarms_with_reason(self) -> bool:
-        return self.answered and self.alarms
-
-    @property
-    def abstains(self) -> bool:
-        return self.said.verdict in ("ambiguous", UNEXPLAINED)
-
-    @property
-    def abstains_or_flags(self) -> bool:
-        """Abstains, or keeps `unexplained` in the 90 % set."""
-        return self.abstains or self._set_has(frozenset((UNEXPLAINED,)))
-
-    @property
-    def confident_and_wrong(self) -> bool:
-        """Verdict `effect` with a cause that shares nothing with the truth, or one candidate that
-        shares nothing with it at a probability of 0.8 or more."""
-        sure = [c.parts for c in self.said.candidates if c.probability >= CONFIDENT]
-        if self.said.cause:
-            sure.append(frozenset(self.said.cause))
-        return any(not parts & self.label.names for parts in sure)
-
-    def names(self, how_many: str) -> bool:
-        """The cause, or without one the most probable candidate, has `one` or `both` in it."""
-        first = self.first_choice.parts if self.first_choice else frozenset()
-        named = frozenset(self.said.cause) or first
-        return self.label.names <= named if how_many == "both" else bool(named & self.label.names)
-
-    def place_right(self, key: str) -> bool | None:
-        """`signal`, `phase`, `side` or `stage` of the gap is the label's, which has one.
-
-        Signals are the same when their quantity is: front_1.temperature and temperature.
-        """
-        if not self.label.where:
-            return None
-        place = self.said.where
-        if place is None:
-            return False
-        if key == "stage" and self.label.own_stages:
-            return place.stage in self.label.own_stages
-        return quantity_of(getattr(place, key)) == quantity_of(self.label.where[key])
-
-    @property
-    def settled(self) -> bool | None:
-        """The last answer is no longer ambiguous and its most probable candidate is right."""
-        if not self.followed:
-            return None
-        last = Judged(self.label, self.second)
-        return last.said.verdict != "ambiguous" and last.first_choice_right
-
-    def claim(self, what: str) -> float | bool | None:
-        """Of the claimed and the true fraction of one signal: the deflection where it has a gap
-        above the noise, else the signal with the largest; None where none has, or nothing is
-        claimed."""
-        said = self.said.shrinkage
+        # Of the claimed and the true fraction of one signal: the deflection where it has a gap
+        # above the noise, else the signal with the largest.
         usable = {
-            name: claim.fraction for name, claim in said.items()
+            name: claim.fraction for name, claim in said.shrinkage.items()
             if claim.fraction is not None and name in self.shrunk
             and math.isfinite(self.shrunk[name].fraction)
         }
-        if not usable:
-            return None
-        largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
-        name = "deflection" if "deflection" in usable else largest
-        claimed, true = usable[name], self.shrunk[name].fraction
-        low, high = said[name].ci90
-        return {"error": abs(claimed - true), "excess": claimed - true, "true": true,
-                "covers": low <= true <= high}[what]  # fmt: skip
-
-    def _set_has(self, names: frozenset[str]) -> bool:
-        return any(c.parts & names for c in self.credible_set)
+        if usable:
+            largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
+            name = "deflection" if "deflection" in usable else largest
+            claimed, true = usable[name], self.shrunk[name].fraction
+            low, high = said.shrinkage[name].ci90
+            facts |= {"claim error": abs(claimed - true), "claim excess": claimed - true,
+                      "claim true": true, "claim covers": low <= true <= high}  # fmt: skip
+        return facts
 
 
 # --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
@@ -336,3 +257,143 @@ def moved_parameters(nominal: Parameters, improved: Parameters) -> frozenset[str
         name for name, std in stated
         if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std
     )
+
+
+# --- Measures over judged cases, with their intervals.
+
+CONFIDENCE = 0.95
+_BOOTSTRAP = {"n_resamples": 2000, "method": "percentile", "confidence_level": CONFIDENCE}
+_SEED = 20240229
+_BINS = 10  # of stated probabilities
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A value with its 95 % interval over `n` cases; `hits` of a proportion."""
+
+    value: float = math.nan
+    low: float = math.nan
+    high: float = math.nan
+    n: int = 0
+    hits: int | None = None
+
+
+def proportion(outcomes: Sequence[bool]) -> Measured:
+    """Share of True with its exact interval (Clopper and Pearson)."""
+    if not outcomes:
+        return Measured()
+    hits, n = sum(map(bool, outcomes)), len(outcomes)
+    low, high = stats.binomtest(hits, n).proportion_ci(CONFIDENCE, method="exact")
+    return Measured(hits / n, float(low), float(high), n, hits)
+
+
+def mean(values: Sequence[float]) -> Measured:
+    """Mean with a percentile bootstrap interval; the same values give the same interval."""
+    return _bootstrapped(lambda x, axis=-1: np.mean(x, axis=axis), values)
+
+
+def quantile(values: Sequence[float], level: float) -> Measured:
+    """Quantile with the interval between two order statistics, free of any distribution; infinite
+    where the values are too few for a bound."""
+    if not values:
+        return Measured()
+    value = float(np.quantile(values, level))
+    found = stats.quantile_test(values, q=value, p=level).confidence_interval(CONFIDENCE)
+    low = -math.inf if math.isnan(found.low) else float(found.low)
+    high = math.inf if math.isnan(found.high) else float(found.high)
+    return Measured(value, low, high, len(values))
+
+
+def calibration_error(stated: Sequence[float], right: Sequence[bool]) -> Measured:
+    """Expected calibration error: mean distance of stated probability and frequency over bins.
+
+    sum_b n_b/n |mean stated in b - share right in b| (Naeini et al., AAAI 2015), with a bootstrap
+    interval over cases.
+    """
+
+    def error(probability: Array, hit: Array) -> float:
+        bins = np.minimum((probability * _BINS).astype(np.intp), _BINS - 1)
+        return float(np.abs(np.bincount(bins, weights=probability - hit)).sum() / len(hit))
+
+    return _bootstrapped(error, stated, [float(r) for r in right])
+
+
+def _bootstrapped(statistic: Callable[..., float], *data: Sequence[float]) -> Measured:
+    n = len(data[0])
+    if not n:
+        return Measured()
+    columns = tuple(np.asarray(column, dtype=float) for column in data)
+    value = float(statistic(*columns))
+    if n == 1 or all(np.ptp(column) == 0.0 for column in columns):  # nothing to resample
+        return Measured(value, value, value, n)
+    found = stats.bootstrap(
+        columns, statistic, paired=True, random_state=np.random.default_rng(_SEED), **_BOOTSTRAP
+    ).confidence_interval
+    return Measured(value, float(found.low), float(found.high), n)
+
+
+# --- One row of the result.
+
+Bound = float | tuple[float, float] | None
+_STATISTICS: dict[str, Callable[[list], Measured]] = {
+    "share": proportion,
+    "mean": mean,
+    "median": lambda values: quantile(values, 0.5),
+    "90th percentile": lambda values: quantile(values, 0.9),
+    "calibration": lambda pairs: calibration_error([p for p, _ in pairs], [r for _, r in pairs]),
+}
+
+
+@dataclass(frozen=True)
+class Measure:
+    """What measures.yaml says of it; inside a band, floor and aim are (low, high)."""
+
+    name: str
+    what: tuple[str, ...]
+    among: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    definition: str = ""
+    better: Literal["higher", "lower", "inside"] = "higher"
+    style: Literal["share", "number", "points", "seconds"] = "share"
+    floor: Bound = None
+    aim: Bound = None
+
+    @property
+    def title(self) -> str:
+        return self.name + (" (points)" if self.style == "points" else "")
+
+    def of(self, cases: Sequence[Judged]) -> Measured:
+        statistic, *fact = self.what
+        values = [c.facts.get(" ".join(fact)) for c in cases if self._counts(c.label)]
+        return _STATISTICS[statistic]([v for v in values if v is not None and v == v])
+
+    def _counts(self, label: Label) -> bool:
+        wanted = self.among.get("label", {}).items()
+        return (
+            label.kind in self.among.get("kinds", (label.kind,))
+            and label.severity > self.among.get("above", -math.inf)
+            and all(getattr(label, name) == value for name, value in wanted)
+        )
+
+    def met(self, measured: Measured) -> str:
+        """`aim`, `floor` or `missed` by the value itself; "" without cases or floor."""
+        if self.floor is None or not measured.n:
+            return ""
+        for how, bound in (("aim", self.aim), ("floor", self.floor)):
+            low, high = bound if isinstance(bound, tuple) else (-math.inf, math.inf)
+            if isinstance(bound, float | int):
+                low, high = (bound, high) if self.better == "higher" else (low, bound)
+            if bound is not None and low <= measured.value <= high:
+                return how
+        return "missed"
+
+
+# Those with a floor and an aim, those that are reported besides, and those of groups.
+_DOCUMENT = yaml.safe_load(Path(__file__).with_name("measures.yaml").read_text("utf-8"))
+TARGETS, OTHERS, OF_GROUPS = (
+    tuple(
+        Measure(name, **{"what" if k == "of" else k: tuple(v) if isinstance(v, list) else v
+                         for k, v in row.items()})
+        for name, row in rows.items()
+    )
+    for rows in _DOCUMENT.values()
+)  # fmt: skip

@@ -1,30 +1,226 @@
-"""Make a set of cases: bags, what the owners believe, and labels under seal."""
+"""Make a set of cases: how large what is hidden is, whether another explanation could look alike,
+bags, what the owners believe, and labels under seal."""
 
 import json
 import shutil
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import joblib
+import numpy as np
+import numpy.typing as npt
 
 from examination.bags import in_sqlite3
-from examination.blind import rigs
+from examination.blind import cases, rigs
 from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, STAGE_OF, seal
-from examination.blind.cases import NONE, OUTSIDE, QUANTITIES, Case, draw_cases, split_of
-from examination.blind.rigs import RECORDS, gaps
+from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, Draw, Symptom
+from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
 from examination.blind.sensors import measure
-from examination.blind.severity import Sized, measured, separation, size
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.parameters import write_parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
 
+Array = npt.NDArray[np.float64]
+Features = Mapping[str, float]
+Readings = Mapping[str, Mapping[str, Array]]
+
+# --- How large a case's effects are.
+
+# Features that a mildly different kinetics moves together, at amount 1.
+MILD_KINETICS = {"grain_spread": 1.2, "kinetics_smoothness": 0.5}
+_SHRINK, _TRIALS = 0.8, 8
+
+
+@dataclass(frozen=True)
+class Sized:
+    """What a case's world holds: features without what is hidden (`base`: nuisances and mild
+    kinetics) and with it, draws and amounts by effect, measured gaps, the larger of both records.
+    """
+
+    base: dict[str, float]
+    features: dict[str, float]
+    draws: dict[str, Draw]
+    amounts: dict[str, float]
+    nuisance_gap: float
+    kinetics_gap: float
+
+
+def size(case: Case) -> Sized:
+    """Find the features of a case: nuisances below their limit, effects at their targets."""
+    # The rig's nuisances at their wanted gap.
+    wanted, scale = case.nuisance_gap, 1.0
+    little: dict[str, float] = {}
+    nuisance_gap = 0.0
+    for trial in range(_TRIALS):
+        scaled = {name: scale * value for name, value in case.nuisances.items()}
+        reached = measured(case, scaled, {}, fine=COARSE if trial == 0 else 1.0)
+        if trial and reached <= cases.NUISANCE_LIMIT:
+            little, nuisance_gap = scaled, reached
+            break
+        # The gap grows with the scale or its square: down by the root stays above nothing.
+        scale *= wanted / reached if trial == 0 else min(wanted / reached, _SHRINK)
+
+    # A transformation smoother by the wanted gap.
+    base, kinetics_gap = dict(little), 0.0
+    rng = case.stream("effect")
+    if case.card.mild_kinetics:
+        parts = {name: value * rng.uniform(0.3, 1.0) for name, value in MILD_KINETICS.items()}
+        amount = 1.0
+        for trial in range(4):
+            added = {name: little.get(name, 0.0) + amount * part for name, part in parts.items()}
+            smoothness = min(added["kinetics_smoothness"], 1.0)
+            base = {**little, **added, "kinetics_smoothness": smoothness}
+            kinetics_gap = measured(case, base, little, fine=COARSE if trial < 3 else 1.0)
+            # Smoothing acts by its variance: the gap grows between the first and second power.
+            amount *= float(np.clip((case.mild_gap / kinetics_gap) ** 0.7, 0.2, 3.0))
+
+    # What is hidden, at its target or as it comes.
+    rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
+    features, draws, amounts = dict(base), {}, {}
+    for name, target in zip(case.card.effects, case.card.targets, strict=True):
+        drawn = cases.draw({**EFFECTS, **OUTSIDE}[name], rng, case.peak_current())
+        amount = natural = drawn.natural(rng)
+        if target is not None:
+            def gap(amount: float, drawn: Draw = drawn) -> float:
+                return measured(case, drawn.features(base, amount), base, quantities, COARSE)
+
+            amount = cases.amount_for(drawn, target, gap, natural)
+        features = drawn.features(features, amount)
+        draws[name], amounts[name] = drawn, amount
+    return Sized(base, features, draws, amounts, nuisance_gap, kinetics_gap)
+
+
+def measured(
+    stage: Stage, features: Features, other: Features,
+    quantities: tuple[str, ...] = QUANTITIES[cases.ALL], fine: float = 1.0,
+) -> float:
+    """Gap over noise between two worlds: the largest over signals and records."""
+    found = 0.0
+    for record in RECORDS:
+        one, two = (stage.read(f, record, fine) for f in (features, other))
+        found = max(found, *gaps(one, two, stage.sensors, quantities).values())
+    return found
+
+
+# --- Could another explanation look the same? Measured with the reality's own sensitivities.
+#
+# The difference that an effect makes is whitened by the true noise and compared with every rival:
+# each other effect of the contract, refitted in size and shape, and wrong parameters alone, the
+# parameters being refitted under their stated uncertainty each time. What no refit takes away, in
+# standard deviations, is the distance to that rival.
+
+# Squared distance above which two explanations are distinguishable: five standard deviations.
+DISTINCT = 25.0
+_WINDOW = 10  # samples of 20 ms to a mean: 5 Hz
+_STEP = 0.5  # stated standard deviations
+_TINY = 1e-12
+_SHAPES = (0.25, 0.75)  # places within the range of a setting
+
+
+def separation(
+    stage: Stage, base: Features, truth: Readings, without: Readings, quantities: tuple[str, ...],
+    own: str = "",
+) -> dict[str, Any]:
+    """Distances [standard deviations] of one difference from every rival explanation, the closest
+    rival with its own, and whether every rival is out of reach. `base`: features without the
+    effect; `truth`, `without`: noise-free readings by record, with and without what is hidden;
+    `own`: the effect itself, no rival of its own."""
+    sensors, width = stage.sensors, _WINDOW * rigs.COMMAND_PERIOD
+
+    def whitened(one: Readings, other: Readings) -> Array:
+        """(m,) difference in windows of all signals of both records, of unit white noise."""
+        parts = []
+        for record in RECORDS:
+            for name in sorted(one[record]):
+                quantity = quantity_of(name)
+                if quantity not in quantities:
+                    continue
+                values = one[record][name] - other[record][name]
+                n = len(values) // _WINDOW
+                means = np.asarray(values[: n * _WINDOW].reshape(n, _WINDOW).mean(axis=1))
+                samples = sensors.rate(quantity) * width * (1.0 - sensors.dropout)
+                # Rounding is noise like the rest; that it is white makes next to no difference.
+                noise = replace(sensors.noise[quantity], std=sensors.std(quantity))
+                parts.append(noise.whiten_means(means, width, samples))
+        return np.concatenate(parts)
+
+    origin = {record: stage.read(base, record, COARSE) for record in RECORDS}
+    difference, load = whitened(truth, without), load_kind(stage.truth)
+    # What a stated standard deviation of each parameter does, all under their uncertainty.
+    columns = []
+    for name in rigs.recalibrated(load):
+        step = _STEP * rigs.numbers(load)[name].stated_std(stage.truth[name])
+        twins = (rigs.FRONT, rigs.BACK) if name == rigs.FRONT else (name,)
+        moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
+        changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in RECORDS}
+        columns.append(whitened(changed, origin) / _STEP)
+    prior = np.vstack([np.column_stack(columns), np.eye(len(columns))])
+    free = np.linalg.qr(prior)[0]
+
+    def beyond_parameters(columns: Array) -> Array:
+        """What a refit of the parameters under their uncertainty leaves of (m, k) columns."""
+        padded = np.vstack([columns, np.zeros((prior.shape[1], columns.shape[1]))])
+        return padded - free @ (free.T @ padded)
+
+    rest = beyond_parameters(difference[:, None])[:, 0]
+    distances = {RECALIBRATION: float(np.linalg.norm(rest))}
+    for name in cases.possible(EFFECTS, load):
+        symptom = EFFECTS[name]
+        if name == own or not (symptom.in_deflection or "temperature" in quantities):
+            continue
+        columns = [
+            whitened({r: stage.read(features, r, COARSE) for r in RECORDS}, origin)
+            for features in _varieties(symptom, base)
+        ]
+        free_of = beyond_parameters(np.column_stack(columns))
+        # What the columns cannot explain, those of one direction in that direction only.
+        if free_of.shape[1] == 1:
+            square = float(np.sum(free_of**2))
+            share = float(free_of[:, 0] @ rest) / max(square, _TINY)
+            if symptom.signs in ((1,), (-1,)):
+                share = max(share, 0.0)
+            left = rest - share * free_of[:, 0]
+        else:
+            basis, spread, _ = np.linalg.svd(free_of, full_matrices=False)
+            basis = basis[:, spread > spread[0] * _TINY]
+            left = rest - basis @ (basis.T @ rest)
+        distances[name] = float(np.linalg.norm(left))
+    rival = min(distances, key=lambda name: distances[name])
+    return {
+        "rival": rival,
+        "distance": round(distances[rival], 3),
+        "distances": {name: round(value, 3) for name, value in distances.items()},
+        "distinguishable": distances[rival] ** 2 > DISTINCT,
+    }
+
+
+def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
+    """Worlds with one feature of the effect, in each of its shapes, at the small end of its natural
+    size."""
+    amount = symptom.signs[0] * symptom.natural[0]
+    shapes: list[dict[str, float]] = [
+        {name: s.low * (s.high / s.low) ** share for name, s in symptom.settings.items()}
+        for share in (_SHAPES if symptom.settings else _SHAPES[:1])
+    ]
+    for k, (name, move) in enumerate(symptom.moves.items()):
+        moved = move.moved(name, base, amount * max(move.weight, key=abs))
+        for shape in shapes if k == 0 else shapes[:1]:
+            yield {**base, **shape, name: moved}
+
+
+# --- A case's label, its bags, and a set of them in a new folder.
+
+NOMINAL = "nominal.yaml"
+LARGEST_SET = 9999
+_LAYOUT = 1
+
 
 def make_label(case: Case, sized: Sized) -> dict[str, Any]:
-    """Everything that a scorer may want to know, as plain JSON."""
     card, load, quantities = case.card, load_kind(case.truth), QUANTITIES[case.card.signals]
     # Noise-free readings, and those without what is hidden: the effect, or the owners' mistakes.
     believed = None
@@ -33,25 +229,25 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
         believed = case.truth.replace({name: case.nominal[name] for name in twins})
     truth = {r: case.read(sized.features, r) for r in RECORDS}
     without = {r: case.read(sized.base, r, parameters=believed) for r in RECORDS}
-    gap = {
-        r: {name: round(value, 4) for name, value in
-            gaps(truth[r], without[r], case.sensors, quantities).items()}
-        for r in RECORDS
-    }  # fmt: skip
+    gap = {}
+    for r in RECORDS:
+        found = gaps(truth[r], without[r], case.sensors, quantities)
+        gap[r] = {name: round(value, 4) for name, value in found.items()}
     severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
     stages = [STAGE_OF.get(name) or OUTSIDE[name].stage for name in card.effects]
     if card.kind == RECALIBRATION:
         stages = sorted({rigs.numbers(load)[name].stage for name in case.wrong})
     # Of each effect: the gap that it makes beside the others.
-    severities = {
-        name: severity if len(card.effects) == 1
-        else round(measured(case, sized.features, sized.without(name), quantities), 4)
-        for name in card.effects
-    }  # fmt: skip
-    found: dict[str, Any] = {}
+    severities = dict.fromkeys(card.effects, severity)
+    for name in card.effects if len(card.effects) > 1 else ():
+        others = dict(sized.base)
+        for other, drawn in sized.draws.items():
+            others = others if other == name else drawn.features(others, sized.amounts[other])
+        severities[name] = round(measured(case, sized.features, others, quantities), 4)
+    apart: dict[str, Any] = {}
     if card.kind not in (NONE, RECALIBRATION):
         own = card.effects[0] if len(card.effects) == 1 else ""
-        found = separation(case, sized.base, truth, without, quantities, own)
+        apart = separation(case, sized.base, truth, without, quantities, own)
     # Where it shows in the record that a diagnosis sees: signal of the largest gap; phase and side
     # of most of that signal's share; stage of the largest effect; the twelve largest cells.
     place: dict[str, Any] | None = None
@@ -61,46 +257,42 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
         signal = max(gap[first], key=lambda name: gap[first][name])
         most = next(row for row in table if row["signal"] == signal)
         place = {
-            "signal": rigs.quantity_of(signal), "channel": signal.rpartition(".")[0],
+            "signal": quantity_of(signal), "channel": signal.rpartition(".")[0],
             "phase": most["phase"], "side": most["side"], "stage": stages[0],
             "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
                       for row in table[:12]],
         }  # fmt: skip
     return {
-        "id": case.name,
-        "kind": card.kind,
-        "effects": list(card.effects),
-        "stages": stages,
-        "signals": card.signals,
-        "noise": card.noise,
-        "kinetics": card.mild_kinetics,
-        "severity": severity,
-        "severities": severities,
-        "targets": list(card.targets),
-        "amounts": dict(sized.amounts),
-        "gap": gap,
-        "nuisance_gap": round(sized.nuisance_gap, 4),
-        "kinetics_gap": round(sized.kinetics_gap, 4),
-        "wrong": dict(case.wrong),
-        "where": place,
-        "distinguishable": found.pop("distinguishable", True),
-        "separation": found or None,
-        "features": dict(sorted(sized.features.items())),
-        "base": dict(sorted(sized.base.items())),
-        "load": load,
-        "truth": rigs.true_values(case.truth),
-        "sensors": asdict(case.sensors),
+        "id": case.name, "kind": card.kind, "effects": list(card.effects), "stages": stages,
+        "signals": card.signals, "noise": card.noise, "kinetics": card.mild_kinetics,
+        "severity": severity, "severities": severities, "targets": list(card.targets),
+        "amounts": dict(sized.amounts), "gap": gap,
+        "nuisance_gap": round(sized.nuisance_gap, 4), "kinetics_gap": round(sized.kinetics_gap, 4),
+        "wrong": dict(case.wrong), "where": place,
+        "distinguishable": apart.pop("distinguishable", True), "separation": apart or None,
+        "features": dict(sorted(sized.features.items())), "base": dict(sorted(sized.base.items())),
+        "load": load, "truth": rigs.true_values(case.truth), "sensors": asdict(case.sensors),
         "drives": {name: vars(drive) for name, drive in case.drives.items()},
-        "starts": dict(case.starts),
-        "version": VERSION,
-    }
+        "starts": dict(case.starts), "version": VERSION,
+    }  # fmt: skip
 
 
-# --- A set in a new folder.
-
-NOMINAL = "nominal.yaml"
-LARGEST_SET = 9999
-_LAYOUT = 1
+def make_case(case: Case, folder: Path) -> dict[str, Any]:
+    """Write the bags and the believed numbers of a case below `folder`; its label."""
+    case = replace(case)  # what is played for it goes with it
+    sized = size(case)
+    label, place = make_label(case, sized), folder / case.name
+    shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
+    place.mkdir()
+    world, quantities = rigs.world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
+    for record in RECORDS:
+        outcome, random = case.play(sized.features, record), case.stream(record)
+        signals = measure(outcome, world, case.sensors, case.channels, random, quantities)
+        write_record(place / record, signals, case.namespace, case.starts[record])
+        if case.storage == "sqlite3":
+            in_sqlite3(place / record)
+    write_parameters(place / NOMINAL, case.nominal, names=sorted(case.nominal.given))
+    return label
 
 
 def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") -> dict[str, Any]:
@@ -120,15 +312,15 @@ def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") 
         with TemporaryDirectory(prefix=f".{out.name}.", dir=out.parent) as parent:
             folder = Path(parent) / out.name
             (folder / CASES).mkdir(parents=True)
-            cases = draw_cases(seed, n, load)
+            due = cases.draw_cases(seed, n, load)
             if jobs > 1:
-                calls = (joblib.delayed(make_case)(case, folder / CASES) for case in cases)
+                calls = (joblib.delayed(make_case)(case, folder / CASES) for case in due)
                 labels = joblib.Parallel(jobs)(calls)
             else:  # joblib's own way in one process now and then lets an interrupt past its caller
-                labels = [make_case(case, folder / CASES) for case in cases]
+                labels = [make_case(case, folder / CASES) for case in due]
             manifest = {
                 "layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "load": load,
-                "split": split_of(seed), "cases": [label["id"] for label in labels],
+                "split": cases.split_of(seed), "cases": [label["id"] for label in labels],
                 "sha256": seal(folder / LABELS, labels),
             }  # fmt: skip
             text = json.dumps(manifest, indent=1) + "\n"
@@ -137,22 +329,3 @@ def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") 
     except OSError as error:
         raise InputError(f"{out}: cannot be made: {error.strerror}") from None
     return manifest
-
-
-def make_case(case: Case, folder: Path) -> dict[str, Any]:
-    """Write the bags and the believed numbers of a case below `folder`; its label."""
-    case = replace(case)  # what is played for it goes with it
-    sized = size(case)
-    label = make_label(case, sized)
-    place = folder / case.name
-    shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
-    place.mkdir()
-    world, quantities = rigs.world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
-    for record in RECORDS:
-        outcome, random = case.play(sized.features, record), case.stream(record)
-        signals = measure(outcome, world, case.sensors, case.channels, random, quantities)
-        write_record(place / record, signals, case.namespace, case.starts[record])
-        if case.storage == "sqlite3":
-            in_sqlite3(place / record)
-    write_parameters(place / NOMINAL, case.nominal, names=sorted(case.nominal.given))
-    return label

@@ -13,32 +13,21 @@ import yaml
 from examination.blind.reality import BY_NAME, Outcome, World, happen
 from examination.blind.sensors import Sensors, readings
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length
-from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.parameters import load_kind, wire_length
 
 Array = npt.NDArray[np.float64]
 
 
 # --- A lab's rig, drawn: what it truly is, and the numbers its owners believe in.
 
-CHANNELS = ("front_1", "front_2", "back_1", "back_2")
-SIDES = ("front", "front", "back", "back")
-
-_TWO = dict.fromkeys(("bench.channels", "bench.channel_sides"), ("front", "back"))
-_ONE = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
-_LAYOUT = {
-    "beam": {"bench.channels": CHANNELS, "bench.channel_sides": SIDES},
-    "force": {"load.kind": "force", **_ONE},
-    "spring": {"load.kind": "spring", **_ONE},
-    "antagonist": {"load.kind": "antagonist", **_TWO},
-}
+_DRAWN = yaml.safe_load(Path(__file__).with_name("cases.yaml").read_text())
+_LAYOUT, _DRIVES = _DRAWN["layouts"], _DRAWN["drives"]
+SIDES = tuple(_LAYOUT["beam"]["bench.channel_sides"])
 # The law's cold martensite is a spring: one that is stretched by its antagonist does not yield.
 _STILL = {"antagonist": {"detwinning_stress": 1e9}}
 # Of two equal stiffnesses the owners know one number.
 FRONT = "composite.stress_per_deflection_front"
 BACK = "composite.stress_per_deflection_back"
-# How wrong a wrong number is, in its own stated standard deviations.
-WRONG_BY = (2.5, 5.0)
 
 
 @dataclass(frozen=True)
@@ -52,11 +41,6 @@ class Number:
     weighed: bool = False
     absolute: bool = False
 
-    def at(self, place: float) -> float:
-        """Between the ends of the population, -1 and 1."""
-        moved = self.spread * place
-        return self.middle + moved if self.absolute else self.middle * (1.0 + moved)
-
     def stated_std(self, value: float) -> float:
         """The standard deviation that the owners state for a number that they believe in."""
         return float(f"{self.std if self.absolute else abs(value) * self.std:.3g}")
@@ -68,18 +52,18 @@ _POPULATION = msgspec.convert(
 
 
 def numbers(load: str) -> dict[str, Number]:
-    """Of a composite, or of wires with another load."""
     return _POPULATION["wire"] | _POPULATION[load] | _POPULATION["temperatures"]
 
 
 def draw_truth(rng: np.random.Generator, load: str = "beam") -> Parameters:
-    """The true numbers of one rig of the population."""
-    drawn = {name: float(n.at(rng.uniform(-1.0, 1.0))) for name, n in numbers(load).items()}
+    drawn = {}
+    for name, n in numbers(load).items():
+        moved = n.spread * rng.uniform(-1.0, 1.0)
+        drawn[name] = float(n.middle + moved if n.absolute else n.middle * (1.0 + moved))
     return _rig(drawn, {}, load)
 
 
 def true_values(truth: Parameters) -> dict[str, float]:
-    """The numbers that the owners of a rig have an opinion on."""
     return {name: float(truth[name]) for name in numbers(load_kind(truth))}
 
 
@@ -105,7 +89,7 @@ def recalibrated(load: str) -> tuple[str, ...]:
 def draw_wrong(rng: np.random.Generator, load: str = "beam") -> dict[str, float]:
     """One to three parameters and their errors in stated standard deviations."""
     names = rng.choice(recalibrated(load), size=int(rng.integers(1, 4)), replace=False)
-    sizes = rng.uniform(*WRONG_BY, len(names)) * rng.choice([-1.0, 1.0], len(names))
+    sizes = rng.uniform(*_DRAWN["wrong_by"], len(names)) * rng.choice([-1.0, 1.0], len(names))
     return {str(name): float(size) for name, size in zip(names, sizes, strict=True)}
 
 
@@ -117,21 +101,14 @@ def world_of(truth: Parameters, features: Mapping[str, float]) -> World:
 def _rig(values: dict[str, float], stds: dict[str, float], load: str) -> Parameters:
     values, stds = ({**given, BACK: given[FRONT]} if FRONT in given else given
                     for given in (values, stds))  # fmt: skip
-    return Parameters({"wire.diameter": 0.3e-3, **_LAYOUT[load], **values}, stds)
+    layout = {n: tuple(v) if isinstance(v, list) else v for n, v in _LAYOUT[load].items()}
+    return Parameters({"wire.diameter": 0.3e-3, **layout, **values}, stds)
 
 
 # --- What the rig is driven with: triangles, steps, staircases and holds, with rests between.
 
 COMMAND_PERIOD = 0.02  # s: an Arduino that is commanded 50 times a second
 FAMILIES = ("triangle", "step", "staircase", "trapezoid")
-DURATIONS = (100.0, 120.0)
-_FIRST = (3.0, 7.0)
-_REST = (4.0, 9.0)
-# Steady temperature that the peak voltage would hold, K above A_f at the highest stress: full
-# cycles end above it, partial ones turn round inside the transformation.
-_FULL = (8.0, 24.0)
-_PARTIAL = (-16.0, -3.0)
-_SWIFT = 1.09  # a triangle lags behind its steady temperature
 
 
 class Pulse(NamedTuple):
@@ -167,18 +144,18 @@ class Drive:
 
 def draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Drive:
     """Full, nested and partial strokes of one of FAMILIES."""
-    duration = float(np.round(rng.uniform(*DURATIONS), 1))
+    duration = float(np.round(rng.uniform(*_DRIVES["duration"]), 1))
     sides = tuple(dict.fromkeys(truth["bench.channel_sides"]))
     side = str(rng.choice(sides))
     # Both sides finish a cycle first; a loop inside a loop and a partial cycle are in every drive.
     plan = ["full", "full", "nested", *rng.permutation(["partial", "partial", "full"])]
-    start, pulses = float(rng.uniform(*_FIRST)), []
+    start, pulses = float(rng.uniform(*_DRIVES["first"])), []
     for reach in plan:
         pulse = _draw_pulse(family, str(reach), side, start, truth, rng)
-        if pulse.times[-1] + _REST[0] > duration:
+        if pulse.times[-1] + _DRIVES["rest"][0] > duration:
             break
         pulses.append(pulse)
-        start = pulse.times[-1] + float(rng.uniform(*_REST))
+        start = pulse.times[-1] + float(rng.uniform(*_DRIVES["rest"]))
         side = sides[(sides.index(side) + 1) % len(sides)]
     return Drive(family, duration, tuple(pulses))
 
@@ -186,11 +163,11 @@ def draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Driv
 def _draw_pulse(
     family: str, reach: str, side: str, start: float, truth: Parameters, rng: np.random.Generator
 ) -> Pulse:
-    above = rng.uniform(*(_FULL if reach == "full" else _PARTIAL))
+    above = rng.uniform(*_DRIVES["full" if reach == "full" else "partial"])
     peak = _volts_for(truth, hottest(truth) + above)
     corners: list[tuple[float, float]] = []  # s, share of the peak
     if family == "triangle":
-        peak *= _SWIFT
+        peak *= _DRIVES["swift"]
         rise, fall = rng.uniform(5.0, 10.0, 2)
         corners = [(0.0, 0.0), (rise, 1.0), (rise + fall, 0.0)]
     elif family == "step":
@@ -333,7 +310,6 @@ class Stage:
 
 
 def quantity_of(signal: str) -> str:
-    """`temperature` of `front_1.temperature`."""
     return signal.rpartition(".")[2]
 
 

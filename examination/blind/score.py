@@ -1,7 +1,8 @@
-"""Answers and labels brought together, once every answer is there."""
+"""Answers and labels brought together once every answer is there, and the result as a page."""
 
+import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,9 @@ from examination.blind import case_files as files
 from examination.blind import judgement
 from examination.blind.case_files import STAGE_OF, CaseSet, Kept
 from examination.blind.examination import NOMINAL, asks_for_more, open_cases
-from examination.blind.judgement import Judged
-from examination.blind.measures import OF_GROUPS, OTHERS, TARGETS, Measured
+from examination.blind.judgement import OF_GROUPS, OTHERS, TARGETS, Bound, Judged, Measure, Measured
 from sma_bench.errors import InputError
+from sma_bench.installation import VERSION
 from sma_bench.parameters import read_parameters
 
 Labels = Mapping[str, Mapping[str, Any]]
@@ -30,30 +31,22 @@ class Paper:
     examination: files.Examination
     kept: tuple[Kept, ...]
 
-    @property
-    def name(self) -> str:
-        return self.examination.name
-
 
 @dataclass(frozen=True)
 class Score:
-    """One examinee judged."""
-
     name: str
     cases: tuple[Judged, ...]
     measured: Mapping[str, Measured]
 
     def to_json(self) -> dict[str, Any]:
         """Measures and confusion matrix as plain data."""
-        return {
-            "measures": {
-                m.name: {**vars(found), "floor": m.floor, "aim": m.aim, "met": m.met(found),
-                         "definition": m.definition}
-                for m in (*TARGETS, *OTHERS) for found in [self.measured[m.name]]
-            },
-            "confusion": confusion(self.cases),
-            "failed": {c.label.id: c.failure for c in self.cases if c.answer is None},
-        }  # fmt: skip
+        measures = {}
+        for m in (*TARGETS, *OTHERS):
+            found = self.measured[m.name]
+            bounds = {"floor": m.floor, "aim": m.aim, "met": m.met(found)}
+            measures[m.name] = {**vars(found), **bounds, "definition": m.definition}
+        failed = {c.label.id: c.failure for c in self.cases if c.answer is None}
+        return {"measures": measures, "confusion": confusion(self.cases), "failed": failed}
 
 
 def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
@@ -92,9 +85,9 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
     judged: list[list[Judged]] = [[] for _ in papers]
     for k, name in enumerate(cases.names):
         label, unseen = labels[name], judgement.UnseenRecord(labels[name])
+        nominal = read_parameters(cases.folder / name / NOMINAL)
         for paper, into in zip(papers, judged, strict=True):
             kept, history = paper.kept[k], files.answers_of(paper.folder, name)
-            nominal = read_parameters(cases.folder / name / NOMINAL)
             improved = read_parameters(kept.improved) if kept.improved else nominal
             tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
             before, after = (
@@ -108,8 +101,8 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
                 before, after, kept.seconds, kept.line,
             ))  # fmt: skip
     return [
-        Score(paper.name, tuple(found), {m.name: m.of(found) for m in (*TARGETS, *OTHERS)})
-        for paper, found in zip(papers, judged, strict=True)
+        Score(paper.examination.name, tuple(of), {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
+        for paper, of in zip(papers, judged, strict=True)
     ]
 
 
@@ -119,7 +112,7 @@ def followed_up(papers: Sequence[Paper]) -> list[Paper]:
     for paper in papers:
         last = tuple(files.answers_of(paper.folder, kept.case)[-1] for kept in paper.kept)
         if last != paper.kept:
-            name = f"{paper.name}{FOLLOWED_UP}"
+            name = f"{paper.examination.name}{FOLLOWED_UP}"
             found.append(Paper(paper.folder, replace(paper.examination, name=name), last))
     return found
 
@@ -141,7 +134,6 @@ def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
 
 
 def truth_of(case: Judged) -> str:
-    """Name of a case's row."""
     if case.label.kind == "single":
         return case.label.effects[0]
     mild = case.label.kind == "none" and case.label.kinetics
@@ -160,18 +152,23 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
         above = "above " * (k == len(_EDGES) - 2)
         return f"{k + 1}: {above}{_EDGES[k]:g}" + f" to {_EDGES[k + 1]:g}" * (not above)
 
+    def distinguishable(case: Judged) -> str:
+        return "distinguishable" if case.label.distinguishable else "not by 5 sigma"
+
+    def kind(case: Judged) -> str:
+        return truth_of(case) if case.label.kind == "none" else case.label.kind
+
     singles = [c for c in cases if c.label.kind == "single"]
+    titles: dict[str, tuple[Sequence[Judged], Callable[[Judged], str]]] = {
+        "single effects by severity (gap over noise)": (singles, severity),
+        "single effects by signals": (singles, lambda c: c.label.signals),
+        "single effects by distinguishability": (singles, distinguishable),
+        "single effects by name": (singles, truth_of),
+        "all cases by kind": (cases, kind),
+        "all cases by noise": (cases, lambda c: c.label.noise),
+    }
     found = {}
-    for title, among, group_of in (
-        ("single effects by severity (gap over noise)", singles, severity),
-        ("single effects by signals", singles, lambda c: c.label.signals),
-        ("single effects by distinguishability", singles,
-         lambda c: "distinguishable" if c.label.distinguishable else "not by 5 sigma"),
-        ("single effects by name", singles, truth_of),
-        ("all cases by kind", cases,
-         lambda c: truth_of(c) if c.label.kind == "none" else c.label.kind),
-        ("all cases by noise", cases, lambda c: c.label.noise),
-    ):  # fmt: skip
+    for title, (among, group_of) in titles.items():
         split: dict[str, list[Judged]] = {}
         for case in among:
             split.setdefault(group_of(case), []).append(case)
@@ -180,3 +177,118 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
             for group in sorted(split, key=_place)
         }
     return found
+
+
+# --- The result as a page: on the terminal, and as a repository keeps it.
+
+_MOST_SHOWN = 4
+_DASH = "–"
+# By style of a measure: factor, digits, unit behind the number.
+_STYLES = {
+    "share": (100.0, 1, " %"),
+    "points": (100.0, 1, ""),
+    "number": (1.0, 2, ""),
+    "seconds": (1.0, 1, " s"),
+}
+
+
+def number(measure: Measure, value: float) -> str:
+    factor, digits, unit = _STYLES[measure.style]
+    return f"{value * factor:.{digits}f}{unit}" if math.isfinite(value) else _DASH
+
+
+def interval(measure: Measure, measured: Measured) -> str:
+    """Low to high; an open end where the cases are too few for a bound."""
+    low, high = number(measure, measured.low), number(measure, measured.high)
+    if not measured.n or low == high == _DASH:
+        return _DASH
+    if _DASH in (low, high):
+        return f"above {low}" if high == _DASH else f"below {high}"
+    return f"{low.removesuffix(_STYLES[measure.style][2])} to {high}"
+
+
+def bound(measure: Measure, value: Bound) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, tuple):
+        return f"{100 * value[0]:.0f} to {100 * value[1]:.0f} %"
+    factor, _, unit = _STYLES[measure.style]
+    return f"{'≥' if measure.better == 'higher' else '≤'} {value * factor:g}{unit}"
+
+
+def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[tuple[str, ...]]:
+    """One row a measure: its name, and each examinee's value with its interval."""
+    rows = []
+    for m in measures:
+        found = [one.measured[m.name] for one in scores]
+        values = [f"{number(m, f.value)} ({interval(m, f)})" if f.n else _DASH for f in found]
+        rows.append((m.title, *values))
+    return rows
+
+
+def tables(one: Score) -> list[str]:
+    """Everything that is known of one examinee: measures, groups of cases, and what was chosen
+    instead of the truth."""
+    rows = {}
+    for m in (*TARGETS, *OTHERS):
+        found, ends = one.measured[m.name], (bound(m, m.floor), bound(m, m.aim))
+        cells = (m.title, str(found.n), number(m, found.value), interval(m, found))
+        rows[m] = cells + ((*ends, m.met(found)) if m in TARGETS else ())
+    header = ("measure", "cases", "value", "95 % interval")
+    lines = _table((*header, "floor", "aim", "met"), [rows[m] for m in TARGETS])
+    lines += ["", "Besides:", "", *_table(header, [rows[m] for m in OTHERS])]
+    for name, by_group in groups(one.cases).items():
+        body = []
+        for group, row in by_group.items():
+            values = [f"{v.value:.2f} ({v.low:.2f} to {v.high:.2f})" for v in row.values()]
+            body.append((group, str(next(iter(row.values())).n), *values))
+            header = ("", "cases", *row)
+        if body:
+            lines += ["", f"{name.capitalize()}:", "", *_table(header, body)]
+    choices = []
+    for truth, row in confusion(one.cases).items():
+        often = [f"{row[name]} {name}" for name in sorted(row, key=lambda name: -row[name])]
+        if len(often) > _MOST_SHOWN:
+            often[_MOST_SHOWN:] = [f"{len(often) - _MOST_SHOWN} more"]
+        choices.append((truth, str(sum(row.values())), ", ".join(often)))
+    header = ("truth", "cases", "most frequent first choices")
+    return [*lines, "", "Truth against first choice:", "", *_table(header, choices)]
+
+
+def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name: str) -> str:
+    """The result page, which a repository keeps as the file `name`."""
+    lines = [
+        "# The withheld-effect check", "",
+        f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {VERSION}, "
+        f"sealed labels {cases.sealed_sha256[:16]}.", "", "```",
+        f"./bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases",
+    ]  # fmt: skip
+    for paper in papers:
+        if not paper.examination.name.endswith(FOLLOWED_UP):
+            is_rival = "rival" in paper.examination.program
+            rival = f" --rival {paper.examination.name}" if is_rival else ""
+            lines.append(f"./bench blind run cases{rival}")
+    lines += [f"./bench blind score cases --markdown {name}", "```", ""]
+    # How many floors and aims each reaches, and which floors it misses.
+    for one in scores:
+        met = {m.name: how for m in TARGETS if (how := m.met(one.measured[m.name]))}
+        missed = [name for name, how in met.items() if how == "missed"]
+        aims, floors = list(met.values()).count("aim"), len(met) - len(missed)
+        text = f"- {one.name}: {aims} aims reached, {floors} of {len(met)} floors"
+        lines.append(text + (f"; missed: {', '.join(missed)}" if missed else ""))
+    lines += ["", "Value (95 % interval); Clopper-Pearson for shares.", ""]
+    rows = [
+        (name, bound(m, m.floor), bound(m, m.aim), *values)
+        for m, (name, *values) in zip(TARGETS, side_by_side(scores, TARGETS), strict=True)
+    ]
+    lines += _table(("measure", "floor", "aim", *(one.name for one in scores)), rows)
+    for one in scores:
+        lines += ["", f"## {one.name}", "", *tables(one), ""]
+    lines += ["## Definitions", ""]
+    lines += [f"- **{m.name}**: {m.definition}" for m in (*TARGETS, *OTHERS) if m.definition]
+    return "\n".join(lines) + "\n"
+
+
+def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    lines = [header, ["---"] * len(header), *rows]
+    return ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]

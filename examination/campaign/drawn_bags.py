@@ -18,78 +18,24 @@ import yaml
 import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
-from examination.campaign.allowance import allowance
+from examination.campaign.outcome import allowance
+from examination.pieces import without_exclusions
 from sma_bench.errors import InputError
 from sma_bench.records import contract, describe, read_record
-from sma_bench.records.messages import TYPES, message
+from sma_bench.records.bag_writer import TYPES, message
 
 RIGHT, LOSS, REFUSED, WRONG, RAISED = "right", "loss said", "refused", "wrong", "raised"
 OUTCOMES = (RIGHT, LOSS, REFUSED, WRONG, RAISED)
 MEMORY, SECONDS = 1 << 30, 20.0  # that reading one of these small bags may take
-HABITS = {
-    "storage": ("mcap", "sqlite3"),
-    "qos": ("none", "profiles"),
-    "inside": ("chunks and index", "chunks, no index", "no chunks", "no checksums"),
-    "compression": ("none", "zstd", "lz4", "of messages", "of files"),
-    "files": ("one", "three", "twelve", "one missing"),
-    "metadata": ("there", "missing", "of the start", "cut off", "of rosbag2 2", "one file less"),
-    "path": ("folder", "file"),
-    "end": ("whole", "not closed", "cut", "zeros", "bit", "garbage", "block gone", "block twice"),
-    "beside": ("nothing", "no schema", "json", "unknown type", "image", "another bench",
-               "another type", "twin", "two channels", "attachment"),
-    "topics": ("/bench", "/", "/lab/a/rig", "old type names", "not cdr"),
-    "content": ("plain", "frames differ", "joints change places", "cells", "big-endian", "NaN",
-                "infinite", "markers alone", "one message each"),
-    "clock": ("epoch", "from 0", "from 0, computer's beside", "an hour apart", "drifting apart",
-              "received late", "never stamped", "one topic never stamped",
-              "one never stamped, an hour apart", "some not stamped", "set while recording",
-              "set back a little", "impossible stamps"),
-    "stamps": ("regular", "jitter", "repeated", "out of order", "received out of order",
-               "messages lost", "one far away"),
-}  # fmt: skip
+_DATA = yaml.safe_load(Path(__file__).with_name("drawn_bags.yaml").read_text(encoding="utf-8"))
+HABITS: dict[str, list[str]] = _DATA["habits"]
 _PLAIN_SHARE = 0.7
-_ONLY_MCAP = {"inside": HABITS["inside"], "compression": ("zstd", "lz4"),
-              "end": ("not closed", "bit", "block gone", "block twice"),
-              "beside": ("no schema", "two channels", "attachment")}  # fmt: skip
-# In a file without checksums nothing tells an altered number from the number.
-_ALTERING = ("bit", "garbage", "block gone", "block twice")
-# What is lost or has two meanings.
-_TELLS_NOT = {
-    "files": ("one missing",), "end": HABITS["end"][1:], "topics": ("not cdr",),
-    "beside": ("another bench", "another type"), "stamps": ("one far away",),
-    "clock": ("some not stamped", "set while recording", "set back a little", "impossible stamps"),
-}  # fmt: skip
 _EPOCH, _HOUR, _DAY = 1_750_000_000 * 10**9, 3600 * 10**9, 86_400 * 10**9
 _DELAY = 2_000_000  # ns from a stamp to its receipt, at most twice that
 _CHUNK, _PAGE = 2000, 4096
 _SAME_TIME, _SAME = 1e-6, 1e-12  # s; V, A, K, m, N: numbers are read as they were written
 
-# Topic, type, Hz, and its fields with their signals, ranges and widths.
-_MEASURED: tuple[tuple[str, str, float, dict[str, tuple[str, float, float, str]]], ...] = (
-    ("wire/power", contract.BATTERY_STATE, 50.0,
-     {"voltage": ("wire.voltage", 0, 6, "f4"), "current": ("wire.current", 0, 2, "f4")}),
-    ("wire/temperature", contract.TEMPERATURE, 20.0,
-     {"temperature": ("wire.temperature", 20, 90, "f8")}),
-    ("joint_states", contract.JOINT_STATE, 25.0,
-     {"tip": ("deflection", -0.02, 0.02, "f8"), "wire": ("elongation", -0.02, 0.02, "f8"),
-      "effort": ("force", -0.02, 0.02, "f8")}),
-    ("front/range", contract.RANGE, 20.0, {"range": ("front.range", 0.05, 0.2, "f4")}),
-    ("voltage_command", contract.MULTI_ARRAY, 50.0, {"data": ("voltage_command", 0, 6, "f8")}),
-    ("experiment/marker", contract.STRING, 0.5, {"data": ("markers", 0, 0, "f8")}),
-)  # fmt: skip
-
-_QOS = {
-    "none": "", "profiles": "- history: 1\n  depth: 10\n  reliability: 2\n  durability: 2\n",
-}  # fmt: skip
-_TABLES = """
-CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
-CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT NOT NULL, type TEXT NOT NULL,
-    serialization_format TEXT NOT NULL, offered_qos_profiles TEXT NOT NULL);
-CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timestamp INTEGER NOT NULL,
-    data BLOB NOT NULL);
-CREATE INDEX timestamp_idx ON messages (timestamp ASC);
-"""
-
+_PROFILES = "- history: 1\n  depth: 10\n  reliability: 2\n  durability: 2\n"
 IntArray = np.ndarray[Any, np.dtype[np.int64]]
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 # Receipt, topic, type, bytes, and the numbers of stream and message.
@@ -98,14 +44,9 @@ Row = tuple[int, str, str, bytes, tuple[int, int]]
 
 @dataclass
 class Stream:
-    """Messages of one topic.
-
-    Attributes:
-        stamp, received: (n,) ns; `order` (n,) that of the file.
-        fields: of the messages, (n,) each.
-        signals: (n,) in SI, by the name that they should have.
-        is_stamped: whether its messages say their stamps, or are known by their receipt alone.
-    """
+    """Messages of one topic: stamps, receipts and order in the file (n,) [ns]; their fields (n,);
+    the signals (n,) in SI that they should be, by name; whether they say their stamps, or are known
+    by their receipt alone."""
 
     topic: str
     type: str
@@ -119,13 +60,8 @@ class Stream:
 
 @dataclass
 class Bag:
-    """A bag as it lies on the disk.
-
-    Attributes:
-        tells: whether the files hold all of the streams, in one meaning.
-        whole: (stream, message) that lie in front of any damage.
-        apart: s that times known by receipt alone may be off.
-    """
+    """A bag as it lies on the disk: (stream, message) that lie `whole` in front of any damage, s
+    `apart` that times known by receipt alone may be off; whether it `tells` all in one meaning."""
 
     path: Path
     streams: list[Stream]
@@ -135,7 +71,7 @@ class Bag:
 
     @property
     def tells(self) -> bool:
-        return not any(self.habits[kind] in odd for kind, odd in _TELLS_NOT.items())
+        return not any(self.habits[kind] in odd for kind, odd in _DATA["tells_not"].items())
 
 
 def draw_habits(rng: np.random.Generator) -> dict[str, str]:
@@ -144,16 +80,7 @@ def draw_habits(rng: np.random.Generator) -> dict[str, str]:
         kind: str(rng.choice(habits[1:])) if rng.random() > _PLAIN_SHARE else habits[0]
         for kind, habits in HABITS.items()
     }
-    for kind, habits in _ONLY_MCAP.items() if drawn["storage"] == "sqlite3" else ():
-        drawn[kind] = HABITS[kind][0] if drawn[kind] in habits else drawn[kind]
-    if drawn["inside"] in ("no chunks", "no checksums") and drawn["compression"] in ("zstd", "lz4"):
-        drawn["compression"] = "none"
-    has_checksums = drawn["inside"].startswith("chunks") and drawn["compression"] != "of files"
-    if drawn["end"] in _ALTERING and not has_checksums:
-        drawn["end"] = "cut"
-    if drawn["path"] == "file":
-        drawn["files"] = "one"
-    return drawn
+    return without_exclusions(drawn, HABITS, _DATA["exclusions"])
 
 
 # --- what is true -------------------------------------------------------------------------------
@@ -169,7 +96,7 @@ def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Strea
     prefix = {"/": "/", "/lab/a/rig": "/lab/a/rig/"}.get(habits["topics"], "/bench/")
 
     streams = []
-    for name, kind, rate, fields in _MEASURED:
+    for name, kind, rate, fields in _DATA["measured"]:
         time = np.arange(1 if content == "one message each" else int(seconds * rate)) / rate
         if stamps == "jitter":
             time += rng.uniform(0.0, 0.9 / rate, len(time))
@@ -363,7 +290,7 @@ def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int
             key = topic, k % 2 if habits["beside"] == "two channels" else 0
             if key not in channels:
                 schema = writer.register_schema(kind, "ros2msg", b"") if kind else 0
-                profiles = {"offered_qos_profiles": _QOS[habits["qos"]]}
+                profiles = {"offered_qos_profiles": _PROFILES * (habits["qos"] == "profiles")}
                 channels[key] = writer.register_channel(
                     topic, _encoding(topic, habits), schema, profiles
                 )
@@ -378,13 +305,14 @@ def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int
 
 def _write_db3(path: Path, rows: list[Row], habits: dict[str, str], number: int) -> list[int]:
     """Write; of a damaged file nothing has to be read."""
+    profiles = _PROFILES * (habits["qos"] == "profiles")
     with contextlib.closing(sqlite3.connect(path)) as database:
-        database.executescript(_TABLES)
+        database.executescript(_DATA["tables"])
         ids: dict[str, int] = {}
         for received, topic, kind, blob, _ in rows:
             if topic not in ids:
                 ids[topic] = number + len(ids) + 1
-                row = ids[topic], topic, kind, _encoding(topic, habits), _QOS[habits["qos"]]
+                row = ids[topic], topic, kind, _encoding(topic, habits), profiles
                 database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
             entry = None, ids[topic], received, blob
             database.execute("INSERT INTO messages VALUES (?, ?, ?, ?)", entry)
@@ -428,7 +356,7 @@ def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[s
         "topics_with_message_count": [
             {"message_count": count, "topic_metadata": {
                 "name": topic, "type": kind, "serialization_format": _encoding(topic, habits),
-                "offered_qos_profiles": _QOS[habits["qos"]]}}
+                "offered_qos_profiles": _PROFILES * (habits["qos"] == "profiles")}}
             for (topic, kind), count in counts.items()
         ],
         "compression_format": "zstd" if habits["compression"] in modes else "",
@@ -477,12 +405,8 @@ def outcome(bag: Bag) -> tuple[str, str]:
 
 
 def _fault(bag: Bag, number: int, true: FloatArray, time: FloatArray, values: FloatArray) -> str:
-    """What is wrong with a signal of stream `number`, read at (m,) s of its clock; "" for nothing.
-
-    Args:
-        true: (n,), as the messages have it.
-        values: (m,)
-    """
+    """What is wrong with a signal of stream `number`, (n,) as the messages have it, read as (m,)
+    values at (m,) s of its clock; "" for nothing."""
     s = bag.streams[number]
     limit = _SAME_TIME + (0.0 if s.is_stamped else bag.apart)
     near = np.abs(time[:, None] - (s.stamp - s.order[0]) * 1e-9) <= limit
@@ -495,7 +419,7 @@ def _fault(bag: Bag, number: int, true: FloatArray, time: FloatArray, values: Fl
     # Of an mcap all that lies in front of the damage is read, unless its stamps forbid it.
     forgiven = {"end": (), "files": ()}
     if bag.habits["storage"] == "mcap" and not any(
-        bag.habits[kind] in odd for kind, odd in (_TELLS_NOT | forgiven).items()
+        bag.habits[kind] in odd for kind, odd in (_DATA["tells_not"] | forgiven).items()
     ):
         first = set(np.unique(s.stamp, return_index=True)[1].tolist())
         due = [k for i, k in bag.whole if i == number and k in first and not np.isnan(true[k])]

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import yaml
 import zstandard
 
 from examination.bags import in_sqlite3
@@ -17,20 +18,10 @@ TOPICS = (
 MAGIC = b"\x89MCAP0\r\n"
 _SUPER_JOURNAL = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _PAGE, _SECTOR = 4096, 512
-# What a program may put in place of the messages of an sqlite3 bag.
-TRICKS = (
-    "CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) "
-    "SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(64) AS data FROM r",
-    "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
-    "data BLOB AS (zeroblob(60000000)))",
-    "CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)",
-    "CREATE TABLE messages (topic_id INTEGER PRIMARY KEY, timestamp, data) WITHOUT ROWID",
-    "CREATE TABLE messages (rowid TEXT, topic_id, timestamp, data)",
-)
+TRICKS = yaml.safe_load(Path(__file__).with_name("hostile.yaml").read_text())["tricks"]
 
 
 def small_bag(path: Path, storage: str) -> Path:
-    """Twenty readings of a voltage."""
     time = np.arange(20) * 0.1
     write_record(path, [Signal("wire.voltage", "V", time, np.ones(20))])
     if storage == "sqlite3":
@@ -39,7 +30,6 @@ def small_bag(path: Path, storage: str) -> Path:
 
 
 def record(opcode: int, content: bytes) -> bytes:
-    """One record of an mcap file."""
     return struct.pack("<BQ", opcode, len(content)) + content
 
 

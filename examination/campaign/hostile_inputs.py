@@ -10,7 +10,6 @@ import shutil
 import sqlite3
 import stat
 import sys
-import tempfile
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,23 +20,25 @@ from unittest import mock
 import numpy as np
 import yaml
 
+import sma_bench
 from examination.bags import in_sqlite3
 from examination.campaign import good_files, hostile_bags
-from examination.campaign.allowance import allowance
 from examination.campaign.drawn_bags import HABITS, Stream, write_bag
 from examination.campaign.mutations import (
     NUMBERS,
+    PLACES,
+    TOPICS,
     changed_series,
     hostile_document,
     hostile_table,
     mutated,
 )
-from examination.campaign.outcome import Outcome
+from examination.campaign.outcome import Outcome, allowance
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
 from sma_bench.commands.identify import MISFIT
 from sma_bench.errors import InputError
-from sma_bench.records import Record, read_record
+from sma_bench.records import Record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.report.page import Picture
 
@@ -46,12 +47,6 @@ _DRAWN_ONE_IN = 7
 _SHOWN, _SHOWN_FAILURES = 160, 5
 VICTIM = "victim of a journal.txt"
 _STAMPS = (0, 1, 10**9, 2**31 * 10**9 - 1)
-_NAMES = (
-    "/other/wire/power", "/bench/\x1b[31mwire/power", "/bench/=1+1/power",
-    "/bench/<b>&/temperature", "/bench/a\nb/temperature", "", "/",
-    "/bench/" + "x" * 3000 + "/power", "/bench/../../etc/passwd", "/bench/$m_1^{/temperature",
-    "/bench/\u202egnp/power",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,26 +64,14 @@ Maker = Callable[[random.Random, Path], Case]
 
 # --- bags ---------------------------------------------------------------------------------------
 
-_DRIVE = """name: drive
-steps:
-  - {kind: staircase, start: 0.0, stop: 4.0, increment: 1.0, dwell: 2.2}
-"""
 _RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
 
 
 @cache
 def drive() -> Record:
     """Eleven seconds of a wire at five voltages: enough to be identified and diagnosed."""
-    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-        protocol, bag = Path(folder, "drive.yaml"), Path(folder, "drive")
-        protocol.write_text(_DRIVE)
-        code = main([
-            "simulate", "--protocol", str(protocol), "--params", str(_RIG), "--rate", "10",
-            "--noise", "1", "--out", str(bag),
-        ])  # fmt: skip
-        if code:
-            raise RuntimeError("the drive cannot be simulated")
-        return read_record(bag)
+    run = sma_bench.simulate(good_files.FOLDER / "drive.yaml", _RIG, rate=10.0)
+    return sma_bench.measure(run, seed=1)
 
 
 def hostile_drive(rng: random.Random, folder: Path) -> Case:
@@ -119,7 +102,7 @@ def _altered_bag(rng: random.Random, folder: Path, **habits: str) -> Path:
 
     def alter(streams: list[Stream]) -> None:
         for s in streams:
-            s.topic = rng.choice(_NAMES) if rng.random() < 0.2 else s.topic
+            s.topic = rng.choice(TOPICS) if rng.random() < 0.2 else s.topic
             some = slice(rng.randrange(len(s.stamp)), None, rng.choice((1, 7, 1000)))
             for values in s.fields.values() if rng.random() < 0.3 else ():
                 with np.errstate(over="ignore"):  # some messages have 32 bits for it
@@ -192,7 +175,7 @@ def hostile_yaml(rng: random.Random, folder: Path) -> Case:
     good, path = good_files.PARAMETERS, folder / "p.yaml"
     if rng.random() < 0.3:
         good, path = good_files.METADATA, bag / "metadata.yaml"
-    path.write_bytes(hostile_document(rng, yaml.safe_load(good)))
+    path.write_bytes(hostile_document(rng, good))
     return Case(bag, ("--params", str(path)) if path.parent == folder else ())
 
 
@@ -218,7 +201,7 @@ def hostile_import(rng: random.Random, folder: Path) -> Case:
     beside = rng.choice(("", "", "", "--params", "--map"))
     if not beside:
         return Case(folder / name, tabled=())
-    document = good_files.MAP if beside == "--map" else yaml.safe_load(good_files.PARAMETERS)
+    document = good_files.MAP if beside == "--map" else good_files.PARAMETERS
     is_hostile, good = rng.random() < 0.8, yaml.safe_dump(document).encode()
     hostile = hostile_document(rng, document) if is_hostile else good
     (folder / "beside.yaml").write_bytes(hostile)
@@ -227,10 +210,8 @@ def hostile_import(rng: random.Random, folder: Path) -> Case:
 
 def hostile_place(rng: random.Random, folder: Path) -> Case:
     """A good bag of a hostile name; links, pipes and folders where files should be."""
-    name = rng.choice((
-        b"a\x1b[31mb", b"caf\xe9", b"a\nb", b"=1+1", b"<img src=x>", b"x" * 120, b"-rf", b"$m^{",
-    ))  # fmt: skip
-    bag = hostile_bags.small_bag(folder / os.fsdecode(name), rng.choice(("mcap", "sqlite3")))
+    name = os.fsdecode(rng.choice(PLACES).encode("latin-1"))
+    bag = hostile_bags.small_bag(folder / name, rng.choice(("mcap", "sqlite3")))
     storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
     trick = rng.choice(("", "link in", "link out", "pipe", "folder", "circle", "pipe alone"))
     if trick == "link in":
@@ -279,9 +260,9 @@ FOR_ALL = tuple(command for command in COMMANDS if command != "import")
 def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     """`size` inputs, each through all commands."""
     terminal.FIRST_LINE = 1e6  # said on a machine that is busy with something else
-    names = [name for name, (weight, _) in MAKERS.items() for _ in range(weight)]
-    results: dict[str, list[str]] = {name: [] for name in MAKERS}
-    failures: dict[str, list[str]] = {name: [] for name in MAKERS}
+    most = max(weight for weight, _ in MAKERS.values())  # one of each kind first
+    names = [name for k in range(most) for name, (weight, _) in MAKERS.items() if k < weight]
+    tried: list[tuple[str, list[str], list[str]]] = []  # kind, failures, commands with a result
     _warm_up(folder)
     for k in range(size):
         name, rng = names[k % len(names)], random.Random(f"{seed} {k}")
@@ -291,26 +272,26 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
         undrawn = mock.patch.object(Picture, "_file", lambda *_, **__: b"")
         with contextlib.nullcontext() if k % _DRAWN_ONE_IN == 0 else undrawn:
             said, succeeded = try_case(MAKERS[name][1], rng, folder)
-        results[name] += succeeded
-        for text in said:
-            failures[name].append(f"input {k} of seed {seed}: {text}")
-            print(f"{name}, {failures[name][-1]}", file=sys.stderr, flush=True)
+        said = [f"input {k} of seed {seed}: {text}" for text in said]
+        print(*(f"{name}, {text}\n" for text in said), sep="", end="", file=sys.stderr, flush=True)
+        tried.append((name, said, succeeded))
     outcomes = []
-    for name in MAKERS:
-        if tried := sum(names[k % len(names)] == name for k in range(size)):
-            counts = [f"{c} {n}" for c in COMMANDS if (n := results[name].count(c))]
-            found = f"failed {len(failures[name])}, results: {', '.join(counts) or 'none'}"
-            found = "; ".join([found, *failures[name][:_SHOWN_FAILURES]])
-            what, met = f"well formed: {name}, through all commands", not failures[name]
-            outcomes.append(Outcome("hostile", what, tried, found, "failed 0", met))
+    for name in dict.fromkeys(name for name, *_ in tried):
+        own = [one for one in tried if one[0] == name]
+        failures = [text for _, said, _ in own for text in said]
+        results = [command for *_, succeeded in own for command in succeeded]
+        counts = [f"{n} {command}" for command in COMMANDS if (n := results.count(command))]
+        lines = [f"failed {len(failures)}, results: {', '.join(counts) or 'none'}"]
+        found = "; ".join(lines + failures[:_SHOWN_FAILURES])
+        what = f"well formed: {name}, through all commands"
+        outcomes.append(Outcome("hostile", what, len(own), found, "failed 0", not failures))
     return outcomes
 
 
 def _warm_up(folder: Path) -> None:
     """What the commands load, and compile once for a machine, is no input's fault."""
-    bag = folder / "warm"
+    bag, table = folder / "warm", folder / "warm.csv"
     write_record(bag, list(drive().signals.values()))
-    table = folder / "warm.csv"
     rows = "".join(f"{k},{k % 5},{20 + k}\n" for k in range(20))
     table.write_text("time [s],voltage [V],temperature [degC]\n" + rows)
     for command in FOR_ALL:

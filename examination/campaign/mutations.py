@@ -7,6 +7,7 @@ import math
 import random
 import re
 import zipfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,19 +26,22 @@ _MAP_BOMB = b"b0: &b0 {x: 1, y: 2}\n" + b"".join(
     b"b%d: &b%d {%s}\n" % (k, k, b", ".join(b"k%d: *b%d" % (n, k - 1) for n in range(9)))
     for k in range(1, 12)
 )
-# What trips parsers, terminals, spreadsheets and pages.
-TRIPWIRES = (
-    b"nan", b"-inf", b"1e999", b"1e308", b"-1e308", b"1e-320", b"-1", b"0", b"9" * 400, b"9" * 5000,
-    b"0x" + b"f" * 5000, b"1" * 5000 + b"x", b"1e-400", b"1_000", b"1,5", b"1.5.5", b"12:00:60",
-    b"9999-12-31 23:59:59", b"2020-13-45", b"\0", b"\xff\xfe", b"\xef\xbb\xbf", b"\r", b"\t",
-    b"\n\n", b",", b";", b'"', b"{", b"[" * 3000, b"]", b"!!python/object/apply:os.system [id]",
-    b"!!binary x", b"!!set {a}", b"<<: *a", b"? [a]", b"*a", b"&a", b"1:2:3:4:5", b"~", b"true",
-    b"''", b'""', b"{}", b"[]", b"\xc3\x28", b"\xe2\x80\xa8", b"=", b"|", b">", b"%", b"---\n",
-    b"...\n", b"\\", b"null", b"[[1, 2], [3]]", b"\n" + _BOMB, b"\n" + _MAP_BOMB, b".." * 50,
-    b"/dev/zero", b"1" + b"0" * 30 + b".0", b"=1+1", b"=cmd|' /C calc'!A1", b"@SUM(A1)",
-    b"\x1b]0;owned\x07", b"\x1b[2J", b"<script>alert(1)</script>", b"$\\frac{", b"{{7*7}}",
-    b"x" * 5000, b"\xe2\x80\xaeV", b"#DIV/0!", b'"\\ud800"',
-)  # fmt: skip
+
+
+def _told(entry: str | list) -> str:
+    """A text of hostile.yaml, or one with a part that is repeated."""
+    if isinstance(entry, str):
+        return entry
+    head, part, times, tail = entry
+    return str(head) + part * times + tail
+
+
+_DATA = yaml.safe_load(Path(__file__).with_name("hostile.yaml").read_text(encoding="utf-8"))
+TRIPWIRES = (*(_told(e).encode("latin-1") for e in _DATA["tripwires"]), b"\n" + _BOMB,
+             b"\n" + _MAP_BOMB)  # fmt: skip
+_TITLES, TOPICS, PLACES = (
+    [_told(entry) for entry in _DATA[kind]] for kind in ("titles", "topics", "places")
+)
 _VALUES: tuple[Any, ...] = (
     None, True, 0, -1, 2**63, 10**400, 1e308, math.inf, math.nan, "", "nan", "\x1b[2J", "=1+1",
     "<<", "~", "x" * 3000, "\ud800", "/dev/zero", "../../x", [], {}, [[1, 2], [3]], {"": {"": 0}},
@@ -138,30 +142,12 @@ def changed_series(
 
 # --- tables -------------------------------------------------------------------------------------
 
-_TITLES = (
-    "t", "Zeit (s)", "duty [%]", "current (A)", "position [mm]", "force [N]", "=1+1", "\x1b[2J",
-    "<script>", "x" * 3000, "", "caf\xe9", "time [s]", "Spannung; V", "$m_1$", "\u202eV",
-)  # fmt: skip
-_UNFOLDS = (
-    '<!DOCTYPE b [<!ENTITY a0 "xxxxxxxxxx">'
-    + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9)) + "]>"
-)  # fmt: skip
-_ENTITY = r'\1<row r="70"><c r="A70"><v>&a8;</v></c></row></sheetData>'
-# What is found in the XML of a workbook, and what may stand in its place.
-_WORKBOOK = (
-    ("</row>", ('<c r="XFD1048576"><v>1</v></c></row>', '<c r="A0"><v>1</v></c></row>',
-                '<c r="B2" t="s"><v>99999</v></c></row>', '<c r="B2" t="d"><v>x</v></c></row>',
-                '<c r="B2" s="1"><v>1e300</v></c></row>', '<c r="B2" s="7"/></row>',
-                '<c r="B2"><f>HYPERLINK("http://a","b")</f></c></row>')),
-    ("</sheetData>", ('<row r="99999999999"/></sheetData>', '<row r="-5"/></sheetData>',
-                      "<row><c><v>1</v></c><c><v>2</v></c></row>" * 60_000 + "</sheetData>")),
-    ("(?s)^(.*)</sheetData>", (
-        _UNFOLDS + _ENTITY, '<!DOCTYPE b [<!ENTITY a8 SYSTEM "file:///etc/passwd">]>' + _ENTITY)),
-    ('<dimension ref="[^"]*"', ('<dimension ref="A1:XFD1048576"', '<dimension ref=""')),
-    ("<sheet [^>]*/>", (r"\g<0>" * 300,)),
-    ('<sheet ([^>]*)name="[^"]*"', (r'<sheet \1name="=1+1"', r'<sheet \1name="../x"')),
-    ('Target="[^"]*sheet1.xml"', ('Target="/etc/passwd"', 'Target="http://a/b"')),
-)  # fmt: skip
+_UNFOLDS = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9))
+_UNFOLDS = f'<!DOCTYPE b [<!ENTITY a0 "xxxxxxxxxx">{_UNFOLDS}]>'
+_WORKBOOK = [
+    (pattern, [_told(text).replace("{unfolds}", _UNFOLDS) for text in texts])
+    for pattern, texts in _DATA["workbook"]
+]
 
 
 def hostile_table(rng: random.Random) -> tuple[str, bytes]:

@@ -1,11 +1,9 @@
 """Do the stated intervals of E5 to E9 hold the truth, whatever the alloy and however noisy?
 
-Alloys are drawn as NiTi wires of the field differ, near the paper's and far from it. The tests of
+Alloys are drawn as NiTi wires of the field differ, near the paper's and far from it; the tests of
 each, by the instruments of examination/attack_lab, have what no test shows by itself (a
-thermometer's class, the lag of a specimen, a gauge's and a micrometer's error) and a noise of their
-own, from tiny to 10 K (or 10 %): cycles and specimens that differ, as well as readings that
-scatter. What is identified without any parameter file, but the diameter and A_s that E8 cannot do
-without, is compared with what was drawn.
+thermometer's class, a specimen's lag, errors of a gauge and a micrometer) and a noise from tiny to
+10 K or 10 %. They are identified without a parameter file, but the diameter and A_s of E8.
 
     ./bench check alloys --draws 200 --seed 1 [--joint 20] [--json FILE]
 
@@ -28,7 +26,8 @@ from examination.pieces import IN_PIECES, in_pieces, options_of, print_coverage
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
-from sma_bench.records.isobaric import IsobaricRecord, read_isobaric
+from sma_bench.records import open_record
+from sma_bench.records.instruments import IsobaricRecord
 
 Z90 = 1.6449
 BAND = (0.85, 0.95)
@@ -46,7 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     own = {"draws": (200, "alloys"), "seed": (1, "of all"), "joint": (20, "E9 of every N-th draw")}
     options = options_of("alloys", __doc__, argv, **own, **IN_PIECES)
     jobs = [(options.seed, draw, options.joint) for draw in range(options.draws)]
-    found = [row for rows in in_pieces(_examine, jobs, options) for row in rows]
+    found = [row for rows in in_pieces(examine, jobs, options) for row in rows]
     print(f"{options.draws} alloys, seed {options.seed}: 90 % intervals that hold the truth")
     parts = {method: [f for f in found if f["method"] == method] for method in METHODS}
     parts["far from the paper's"] = [f for f in found if f["far"] > FAR]
@@ -83,10 +82,6 @@ def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
                     row = {"method": method, "name": name, "z": off / e.std}
                     rows.append(row | {"far": far / paper.std(name)})
     return rows
-
-
-def _examine(job: tuple[int, int, int]) -> list[dict[str, Any]]:
-    return examine(*job)
 
 
 def draw_alloy(random: np.random.Generator) -> Alloy:
@@ -157,7 +152,7 @@ def isobaric_tests(
         lines = [f"{celsius:.4f},{e:.7f},{mega:.4f}" for celsius, e, mega in rows]
         path = folder / f"isobaric_{k}.csv"
         path.write_text("\n".join(["Temperature (C),Strain (mm/mm),Stress (MPa)", *lines, ""]))
-        records.append(read_isobaric(path))
+        records.append(open_record(path))
     return records
 
 

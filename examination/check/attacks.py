@@ -15,13 +15,12 @@ from typing import Any
 import numpy as np
 
 from examination.attack_lab.cases import ATTACKS, Attack, Case, clean_bag, clean_tables
-from examination.pieces import IN_PIECES, in_pieces, options_of
+from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 
 LIMIT = 3.0
 FALSE_ALARMS = 0.02
-ROW = "{:9s} {:46s} {:>5s} {:>6s} {:>6s} {:>7s}  {}"
 KINDS = ("right", "warned", "silent")
 CLEAN = (clean_bag, clean_tables)
 
@@ -36,11 +35,9 @@ def judge(case: Case) -> dict[str, Any]:
     numbers = {}
     for name, truth in case.truth.items():
         if e := found.estimates.get(name):
-            z, errors = (
-                float((e.value - truth) / e.std),
-                {"value": float(e.value), "std": float(e.std)},
-            )
-            numbers[name] = {"truth": truth, **errors, "z": z, "warnings": list(e.warnings)}
+            z = float((e.value - truth) / e.std)
+            numbers[name] = {"truth": truth, "value": float(e.value), "std": float(e.std),
+                             "z": z, "warnings": list(e.warnings)}  # fmt: skip
     return {"refused": "", "numbers": numbers, "warnings": list(found.warnings)}
 
 
@@ -54,10 +51,9 @@ def run_attack(attack: Attack, seeds: Sequence[int]) -> list[dict[str, Any]]:
     return [judge(attack.make(np.random.default_rng(7000 + seed), seed)) for seed in seeds]
 
 
-def run_numbered(job: tuple[str, int, int]) -> Any:
+def run_numbered(what: str, number: int, seed: int) -> Any:
     """An attack by its place in ATTACKS, with so many seeds, or a clean set by its place in CLEAN,
     of this seed: what an attack does to records cannot be sent to a process."""
-    what, number, seed = job
     if what == "attack":
         return run_attack(ATTACKS[number], range(seed))
     return judge(CLEAN[number](np.random.default_rng(9000 + seed), seed))
@@ -75,18 +71,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     found = in_pieces(run_numbered, jobs, options)
     wanted = f"within {LIMIT:g} standard errors, warned of, or silently wrong"
     print(f"{len(chosen)} attacks, {options.seeds} seeds each: every number right {wanted}\n")
-    print(ROW.format("attack", "", *KINDS, "refused", "largest silent, or |z| when right"))
-    silent, false = 0, 0
+    silent, false, rows = 0, 0, []
     for attack, results in zip((ATTACKS[k] for k in chosen), found, strict=False):
         every = [(name, n["z"], verdict(n)) for r in results for name, n in r["numbers"].items()]
         count = Counter(said for *_, said in every)
         shown = [x for x in every if x[2] == ("silent" if count["silent"] else "right")]
         name, z, _ = max(shown, key=lambda x: abs(x[1]), default=("", 0.0, ""))
         worst = f"{name.rpartition('.')[2]} z {z:+.1f}" if name else ""
-        refused = str(sum(bool(r["refused"]) for r in results))
-        counts = (str(count[kind]) for kind in KINDS)
-        print(ROW.format(attack.experiment, attack.name, *counts, refused, worst))
+        refused = sum(bool(r["refused"]) for r in results)
+        counts = (count[kind] for kind in KINDS)
+        rows.append((attack.experiment, attack.name, *counts, refused, worst))
         silent += count["silent"]
+    head = ("attack", "", *(f">{kind}" for kind in KINDS), ">refused")
+    print_table((*head, "largest silent, or |z| when right"), rows)
     clean = jobs[len(chosen) :]
     for (_, kind, seed), result in zip(clean, found[len(chosen) :], strict=True):
         wrong = {n: x["z"] for n, x in result["numbers"].items() if verdict(x) == "silent"}

@@ -1,20 +1,17 @@
 """What the withheld-effect check could reach at most: is a miss the record's, the model's or the
-search's?
+search's? Synthetic.
 
     ./bench check ceilings SET --out DIR [--cases N] [--time-limit S]
 
-SET has been answered (`./bench blind run SET`). Beside its measures stand those of
-
-- exact: the same records, the lab's parameters true to a tenth of what it states;
-- tested: the same records, after every test of the paper (E1 to E3, E6 to E8, DSC) that would
-  narrow a parameter: what no proposal of a test can add to;
-- model: the same cases made by the model's own physics, each effect as large as the answer's fit of
-  it, read by the same instruments (without effects that no library has).
+SET has been answered (`./bench blind run SET`). Beside its measures stand those of the same
+records with the lab's parameters true to a tenth of what it states (exact), or after every test of
+the paper that would narrow one (tested), and of the same cases made by the model's own physics,
+each effect as large as the answer's fit of it (model).
 
 What is missed there too is in no record, or is the search's: what is there is fitted once more from
-the true parameters. Such a fit that ends with more evidence than the search found by 5 nats is a
-failure of the search; one that gains less over the truth without its effect (of a pair: its second
-one) than an effect must gain to be named shows that the effect is in no record. Synthetic.
+the true parameters. Such a fit that ends with 5 nats more than the search found is a failure of the
+search; one that gains less over the truth without its (second) effect than an effect must gain to
+be named shows that the effect is in no record.
 """
 
 import json
@@ -31,17 +28,15 @@ from examination.blind import case_files as files
 from examination.blind import examination as blind
 from examination.blind.cases import QUANTITIES
 from examination.blind.command import DIAGNOSE
-from examination.blind.measures import TARGETS
-from examination.blind.page import side_by_side
+from examination.blind.judgement import TARGETS
 from examination.blind.reality import Outcome, World
-from examination.blind.rigs import CHANNELS, COMMAND_PERIOD, Stage
-from examination.blind.score import handed_in, open_labels, score
+from examination.blind.rigs import COMMAND_PERIOD, Stage
+from examination.blind.score import handed_in, open_labels, score, side_by_side
 from examination.blind.sensors import measure
 from examination.pieces import options_of
 from sma_bench.diagnose.decision import PAIR_THRESHOLD, THRESHOLD
 from sma_bench.diagnose.drives import least_stds
-from sma_bench.diagnose.search import search
-from sma_bench.diagnose.starts import Remainder, find_start
+from sma_bench.diagnose.search import Remainder, find_start, search
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.solver import fit
 from sma_bench.parameters import read_parameters, write_parameters
@@ -158,14 +153,14 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
     # Numbers of the effects that are there, as the answer has fitted them.
     answer = files.read_kept(whole.answers / DIAGNOSIS, label["id"]).answer
     fitted = {
-        c.name: {name: number.value for name, number in c.parameters.items()}
+        c.name: {name: number["value"] for name, number in c.parameters.items()}
         for c in (answer.candidates if answer else ())
     }
     effects = {n: v for name in label["effects"] for n, v in fitted.get(name, {}).items()}
     effects |= fitted.get(files.PAIR_SIGN.join(sorted(label["effects"])), {})
     stage = Stage.from_label(label)
     bench = stage.truth.replace(effects)
-    sensors, world = stage.sensors, World(stage.truth, {})
+    world = World(stage.truth, {})
     for number, record in enumerate((blind.RECORD, blind.HOLD_OUT)):
         drive = stage.drives[record]
         time = drive.grid(COMMAND_PERIOD)
@@ -176,7 +171,8 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
             found.deflection_reading, found.bending, np.full(len(time), 293.0),
         )  # fmt: skip
         random = np.random.default_rng([_STREAM, int(label["id"]), number])
-        signals = measure(outcome, world, sensors, CHANNELS, random, QUANTITIES[label["signals"]])
+        shown = QUANTITIES[label["signals"]]
+        signals = measure(outcome, world, stage.sensors, stage.channels, random, shown)
         write_record(case / record, signals, "bench", _START_NS, replace=True)
 
 

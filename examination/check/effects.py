@@ -2,34 +2,28 @@
 
     ./bench check effects [--seed 1000] [--cases 60]
 
-The single effects of a development set of the withheld-effect check (seeds 1000 to 1999), each
-fitted to its two records as a diagnosis fits it, and its numbers with the errors that a diagnosis
-states. The truth is the reality's own number where it has the same meaning; else the one that
-fits best where there is no noise and nothing of the bench unknown beyond what is stated: the two
-records and one more, five minutes. Counted are effects that gain more over recalibration than a
-verdict asks for. Some ten seconds a case; synthetic.
+The single effects of a development set of the withheld-effect check, each fitted to its two records
+as a diagnosis fits it. The truth is the reality's own number where it has the same meaning; else
+the one that fits best where there is no noise and nothing of the bench unknown beyond what is said.
+Counted are effects that gain more than a verdict asks for. Some ten seconds a case; synthetic.
 """
 
-import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")  # small matrices: idle threads would only wait
-
 import numpy as np
 
 from examination.blind.cases import QUANTITIES, SPLITS, Case, draw_cases
-from examination.blind.judgement import UNSEEN, unseen_drive
-from examination.blind.measures import proportion
+from examination.blind.judgement import UNSEEN, proportion, unseen_drive
+from examination.blind.make import size
 from examination.blind.reality import World
-from examination.blind.rigs import BACK, CHANNELS, FRONT, RECORDS, Stage, true_values
+from examination.blind.rigs import BACK, FRONT, RECORDS, Stage, true_values
 from examination.blind.sensors import Sensors, measure
-from examination.blind.severity import size
 from examination.pieces import options_of
 from sma_bench.diagnose.decision import THRESHOLD
-from sma_bench.diagnose.starts import Remainder, find_start
+from sma_bench.diagnose.search import Remainder, find_start
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit, recalibrate
@@ -75,7 +69,6 @@ class Claim:
 
 
 def claims_of(case: Case) -> list[Claim]:
-    """Numbers of a case's effect."""
     (effect,) = case.card.effects
     stage = replace(case)  # what is played for it goes with it
     features = size(stage).features
@@ -84,7 +77,7 @@ def claims_of(case: Case) -> list[Claim]:
         random = case.stream(name) if name in RECORDS else np.random.default_rng(case.seed)
         outcome, quantities = stage.play(features, name), QUANTITIES[case.card.signals]
         world = World(case.truth, features)
-        signals = measure(outcome, world, sensors, CHANNELS, random, quantities)
+        signals = measure(outcome, world, sensors, stage.channels, random, quantities)
         return Record(Path(name), 0, {signal.name: signal for signal in signals})
 
     # The candidate of this effect, and its gain over recalibration.

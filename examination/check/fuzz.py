@@ -30,7 +30,6 @@ AT_ONCE = 2
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """0 when every input was survived."""
     options = options_of("fuzz", __doc__, argv, inputs=(2_000_000, "of hostile bytes"),
                          seed=(1, "of the first part"))  # fmt: skip
     if shutil.which("cc") is None:

@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 
 from uno.emulated_uno import missing_tools
 
-from examination.pieces import options_of
+from examination.pieces import options_of, print_table
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, write_parameters
@@ -51,26 +51,22 @@ def right(estimates: Mapping[str, Any], truth: Parameters) -> bool:
     )
 
 
-def table(estimates: Mapping[str, Any], truth: Parameters) -> str:
+def show(estimates: Mapping[str, Any], truth: Parameters) -> None:
     """A row a number: truth, what was found, its error, how far off in %, and in stated errors."""
-    row = "{:5}{:>10}{:>12}{:>12}{:>9}{:>11}"
-    rows = [row.format("", "truth", "identified", "std error", "off by", "deviation")]
+    rows = []
     for name, symbol in TABLE_ONE.items():
         cells = ["not found", "", "", ""]
         if found := estimates.get(name):
             off = found["value"] / truth[name] - 1.0
             z = (found["value"] - truth[name]) / found["std"]
             cells = [f"{found['value']:.5g}", f"{found['std']:.2g}", f"{off:+.2%}", f"{z:+.2f}"]
-        rows.append(row.format(symbol, f"{truth[name]:.5g}", *cells))
-    return "\n".join(rows)
+        rows.append((symbol, f"{truth[name]:.5g}", *cells))
+    print_table(("", ">truth", ">identified", ">std error", ">off by", ">deviation"), rows)
 
 
 def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
-    """The identification service's answer of a bench that is made of `truth`.
-
-    Raises:
-        InputError: the Uno cannot be built here, a node ended, or the experiment aborted.
-    """
+    """The identification service's answer of a bench that is made of `truth`; InputError where the
+    Uno cannot be built here, a node ended, or the experiment aborted."""
     from sma_bench.ros.bench_client import BenchClient
     from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
@@ -140,7 +136,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 2
     estimates, holds = answer["parameters"], right(answer["parameters"], truth)
-    print(table(estimates, truth))
+    show(estimates, truth)
     for warning in answer["warnings"]:
         print("note", warning)
     print(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "

@@ -32,17 +32,16 @@ identification of {draws} benches drawn at random (seed {seed})
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the campaign; 0 if the stated errors are true, 1 if not."""
     own = {"draws": (50, "benches"), "seed": (0, "of the first bench")}
     options = options_of("identification", __doc__, argv, **own, **IN_PIECES)
     bags, exact = ", ".join(EXPERIMENTS), ", ".join(EXACT)
     print(HEADER.format(draws=options.draws, seed=options.seed, bags=bags, exact=exact))
-    results = in_pieces(run_draw, range(options.seed, options.seed + options.draws), options)
+    jobs = [(options.seed + k,) for k in range(options.draws)]
+    results = in_pieces(run_draw, jobs, options)
     return 0 if passed(results) else 1
 
 
 def run_draw(seed: int) -> dict[str, Any]:
-    """One bench from its draw to its identified parameters."""
     bench = draw_bench(np.random.default_rng(seed))
     with tempfile.TemporaryDirectory(prefix="sma_bench_check_") as folder:
         records = [read_record(path) for path in record_everything(bench, Path(folder), seed)]
@@ -57,11 +56,8 @@ def run_draw(seed: int) -> dict[str, Any]:
 
 
 def passed(results: Sequence[dict[str, Any]], error_scale: float = 1.0) -> bool:
-    """Whether enough intervals hold the truth, and none is missing; prints a row a number.
-
-    Args:
-        error_scale: judge as if the stated errors were so many times as large: 0.3 must fail.
-    """
+    """Whether enough intervals hold the truth, were the stated errors so many times as large, and
+    none is missing; prints a row a number."""
     found = [
         (name, (p["value"] - p["truth"]) / (error_scale * p["std"]))
         for result in results

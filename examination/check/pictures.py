@@ -43,7 +43,7 @@ SHOWN_AT, PERIOD = 58.0, 0.02  # s of the protocol
 
 # Picture: page, window, scheme, element (the window where none), and the code that draws it.
 _DASHBOARD = ("sma_bench/dashboard/*",)
-_REPORT = ("sma_bench/report/*", "sma_bench/cards.py", "sma_bench/templates/*")
+_REPORT = ("sma_bench/report/*", "sma_bench/results.py", "sma_bench/templates/*")
 PICTURES: dict[str, tuple[str, tuple[int, int], str, str, tuple[str, ...]]] = {
     "dashboard.png": ("dashboard", DESKTOP, "light", "", _DASHBOARD),
     "dashboard_phone.png": ("dashboard", PHONE, "dark", "", _DASHBOARD),
@@ -62,7 +62,6 @@ _COMMANDS = (
 
 
 def source_hash(patterns: Sequence[str]) -> str:
-    """Of the code that draws a picture."""
     files = sorted({file for pattern in patterns for file in ROOT.glob(pattern) if file.is_file()})
     return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
 
@@ -108,15 +107,16 @@ def live_bench(folder: Path) -> StandIn:
         "progress": {"protocol": protocol.name, "step": protocol.step_at(SHOWN_AT),
                      "elapsed": SHOWN_AT, "duration": protocol.duration, "node": "experiment",
                      "heard": now[0]},
-        "identification": live.identification_summary((folder / "identified.json").read_text()),
-        "diagnosis": live.diagnosis_summary((folder / "gap.json").read_text()),
+        **{
+            node: live.result_summary(node, (folder / file).read_text())
+            for node, file in (("identification", "identified.json"), ("diagnosis", "gap.json"))
+        },
     }.items():  # fmt: skip
         state.show(panel, content)
     return bench
 
 
 def small(picture: bytes) -> bytes:
-    """The same with few colours."""
     image = Image.open(io.BytesIO(picture)).convert("RGB").quantize(COLOURS, dither=0)
     stream = io.BytesIO()
     image.save(stream, "PNG", optimize=True)

@@ -1,13 +1,11 @@
 """The locks of all that is installed: whether they are whole, agree, and are safe.
 
-A requirement file says which version; its lock in `locks/` adds the hash of every file of that
-version that the package index has, for all Pythons and machines, and what that version requires.
-`./bench` installs locks without resolving (`pip install --no-deps --require-hashes`), so nothing
-that is published later changes anything. Without an option this says, offline, whether a lock is
-its requirement file with hashes, and whether two locks name different versions. That they install,
-with all that their packages require, test/packaging shows with pip. `--write` asks the index anew
-(with uv, fetched for the purpose, and pip) and is due after every change of a requirement file.
-`--audit` asks for known vulnerabilities (with pip-audit) and, where it cannot ask, says so.
+A requirement file says which version; its lock in `locks/` adds the hash of every file of it that
+the package index has, and what it requires; `./bench` installs locks without resolving. Without an
+option this says, offline, whether a lock is its requirement file with hashes, and whether two name
+different versions. `--write` asks the index anew (with uv, fetched for the purpose, and pip) and is
+due after every change of a requirement file. `--audit` asks for known vulnerabilities (with
+pip-audit) and, where it cannot ask, says so.
 
     ./bench check pins [--write] [--audit]
 """
@@ -20,7 +18,7 @@ import tempfile
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from packaging.markers import Marker
 from packaging.requirements import Requirement
@@ -73,10 +71,9 @@ def read_lock(path: Path) -> dict[str, Locked]:
     return found
 
 
-def disagreements(requirements: Path, lock: Path) -> list[str]:
-    """A line for everything in which a lock is not its requirement file with hashes."""
-    if not lock.exists():
-        return [f"{lock.name}: no lock"]
+def problems() -> list[str]:
+    """A line for everything in which a lock is not its requirement file with hashes, and for every
+    package that two of them have in different versions."""
 
     def pinned(text: str) -> set[tuple[str, str, str]]:
         """(name, version, marker) of every line, names and quotes in one form."""
@@ -86,39 +83,32 @@ def disagreements(requirements: Path, lock: Path) -> list[str]:
             for name, version, marker in _PIN.findall(text)
         }  # fmt: skip
 
-    wanted, given = pinned(requirements.read_text()), pinned(lock.read_text())
-    found = sorted(
-        f"{lock.name}: {name}=={version} is not {what}"
-        for pins, what in ((wanted - given, "locked"), (given - wanted, "required"))
-        for name, version, _ in pins
-    )
-    bare = len(given) - len(_HASHED.findall(lock.read_text()))
-    return found + ([f"{lock.name}: {bare} without a hash"] if bare else [])
-
-
-def conflicts(locks: dict[str, dict[str, Locked]]) -> list[str]:
-    """A line for every package that two locks of one environment have in different versions."""
+    found = []
+    for path in requirement_files():
+        lock = LOCKS / path.name
+        if path.name not in BELOW:
+            found.append(f"{path.name}: not in BELOW of {__file__}")
+        if not lock.exists():
+            found.append(f"{path.name}: no lock")
+            continue
+        wanted, given = pinned(path.read_text()), pinned(lock.read_text())
+        for pins, what in ((wanted - given, "locked"), (given - wanted, "required")):
+            found += sorted(f"{path.name}: {n}=={version} is not {what}" for n, version, _ in pins)
+        if bare := len(given) - len(_HASHED.findall(lock.read_text())):
+            found.append(f"{path.name}: {bare} without a hash")
     versions: dict[tuple[bool, str], dict[str, str]] = defaultdict(dict)
-    for file, packages in locks.items():
-        for package in packages.values():
+    for file in BELOW:
+        for package in read_lock(LOCKS / file).values():
             versions[file in UBUNTU, package.name][file] = package.version
-    return [
-        f"{name}: " + ", ".join(f"{version} in {file}" for file, version in sorted(each.items()))
-        for (_, name), each in sorted(versions.items())
-        if len(set(each.values())) > 1
-    ]
+    for (_, name), each in sorted(versions.items()):
+        if len(set(each.values())) > 1:
+            shown = (f"{version} in {file}" for file, version in sorted(each.items()))
+            found.append(f"{name}: {', '.join(shown)}")
+    return found
 
 
 def requirement_files() -> list[Path]:
     return sorted(ROOT.glob("requirements*.txt"))
-
-
-def problems() -> list[str]:
-    """A line for everything that is wrong with the locks."""
-    files = requirement_files()
-    found = [f"{file.name}: not in BELOW of {__file__}" for file in files if file.name not in BELOW]
-    found += [line for file in files for line in disagreements(file, LOCKS / file.name)]
-    return found + conflicts({file: read_lock(LOCKS / file) for file in BELOW})
 
 
 def write_locks(folder: Path) -> int:
@@ -185,24 +175,17 @@ def audit(folder: Path) -> int:
             last = process.stderr.strip().splitlines()[-1:] or ["no answer"]
             print(f"pins: not audited: the vulnerability service cannot be asked: {last[0][:120]}")
             return 0
-        lines = audited(path.name, json.loads(process.stdout)["dependencies"])
-        print("\n".join(lines))
-        found |= len(lines) > 1
+        # How many packages of the lock the service knows, then a line for each vulnerability.
+        packages = json.loads(process.stdout)["dependencies"]
+        known = [package for package in packages if "skip_reason" not in package]
+        print(f"{path.name}: the service knows {len(known)} of {len(packages)} packages")
+        for package in known:
+            for flaw in package["vulns"]:
+                mended = ", ".join(flaw["fix_versions"]) or "no version yet"
+                name = f"{package['name']} {package['version']}"
+                print(f"  {name}: {flaw['id']}, mended in {mended}")
+                found = 1
     return found
-
-
-def audited(name: str, packages: list[dict[str, Any]]) -> list[str]:
-    """How many packages of a lock the service knows, then a line for each vulnerability."""
-    known = [package for package in packages if "skip_reason" not in package]
-    head = f"{name}: {len(known)} of {len(packages)} packages audited"
-    if len(known) < len(packages):
-        head += ", the others are unknown to the vulnerability service"
-    return [head] + [
-        f"  {package['name']} {package['version']}: {flaw['id']}, "
-        f"mended in {', '.join(flaw['fix_versions']) or 'no version yet'}"
-        for package in known
-        for flaw in package["vulns"]
-    ]
 
 
 def _tools(folder: Path, *pins: str) -> Path:

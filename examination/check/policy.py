@@ -15,11 +15,12 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import rclpy
+import yaml
 
 from examination.pieces import options_of
-from sma_bench.hardware.thermal_settings import regions_side_by_side
+from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.nodes.start import node_class
-from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.processes import private_ros_environment
 
@@ -34,19 +35,9 @@ KINDS = {
     "publish": ("topics", "topic"), "subscribe": ("topics", "topic"),
     "reply": ("services", "service"), "request": ("services", "service"),
 }  # fmt: skip
-# Of CONTRACT's table; `*` is a channel, whose names are the bench's own.
-CONTRACT = (
-    "voltage_command", "*/power", "*/temperature", "front/range", "back/range", "joint_states",
-    "thermal_image", "ambient/temperature", "experiment/marker",
-)  # fmt: skip
-# These listen to whatever of the contract is there, and stop what can be stopped; the dashboard
-# has records worked on, too.
-LISTENERS = ("recorder", DASHBOARD)
-_STOPS = ("*/stop", "*/get_parameters")
-_WORK = ("diagnosis/diagnose", "diagnosis/set_parameters", "identification/identify",
-         "identification/set_parameters")  # fmt: skip
+_ADDED = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
+CONTRACT, LISTENERS = _ADDED["contract"], _ADDED["listeners"]
 _CLOCK = "/clock"
-_STATES = ("/diagnostics", "*/state", "*/progress", "*/result")
 _PICTURE = (382, 288)
 
 # Node -> kind of KINDS -> names, relative to the namespace or absolute.
@@ -54,16 +45,13 @@ Rules = dict[str, dict[str, set[str]]]
 
 
 def nodes_rules() -> Rules:
-    """What the nodes of this package have."""
     private_ros_environment()
     rules: Rules = {name: {kind: set() for kind in KINDS} for name in (*NODE_TABLES, DASHBOARD)}
-    groups = {p.name.split(".")[0] for table in NODE_TABLES.values() for p in table}
-    own_groups = groups - {name.split(".")[0] for name in Parameters.defaults()}
     for name, rig in product(NODE_TABLES, RIGS):
         if name == "deflection_controller" and rig == RIGS[0]:
             continue  # a straight wire bends nothing
         file = ROOT / "config" / rig
-        channels = read_parameters(file, ignore=own_groups)["bench.channels"]
+        channels = read_parameters(file)["bench.channels"]
         with tempfile.TemporaryDirectory() as folder:
             # What a node cannot do without.
             needed = {
@@ -101,9 +89,8 @@ def nodes_rules() -> Rules:
                 )
     for name in LISTENERS:
         rules[name]["subscribe"] |= set(CONTRACT)
-    rules[DASHBOARD]["subscribe"] |= set(_STATES)
-    rules[DASHBOARD]["publish"] |= {"voltage_command", "/rosout", "/parameter_events"}
-    rules[DASHBOARD]["request"] |= {*_STOPS, *_WORK}
+    for kind, names in _ADDED[DASHBOARD].items():
+        rules[DASHBOARD][kind] |= set(names)
     return rules
 
 

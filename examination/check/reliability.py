@@ -1,40 +1,32 @@
 """Under faults nothing is lost and nothing falls over: every fault many times, as a table.
 
-Hostile inputs, recorders killed, full disks, leaping clocks, foreign traffic, nodes killed and
-started again in all orders, hours of a bench in virtual time, parsers fed with anything.
+Hostile inputs, recorders killed, full disks, foreign traffic, nodes killed and started again in all
+orders, hours of a bench in virtual time, parsers fed with anything.
 Each line says what was tried how often, what came of it and what is allowed. Some forty minutes
 on two free cores; sizes by option, the same seed damages the same places.
 
     ./bench check reliability [--only SECTION ...] [--scale 0.1]
 """
 
-import os
 import sys
 import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-from examination.campaign.foreign_traffic import foreign_traffic, leaping_clocks
+from examination.campaign import nodes
 from examination.campaign.full_disk import full_disk
 from examination.campaign.hostile_inputs import edited_inputs, hostile_inputs
-from examination.campaign.killed_recorder import killed_recorder
-from examination.campaign.restarted_nodes import restarted_nodes
-from examination.campaign.soak import soak
 from examination.pieces import options_of
 
 # Section: what, how often unless said otherwise, and what does it (size, seed, folder).
 CAMPAIGNS = {
     "hostile": ("well-formed hostile inputs", 20_000, hostile_inputs),
-    "killed": ("recorders killed while they record", 20, killed_recorder),
+    "killed": ("recorders killed while they record", 20, nodes.killed_recorder),
     "disk": ("disks that fill up", 20, full_disk),
-    "clocks": ("leaps of /clock at the recorder", 20, leaping_clocks),
-    "traffic": ("messages a topic of foreign types and broken bytes", 500, foreign_traffic),
-    "restarts": ("orders in which nodes are killed and started again", 36, restarted_nodes),
-    "soak": ("minutes of the bench's time, 60 or more", 180, soak),
+    "traffic": ("messages a topic of foreign types and broken bytes", 500, nodes.foreign_traffic),
+    "restarts": ("orders in which nodes are killed and started again", 36, nodes.restarted_nodes),
+    "soak": ("minutes of the bench's time, 60 or more", 180, nodes.soak),
     "parsers": ("edited inputs a parser", 2000, edited_inputs),
 }
 ROW = "{:9} {:58.58} {:>7}  {:4} {}"

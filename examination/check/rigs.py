@@ -1,13 +1,11 @@
 """Does a fit stay among the numbers of a bench, whatever is stated of it?
 
 Rigs of every load are drawn, with statements from exact to absurdly wide, some at an end of their
-range, some a long way off, and effects that the file states. A short record of each is simulated
-(synthetic data), identified and diagnosed. Either has a finite result, or one line that says what
-cannot be; no exception, no warning of a library, and no "nothing to identify".
+range or a long way off. A short record of each is simulated, identified and diagnosed: either has a
+finite result, or one line that says what cannot be; no exception, no warning of a library, and no
+"nothing to identify".
 
     ./bench check rigs --draws 200 --seed 0 --json result.json
-
-A piece is `--draws 50 --seed 100`: draw k is the same whatever it is drawn beside.
 """
 
 import json
@@ -23,12 +21,11 @@ from typing import Any
 import numpy as np
 
 import sma_bench
-from examination.pieces import IN_PIECES, in_pieces, options_of
+from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BENDING, HEAT, LOADS, MATERIAL, TEMPERATURES
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import LOAD_KINDS
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records import Record
 
@@ -45,17 +42,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Draw and try; 0 if nothing failed, 1 if something did."""
     own = {"draws": (20, "rigs"), "seed": (0, "of the first rig")}
     options = options_of("rigs", __doc__, argv, **own, **IN_PIECES)
-    found = in_pieces(try_rig, range(options.seed, options.seed + options.draws), options)
+    jobs = [(options.seed + k,) for k in range(options.draws)]
+    found = in_pieces(try_rig, jobs, options)
     for one in found:
         said = ", ".join(f"{work} {one[work]}" for work in WORK)
         print(f"{one['seed']}: {one['load']}: {said}")
         for text in filter(None, (one[f"{work} said"] for work in WORK)):
             print(f"    {text}")
-    ends = (FINE, REFUSED, HIDDEN, RAISED)
-    print(f"{'load':12}{'work':12}" + "".join(f"{end:>22}" for end in ends))
+    ends, rows = (FINE, REFUSED, HIDDEN, RAISED), []
     for load, work in product(LOAD_KINDS, WORK):
         count = Counter(one[work] for one in found if one["load"] == load)
-        print(f"{load:12}{work:12}" + "".join(f"{count[end]:22}" for end in ends))
+        rows.append((load, work, *(count[end] for end in ends)))
+    print_table(("load", "work", *(f">{end}" for end in ends)), rows)
     return 0 if all(one[work] in (FINE, REFUSED) for one in found for work in WORK) else 1
 
 
@@ -95,7 +93,7 @@ def identified(record: Record, stated: Parameters) -> tuple[list[float], Paramet
 def diagnosed(record: Record, stated: Parameters) -> tuple[list[float], Parameters]:
     result = sma_bench.diagnose(record, stated)
     json.dumps(result.to_json(), allow_nan=False)
-    numbers = [c.probability for c in result.decision.candidates]
+    numbers = [c.probability for c in result.candidates]
     return [*numbers, *result.model.x.tolist(), *result.model.errors.tolist()], result.improved
 
 

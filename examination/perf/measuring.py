@@ -14,11 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
+
+import sma_bench
+from examination.pieces import print_table
+from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.protocols import load_protocol
+from sma_bench.records import Record
+from sma_bench.records.bag_writer import write_record
+from sma_bench.synthetic.bench_records import protocol_record
 
 Array = np.ndarray
-_WIDE = 140
 LINEAR = 1.15  # exponent: what may be called linear growth
 
 
@@ -41,31 +46,24 @@ class Figure:
 
     @property
     def verdict(self) -> str:
-        reached = self.least <= self.value <= self.most
-        return {True: "met", False: "missed"}[reached] if self.aim else ""
+        return ("met" if self.least <= self.value <= self.most else "missed") if self.aim else ""
 
 
 def print_section(name: str, figures: Iterable[Figure], seconds: float, missing: str) -> None:
     """The figures of a section as a table, and why it is not complete."""
-    console = Console(highlight=False, width=max(_WIDE, Console().width))
-    table = Table(title=f"{name} ({seconds:.0f} s)", title_justify="left", box=None, pad_edge=False)
-    for heading in ("case", "measure", "value", "unit", "aim", ""):
-        table.add_column(heading, justify="right" if heading == "value" else "left", no_wrap=True)
-    for f in figures:
-        table.add_row(f.case, f.measure, f"{f.value:.3g}", f.unit, f.aim, f.verdict)
-    console.print(table)
-    if missing:
-        console.print(f"not measured: {missing}", soft_wrap=True)
-    console.print()
+    rows = [(f.case, f.measure, f"{f.value:.3g}", f.unit, f.aim, f.verdict) for f in figures]
+    print(f"{name} ({seconds:.0f} s)")
+    print_table(("case", "measure", ">value", "unit", "aim", ""), rows)
+    print(f"not measured: {missing}\n" if missing else "")
 
 
 def as_json(figures: Iterable[Figure], missing: str) -> dict[str, Any]:
     """A section; a value that is not finite is null."""
-    rows = []
-    for f in figures:
-        value = float(f.value) if np.isfinite(f.value) else None
-        numbers = {"value": value, "unit": f.unit, "aim": f.aim, "verdict": f.verdict}
-        rows.append({"case": f.case, "measure": f.measure, **numbers})
+    rows = [
+        {"case": f.case, "measure": f.measure, "unit": f.unit, "aim": f.aim, "verdict": f.verdict,
+         "value": float(f.value) if np.isfinite(f.value) else None}
+        for f in figures
+    ]  # fmt: skip
     return {"figures": rows, "missing": missing}
 
 
@@ -76,7 +74,6 @@ def processor() -> float:
 
 
 def processor_of(pid: int) -> float:
-    """Seconds of the processor that another process has had."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
@@ -118,3 +115,42 @@ def ratio(slower: Array, faster: Array) -> float:
 def exponent(sizes: Iterable[float], seconds: Iterable[float]) -> float:
     """Slope of log time over log size: 1 is linear growth."""
     return float(np.polyfit(np.log(list(sizes)), np.log(list(seconds)), 1)[0])
+
+
+# --- Synthetic records that several sections measure with.
+
+ROOT = Path(__file__).resolve().parents[2]
+COMPOSITE = ROOT / "config" / "composite_rig.yaml"
+RATE = 100.0  # Hz
+TRIANGLES, STEPS = "composite_diagnosis_triangles", "composite_diagnosis_steps"
+_HIDDEN = {"effect.side_heat_coupling.conductance": 0.03}
+# 1 to 5.5 V and back, then 0.
+_LEVELS = np.array([1.0, 1.9, 2.8, 3.7, 4.6, 5.5, 5.5, 4.6, 3.7, 2.8, 1.9, 1.0, 0.0])
+
+
+def staircase_bag(bag: Path, duration: float) -> Path:
+    """A wire led up and down a staircase of voltages, 5 s each."""
+    time = np.arange(int(duration * RATE)) / RATE
+    voltage = _LEVELS[(time / 5.0).astype(int) % _LEVELS.size]
+    record = sma_bench.measure(sma_bench.simulate((time, voltage), Parameters.defaults()))
+    write_record(bag, list(record.signals.values()))
+    return bag
+
+
+def diagnosis_case(folder: Path) -> tuple[Path, Path]:
+    """A composite bag with an effect that its parameter file does not know."""
+    paper = read_parameters(COMPOSITE)
+    record = protocol_record(STEPS, paper.replace(_HIDDEN))
+    bag, file = folder / "gap", folder / "paper.yaml"
+    write_record(bag, list(record.signals.values()))
+    write_parameters(file, paper)
+    return bag, file
+
+
+def long_record(protocol: str, length: float) -> Record:
+    """A protocol of the composite again and again, in memory."""
+    paper = read_parameters(COMPOSITE)
+    once = load_protocol(protocol, paper).sample(1.0 / RATE)[1]
+    time = np.arange(int(length * RATE)) / RATE
+    voltage = np.take(once, np.arange(time.size), axis=0, mode="wrap")
+    return sma_bench.measure(sma_bench.simulate((time, voltage), paper.replace(_HIDDEN)))

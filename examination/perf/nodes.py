@@ -15,9 +15,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray
 
-from examination.perf.measuring import Figure, processor_of
-from examination.perf.records import COMPOSITE
-from sma_bench.hardware.thermal_settings import regions_side_by_side
+from examination.perf.measuring import COMPOSITE, Figure, processor_of
+from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.parameters import read_parameters
 from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
@@ -32,7 +31,6 @@ TWIN_RATE = 500.0  # Hz
 
 
 def nodes(tiny: bool = False) -> Iterator[Figure]:
-    """The simulator at each rate, then the camera."""
     for rate in RATES[:1] if tiny else RATES:
         yield from _simulator(rate, 1.0 if tiny else 6.0)
     if not tiny:
@@ -41,7 +39,6 @@ def nodes(tiny: bool = False) -> Iterator[Figure]:
 
 
 def twin(tiny: bool = False) -> Iterator[Figure]:
-    """The pace that the node keeps, and its share of a core."""
     for name in ["one wire"] if tiny else RIGS:
         yield from _twin_node(f"{name} at {TWIN_RATE:g} Hz", RIGS[name], 1.0 if tiny else 8.0)
 

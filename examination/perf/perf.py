@@ -2,19 +2,14 @@
 
 import argparse
 import json
-import os
 import sys
 import time
 from importlib import import_module
 from pathlib import Path
 
-# The fits' matrices are small: BLAS threads that wait for each other only slow them down.
-for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-    os.environ.setdefault(_variable, "1")
+from examination.perf.measuring import Figure, as_json, print_section
 
-from examination.perf.measuring import Figure, as_json, print_section  # noqa: E402
-
-# Functions that yield figures, in a module of their name or in another one.
+# Functions that yield figures, in MODULES or in work.
 SECTIONS = {
     "simulation": "stiff solvers at equal error",
     "reading": "bags: rosbags, mcap-ros2-support",
@@ -25,8 +20,7 @@ SECTIONS = {
     "twin": "whether the twin keeps 500 Hz, and what it takes of a core",
     "batch": "identified, diagnosed; on one process and on all cores",
 }
-MODULES = {"twin": "nodes"}
-MODULES |= dict.fromkeys(("commands", "diagnosis", "identification", "batch"), "work")
+MODULES = {"simulation": "solvers", "nodes": "nodes", "twin": "nodes"}
 
 
 def main(argv: list[str]) -> int:
@@ -45,7 +39,7 @@ def main(argv: list[str]) -> int:
     for name in arguments.sections or SECTIONS:
         begin, figures, missing = time.monotonic(), list[Figure](), ""
         try:
-            module = import_module(f"examination.perf.{MODULES.get(name, name)}")
+            module = import_module("examination.perf." + MODULES.get(name, "work"))
             for figure in getattr(module, name)(arguments.tiny):
                 figures.append(figure)
         except (ImportError, RuntimeError, OSError) as error:  # the others go on

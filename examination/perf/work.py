@@ -10,19 +10,23 @@ import shutil
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 
 import sma_bench
+from examination.bags import in_sqlite3
 from examination.blind.make import make
-from examination.perf import records
-from examination.perf.measuring import LINEAR, Figure, exponent, processor
+from examination.perf import measuring
+from examination.perf.measuring import LINEAR, Figure, exponent, interleaved, processor, ratio
 from sma_bench.diagnose import diagnose
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.records import read_record
+from sma_bench.records.bag_writer import TYPES
 from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks
 
 COMPILING = 22.0  # s, what it took before the diagnosis was made faster
@@ -43,7 +47,7 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
     """Help, identification of a short and of a 30-minute bag, diagnosis, a cold start."""
     with TemporaryDirectory() as name:
         folder = Path(name)
-        short = records.staircase_bag(folder / "short", 30.0 if tiny else 60.0)
+        short = measuring.staircase_bag(folder / "short", 30.0 if tiny else 60.0)
         commands = {
             "--help": ["--help"],
             "identify --help": ["identify", "--help"],
@@ -51,8 +55,8 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
         }
         most = dict(zip(commands, (1.0, 1.0, 2.0), strict=True))
         if not tiny:
-            gap, paper = map(str, records.diagnosis_case(folder))
-            long = records.staircase_bag(folder / "long", 1800.0)
+            gap, paper = map(str, measuring.diagnosis_case(folder))
+            long = measuring.staircase_bag(folder / "long", 1800.0)
             commands["identify a 30-minute bag"] = ["identify", str(long)]
             commands["diagnose a composite bag"] = ["diagnose", gap, "--params", paper]
         for case, words in commands.items():
@@ -75,13 +79,24 @@ def run(words: Sequence[str], environment: Mapping[str, str] | None = None) -> t
     """
     command = [sys.executable, "-P", "-m", "sma_bench.cli", *words]
     variables = {**os.environ, **(environment or {})}
+
+    def work() -> str:
+        done = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
+        return f"{' '.join(words)}: {done.stderr.strip()}" if done.returncode else ""
+
+    return spent(work)
+
+
+def spent(work: Callable[[], str]) -> tuple[float, float]:
+    """Seconds on the wall, and of the processors of the processes that work has begun. Raises
+    RuntimeError with what it says."""
     begin, before = time.perf_counter(), os.times()
-    process = subprocess.run(command, capture_output=True, text=True, check=False, env=variables)
-    wall, after = time.perf_counter() - begin, os.times()
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(words)}: {process.stderr.strip()}")
-    used = after.children_user - before.children_user
-    return wall, used + after.children_system - before.children_system
+    if failed := work():
+        raise RuntimeError(failed)
+    after = os.times()
+    used = after.children_user + after.children_system
+    used -= before.children_user + before.children_system
+    return time.perf_counter() - begin, used
 
 
 def _cold(copy: Path, words: Sequence[str]) -> tuple[float, float]:
@@ -90,20 +105,20 @@ def _cold(copy: Path, words: Sequence[str]) -> tuple[float, float]:
     ignored = shutil.ignore_patterns("__pycache__")
     shutil.copytree(Path(sma_bench.__file__).parent, copy / "sma_bench", ignore=ignored)
     for shared in ("package.xml", "config"):
-        (copy / shared).symlink_to(records.ROOT / shared)
+        (copy / shared).symlink_to(measuring.ROOT / shared)
     return run(words, {"PYTHONPATH": str(copy), "XDG_CACHE_HOME": str(copy / "cache")})
 
 
 def identification(tiny: bool = False) -> Iterator[Figure]:
     yield from over_lengths(
-        "identification", {"a minute": 60.0} if tiny else LENGTHS, records.TRIANGLES
+        "identification", {"a minute": 60.0} if tiny else LENGTHS, measuring.TRIANGLES
     )
 
 
 def diagnosis(tiny: bool = False) -> Iterator[Figure]:
     """Of cases of the examination's development split, and of synthetic records in memory."""
     if tiny:
-        yield from over_lengths("diagnosis", {"a minute of triangles": 60.0}, records.TRIANGLES)
+        yield from over_lengths("diagnosis", {"a minute of triangles": 60.0}, measuring.TRIANGLES)
         return
     seconds = []
     with TemporaryDirectory() as name:
@@ -116,8 +131,8 @@ def diagnosis(tiny: bool = False) -> Iterator[Figure]:
     case, last = f"{CASES} development cases", float(np.quantile(seconds, 0.9))
     yield Figure(case, "median command, on the wall", float(np.median(seconds)), "s", most=5.0)
     yield Figure(case, "90th percentile", last, "s", most=10.0)
-    yield from over_lengths("diagnosis", LONG, records.TRIANGLES)
-    yield from over_lengths("diagnosis", {"10 minutes of steps": 600.0}, records.STEPS)
+    yield from over_lengths("diagnosis", LONG, measuring.TRIANGLES)
+    yield from over_lengths("diagnosis", {"10 minutes of steps": 600.0}, measuring.STEPS)
 
 
 def over_lengths(work: str, lengths: Mapping[str, float], protocol: str) -> Iterator[Figure]:
@@ -143,14 +158,14 @@ def over_lengths(work: str, lengths: Mapping[str, float], protocol: str) -> Iter
 def batch(tiny: bool = False) -> Iterator[Figure]:
     """Identifications and diagnoses, on one process and on one a core."""
     with TemporaryDirectory() as name:
-        bag = records.staircase_bag(Path(name, "bag"), _DURATION)
+        bag = measuring.staircase_bag(Path(name, "bag"), _DURATION)
         tasks = [Task(IDENTIFY, str(bag), Parameters.of_paper())] * (1 if tiny else BAGS)
         case = f"bags of {_DURATION:g} s identified"
         if tiny:
             yield Figure(case, "one process", 1.0 / _spent(do_tasks(tasks, 1))[0], "bags/s")
             return
         yield from _growing(case, tasks)
-        gap, paper = records.diagnosis_case(Path(name))
+        gap, paper = measuring.diagnosis_case(Path(name))
         tasks = [Task(DIAGNOSE, str(gap), read_parameters(paper))] * DIAGNOSES
         yield from _growing("composite bags diagnosed", tasks)
 
@@ -172,23 +187,48 @@ def _growing(case: str, tasks: list[Task]) -> Iterator[Figure]:
 
 
 def _spent(batch: Iterable[tuple[int, Outcome]]) -> tuple[float, float]:
-    """Seconds on the wall, and of the processors of the processes that it has begun."""
-    begin, before = time.perf_counter(), os.times()
-    failed = [outcome.error for _, outcome in batch if outcome.error]
-    if failed:
-        raise RuntimeError(failed[0])
-    after = os.times()
-    used = after.children_user + after.children_system
-    used -= before.children_user + before.children_system
-    return time.perf_counter() - begin, used
+    return spent(lambda: max((outcome.error for _, outcome in batch), default=""))
+
+
+# --- Reading a bag beside what one would pick instead, message by message.
+
+DURATION, EACH_SECOND = 600.0, 200  # s; messages of power and temperature
+
+
+def reading(tiny: bool = False) -> Iterator[Figure]:
+    from mcap_ros2.reader import read_ros2_messages
+    from rosbags.rosbag2 import Reader
+
+    def rosbags(bag: Path) -> int:
+        with Reader(bag) as reader:
+            messages = reader.messages(reader.connections)
+            decoded = (TYPES.deserialize_cdr(data, c.msgtype) for c, _, data in messages)
+            return sum(message is not None for message in decoded)
+
+    def mcap_ros2(path: Path) -> int:
+        return sum(message.ros_msg is not None for message in read_ros2_messages(str(path)))
+
+    duration = 20.0 if tiny else DURATION
+    messages = round(EACH_SECOND * duration)
+    for storage in ("mcap", "sqlite3"):
+        with TemporaryDirectory() as folder:
+            bag = measuring.staircase_bag(Path(folder, storage), duration)
+            calls = {"ours": partial(read_record, bag), "rosbags": partial(rosbags, bag)}
+            if storage == "sqlite3":
+                in_sqlite3(bag)
+            else:
+                calls["mcap-ros2-support"] = partial(mcap_ros2, next(bag.glob("*.mcap")))
+            seconds = interleaved(calls, 2 if tiny else 5, budget=30.0)
+        case, ours = f"{storage}, {messages:,} messages", seconds.pop("ours")
+        yield Figure(case, "messages a second", messages / float(np.median(ours)), "1/s")
+        for name, taken in seconds.items():
+            yield Figure(case, f"{name}: times slower", ratio(taken, ours), "x", least=1.5)
 
 
 if __name__ == "__main__":
     work_, protocol_, length_ = sys.argv[1:]
-    record_, lab_ = (
-        records.long_record(protocol_, float(length_)),
-        read_parameters(records.COMPOSITE),
-    )
+    record_ = measuring.long_record(protocol_, float(length_))
+    lab_ = read_parameters(measuring.COMPOSITE)
     begin_, before_ = time.perf_counter(), processor()
     WORK[work_](record_, lab_)
     memory_ = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

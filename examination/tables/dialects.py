@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
+from examination.pieces import applies, without_exclusions
 from examination.tables.truths import FloatArray, Quantity, Truth
 
 PLAIN = 0.93  # probability of a feature's first habit: a file has a few oddities, not all
@@ -29,9 +30,6 @@ _STYLES = HABITS["titles"]
 _UNITS: dict[str, list[tuple[str, float, float, int]]] = _DATA["units"]
 _UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
 _NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
-_NUMBERED_TIMES = ("s", "ms", "min", "days", "s, no unit", "ms, no unit", "min, no unit", "epoch")
-_SELF_TELLING = ("date and time", "date and whole s", "AM/PM", "mm:ss", "hh:mm:ss", "date-time",
-                 "whole seconds", "ISO with zone", "epoch", "elapsed and date-time")  # fmt: skip
 _COARSE = ("whole seconds", "whole s", "date and whole s")
 _CONVENTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
     "driven is positive": lambda amperes: amperes,
@@ -75,84 +73,15 @@ def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
     if rng.random() < KNOWN:
         habits |= seen[int(rng.integers(len(seen)))]
 
-    def plain(*features: str) -> None:
-        habits.update({feature: HABITS[feature][0] for feature in features})
-
-    if habits["file"].startswith(("mat", "h5")):  # numbers under names, nothing else
-        plain("header", "notes", "index", "cells", "beside", "current")
-        if habits["time"] not in (*_NUMBERED_TIMES, "none"):
-            plain("time")
-        habits["units"] = "none" if habits["units"] == "none" else "row u"
-    if habits["file"] != "text":
-        plain("separator", "decimal", "thousands", "quotes", "encoding", "blocks")
-        if habits["header"] != "none":
-            plain("header")
-        if habits["cells"].startswith("surplus"):
-            plain("cells")
-    if habits["separator"] == "blanks":
-        plain("thousands", "beside")
-        if habits["index"] != "numbers without a title":
-            plain("index")
-        if habits["cells"] != "SI letters":
-            plain("cells")
-        if habits["units"] in ("(u)", "[u]", "/ u", "comma u", "in cells", "(u) Run #1"):
-            habits["units"] = "_u"
-    if habits["units"] == "in cells" or habits["cells"] == "SI letters":
-        plain("thousands")
-        if habits["cells"] == "SI letters":
-            habits["scale"] = "usual"
-    if habits["units"] == "in cells":
-        habits["cells"] = "full" if habits["cells"] == "SI letters" else habits["cells"]
-    if habits["thousands"] != "none" and habits["scale"] != "um alone":
-        habits["scale"] = "small"
-    if not truth.is_bench:
-        plain("current", "index")
-        if habits["beside"] != "crosshead" or not truth.is_extension:
-            plain("beside")
-        if habits["cells"] in ("sparse last", "gaps", "surplus comment", "SI letters"):
-            plain("cells")
-        if habits["time"] in (*_COARSE, "a clock each", "elapsed and date-time"):
-            plain("time")
-        if habits["titles"] == "topics":
-            plain("titles")
-    if habits["cells"] == "sparse last" and habits["time"] in (*_COARSE, "a clock each", "none"):
-        plain("time")
-    if truth.is_bench and habits["beside"] == "crosshead":
-        plain("beside")
-    if truth.kind == "duty" and habits["scale"] == "other":
-        plain("scale")  # whole per cents: coarse, but for nothing
-    can_be_mean = truth.kind == "duty" or habits["current"] != "mean of a switched supply"
-    if not can_be_mean or not any(column.kind == "current" for column in truth.columns):
-        plain("current")
-    if truth.kind == "duty" and any(column.kind == "current" for column in truth.columns):
-        habits["current"] = "mean of a switched supply"
-    return habits
+    held = without_exclusions(_about(truth, habits), HABITS, _DATA["exclusions"])
+    return {feature: held[feature] for feature in habits}
 
 
-def tells(truth: Truth, habits: dict[str, str]) -> bool:
-    """Whether a person who has the file alone knows what every number in it means."""
-    signs = habits["separator"], habits["decimal"]
-    quoted = habits["quotes"] == "all" or habits["thousands"] != "none" or (
-        habits["units"] == "comma u"
-    )
-    has_mass = habits["notes"] in ("key: value", "# lines") or habits["scale"] == "other"  # W/g
-    vague_clock = habits["time"].endswith("no unit") or habits["time"] == "none"
-    # No bench has volts, amperes and temperatures of such size in another unit.
-    values_tell = truth.kind == "clamped" and habits["time"] in _SELF_TELLING and (
-        habits["scale"] in ("usual", "other", "um alone")
-    )
-    return not (
-        (signs == ("comma", "comma") and not quoted)
-        or (vague_clock and (truth.is_bench or truth.kind == "dsc"))
-        or (habits["units"] == "none" and not values_tell)
-        # A bench at rest has the temperature of a room, in one unit only; a test any.
-        or (habits["units"] == "not of T" and truth.kind in ("dsc", "isobaric"))
-        or habits["header"] == "none"
-        or habits["beside"] == "second thermometer"
-        or habits["current"] != HABITS["current"][0]
-        or truth.kind == "beam"  # which way is forward?
-        or (truth.kind == "dsc" and not has_mass)
-    )
+def _about(truth: Truth, habits: dict[str, str]) -> dict[str, Any]:
+    """What the rules of dialects.yaml speak of."""
+    has_current = any(column.kind == "current" for column in truth.columns)
+    of_table = {"kind": truth.kind, "is_bench": truth.is_bench, "has_current": has_current}
+    return {**habits, **of_table, "is_extension": truth.is_extension}
 
 
 def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Generator) -> Sample:
@@ -250,7 +179,9 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
         Written(title, column.quantity, column.step)
         for title, column in zip(titles[-width:], columns, strict=True)
     )
-    return Sample(path, habits, marked, times, tick, tells(truth, habits))
+    held = _about(truth, habits)
+    tells = not any(applies(rule, held) for rule in _DATA["untold"])
+    return Sample(path, habits, marked, times, tick, tells)
 
 
 def _clock(
@@ -258,7 +189,6 @@ def _clock(
 ) -> list[tuple[str, str, list[Any], int]]:
     """Columns of the clock: title, unit, cells, decimals."""
     title, how = _WORDS["time"][language], habits["time"]
-    stamps = [START + dt.timedelta(seconds=float(t)) for t in time]
     unit = {"days": "d", "a clock each": "s"}.get(how, how.removesuffix(", no unit"))
     if unit in _NUMBERED:
         factor, places = _NUMBERED[unit]
@@ -269,39 +199,34 @@ def _clock(
     if how == "epoch":
         start = START.replace(tzinfo=dt.UTC).timestamp()
         return [(title, "s", np.round(start + time, 3).tolist(), 3)]
-    if how == "none":
-        return []
-    date = ("%Y-%m-%d", "%d.%m.%Y", "%d/%m/%Y", "%d-%m-%Y", "%m/%d/%Y", "%Y/%m/%d", "%Y-%m-%d")
-    fraction = [f".{s.microsecond // 1000:03d}" for s in stamps]
-    day = [s.strftime(date[language]) for s in stamps]
-    moment = [s.strftime("%H:%M:%S") + f for s, f in zip(stamps, fraction, strict=True)]
-    both = [f"{a} {b}" for a, b in zip(day, moment, strict=True)]
-    if how == "date and whole s":
-        moment = [s.strftime("%H:%M:%S") for s in stamps]
-    if how in ("date and time", "date and whole s"):
-        return [(_WORDS["date"][language], "", day, 0), (title, "", moment, 0)]
-    if how == "AM/PM":
-        half = [s.strftime("%I:%M:%S") + f + s.strftime(" %p")
-                for s, f in zip(stamps, fraction, strict=True)]  # fmt: skip
-        return [(title, "", half, 0)]
-    if how == "mm:ss":
-        return [(title, "", [f"{int(t // 60):02d}:{t % 60:06.3f}" for t in time], 0)]
-    if how == "hh:mm:ss":
-        return [(title, "", moment, 0)]
-    if how == "whole seconds":
-        return [(title, "", [s.strftime("%Y-%m-%d %H:%M:%S") for s in stamps], 0)]
-    if how == "ISO with zone":
-        zone = [s.strftime("%Y-%m-%dT%H:%M:%S") + f + "+01:00"
-                for s, f in zip(stamps, fraction, strict=True)]  # fmt: skip
-        return [(title, "", zone, 0)]
-    columns = [("Timestamp", "", both, 0)]
+    stamps = [START + dt.timedelta(seconds=float(t)) for t in time]
+
+    def written(form: str) -> list[Any]:
+        """Moments in a form, whose %f stands for milliseconds."""
+        return [s.strftime(form.replace("%f", f"{s.microsecond // 1000:03d}")) for s in stamps]
+
+    day = _DATA["dates"][language]
+    dates = (_WORDS["date"][language], "", written(day), 0)
+    clocks = {
+        "none": [], "date and time": [dates, (title, "", written("%H:%M:%S.%f"), 0)],
+        "date and whole s": [dates, (title, "", written("%H:%M:%S"), 0)],
+        "mm:ss": [(title, "", [f"{int(t // 60):02d}:{t % 60:06.3f}" for t in time], 0)],
+    }
+    if how in clocks:
+        return clocks[how]
+    forms = {
+        "AM/PM": "%I:%M:%S.%f %p", "hh:mm:ss": "%H:%M:%S.%f", "whole seconds": "%Y-%m-%d %H:%M:%S",
+        "ISO with zone": "%Y-%m-%dT%H:%M:%S.%f+01:00",
+    }
+    if how in forms:
+        return [(title, "", written(forms[how]), 0)]
+    columns = [("Timestamp", "", written(f"{day} %H:%M:%S.%f"), 0)]
     if how == "elapsed and date-time":
         columns.append((title, "s", np.round(time, 4).tolist(), 4))
     return columns
 
 
 def _text(cell: Any, places: int, unit: str, habits: dict[str, str]) -> str:
-    """One cell as the file has it."""
     if isinstance(cell, str):
         return cell
     if habits["cells"] == "SI letters" and unit in ("A", "V") and 0.0 < abs(cell) < 1.0:
@@ -318,16 +243,14 @@ def _titles(
     names: list[str], units: list[str], habits: dict[str, str]
 ) -> tuple[list[str], list[list[str]]]:
     """Titles, and the rows of units below them."""
-    form = {"(u)": "{} ({})", "[u]": "{} [{}]", "/ u": "{} / {}", "_u": "{}_{}",
-            "comma u": "{}, {}", "(u) Run #1": "{} ({}) Run #1", "not of T": "{} ({})",
-            "row u": "{}", "row (u)": "({})", "row [u]": "[{}]"}.get(habits["units"])  # fmt: skip
+    how = habits["units"]
     if habits["separator"] == "blanks":
         names = [name.replace(" ", "_") for name in names]
-    if habits["units"] == "not of T":
+    if how == "not of T":
         units = ["" if u in ("°C", "degC", "C", "K") else u for u in units]
-    if form and habits["units"].startswith("row"):
+    if form := _DATA["unit_forms"].get(how):
         return names, [[form.format(u) if u else "" for u in units]]
-    if form:
+    if form := _DATA["title_forms"].get(how):
         names = [form.format(n, u) if u else n for n, u in zip(names, units, strict=True)]
     return names, []
 

@@ -1,26 +1,17 @@
 """Forty true tables: bench runs, DSC, isobaric and tensile tests. Synthetic data, in SI units."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
 TABLES = 40
-_KINDS = (
-    "clamped", "spring", "duty", "clamped", "dsc", "spring", "isobaric", "clamped", "tensile",
-    "beam",
-)  # fmt: skip
-RIGS = {
-    "clamped": "bench: {channels: [wire], channel_sides: [front], drive: voltage}",
-    "spring": "bench: {channels: [wire], channel_sides: [front], drive: voltage}\n"
-    "    load: {kind: spring, stiffness: 200.0, preload: 5.0}\n    wire: {length: 0.3}",
-    "duty": "bench: {channels: [wire], channel_sides: [front], drive: duty, supply_voltage: 12.0}\n"
-    "    load: {kind: spring, stiffness: 200.0, preload: 5.0}\n    wire: {length: 0.3}",
-    "beam": "bench: {channels: [front, back], channel_sides: [front, back], drive: voltage}\n"
-    "    load: {kind: beam}",
-}
+_DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encoding="utf-8"))
+RIGS = _DATA["rigs"]
 
 
 @dataclass(frozen=True)
@@ -58,9 +49,10 @@ class Truth:
 def true_table(number: int, seed: int) -> Truth:
     """Table `number` (0 to 39) of a seed."""
     rng = np.random.default_rng([40, seed, number])
-    kind = _KINDS[number % len(_KINDS)]
+    turn, place = divmod(number, len(_DATA["kinds"]))
+    kind = _DATA["kinds"][place]
     if kind == "tensile":
-        return _tensile(kind, rng, is_extension=number // len(_KINDS) % 2 == 1)
+        return _tensile(kind, rng, is_extension=turn % 2 == 1)
     return {"dsc": _dsc, "isobaric": _isobaric}.get(kind, _bench)(kind, rng)
 
 

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, write_json
 from sma_bench.errors import InputError
-from sma_bench.parameters import audit
+from sma_bench.parameters.audit import audit
 
 
 @options.command("audit")

@@ -19,7 +19,6 @@ _NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
 
 @options.command("call")
 def run(args: SimpleNamespace) -> int:
-    """Set, call, print the answer."""
     node, slash, service = args.service.strip("/").rpartition("/")
     if not slash:
         raise InputError(f"call: {args.service!r}, expected NODE/SERVICE, e.g. experiment/start")
@@ -40,18 +39,15 @@ def run(args: SimpleNamespace) -> int:
 
 
 def _call(args: SimpleNamespace, node: str, service: str, settings: dict[str, Any]) -> str:
-    try:
+    with options.needs_ros("call"):
         from sma_bench.ros.bench_client import BenchClient
-        from sma_bench.tasks.jobs import told_share
-    except ModuleNotFoundError as error:
-        raise InputError(f"call: {error.name} is not installed, nodes need ROS 2") from None
     with progress(f"{node}/{service}") as report:
 
         def look() -> None:
-            if found := told_share(client.state(node)):
+            if found := client.progress(node):
                 report(*found)
 
-        namespace = "/" + args.namespace.strip("/")
+        namespace = options.namespace_of(args.namespace)
         with BenchClient(namespace, look, options.ros_arguments(args)) as client:
             end = time.monotonic() + (args.patience or 0.0)
             client.follow(node)

@@ -3,16 +3,16 @@
 from types import SimpleNamespace
 
 from sma_bench.commands import options
-from sma_bench.commands.terminal import output_console, print_table, progress, say, write_json
+from sma_bench.commands.terminal import print_table, progress, say, write_json
 
 _LEAST_SHIFT = 1e-3  # s, worth a line
 
 
 @options.command("compare")
 def run(args: SimpleNamespace) -> int:
-    """Lay them over each other, print what differs, write what was asked for."""
     from sma_bench.api import compare, load
     from sma_bench.records.overlay import HEADER
+    from sma_bench.report.tables import Table
 
     column = options.column_of(args)
     with progress("compare") as report:
@@ -21,26 +21,25 @@ def run(args: SimpleNamespace) -> int:
     if args.json:
         write_json(args.json, found.to_json())
     rows = [d.cells() for d in found.differences]
-    print_table(output_console(), HEADER, rows, right=(2, 3, 4, 5))
+    print_table(Table(HEADER, rows, frozenset({2, 3, 4, 5})))
     for name, shift in found.shifts.items():
         if abs(shift) >= _LEAST_SHIFT:
             say(f"{name}: its clock was shifted by {shift:+.3f} s")
     for remark in found.remarks:
         say(remark)
     if args.out:
-        from sma_bench.report.page import Made, Section, Table, write_report
+        from sma_bench.report.page import Section, write_report
         from sma_bench.report.plots import overlay_picture
 
-        made = Made(args.command_line, [*args.records, *args.models])
         table = Table(HEADER, rows, frozenset({2, 3, 4, 5}), "differences", "Largest first")
         sections = [
             Section("", found.remarks, pictures=[overlay_picture(found, "overlay", args.signals)]),
             Section("Differences from the first", tables=[table]),
-            made.section(),
         ]
         *others, last = found.records
         title = f"{', '.join(others)} and {last}, compared" if others else f"{last}, compared"
+        made = options.made_of(args, args.records, args.models)
         with progress("drawing the page") as report:
-            page = write_report(args.out, title, made.head, sections, column=column, report=report)
+            page = write_report(args.out, title, "", sections, made, column=column, report=report)
         say(f"report {page}")
     return 0

@@ -10,29 +10,19 @@ from typing import Any
 from sma_bench.commands import options
 from sma_bench.errors import InputError
 
-_PORT = 8642
 _LARGEST_PORT = 65535
 
 
 @options.command("dashboard")
 def run(args: SimpleNamespace) -> int:
-    """Serve until SIGINT or SIGTERM; 0 then.
-
-    Raises:
-        InputError: no ROS 2 or no tornado here, a port that is taken, a namespace that cannot be.
-    """
+    """Serve until SIGINT or SIGTERM; 0 then. Raises InputError: no ROS 2 or no tornado here, a port
+    that is taken, a namespace that cannot be."""
     if not 0 <= args.port <= _LARGEST_PORT:
         raise InputError(f"dashboard: --port is {args.port}, expected 0 to {_LARGEST_PORT}")
-    try:
+    with options.needs_ros("dashboard"):
         importlib.import_module("sma_bench.ros.dashboard")
+    with options.needs_ros("dashboard", "apt install python3-tornado"):
         importlib.import_module("sma_bench.dashboard.server")
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("sma_bench"):
-            raise
-        is_server = (error.name or "").startswith("tornado")
-        how = "apt install python3-tornado" if is_server else "source a ROS 2 Jazzy setup file"
-        reason = f"dashboard: {error.name} is not installed: {how}, or use ./bench"
-        raise InputError(reason) from None
     return asyncio.run(_serve(args))
 
 
@@ -50,7 +40,7 @@ async def _serve(args: SimpleNamespace) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, finish)
-    namespace = "/" + args.namespace.strip("/")
+    namespace = options.namespace_of(args.namespace)
     with listening_node(
         namespace,
         LiveState(),
@@ -63,7 +53,7 @@ async def _serve(args: SimpleNamespace) -> int:
             print(
                 "sma-bench: note: others on the network who learn this address can see and stop "
                 "the bench; it is not encrypted", file=sys.stderr,
-            )  # fmt: skip
+            )
         print(f"dashboard of {namespace}, until Ctrl-C:\n{server.url}", flush=True)
         try:
             await end

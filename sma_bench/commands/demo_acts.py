@@ -1,222 +1,231 @@
-"""The demo's acts: Table I of a simulated wire, a hidden effect to be named, by the real nodes."""
+"""The demo's two acts on benches that real nodes simulate, drive and record: Table I of a wire, and
+a composite that hides an effect. The diagnosis node sees a lab's file and two bags of it."""
 
 import json
 import subprocess
 import sys
 import time
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
-from rich.console import Console
-from rich.markup import escape
 
-from sma_bench.cards import card_text
-from sma_bench.commands.diagnose import print_tables
-from sma_bench.commands.terminal import print_table, write_json
+from sma_bench.border import make_folder, read_yaml
+from sma_bench.commands.options import needs_ros
+from sma_bench.commands.terminal import (
+    WorkState,
+    output_console,
+    print_table,
+    progress,
+    say,
+    write_json,
+)
 from sma_bench.compiled import is_compiled
 from sma_bench.diagnose.result import diagnosis_from
-from sma_bench.errors import InputError
 from sma_bench.estimation.unknowns import BACK, FRONT
 from sma_bench.installation import share_directory
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
-from sma_bench.parameters.parameter import EFFECT_PREFIX
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX
 from sma_bench.physics import core
 from sma_bench.physics.effects import EFFECTS, active_effects
-from sma_bench.progress import COMPILING, Report, part, silent
+from sma_bench.progress import COMPILING, Report, part, shares
 from sma_bench.protocols import load_protocol
-from sma_bench.tasks.jobs import told_share
-
-if TYPE_CHECKING:
-    from sma_bench.ros.bench_client import BenchClient
-    from sma_bench.ros.processes import NodeProcesses
+from sma_bench.report.reports import write_identification_report
+from sma_bench.report.tables import Table, diagnosis_tables
+from sma_bench.results import card_text
+from sma_bench.tasks.work import identify_files
 
 # The first act: the paper's E1 to E3 on short forms of its protocols, and what a lab knows of its
 # wire without a volt, by a scale and a ruler.
 TABLE_ONE = {
-    "wire.resistance": "R",
-    "wire.heat_transfer_coefficient": "h",
-    "wire.specific_heat": "c_p",
+    "wire.resistance": "R", "wire.heat_transfer_coefficient": "h", "wire.specific_heat": "c_p"
 }
 QUICK = ("quick_staircase", "quick_ramp")
-_WEIGHED = {
-    name: Parameters.of_paper()[name]
-    for name in ("wire.mass", "wire.surface_area", "wire.diameter")
-}
-_SIGMAS, _LARGEST_ERROR = 2.0, 0.01
+SIGMAS, LARGEST_ERROR = 2.0, 0.01  # standard errors, and of the value
+_PAPER = Parameters.of_paper()
+_WEIGHED = {name: _PAPER[name] for name in ("wire.mass", "wire.surface_area", "wire.diameter")}
 
-# The second act. Lowest and highest of each hidden number, drawn evenly in its logarithm: sizes to
-# be met at a bench of config/demo_rig.yaml, of effects that its sensors separate.
-HIDEABLE: dict[str, dict[str, tuple[float, float]]] = {
-    "phase_dependent_resistance": {"austenite_change": (0.05, 0.2)},
-    "supply_drop": {"resistance": (0.25, 0.5)},
-    "latent_heat": {"heat": (6e3, 25e3)},
-    "side_heat_coupling": {"conductance": (1e-3, 6e-3)},
-    "residual_strain": {"share": (0.04, 0.25)},
-    "viscoelastic_matrix": {"relaxation": (0.08, 0.3), "time_constant": (4.0, 15.0)},
-    "slack": {"strain": (2e-3, 8e-3)},
-    "temperature_lag": {"time_constant": (0.15, 1.5)},
-}
+# The second act.
+HIDEABLE: dict[str, dict[str, tuple[float, float]]] = read_yaml(
+    Path(__file__).with_name("demo.yaml")
+)["hideable"]
+RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
+LAB_FILE = share_directory() / "config" / "demo_rig.yaml"  # what the lab believes of its bench
 _EITHER_SIGN = ("phase_dependent_resistance",)
 _FARTHEST = 2.0  # standard errors
 _ALL_BUT_CERTAIN = 0.8  # probability of a candidate
-RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
 # An Uno's own 5 V range. Over the usual 10 V, 10 bit are steps of 10 mV, far above the noise: a
 # held level would be off by what heats the wire as much as a small effect.
 _INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
 
 # One a command: nodes that talk cost more of the processor than all that is computed.
 _RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.0)
-_READINGS = ("power", "temperature")
 _PROTOCOLS = share_directory() / "config" / "protocols"
-_PATIENCE = 600.0  # s: a service may have to wait for the compiler
-# Quiet seconds of two cores: until a bench's nodes and a recorder are there, and what else takes
-# long; nodes do not exceed so many times real time by much.
+_PATIENCE = 600.0  # s: the service may have to wait for the compiler
+# Seconds of two quiet cores; nodes do not exceed so many times real time by much.
 _STARTING, _COMPILING, _IDENTIFYING, _DRAWING, _DIAGNOSING = 3.0, 20.0, 4.0, 3.0, 12.0
 _REACHED = 30.0
 
 
-def planned(speed: float) -> dict[str, float]:
-    """s that each step takes, about, on two quiet cores; in order."""
-    wire, lab = Parameters.defaults(), read_parameters(lab_file())
+def play(args: SimpleNamespace) -> int:
+    """Both acts, with the options of `sma-bench demo`; its exit status. Raises InputError: no ROS 2
+    here, or a folder that cannot be made."""
+    started, console, speed = time.monotonic(), output_console(), args.speed
+    truth, lab = simulated_truth(args.draw), read_parameters(LAB_FILE)
+    seed = time.time_ns() % 2**31 if args.draw is None else args.draw
+    out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
+    gap = out / "simulated_gap"
+    for folder in (out, gap):
+        make_folder(folder / "bags")
+        make_folder(folder / "logs")
+    write_parameters(out / "truth.yaml", truth, "What the simulated bench is made of.")
+    hidden_file = gap / "hidden.yaml"
+    title = "The truth of the simulated bench."
+    write_parameters(hidden_file, hidden_bench(lab, seed), title)
+
+    # What each step takes, about: the time left is that of the whole demo.
     pace = min(speed, _REACHED)
+    plan = {COMPILING: 0.0 if is_compiled(core.run) else _COMPILING}
+    plan |= {name: _STARTING + load_protocol(name, truth).duration / pace for name in QUICK}
+    plan |= {"identify": _IDENTIFYING, "report": _DRAWING}
+    plan |= {n: _STARTING + load_protocol(n, lab).duration / pace for n in (RECORD, HOLD_OUT)}
+    plan |= {"diagnose": _DIAGNOSING}
+    state = WorkState()
+    steps = {step: part(state.report, *ends) for step, ends in shares(plan).items()}
 
-    def recording(name: str, bench: Parameters) -> float:
-        return _STARTING + load_protocol(name, bench).duration / pace
+    # The first act.
+    console.print("[bold]1. From a commanded volt to Table I[/]")
+    with progress("demo", state):
+        if not is_compiled(core.run):  # ./bench may be compiling already
+            begin, command = time.monotonic(), [sys.executable, "-P", "-m", "sma_bench.physics"]
+            with subprocess.Popen(command, env=tied_to_this_process()) as process:
+                while process.poll() is None:
+                    steps[COMPILING]((time.monotonic() - begin) / _COMPILING, COMPILING)
+                    time.sleep(0.1)
+        bags, found = _recorded_and_asked(
+            out, "/demo", out / "truth.yaml", QUICK, {"speed": speed}, steps,
+            "identification/identify",
+            lambda bags: {"output_directory": ".", **_WEIGHED, "record": bags},
+        )
+        result = identify_files(bags, Parameters(_WEIGHED))  # as the node did, for its page
+        page = write_identification_report(out / "report", result, steps["report"])
+    estimates, rows = found["parameters"], []
+    for name, symbol in TABLE_ONE.items():
+        cells = ["-", "-", "-"]  # not identified: the warnings say why
+        if own := estimates.get(name):
+            off = _deviation(own, truth[name])
+            cells = [f"{own['value']:.5g}", f"{own['std']:.2g}", f"{off:+.2f}"]
+        known = f"{_PAPER[name]:.5g}", f"{truth[name]:.5g}"
+        rows.append((symbol, BY_NAME[name].unit, *known, *cells))
+    header = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
+    print_table(Table(header, rows, frozenset(range(2, len(header))), title="Table I"))
+    for warning in found["warnings"]:
+        say(f"note {warning}")
+    holds = promise_holds(estimates, truth)
+    say(
+        f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
+        f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}"
+    )
+    say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {out / 'identified.yaml'}")
 
-    return {
-        COMPILING: 0.0 if is_compiled(core.run) else _COMPILING,
-        **{name: recording(name, wire) for name in QUICK},
-        "identify": _IDENTIFYING, "report": _DRAWING,
-        **{name: recording(name, lab) for name in (RECORD, HOLD_OUT)},
-        "diagnose": _DIAGNOSING,
-    }  # fmt: skip
+    # The second: the card and the candidates, then the truth, which only the bench has read so far.
+    console.print("\n[bold]2. The gap between simulation and bench[/]")
+    say("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
+    gap_page, improved = gap / "report" / "index.html", gap / "improved.yaml"
+    with progress("demo", state):
+        simulator = {"speed": speed, **_INSTRUMENTS}
+        files = {"improved": str(improved.resolve()), "report": str(gap_page.parent.resolve())}
+        _, answer = _recorded_and_asked(
+            gap, "/demo_gap", hidden_file, (RECORD, HOLD_OUT), simulator, steps,
+            "diagnosis/diagnose",
+            lambda bags: {"record": bags[:1], "hold_out": bags[1:], **files}, (LAB_FILE,),
+        )
+    write_json(str(gap / "diagnosis.json"), answer)
+    diagnosis = diagnosis_from(answer, "diagnosis")
+    console.print(f"{card_text(diagnosis, console.width)}\n", markup=False, soft_wrap=True)
+    print_table(diagnosis_tables(diagnosis)["candidates"])
+    say(f"report     {gap_page}\nbags       {gap / 'bags'}\nnodes load {improved}")
+    hidden = read_parameters(hidden_file)
+    say(f"\nThe truth, from {hidden_file}")
+    for sentence in reveal(answer, hidden):
+        say(sentence)
+    say(f"The same again: --draw {seed}\n{time.monotonic() - started:.0f} s")
+
+    right = {"table_one": holds, "gap": not confidently_wrong(answer, hidden)}
+    if args.json:
+        effect, numbers = hidden_effect(hidden)
+        true = {"table_one": {name: truth[name] for name in TABLE_ONE},
+                "gap": {"effect": effect, "numbers": numbers}}  # fmt: skip
+        write_json(args.json, {
+            "synthetic": True, "folder": str(out), "holds": right, "truth": true,
+            "report": {"table_one": str(page), "gap": str(gap_page)},
+            "estimates": estimates, "diagnosis": answer, "draw": seed,
+        })  # fmt: skip
+    return 0 if all(right.values()) else 1
 
 
-def wait_for_compiler(report: Report) -> None:
-    """Wait until there is machine code of what both acts need; ./bench may be making it."""
-    if is_compiled(core.run):
-        return
-    begin = time.monotonic()
-    command = [sys.executable, "-P", "-m", "sma_bench.physics"]
-    with subprocess.Popen(command, env=tied_to_this_process()) as process:
-        while process.poll() is None:
-            report((time.monotonic() - begin) / _COMPILING, COMPILING)
-            time.sleep(0.1)
+def _recorded_and_asked(
+    folder: Path, namespace: str, file: Path, protocols: Sequence[str],
+    simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
+    settings: Callable[[list[str]], Mapping[str, Any]], files: tuple[Path, ...] = (),
+) -> tuple[list[str], dict[str, Any]]:
+    """Bags of protocols, run one after the other by the nodes of a simulated bench that is what the
+    file says; and what a node's `service` makes of them, with the settings for these bags and its
+    parameter files."""
+    node, _, work = service.partition("/")
+    with needs_ros("demo"):
+        from sma_bench.ros.bench_client import BenchClient
+        from sma_bench.ros.processes import NodeProcesses, private_ros_environment
+    private_ros_environment()
+    bench = read_parameters(file)
+    kinds = ("power", "temperature")
+    readings = [f"{channel}/{kind}" for channel in bench["bench.channels"] for kind in kinds]
 
-
-def make_folder(folder: Path) -> None:
-    """Make a new folder, and those above it; InputError where that cannot be."""
-    try:
-        folder.mkdir(parents=True)
-        for name in ("bags", "logs"):
-            (folder / name).mkdir()
-    except FileExistsError:
-        raise InputError(f"{folder}: exists already, expected a new folder") from None
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
-
-
-# --- The nodes of an act: a simulator, the experiment, a recorder for each bag, a service.
-
-
-class Stage:
-    """Nodes of one namespace, as processes, and a script's own node that asks them."""
-
-    def __init__(self, folder: Path) -> None:
-        """`nodes` and `client` are there from `_bench` on."""
-        self.folder = folder
-        self.nodes: NodeProcesses
-        self.client: BenchClient
-        self._asked = ""
-        self._report: Report = silent
-
-    def look(self) -> None:
+    def look() -> None:
         """While the client waits: do the nodes live, and how far is the service?"""
-        self.nodes.check()
-        if self._asked and (told := told_share(self.client.state(self._asked))):
-            self._report(*told)
+        nodes.check()
+        if share := client.progress(node):
+            steps[work](*share)
 
-    def record(self, bench: Parameters, protocol: str, report: Report) -> str:
-        """Run a protocol of config/protocols into a bag of its name; the bag's path."""
-        duration = load_protocol(protocol, bench).duration
-        bag = (self.folder / "bags" / protocol).resolve()
-        begin: list[float] = []
+    def record(protocol: str) -> str:
+        duration, begin = load_protocol(protocol, bench).duration, list[float]()
 
         def heed(state: str) -> None:
             if state.startswith("running"):
-                begin[:] = begin or [self.client.simulated_seconds]
-                gone = self.client.simulated_seconds - begin[0]
-                report(gone / duration, f"{protocol}, {gone:.0f} of {duration:.0f} simulated s")
+                begin[:] = begin or [client.simulated_seconds]
+                gone = client.simulated_seconds - begin[0]
+                done = f"{protocol}, {gone:.0f} of {duration:.0f} simulated s"
+                steps[protocol](gone / duration, done)
 
-        report(0.0, protocol)
-        channels = bench["bench.channels"]
-        self.client.run_recorded(
-            _PROTOCOLS / f"{protocol}.yaml",
-            protocol,
-            duration,
-            bag,
-            heed,
-            simulated_time=True,
-            needed=[
-                "voltage_command",
-                "experiment/marker",
-                *(f"{channel}/{what}" for channel in channels for what in _READINGS),
-            ],
+        steps[protocol](0.0, protocol)
+        bag = (folder / "bags" / protocol).resolve()
+        client.run_recorded(
+            _PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed, simulated_time=True,
+            needed=["voltage_command", "experiment/marker", *readings],
         )
         return str(bag)
 
-    def ask(
-        self,
-        node: str,
-        service: str,
-        settings: Mapping[str, Any],
-        files: tuple[Path, ...],
-        report: Report,
-    ) -> dict[str, Any]:
-        """Start a node in place of the bench, which has done its part, and call its service."""
-        for name in ("experiment", "simulator"):
-            self.nodes.end(name)
-        roots = dict.fromkeys(("record_root", "output_root"), str(self.folder.resolve()))
-        self.nodes.start(node, {**roots, **settings}, files)
-        self._asked, self._report = node, part(report, 0.0, 1.0, service)
-        self._report(0.0, "")
-        self.client.follow(node)
-        answer: dict[str, Any] = json.loads(self.client.trigger(f"{node}/{service}", _PATIENCE))
-        return answer
-
-
-@contextmanager
-def _bench(
-    folder: Path, namespace: str, bench: Path, protocol: str, simulator: Mapping[str, Any]
-) -> Iterator[Stage]:
-    """A simulated bench that is what the file says, and the experiment node at its protocol."""
-    try:
-        from sma_bench.ros.bench_client import BenchClient
-        from sma_bench.ros.processes import NodeProcesses, private_ros_environment
-    except ModuleNotFoundError as error:
-        raise InputError(f"demo: {error.name} is not installed, the demo needs ROS 2") from None
-    private_ros_environment()
-    stage = Stage(folder)
+    driven = {"protocol": protocols[0], "protocol_root": str(_PROTOCOLS), "use_sim_time": True}
     with (
         NodeProcesses(namespace, folder / "logs") as nodes,
-        BenchClient(namespace, meanwhile=stage.look) as client,
+        BenchClient(namespace, meanwhile=look) as client,
     ):
-        stage.nodes, stage.client = nodes, client
-        nodes.start("simulator", {**_RATES, **simulator}, (bench,))
-        nodes.start(
-            "experiment",
-            {"protocol": protocol, "protocol_root": str(_PROTOCOLS), "use_sim_time": True},
-            (bench,),
-        )
-        yield stage
+        nodes.start("simulator", {**_RATES, **simulator}, (file,))
+        nodes.start("experiment", driven, (file,))
+        bags = [record(protocol) for protocol in protocols]
+        for name in ("experiment", "simulator"):  # they have done their part
+            nodes.end(name)
+        roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
+        nodes.start(node, {**roots, **settings(bags)}, files)
+        steps[work](0.0, work)
+        client.follow(node)
+        return bags, json.loads(client.trigger(service, _PATIENCE))
 
 
-# --- First act: from a commanded volt to Table I on a simulated wire.
+# --- What is simulated and hidden, and whether what was said of it is right.
 
 
 def simulated_truth(seed: int | None) -> Parameters:
@@ -225,29 +234,10 @@ def simulated_truth(seed: int | None) -> Parameters:
     if seed is None:
         return truth
     rng = np.random.default_rng(seed)
-    drawn = {name: float(truth[name] * rng.uniform(0.9, 1.1)) for name in TABLE_ONE}
-    return truth.replace(drawn)
+    return truth.replace({name: float(truth[name] * rng.uniform(0.9, 1.1)) for name in TABLE_ONE})
 
 
-def identified(
-    out: Path, truth: Parameters, speed: float, steps: Mapping[str, Report]
-) -> tuple[dict[str, Any], Path]:
-    """What the service makes of the bags, and a page of the same by the same code at the desk."""
-    from sma_bench.identify import identify
-    from sma_bench.records import read_record
-    from sma_bench.report.collected_report import write_identification_report
-
-    truth_file = out / "truth.yaml"
-    write_parameters(truth_file, truth, "What the simulated bench is made of.")
-    with _bench(out, "/demo", truth_file, QUICK[0], {"speed": speed}) as stage:
-        bags = [stage.record(truth, protocol, steps[protocol]) for protocol in QUICK]
-        settings = {"output_directory": ".", **_WEIGHED, "record": bags}
-        answer = stage.ask("identification", "identify", settings, (), steps["identify"])
-    result = identify([read_record(bag) for bag in bags], Parameters(_WEIGHED))
-    return answer, write_identification_report(out / "report", result, steps["report"])
-
-
-def deviation(estimate: Mapping[str, Any], true: float) -> float:
+def _deviation(estimate: Mapping[str, Any], true: float) -> float:
     """Estimate less truth, in stated standard errors."""
     return float((estimate["value"] - true) / estimate["std"])
 
@@ -257,54 +247,15 @@ def promise_holds(estimates: Mapping[str, Any], truth: Parameters) -> bool:
     scales of the sensors leave of these is below 1 % of the value."""
     return all(
         name in estimates
-        and abs(deviation(estimates[name], truth[name])) <= _SIGMAS
-        and estimates[name]["statistical"] <= _LARGEST_ERROR * estimates[name]["value"]
+        and abs(_deviation(estimates[name], truth[name])) <= SIGMAS
+        and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
         for name in TABLE_ONE
     )
 
 
-def print_table_one(
-    console: Console, out: Path, answer: Mapping[str, Any], truth: Parameters, page: Path
-) -> bool:
-    """The table, remarks, whether the promise holds (which is returned), and where all lies."""
-    paper, estimates, rows = Parameters.defaults(), answer["parameters"], []
-    for name, symbol in TABLE_ONE.items():
-        cells = ["-", "-", "-"]  # not identified: the warnings say why
-        if found := estimates.get(name):
-            off = deviation(found, truth[name])
-            cells = [f"{found['value']:.5g}", f"{found['std']:.2g}", f"{off:+.2f}"]
-        known = f"{paper[name]:.5g}", f"{truth[name]:.5g}"
-        rows.append((symbol, BY_NAME[name].unit, *known, *cells))
-    header = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
-    print_table(console, header, rows, range(2, len(header)), title="Table I")
-    for warning in answer["warnings"]:
-        console.print(f"[yellow]note[/] {escape(warning)}")
-    holds = promise_holds(estimates, truth)
-    console.print(
-        f"within {_SIGMAS:g} standard errors of the truth, statistical errors under "
-        f"{_LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}"
-    )
-    places = {"report": page, "bags": out / "bags", "nodes load": out / "identified.yaml"}
-    for what, path in places.items():
-        console.print(f"{what:11}{escape(str(path))}", soft_wrap=True)
-    return holds
-
-
-# --- Second act: a composite bench hides an effect, and the diagnosis has to name it.
-
-
-def lab_file() -> Path:
-    """What the lab believes of its composite bench."""
-    return share_directory() / "config" / "demo_rig.yaml"
-
-
 def hidden_bench(lab: Parameters, seed: int) -> Parameters:
-    """The bench as it is: its parameters off by the lab's standard errors, one effect on.
-
-    Args:
-        lab: parameters as believed, with the uncertainties that were stated.
-        seed: draws everything.
-    """
+    """The bench as it is: what the lab believes, off by the errors that it states, and one effect
+    on; `seed` draws everything."""
     rng = np.random.default_rng(seed)
     effect = str(rng.choice(list(HIDEABLE)))
     sign = rng.choice((-1.0, 1.0)) if effect in _EITHER_SIGN else 1.0
@@ -322,97 +273,39 @@ def hidden_bench(lab: Parameters, seed: int) -> Parameters:
     return Parameters({name: lab[name] for name in lab.given} | off | numbers)
 
 
-def hidden_effect(bench: Parameters) -> str:
-    """The one effect of a bench that hides one."""
+def hidden_effect(bench: Parameters) -> tuple[str, dict[str, float]]:
+    """The one effect of a bench that hides one, and its numbers by their full names."""
     (effect,) = active_effects(bench)
-    return effect
-
-
-def hidden_numbers(bench: Parameters) -> Mapping[str, float]:
-    """Its numbers, by their full names."""
-    effect = hidden_effect(bench)
-    names = (f"{EFFECT_PREFIX}{effect}.{number}" for number in HIDEABLE[effect])
-    return {name: bench[name] for name in names}
-
-
-def diagnosed(
-    out: Path, lab: Parameters, speed: float, steps: Mapping[str, Report]
-) -> dict[str, Any]:
-    """Two bags of the bench, and what the diagnosis service says of them."""
-    simulator = {"speed": speed, **_INSTRUMENTS}
-    with _bench(out, "/demo_gap", out / "hidden.yaml", RECORD, simulator) as stage:
-        bags = [stage.record(lab, name, steps[name]) for name in (RECORD, HOLD_OUT)]
-        settings = {
-            "record": bags[:1], "hold_out": bags[1:],
-            "improved": str((out / "improved.yaml").resolve()),
-            "report": str((out / "report").resolve()),
-        }  # fmt: skip
-        return stage.ask("diagnosis", "diagnose", settings, (lab_file(),), steps["diagnose"])
+    names = [f"{EFFECT_PREFIX}{effect}.{number}" for number in HIDEABLE[effect]]
+    return effect, {name: bench[name] for name in names}
 
 
 def confidently_wrong(answer: Mapping[str, Any], hidden: Parameters) -> bool:
-    """Whether an effect is named, or anything held for all but certain, that is not the truth.
-
-    Args:
-        answer: the diagnosis result of the contract.
-        hidden: the bench as it is.
-    """
-    effect = hidden_effect(hidden)
-    if answer["cause"] and effect not in answer["cause"]:
-        return True
-    return any(
-        c["probability"] >= _ALL_BUT_CERTAIN and effect not in c["name"].split("+")
-        for c in answer["candidates"]
-    )
+    """Whether a diagnosis result of a bench names an effect, or holds anything for all but
+    certain, that is not the truth."""
+    effect, _ = hidden_effect(hidden)
+    certain = [c["name"] for c in answer["candidates"] if c["probability"] >= _ALL_BUT_CERTAIN]
+    named = [answer["cause"]] if answer["cause"] else []
+    return any(effect not in own for own in (*named, *(name.split("+") for name in certain)))
 
 
 def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
-    """The truth beside what was said, a sentence a line; arguments of `confidently_wrong`."""
-    effect = hidden_effect(hidden)
-    amounts = {}
-    for name, value in hidden_numbers(hidden).items():
-        unit = BY_NAME[name].unit
-        amounts[name] = f"{value:.4g}" if unit == "1" else f"{value:.4g} {unit}"
-    numbers = ", ".join(f"{n.removeprefix(EFFECT_PREFIX)} {a}" for n, a in amounts.items())
-    yield f"The bench hid {effect} ({EFFECTS[effect].stage}): {numbers}."
+    """The truth against what was said, a sentence a line; arguments of `confidently_wrong`."""
+    effect, numbers = hidden_effect(hidden)
+    amounts = {name: f"{value:.4g} {BY_NAME[name].unit}".removesuffix(" 1")
+               for name, value in numbers.items()}  # fmt: skip
+    short = {name: name.removeprefix(EFFECT_PREFIX) for name in numbers}
+    sizes = ", ".join(f"{short[name]} {amount}" for name, amount in amounts.items())
+    yield f"The bench hid {effect} ({EFFECTS[effect].stage}): {sizes}."
 
     first = answer["candidates"][0]
+    with_truth = [c for c in answer["candidates"] if effect in c["name"].split("+")]
     said = f"First choice of the diagnosis: {first['name']}, probability {first['probability']:.2f}"
-    if effect in (parts := first["name"].split("+")):
-        yield f"{said}: right{'.' if len(parts) == 1 else ', but not alone.'}"
+    if first in with_truth:
+        yield f"{said}: right{'.' if first['name'] == effect else ', but not alone.'}"
     else:
-        candidates = answer["candidates"]
-        given = sum(c["probability"] for c in candidates if effect in c["name"].split("+"))
-        yield f"{said}: WRONG; it gave the truth {given:.2f}."
-
-    for name, true in hidden_numbers(hidden).items():
+        yield f"{said}: WRONG; it gave the truth {sum(c['probability'] for c in with_truth):.2f}."
+    for name, true in numbers.items():
         if found := first["parameters"].get(name):
-            off = f" ({deviation(found, true):+.1f} standard errors)" if found["std"] else ""
-            short = name.removeprefix(EFFECT_PREFIX)
-            yield f"{short}: found {found['value']:.4g}, true {amounts[name]}{off}"
-
-
-def print_argument(console: Console, answer: Mapping[str, Any]) -> None:
-    """The verdict card and the candidates."""
-    result = diagnosis_from(answer, "diagnosis")
-    console.print(f"{card_text(result, console.width)}\n", markup=False, soft_wrap=True)
-    print_tables(console, result, ("candidates",))
-
-
-def print_gap(
-    console: Console, out: Path, answer: Mapping[str, Any], seed: int
-) -> tuple[Parameters, Path]:
-    """The argument, then the truth, which only now anybody but the bench's own nodes reads: the
-    bench as it is, and the diagnosis's page."""
-    write_json(str(out / "diagnosis.json"), dict(answer))
-    print_argument(console, answer)
-    page = out / "report" / "index.html"
-    places = {"report": page, "bags": out / "bags", "nodes load": out / "improved.yaml"}
-    for what, path in places.items():
-        console.print(f"{what:11}{escape(str(path))}", soft_wrap=True)
-    hidden = read_parameters(out / "hidden.yaml")
-    console.print(f"\n[bold]The truth[/], from {escape(str(out / 'hidden.yaml'))}", soft_wrap=True)
-    for sentence in reveal(answer, hidden):
-        console.print(escape(sentence), soft_wrap=True)
-    console.print(f"The same again: --draw {seed}")
-    return hidden, page
+            off = f" ({_deviation(found, true):+.1f} standard errors)" if found["std"] else ""
+            yield f"{short[name]}: found {found['value']:.4g}, true {amounts[name]}{off}"

@@ -12,7 +12,6 @@ from sma_bench.installation import share_directory
 
 @options.command("example")
 def run(args: SimpleNamespace) -> int:
-    """Copy the files of one example; a rig of config/ becomes a lab.yaml."""
     share = share_directory()
     files = {
         folder.name: {path.name: path for path in sorted(folder.iterdir())}

@@ -2,74 +2,41 @@
 
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from sma_bench.commands import options
-from sma_bench.commands.terminal import (
-    output_console,
-    print_findings,
-    progress,
-    say,
-    write_json,
-)
-from sma_bench.errors import InputError
+from sma_bench.commands.terminal import output_console, print_findings, progress, say, write_json
 from sma_bench.results import Invocation
 
 MISFIT = 3  # exit status: the model does not fit the records
-
-if TYPE_CHECKING:
-    from sma_bench.identify import Identification
 
 
 @options.command("identify")
 def run(args: SimpleNamespace) -> int:
     """Identify, print a table, write the files that were asked for; 3 where the model does not
     fit the records."""
-    from sma_bench.records.roles import parse_stated
+    from sma_bench.records.open import parse_stated
+    from sma_bench.results import card, card_lines, card_text
     from sma_bench.tasks.work import identify_files, write_identified
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
+    stated = parse_stated(args.stated) if args.stated else {}
+    phases: dict[str, Any] = dict(
+        options.pair("--phase", text, "FILE=martensite or FILE=austenite") for text in args.phases
+    )
     with progress("identify") as report:
         result = identify_files(
-            args.records,
-            parameters,
-            args.experiments or None,
-            args.namespace,
-            report,
-            dict(map(phase_of, args.phases)),
-            parse_stated(args.stated),
-        )
+            args.records, parameters, args.experiments or None, args.namespace, report, phases,
+            stated,
+        )  # fmt: skip
     if args.json:
         write_json(args.json, result.to_json())
     if args.out:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
-    # What advice depends on; only bags can be diagnosed.
+
+    # The card, with advice that depends on what was asked: only bags can be diagnosed.
     bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
-    params, out, page = (text or "" for text in (args.params, args.out, args.report))
-    print_result(result, Invocation(tuple(bags), params, out, page))
-    if args.report:
-        from sma_bench.report.collected_report import write_identification_report
-        from sma_bench.report.page import Made
-
-        made = Made(args.command_line, [*args.records, *filter(None, [args.params])])
-        with progress("drawing the report") as report:
-            page = write_identification_report(args.report, result, report, made, column)
-        say(f"report {page}")
-    return MISFIT if result.is_misfit else 0
-
-
-def phase_of(text: str) -> tuple[str, Any]:
-    """FILE=PHASE in two; whether there is such a file and phase is told by who reads them."""
-    file, _, phase = text.rpartition("=")
-    if not file:
-        raise InputError(f"--phase {text!r}, expected FILE=martensite or FILE=austenite")
-    return file, phase
-
-
-def print_result(result: "Identification", asked: Invocation) -> None:
-    """The card, and below it every remark on the numbers."""
-    from sma_bench.cards import card, card_lines, card_text
-
+    asked = Invocation(tuple(bags), *(text or "" for text in (args.params, args.out, args.report)))
     console, text = output_console(), card_text(result, asked=asked)
     if max(map(len, text.splitlines())) > console.width:  # no room for columns
         text = "\n".join(card_lines(card(result, asked, numbers=True), console.width))
@@ -80,3 +47,11 @@ def print_result(result: "Identification", asked: Invocation) -> None:
         print_findings(experiment.findings)
     for line in result.accounts:
         say(line)
+    if args.report:
+        from sma_bench.report.reports import write_identification_report
+
+        made = options.made_of(args, args.records)
+        with progress("drawing the report") as report:
+            page = write_identification_report(args.report, result, report, made, column)
+        say(f"report {page}")
+    return MISFIT if result.is_misfit else 0

@@ -2,29 +2,23 @@
 
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from contextlib import suppress
 from types import SimpleNamespace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from sma_bench.commands import options
-from sma_bench.commands.terminal import output_console, print_table, progress, say, write_json
+from sma_bench.commands.terminal import print_table, progress, say, write_json
 from sma_bench.errors import InputError
-from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.node_tables import node_groups
 
 if TYPE_CHECKING:
-    from sma_bench.tasks.investigation import NextRun
-
-_YES = ("y", "yes")
-
-# Drives the bench, and has it recorded.
-Runner = Callable[["NextRun"], None]
+    from sma_bench.parameters import Parameters
 
 
 @options.command("investigate")
 def run(args: SimpleNamespace) -> int:
     """Go on until named, inseparable, or out of time; 0 whatever the verdict."""
+    from sma_bench.report.tables import Table
     from sma_bench.tasks.investigation import HEADER, OPEN, QUANTITIES, TEST, Investigation
 
     options.one_only(args, "simulated", "namespace")
@@ -32,7 +26,6 @@ def run(args: SimpleNamespace) -> int:
         raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
     case = Investigation(args.folder, args.budget, args.signals or QUANTITIES)
     case.begin(options.parameters_from_options(args), args.records)
-    runner = _simulated(args.simulated, case.believed) if args.simulated else _bench(args)
     while True:
         if case.pending:
             with progress("investigate") as report:
@@ -44,9 +37,12 @@ def run(args: SimpleNamespace) -> int:
         if not _agreed(following, args.yes):
             say(f"stopped; the same command goes on from {args.folder}")
             break
-        runner(following)
+        if args.simulated:
+            _run_simulated(following, args.simulated, case.believed)
+        else:
+            run_bench(following, args.namespace)
     if case.chapters:
-        print_table(output_console(), HEADER, case.rows(), (0, 1), title="the story")
+        print_table(Table(HEADER, case.rows(), frozenset({0, 1}), title="the story"))
         say(f"{case.summary()}; page {case.write_page(args.command_line)}")
         if case.state == TEST:
             say(
@@ -59,9 +55,8 @@ def run(args: SimpleNamespace) -> int:
     return 0
 
 
-def _agreed(following: "NextRun", yes: bool) -> bool:
+def _agreed(offer: Mapping[str, Any], yes: bool) -> bool:
     """Whether the wires may be driven so."""
-    offer = following.to_json()
     say(
         f"next: {offer['protocol']}, {offer['minutes']:.1f} min, up to {offer['volts']:.2f} V "
         f"({offer['file']})"
@@ -72,40 +67,29 @@ def _agreed(following: "NextRun", yes: bool) -> bool:
         say("not confirmed: no terminal to ask on; --yes runs without asking")
         return False
     with suppress(EOFError):
-        return input("run it? [y/N] ").strip().lower() in _YES
+        return input("run it? [y/N] ").strip().lower() in ("y", "yes")
     return False
 
 
-def _simulated(bench: str, believed: Parameters) -> Runner:
-    from sma_bench.live.simulated_run import SimulatedRun
+def _run_simulated(run: Mapping[str, Any], bench: str, believed: "Parameters") -> None:
+    """Drive the bench of a file in software, and record it."""
+    from sma_bench.live.virtual_bench import SimulatedRun
+    from sma_bench.parameters import read_parameters
+    from sma_bench.protocols import load_protocol
     from sma_bench.records.bag_writer import write_record
 
-    hidden = read_parameters(bench, ignore=node_groups())
-
-    def follow(run: "NextRun") -> None:
-        seed = int(run.bag.name.rpartition("_")[2])
-        with progress(run.protocol.name):
-            signals, markers = SimulatedRun(hidden, believed, seed).follow(run.protocol)
-        made = {"how": "simulated bench", "source": bench}
-        write_record(run.bag, signals, start_ns=time.time_ns(), markers=markers, provenance=made)
-
-    return follow
+    hidden, seed = read_parameters(bench), run["bag"].rpartition("_")[2]
+    protocol = load_protocol(run["file"], believed)
+    with progress(protocol.name):
+        signals, markers = SimulatedRun(hidden, believed, int(seed)).follow(protocol)
+    made = {"how": "simulated bench", "source": bench}
+    write_record(run["bag"], signals, start_ns=time.time_ns(), markers=markers, provenance=made)
 
 
-def _bench(args: SimpleNamespace) -> Runner:
-    """The experiment node of a bench that runs, and a recorder of our own."""
-
-    def follow(run: "NextRun") -> None:
-        try:
-            from sma_bench.ros.bench_client import BenchClient
-        except ModuleNotFoundError as error:
-            raise InputError(
-                f"investigate: {error.name} is not installed: nodes need ROS 2, --simulated none"
-            ) from None
-        protocol, namespace = run.protocol, "/" + (args.namespace or "bench").strip("/")
-        with progress(protocol.name) as report, BenchClient(namespace) as client:
-            client.run_recorded(
-                run.file, protocol.name, protocol.duration, run.bag, lambda s: report(0.0, s)
-            )
-
-    return follow
+def run_bench(run: Mapping[str, Any], namespace: str | None) -> None:
+    """Drive a bench by its experiment node, with a recorder of our own."""
+    with options.needs_ros("investigate", "--simulated needs no ROS 2"):
+        from sma_bench.ros.bench_client import BenchClient
+    name, seconds = run["protocol"], 60.0 * run["minutes"]
+    with progress(name) as report, BenchClient(options.namespace_of(namespace)) as client:
+        client.run_recorded(run["file"], name, seconds, run["bag"], lambda s: report(0.0, s))

@@ -16,13 +16,12 @@ _READ, _COMPARED = 0.05, 0.5
 
 @options.command("paper")
 def run(args: SimpleNamespace) -> int:
-    """Write index.html, one PNG a figure and one CSV a table."""
-    from sma_bench.commands.paper_drawing import paper_page, to_json
+    from sma_bench.paper.lab import paper_page
+    from sma_bench.paper.page import csv_table
     from sma_bench.records import open_record
-    from sma_bench.report.page import Made, csv_text, write_report
-    from sma_bench.report.paper_page import csv_table
+    from sma_bench.report.page import csv_text, write_report
 
-    started = time.monotonic()
+    started, made = time.monotonic(), options.made_of(args, args.records)
     parameters, column = options.parameters_from_options(args), options.column_of(args)
     given = ", ".join(args.records)
     own = ", ".join([*([args.params] if args.params else []), *args.overrides])
@@ -33,20 +32,14 @@ def run(args: SimpleNamespace) -> int:
         reading = in_turn(args.records, part(report, 0.0, _READ), lambda path: f"reading {path}")
         records = [open_record(path) for path in reading]
         page = paper_page(records, parameters, part(report, _READ, _COMPARED))
-        drawing = part(report, _COMPARED, 1.0)
-        made = Made(args.command_line, [*args.records, *filter(None, [args.params])])
         index = write_report(
-            args.out,
-            text["title"],
-            f"{summary} {made.head}",
-            [*page.sections(), made.section()],
-            column=column,
-            report=drawing,
-        )
+            args.out, text["title"], summary, page.sections(), made, column=column,
+            report=part(report, _COMPARED, 1.0),
+        )  # fmt: skip
     for name, rows in page.tables.items():
         write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(csv_table(rows)).decode())
     if args.json:
-        write_json(args.json, to_json(page))
+        write_json(args.json, page.to_json())
     print_findings(page.notes)
     synthetic = sum(outcome.synthetic for outcome in page.outcomes.values())
     measured = len(page.outcomes) - synthetic

@@ -3,16 +3,16 @@
 from types import SimpleNamespace
 
 from sma_bench.commands import options
-from sma_bench.commands.terminal import output_console, print_table, write_json
-from sma_bench.parameters import write_parameters
-from sma_bench.parameters.documentation import parameter_page
-from sma_bench.parameters.node_tables import NODE_TABLES
-from sma_bench.parameters.table import TABLE
+from sma_bench.commands.terminal import print_table, write_json
 
 
 @options.command("parameters")
 def run(args: SimpleNamespace) -> int:
-    """Print the table, the page, or write the file."""
+    from sma_bench.parameters import write_parameters
+    from sma_bench.parameters.node_tables import parameter_page
+    from sma_bench.parameters.parameter import TABLE
+    from sma_bench.report.tables import Table, value_cell
+
     parameters = options.parameters_from_options(args)
     if args.json:
         entries = [
@@ -21,24 +21,17 @@ def run(args: SimpleNamespace) -> int:
              "std": parameters.std(p.name) if p.uncertainty is not None else None,
              "low": p.low, "high": p.high, "description": p.description, "source": p.provenance}
             for p in TABLE
-        ]  # fmt: skip
+        ]
         write_json(args.json, {"parameters": entries})
     if args.markdown:
-        print(parameter_page(NODE_TABLES), end="")
-        return 0
-    if args.out:
+        print(parameter_page(), end="")
+    elif args.out:
         comment = "Parameters of an SMA bench in SI units.\nLoad with: --ros-args --params-file"
         write_parameters(
             args.out, parameters, comment, template=args.params or args.out, explain=True
         )
         print(args.out)
-        return 0
-    rows = [(p.name, _shown(parameters[p.name]), p.unit, p.provenance) for p in TABLE]
-    print_table(output_console(), ("parameter", "value", "unit", "source"), rows)
+    else:
+        rows = [(p.name, value_cell(parameters[p.name]), p.unit, p.provenance) for p in TABLE]
+        print_table(Table(("parameter", "value", "unit", "source"), rows))
     return 0
-
-
-def _shown(value: object) -> str:
-    if isinstance(value, tuple):
-        return ", ".join(map(str, value))
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

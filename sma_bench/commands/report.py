@@ -12,41 +12,25 @@ _READING = 0.3  # of the time, about
 @options.command("report")
 def run(args: SimpleNamespace) -> int:
     """Read everything, then write everything; 0 whatever the inputs say."""
-    from sma_bench.report.collected_report import (
-        answers,
-        counted,
-        document,
-        parameter_section,
-        shown_input,
-        summary_section,
-    )
-    from sma_bench.report.page import Made, write_report
+    from sma_bench.report.page import Made, versions
+    from sma_bench.report.reports import shown_input, write_collected_report
 
     args.column = args.column or "double"
     parameters, column = options.parameters_from_options(args), options.column_of(args)
+    given = " and ".join([*([args.params] if args.params else []), *args.overrides])
     with progress("report") as report:
         reading = in_turn(args.inputs, part(report, 0.0, _READING), lambda path: f"reading {path}")
         shown = [shown_input(path, k, args.namespace) for k, path in enumerate(reading, 1)]
         made = Made(args.command_line, [*args.inputs, *filter(None, [args.params])])
-        own = [one.section for one in shown]
-        sections = [*answers(shown), summary_section(shown), *own]
-        if parameters.given:
-            given = " and ".join([*([args.params] if args.params else []), *args.overrides])
-            sections.append(parameter_section(parameters, given))
-        sections.append(made.section())
-        page = write_report(
-            args.out,
-            args.title,
-            f"{counted(shown)}. {made.head}",
-            sections,
-            column=column,
-            report=part(report, _READING, 1.0),
+        drawing = part(report, _READING, 1.0)
+        page = write_collected_report(
+            args.out, args.title, shown, parameters, given, made, column, drawing
         )
     if args.json:
-        write_json(args.json, document(shown, args.command_line, page))
+        about = {"command": args.command_line, "versions": versions(), "page": str(page)}
+        write_json(args.json, {"inputs": [one.to_json() for one in shown], **about})
     for one in shown:
         say(f"{one.path}: {one.said}")
     warnings = sum(len(one.warnings) for one in shown)
-    size = page.stat().st_size / 1e6
-    say(f"warnings {warnings}\nreport   {page}, {size:.1f} MB")
+    say(f"warnings {warnings}\nreport   {page}, {page.stat().st_size / 1e6:.1f} MB")
     return 0

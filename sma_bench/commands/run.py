@@ -5,7 +5,6 @@ import sys
 from types import SimpleNamespace
 
 from sma_bench.commands import COMMANDS, options
-from sma_bench.errors import InputError
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 NETWORK_OPTION = "--network"
@@ -21,11 +20,7 @@ NETWORK_OPTION = "--network"
     },
 )
 def run(args: SimpleNamespace) -> int:
-    """Run a node until it ends.
-
-    Raises:
-        InputError: no ROS 2 in this environment.
-    """
+    """Run a node until it ends. Raises InputError: no ROS 2 in this environment."""
     rest = list(args.rest)
     if network := rest[:1] == [NETWORK_OPTION]:
         from sma_bench.ros.processes import choose_discovery
@@ -34,12 +29,6 @@ def run(args: SimpleNamespace) -> int:
     sys.argv[1:] = [args.node, *rest[network:]]
     # As `python -m` would, and it ends this process: commands know of nodes as little as these of
     # commands.
-    try:
+    with options.needs_ros("run"):
         runpy.run_module("sma_bench.nodes.start", run_name="__main__")
-    except ModuleNotFoundError as error:
-        if (error.name or "").startswith("sma_bench"):
-            raise
-        raise InputError(
-            f"run: {error.name} is not installed: source a ROS 2 Jazzy setup file, or use ./bench"
-        ) from None
     return 0

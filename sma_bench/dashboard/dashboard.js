@@ -111,12 +111,8 @@ function show() {
   showMeters(signals, panels, now);
   showNodes(panels, now);
   showPlug(panels);
-  showResult("diagnosis", panels.diagnosis, (found) => found.candidates.map(
-    ({ name, probability }) => meter(
-      name.replaceAll("_", " "), probability, `${(100 * probability).toFixed(1)} %`)));
-  showResult("identification", panels.identification, (found) => [
-    element("table", "", "numbers", ...found.rows.map(([name, number]) =>
-      element("tr", "", "", broken(name), unbroken("td", number))))]);
+  showResult("diagnosis", panels.diagnosis);
+  showResult("identification", panels.identification);
   showWork(panels);
   showAgain(panels);
   get("no-signals").hidden = signals.length > 0;
@@ -216,11 +212,13 @@ const unbroken = (tag, text, className = "") => element(tag, "", className,
   ...text.split(/(--[a-z][\w-]*|[\d.]+e-\d+)/)
     .map((part, k) => (k % 2 ? element("span", part, "keep") : part)));
 
-function showResult(name, found, content) {
+function showResult(name, found) {
   if (!found) return;
   get(`${name}-content`).replaceChildren(...(found.problem ?
     [element("p", found.problem, "error")] :
-    [element("p", "", "", element("strong", found.title)), ...content(found),
+    [element("p", "", "", element("strong", found.title)),
+      element("table", "", "numbers", ...found.rows.map(([row, number]) =>
+        element("tr", "", "", broken(row), unbroken("td", number)))),
       ...found.lines.map((line) => unbroken("p", line, "quiet"))]));
 }
 

@@ -10,16 +10,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-from sma_bench.border import read_json_object, shown
+from sma_bench.border import A_LIST, AN_OBJECT, read_fields, shown
 from sma_bench.errors import InputError
 from sma_bench.results import in_unit, with_error
 
-SPAN = 60.0
-"""s that a trace remembers"""
-BUCKET = 0.1
-"""s of which only the least and the largest reading are kept"""
+SPAN = 60.0  # s that a trace remembers
+BUCKET = 0.1  # s of which only the least and the largest reading are kept
 
 
 class Trace:
@@ -70,7 +68,8 @@ class ShownQuantity:
 
     def shown(self, value: float) -> float | None:
         """A number in the unit of the page; None where there is none."""
-        return round(self.factor * value - self.zero, 5) if math.isfinite(value) else None
+        number = self.factor * value - self.zero
+        return round(number, 5) if math.isfinite(number) else None
 
 
 QUANTITIES = {  # in the page's order
@@ -84,13 +83,23 @@ QUANTITIES = {  # in the page's order
     "force": ShownQuantity("Force", "N"),
     "distance": ShownQuantity("Distance", "mm", 1e3),
 }
+_ORDER = list(QUANTITIES)
 LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)
 FLOWING = "still flowing"
-NO_VOLTAGE = 0.05
-"""V below which a measured voltage is 0: noise and steps of the converters, 10 mV"""
+NO_VOLTAGE = 0.05  # V below which a measured voltage is 0: noise and steps of the converters, 10 mV
 # Anybody may make topics and names without end.
 _MOST_SIGNALS, _MOST_ENTRIES = 300, 200
 MEASURED, COMMANDED, MODEL = "measured", "commanded", "model"
+
+
+class WireVoltage(NamedTuple):
+    """The measured voltage of a wire: the newest [V], when it was heard, and since when all have
+    been 0 (inf while one is not), s of the state's clock; its stamp, s of its source's clock."""
+
+    volts: float
+    heard: float
+    off_since: float
+    stamp: float
 
 
 @dataclass
@@ -108,34 +117,52 @@ class LiveState:
         self.clock = clock
         self._lock = threading.Lock()
         self._traces: dict[tuple[str, str, str], Trace] = {}
+        self._stamps: dict[tuple[str, str, str], float] = {}
         self._panels: dict[str, Any] = {}
-        self._off_since: dict[str, float] = {}
+        self._voltages: dict[str, WireVoltage] = {}
         self._stopped: dict[str, float] = {}
 
-    def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED) -> None:
-        """Take a reading in SI units; `kind` is measured, a command or a prediction."""
+    def reading(
+        self, quantity: str, place: str, value: float, kind: str = MEASURED,
+        stamp: float | None = None,
+    ) -> None:
+        """Take a reading in SI units; `kind` is measured, a command or a prediction. `stamp`: s of
+        its source's clock, 0 where it sets none; the same one again is no reading: a driver that
+        hangs repeats its last. None: when it comes."""
         key, value = (quantity, place, kind), float(value)
         with self._lock:
             if key not in self._traces and len(self._traces) >= _MOST_SIGNALS:
                 return
             now = self.clock()
+            if stamp is None:
+                stamp = now
+            elif stamp and stamp == self._stamps.get(key):
+                return
+            self._stamps[key] = stamp
             self._traces.setdefault(key, Trace()).add(now, value)
             if (quantity, kind) != ("voltage", MEASURED):
                 return
-            if abs(value) <= NO_VOLTAGE:
-                self._off_since.setdefault(place, now)
-                return
-            self._off_since.pop(place, None)
-            if place in self._stopped and not self._panels.get("again"):
+            before = self._voltages.get(place)
+            off_since = min(now, before.off_since if before else now)
+            is_off = abs(value) <= NO_VOLTAGE
+            self._voltages[place] = WireVoltage(
+                value, now, off_since if is_off else math.inf, stamp
+            )
+            if not is_off and place in self._stopped and not self._panels.get("again"):
                 self._panels["again"] = {
                     "place": place, "volts": QUANTITIES["voltage"].shown(value),
                     "seconds": round(now - self._stopped[place], 1),
-                }  # fmt: skip
+                }
 
-    def off_since(self) -> dict[str, float]:
-        """Since when every measured voltage of a wire has been 0, by place; not where one is on."""
+    def voltages(self) -> dict[str, WireVoltage]:
+        """By place."""
         with self._lock:
-            return dict(self._off_since)
+            return dict(self._voltages)
+
+    def foreign(self) -> dict[str, str]:
+        """Of wires whose readings come from a node that takes no commands, that node's name."""
+        with self._lock:
+            return dict(self._panels.get("foreign", {}))
 
     def stop_asked(self) -> None:
         """A stop was asked for: what came of the last one is over."""
@@ -165,103 +192,54 @@ class LiveState:
             merged = {**self._panels.get(panel, {}), **content}
             self._panels[panel] = dict(list(merged.items())[:_MOST_ENTRIES])
 
-    def newest(self, quantity: str) -> dict[str, tuple[float, float]]:
-        """Measured value (SI) and time of arrival, by place."""
-        with self._lock:
-            return {
-                place: (trace.latest, trace.heard)
-                for (what, place, kind), trace in self._traces.items()
-                if what == quantity and kind == MEASURED
-            }
-
     def update(self, seen: Seen) -> dict[str, Any]:
         """What is new for a page since the last update it got; notes it in `seen`."""
         with self._lock:
             signals = []
-            order = list(QUANTITIES)
-            for key in sorted(self._traces, key=lambda key: (order.index(key[0]), *key[1:])):
-                trace, shape = self._traces[key], QUANTITIES[key[0]]
+            for key in sorted(self._traces, key=lambda key: (_ORDER.index(key[0]), *key[1:])):
+                trace, (quantity, place, kind) = self._traces[key], key
+                shape = QUANTITIES[quantity]
                 seen.points[key], points = trace.since(seen.points.get(key, 0))
                 signals.append({
-                    **dict(zip(("quantity", "place", "kind"), key, strict=True)),
+                    "quantity": quantity, "place": place, "kind": kind,
                     "latest": shape.shown(trace.latest), "heard": round(trace.heard, 4),
                     "points": [(round(t, 3), shape.shown(v)) for t, v in points],
-                })  # fmt: skip
+                })
             panels = {name: json.dumps(content) for name, content in self._panels.items()}
             changed = [n for n, text in panels.items() if seen.panels.get(n) != text]
-            seen.panels |= {name: panels[name] for name in changed}
+            seen.panels |= panels
             return {
                 "now": round(self.clock(), 4), "span": SPAN, "signals": signals,
                 "panels": {name: self._panels[name] for name in changed},
-            }  # fmt: skip
-
-
-def quantity_table() -> dict[str, dict[str, str]]:
-    """Title and unit of every quantity, in the page's order."""
-    return {name: {"title": q.title, "unit": q.unit} for name, q in QUANTITIES.items()}
+            }
 
 
 def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:
     """Limits of the parameters LIMITS (SI) by quantity, in the page's unit."""
-    return {
-        name: q.shown(limits[q.limit]) for name, q in QUANTITIES.items() if q.limit in limits
-    }
+    return {name: q.shown(limits[q.limit]) for name, q in QUANTITIES.items() if q.limit in limits}
 
 
-# --- The last results in a few lines: `title` and `lines`, or `problem` where it is no result.
-
-_MOST_CANDIDATES = 5
-_LEAST_SHOWN = 0.005
-
-
-def identification_summary(text: str) -> dict[str, Any]:
-    """Of the JSON that the identification node latches; `rows` of name and number."""
+def result_summary(node: str, text: str) -> dict[str, Any]:
+    """What is shown of the JSON that `identification` or `diagnosis` latches: `title` and `lines`
+    of its card and, of an identification, `rows` of name and number; or `problem`, a line, where it
+    is no such result."""
+    where, numbers = f"{node}/result", node == "identification"
+    fields = {"card": A_LIST, **({"parameters": AN_OBJECT} if numbers else {})}
     try:
-        where = "identification/result"
-        document = read_json_object(text, where)
-        title, lines = _card(document, where)
-        rows = []
-        for name, entry in _entries(document.get("parameters"), dict, where, "parameters").items():
-            number = entry if isinstance(entry, dict) else {}
-            value, std, text = number.get("value"), number.get("std"), ""
-            if isinstance(value, int | float) and isinstance(std, int | float):
-                text = shown(in_unit(with_error(value, std), str(number.get("unit", ""))))
-            rows.append((shown(name), text))
+        found = read_fields(text, fields, where)
+        card = found["card"]
+        if not card or not all(
+            isinstance(r, list) and len(r) == 2 and all(isinstance(t, str) for t in r) for r in card
+        ):
+            raise InputError(f"{where}: card is not pairs of texts")
     except InputError as error:
         return {"problem": shown(str(error))}
-    return {"title": title, "rows": rows[:_MOST_ENTRIES], "lines": lines}
-
-
-def diagnosis_summary(text: str) -> dict[str, Any]:
-    """Of the JSON that the diagnosis node latches; `candidates` have name and probability."""
-    try:
-        where = "diagnosis/result"
-        document = read_json_object(text, where)
-        title, lines = _card(document, where)
-        found = _entries(document.get("candidates"), list, where, "candidates")
-    except InputError as error:
-        return {"problem": shown(str(error))}
-    candidates = [
-        {"name": shown(str(c.get("name"))), "probability": round(float(c["probability"]), 4)}
-        for c in found if isinstance(c, dict)
-        and isinstance(c.get("probability"), int | float) and c["probability"] >= _LEAST_SHOWN
-    ]
-    return {"title": title, "candidates": candidates[:_MOST_CANDIDATES], "lines": lines}
-
-
-def _card(document: dict[str, Any], where: str) -> tuple[str, list[str]]:
-    """The title and the other rows of the card that a result carries."""
-    rows = _entries(document.get("card"), list, where, "card")
-    if not rows or not all(
-        isinstance(r, list) and len(r) == 2 and all(isinstance(t, str) for t in r) for r in rows
-    ):
-        raise InputError(f"{where}: card is not pairs of texts")
-    return shown(rows[0][1]), [
-        shown(f"{label}: {text}" if label else text) for label, text in rows[1:_MOST_ENTRIES]
-    ]
-
-
-def _entries(found: Any, kind: type, where: str, name: str) -> Any:
-    if not isinstance(found, kind):
-        raise InputError(f"{where}: {name} is missing")
-    return found
+    rows = []
+    for name, entry in list(found["parameters"].items())[:_MOST_ENTRIES] if numbers else ():
+        entry = entry if isinstance(entry, dict) else {}
+        value, std, number = entry.get("value"), entry.get("std"), ""
+        if isinstance(value, int | float) and isinstance(std, int | float):
+            number = shown(in_unit(with_error(value, std), str(entry.get("unit", ""))))
+        rows.append((shown(name), number))
+    lines = [shown(f"{label}: {line}" if label else line) for label, line in card[1:_MOST_ENTRIES]]
+    return {"title": shown(card[0][1]), "lines": lines, "rows": rows}

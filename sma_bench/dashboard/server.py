@@ -5,9 +5,11 @@ import errno
 import hmac
 import ipaddress
 import json
+import math
 import secrets
 import shlex
 import socket
+from collections.abc import Mapping
 from importlib import resources
 from typing import Any
 from urllib.parse import urlsplit
@@ -20,21 +22,23 @@ import tornado.web
 import tornado.websocket
 
 from sma_bench.border import TEXT, read_fields
-from sma_bench.dashboard.live_state import Seen, quantity_table
-from sma_bench.dashboard.stopping import WatchedBench, stop
+from sma_bench.dashboard.live_state import QUANTITIES, Seen, WireVoltage
 from sma_bench.errors import InputError
 
-UPDATE_PERIOD = 0.2
-"""s between two updates of a page"""
+# Of a stop.
+_PATIENCE = 3.0  # s
+_STAYS_OFF = 1.0  # s of 0 V: longer than a command timeout, and than most pulses of a commander
+_SILENT = 1.0  # s after its last reading a wire is none of the bench's
+_LEAST_ADVANCE = 0.1  # of the time gone, of stamps: a simulation may be slow, a frozen clock is not
+_LOOK, _REPEAT = 0.005, 0.02  # s between two looks, and two commands of 0 V
+UPDATE_PERIOD = 0.2  # s between two updates of a page
 _MOST_PAGES, _MOST_STRANGERS = 16, 32
-_WORK_PATIENCE = 5.0
-_IDLE = 30.0
-"""s without a whole request"""
-_LARGEST_REQUEST = 1 << 14
+_IDLE = 30.0  # s without a whole request
+_LARGEST_REQUEST = 1 << 14  # bytes
 _FILES = {
     "dashboard.css": "text/css", "dashboard.js": "text/javascript", "uPlot.min.css": "text/css",
     "uPlot.min.js": "text/javascript",
-}  # fmt: skip
+}
 _HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
@@ -64,12 +68,8 @@ class Access:
         self._names = {"localhost", "127.0.0.1", "::1", own.lower()}
 
     def refusal(self, host: str | None, origin: str | None, token: str) -> str:
-        """Why a request may not be answered, or "".
-
-        Args:
-            host, origin: the headers; None where there is none.
-            token: what stands for it in the address.
-        """
+        """Why a request may not be answered, or "". `host, origin`: the headers; None where there
+        is none; `token`: what stands for it in the address."""
         try:
             name = (urlsplit(f"//{host}").hostname or "") if host else ""
         except ValueError:
@@ -78,7 +78,7 @@ class Access:
         if name not in self._names and not (self._everywhere and _address(name)):
             return f"the page does not answer under the name {name!r}"
         # A browser sends Origin with what another page asks for, and with every POST.
-        if origin is not None and urlsplit(origin).netloc != host:
+        if origin is not None and origin.partition("://")[2] != host:
             return "asked for by another web page"
         if not hmac.compare_digest(token.encode(), self.token.encode()):
             return "wrong token: the address is the one that sma-bench dashboard printed"
@@ -99,48 +99,38 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 class DashboardServer:
-    """Serves one bench; `url`, with its token, is the only address that answers."""
+    """Serves one bench, as `stop` takes it; `url`, with its token, is the only address that
+    answers."""
 
-    def __init__(self, bench: WatchedBench, title: str, host: str, port: int) -> None:
-        """Listen; port 0 is any that is free.
-
-        Raises:
-            InputError: the address cannot be listened on.
-        """
+    def __init__(self, bench: Any, title: str, host: str, port: int) -> None:
+        """Listen; port 0 is any that is free. Raises InputError: the address cannot be listened
+        on."""
         try:
             sockets = tornado.netutil.bind_sockets(port, host)
         except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or error
-            taken = getattr(error, "errno", None) == errno.EADDRINUSE
-            hint = "; --port 0 takes any that is free" if taken else ""
-            raise InputError(
-                f"dashboard: cannot listen on {host} port {port}: {reason}{hint}"
-            ) from None
+            reason = getattr(error, "strerror", None) or str(error)
+            if getattr(error, "errno", None) == errno.EADDRINUSE:
+                reason += "; --port 0 takes any that is free"
+            raise InputError(f"dashboard: cannot listen on {host} port {port}: {reason}") from None
         self.access = Access(host)
         name = f"[{host}]" if ":" in host else host
         self.url = f"http://{name}:{sockets[0].getsockname()[1]}/{self.access.token}/"
         self.bench, self.title = bench, title
         self.pages: set[_Live] = set()
         shared = {"server": self}
+        pages = {"": _Page, "live": _Live, "stop": _Stop, "work": _Work, "([A-Za-z.]+)": _File}
         application = tornado.web.Application(
-            [
-                (r"/([^/]+)/", _Page, shared),
-                (r"/([^/]+)/live", _Live, shared),
-                (r"/([^/]+)/stop", _Stop, shared),
-                (r"/([^/]+)/work", _Work, shared),
-                (r"/([^/]+)/([A-Za-z.]+)", _File, shared),
-            ],
+            [(f"/([^/]+)/{name}", handler, shared) for name, handler in pages.items()],
             default_handler_class=_Nothing, default_handler_args=shared,
             log_function=lambda _: None, websocket_ping_interval=5.0, websocket_ping_timeout=5.0,
-        )  # fmt: skip
+        )
         self.http = _Server(
             application, max_header_size=_LARGEST_REQUEST, max_body_size=_LARGEST_REQUEST,
             idle_connection_timeout=_IDLE, body_timeout=_IDLE,
-        )  # fmt: skip
+        )
         self.http.add_sockets(sockets)
 
     async def close(self) -> None:
-        """Stop listening and cut what is open."""
         self.http.stop()
         await self.http.close_all_connections()
 
@@ -148,16 +138,14 @@ class DashboardServer:
 class _Server(tornado.httpserver.HTTPServer):
     """Keeps few connections open that have not shown the token: a stop must find room."""
 
-    def initialize(self, *arguments: Any, **options: Any) -> None:
-        """As HTTPServer's; it is no `__init__` there."""
-        super().initialize(*arguments, **options)
-        self.strangers: list[tornado.iostream.IOStream] = []
+    strangers: tuple[tornado.iostream.IOStream, ...] = ()
 
     def handle_stream(self, stream: tornado.iostream.IOStream, address: tuple) -> None:
         """A new connection; the oldest strangers make way for it."""
-        self.strangers = [known for known in self.strangers if not known.closed()] + [stream]
-        while len(self.strangers) > _MOST_STRANGERS:
-            self.strangers.pop(0).close()
+        known = [known for known in self.strangers if not known.closed()]
+        for oldest in known[: -(_MOST_STRANGERS - 1)]:
+            oldest.close()
+        self.strangers = (*known[-(_MOST_STRANGERS - 1) :], stream)
         super().handle_stream(stream, address)
 
 
@@ -175,10 +163,9 @@ class _Guarded(tornado.web.RequestHandler):
             self.refuse(403, refusal)
         else:
             admitted = getattr(self.request.connection, "stream", None)
-            http.strangers = [known for known in http.strangers if known is not admitted]
+            http.strangers = tuple(known for known in http.strangers if known is not admitted)
 
     def refuse(self, status: int, why: str) -> None:
-        """End the answer with one line."""
         self.set_status(status)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(f"{why}\n")
@@ -201,8 +188,8 @@ class _Nothing(_Guarded):
 class _Page(_Guarded):
     def get(self, _: str) -> None:
         template = tornado.template.Template(_read("dashboard.html"), autoescape="xhtml_escape")
-        quantities = json.dumps(quantity_table())
-        self.finish(template.generate(title=self.server.title, quantities=quantities))
+        table = {name: {"title": q.title, "unit": q.unit} for name, q in QUANTITIES.items()}
+        self.finish(template.generate(title=self.server.title, quantities=json.dumps(table)))
 
 
 class _File(_Guarded):
@@ -226,15 +213,15 @@ class _Work(_Guarded):
         try:
             body = self.request.body.decode(errors="replace")
             asked = read_fields(body, {"kind": TEXT, "records": TEXT}, "work")
-            begun = self.server.bench.start_work(asked["kind"], shlex.split(asked["records"]))
+            records = shlex.split(asked["records"])
         except ValueError as error:
             self.refuse(400, str(error))
             return
         try:
-            good, said = await asyncio.wait_for(asyncio.wrap_future(begun), _WORK_PATIENCE)
-        except TimeoutError:
-            good, said = False, "the node does not answer"
-        self.finish({"begun": good, "said": said})
+            await asyncio.to_thread(self.server.bench.start_work, asked["kind"], records)
+            self.finish({"begun": True, "said": "begun"})
+        except InputError as error:
+            self.finish({"begun": False, "said": str(error)})
 
 
 class _Live(_Guarded, tornado.websocket.WebSocketHandler):
@@ -265,3 +252,124 @@ class _Live(_Guarded, tornado.websocket.WebSocketHandler):
 
 def _read(name: str) -> bytes:
     return resources.files("sma_bench.dashboard").joinpath(name).read_bytes()
+
+
+# --- The stop: every node is asked at once, and the voltages show whether it worked.
+
+
+class Wires:
+    """What the voltages say of a stop that was asked for at `begin`, s of the state's clock, after
+    the voltages `before`. A replayed bag, or a driver that hangs, confirms nothing: what counts was
+    acquired after the last reading before, by its own source's clock, where that goes on."""
+
+    def __init__(
+        self, begin: float, voltages: Mapping[str, WireVoltage],
+        before: Mapping[str, WireVoltage], foreign: Mapping[str, str],
+    ) -> None:
+        """`foreign`: by wire, the node that its voltage is from, where that takes no commands."""
+        self._begin = begin
+        self.live = {p: v for p, v in voltages.items() if v.heard >= begin - _SILENT}
+        self._foreign = {place: foreign[place] for place in self.live if place in foreign}
+
+        def is_new(place: str, v: WireVoltage) -> bool:
+            gone = v.stamp - before[place].stamp if place in before else math.inf
+            return v.heard >= begin and gone > _LEAST_ADVANCE * (v.heard - begin)
+
+        self._read = {p: v for p, v in self.live.items() if is_new(p, v)}
+        # That a voltage is on is believed of any reading, that it is off of new ones only.
+        self.on = [place for place, v in self.live.items() if math.isinf(v.off_since)]
+        self.unclear = bool(self.on) or not self.live or self._read.keys() != self.live.keys()
+
+    def _off_for(self, wire: WireVoltage) -> float:
+        return wire.heard - max(wire.off_since, self._begin)
+
+    @property
+    def stay_off(self) -> bool:
+        """Whether every live wire was read at 0 V, and nothing else, for long enough."""
+        known = bool(self.live) and not self._foreign and self._read.keys() == self.live.keys()
+        return known and all(self._off_for(v) >= _STAYS_OFF for v in self.live.values())
+
+    @property
+    def seconds(self) -> float:
+        """From the request to 0 V on every wire."""
+        return max([0.0, *(v.off_since - self._begin for v in self.live.values())])
+
+    def sentence(self, asked: bool) -> str:
+        """What they say, where nodes were `asked`."""
+        silent = ", ".join(sorted(self.live.keys() - self._read.keys()))
+        # Read for long enough, and not off for as long.
+        late = ", ".join(sorted(
+            place for place, v in self._read.items()
+            if self._off_for(v) < _STAYS_OFF <= v.heard - self._begin
+        ))
+        if self.on:
+            still = ", ".join(f"{place} {self.live[place].volts:.2f} V" for place in self.on)
+            return f"NOT STOPPED, voltage is on: {still}. Use the emergency stop of the bench."
+        if self._foreign:
+            whose = ", ".join(f"{p}'s from {node}" for p, node in sorted(self._foreign.items()))
+            return f"Not confirmed: voltages come from nodes that take no commands, {whose}. Look."
+        if silent:
+            return f"Not confirmed: no reading since the request from {silent}. Look at the bench."
+        if self.stay_off:
+            wires = "the wire" if len(self.live) == 1 else f"all {len(self.live)} wires"
+            after = f"{1e3 * self.seconds:.0f} ms after the request"
+            return f"0 V read on {wires}, {after}, and nothing else for {_STAYS_OFF:g} s."
+        if late:
+            since = f"less than {_STAYS_OFF:g} s ago"
+            return f"NOT STOPPED, voltage was on {since}: {late}. Use the emergency stop."
+        if self.live:
+            return "Not confirmed: too few readings since the request. Look at the bench."
+        if asked:
+            return "Not confirmed: stop was sent, but no voltage is read here. Look at the bench."
+        return "Nothing to stop: no node answers here and no voltage is read. Look at the bench."
+
+
+async def stop(bench: Any) -> dict[str, Any]:
+    """Stop a bench and say what came of it; it has what `ros.dashboard.DashboardNode` has.
+
+    0 V is commanded until the voltages are gone, so that a bench stops which has no service, or
+    whose commander is not asked by one.
+
+    Returns `stopped`: True only where every live wire was read at 0 V and stayed there, and no node
+    says that current still flows; `said`: one sentence; `seconds` until 0 V (None: never);
+    `voltages` (V) by wire; `answers` of the nodes.
+    """
+    clock = bench.state.clock
+    begin = commanded = clock()
+    before = bench.state.voltages()
+    bench.state.stop_asked()
+    bench.send_zero()
+    futures, answered = bench.send_stop(), dict[str, float]()
+    while True:
+        wires, now = Wires(begin, bench.state.voltages(), before, bench.state.foreign()), clock()
+        for node, future in futures.items():
+            if future.done():
+                answered.setdefault(node, round(now - begin, 4))
+        nothing_to_see = not wires.live and now > begin + _SILENT
+        is_clear = len(answered) == len(futures) and (wires.stay_off or nothing_to_see)
+        if is_clear or now > begin + _PATIENCE:
+            break
+        if wires.unclear and now > commanded + _REPEAT:
+            commanded = now
+            bench.send_zero()
+        await asyncio.sleep(_LOOK)
+    if wires.stay_off:
+        bench.state.stop_confirmed(wires.live)
+    answers = []
+    for node, future in sorted(futures.items()):
+        answer = future.result() if future.done() else None
+        answers.append({
+            "node": node, "success": bool(answer and answer.success),
+            "message": str(answer.message) if answer else "no answer",
+            "seconds": answered.get(node),
+        })
+    flowing = ", ".join(bench.state.flowing())
+    plug = f"PULL THE PLUG: current still flows with every output off, says {flowing}."
+    volts = {place: v.volts for place, v in wires.live.items()}
+    return {
+        "stopped": wires.stay_off and not flowing,
+        "said": plug if flowing else wires.sentence(bool(futures)),
+        "seconds": round(wires.seconds, 4) if wires.stay_off else None,
+        "voltages": {place: round(v, 3) for place, v in volts.items() if math.isfinite(v)},
+        "answers": answers,
+    }

@@ -10,18 +10,24 @@ LEFT_SHARE and STEADY on 60, THRESHOLD on 180, and what more than two records co
 followed up 52 of these. None comes from elsewhere.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sma_bench.diagnose.result import SET_MASS, Verdict
+from sma_bench.diagnose.result import Explanation, Verdict
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
+from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
+from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.physics.effects import EFFECTS
+
+Array = NDArray[np.float64]
 
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
 JOIN = "+"
@@ -29,7 +35,6 @@ SURPRISED = "parameters are needed that nobody believes in"
 
 SCALE = 2.4  # nats
 SHARE = 0.013
-FORM = 0.1  # of what the best single effect gains, which another's equation may be off by
 THRESHOLD = 5.5  # nats that an effect must gain over recalibration
 # By how much an effect's size may scatter from stretch to stretch of the records more than noise
 # lets it. What scatters more stands for something else, which it takes up here and there.
@@ -62,45 +67,15 @@ NAMED = 0.6  # probability from which one candidate is named
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
-    """One explanation with its probability.
+class Candidate(Explanation):
+    """An explanation with the fit of its model, None for unexplained."""
 
-    Attributes:
-        name: of the effect, two joined by +, or recalibration, no_gap, unexplained.
-        fit: the model, None for unexplained; gap: of its effects alone, in noise.
-        gain: evidence over recalibration [nats].
-    """
-
-    name: str
-    probability: float
-    fit: Fit | None
-    gap: float
-    gain: float
+    fit: Fit | None = None
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Effects that it is made of."""
         return self.fit.unknowns.effects if self.fit is not None else ()
-
-
-@dataclass(frozen=True, eq=False)
-class Decision:
-    """All candidates, the most probable first, and what is said of them."""
-
-    verdict: Verdict
-    cause: tuple[str, ...]
-    candidates: tuple[Candidate, ...]
-
-    @property
-    def credible(self) -> tuple[Candidate, ...]:
-        """The fewest whose probabilities make 90 %."""
-        total, chosen = 0.0, []
-        for candidate in self.candidates:
-            chosen.append(candidate)
-            total += candidate.probability
-            if total >= SET_MASS:
-                break
-        return tuple(chosen)
 
 
 @dataclass(frozen=True)
@@ -153,7 +128,7 @@ class Weights:
         gain = self._counted[name]
         parts = name.split(JOIN)
         if len(parts) == 1:
-            return (self._as_formed(gain) - THRESHOLD) / scale + self.worth[name]
+            return (gain - THRESHOLD) / scale + self.worth[name]
         single = max(self._counted[part] for part in parts)
         extra = gain - single - PAIR_THRESHOLD - PAIR_SHARE * single
         # A pair stands on its better half: it must be worth more than that.
@@ -165,20 +140,6 @@ class Weights:
         share = float(np.sqrt(USUAL_RECORDS / max(self.records, USUAL_RECORDS)))
         return {name: gain * share if gain > 0.0 else gain for name, gain in self.gains.items()}
 
-    def _as_formed(self, gain: float) -> float:
-        """A rival's gain, the lead of the best single effect taken down: of two equations neither
-        is exact, and one that bends more freely must not win by that alone."""
-        lead = self._lead
-        if lead <= MUCH:
-            return gain
-        behind = lead - gain
-        return lead - behind**2 / (behind + FORM * lead)
-
-    @cached_property
-    def _lead(self) -> float:
-        """Gain of the best single effect."""
-        return max((g for name, g in self._counted.items() if JOIN not in name), default=0.0)
-
 
 def weigh(search: Search) -> Weights:
     """What the fits weigh."""
@@ -188,28 +149,41 @@ def weigh(search: Search) -> Weights:
     return Weights(
         {name: fit.evidence - search.recalibrated.evidence for name, fit in fits.items()},
         gaps, {name: _worth_of(search, name, gaps[name]) for name in fits},
-        _moved(search), max(v for name, v in signs.items() if name != SURPRISED),
+        largest_gap(
+            search.recalibrated.problem, search.recalibrated.predicted - search.nominal.predicted
+        ),
+        max(v for name, v in signs.items() if name != SURPRISED),
         signs[SURPRISED], max(_signs_of_share(search).values()), len(search.problem.observations),
         {name: _unsteady(fit) for name, fit in search.singles.items() if search.gain(name) > 0.0},
     )
 
 
-def decide(search: Search, weights: Weights | None = None) -> Decision:
-    """Probabilities of all candidates, and the verdict; `weights` if they are known already."""
-    weights = weights or weigh(search)
+def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
+    """All candidates, the most probable first."""
     fits = _effect_fits(search)
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
-    found = sorted(
-        (
-            Candidate(
-                n, p, fits.get(n), weights.gaps.get(n, weights.moved), weights.gains.get(n, 0.0)
-            )
-            for n, p in weights.probabilities().items()
-        ),
-        key=lambda c: (-c.probability, c.name),
-    )
-    verdict = verdict_of({c.name: c.probability for c in found})
-    return Decision(verdict, found[0].effects if verdict == "effect" else (), tuple(found))
+    found = []
+    for name, probability in weights.probabilities().items():
+        stages, numbers = [], {}
+        if name in weights.gains:
+            fitted = fits[name]
+            stages = [EFFECTS[effect].stage for effect in fitted.unknowns.effects]
+            every = estimates(fitted, fitted.errors)
+            numbers = dict(list(every.items())[fitted.unknowns.baseline :])
+        found.append(Candidate(
+            name, probability, JOIN.join(dict.fromkeys(stages)), numbers,
+            weights.gaps.get(name, weights.moved), weights.gains.get(name, 0.0), fits.get(name),
+        ))  # fmt: skip
+    return tuple(sorted(found, key=lambda c: (-c.probability, c.name)))
+
+
+def estimates(fitted: Fit, stds: Array) -> dict[str, Estimate]:
+    """All numbers of a fit with these errors (k,)."""
+    values = fitted.unknowns.values(fitted.x).tolist()
+    return {
+        name: Estimate(value, std, BY_NAME[name].unit)
+        for name, value, std in zip(fitted.unknowns.names, values, stds.tolist(), strict=True)
+    }
 
 
 def scale_of(best: float) -> float:
@@ -246,7 +220,7 @@ def signs_of_unexplained(search: Search) -> dict[str, float]:
     inexact, not for another cause.
     """
     left = search.left_by_best
-    surprise = sign_of_surprise(surprise_of(search))
+    surprise = sign_of_surprise(search.best.surprise)
     if _best_gain(search) > THRESHOLD:
         before = SURPRISE_SHARE * max(search.recalibrated.surprise, 1e-3)
         surprise = min(surprise, 4.0 * float(np.log(max(search.best.surprise / before, 1e-3))))
@@ -281,17 +255,6 @@ def _best_gain(search: Search) -> float:
     return search.best.evidence - search.recalibrated.evidence
 
 
-def surprise_of(search: Search, known: Iterable[str] = ()) -> float:
-    """Sum of the squared prior deviations of the best candidate's parameters, but for those that
-    recalibration has at the price of being off, and those `known`."""
-    best = search.best
-    off = {*known, *(search.off if best is search.recalibrated else ())}
-    if not off:
-        return best.surprise
-    names = best.unknowns.bench_names
-    return sum(x * x for n, x in zip(names, best.x.tolist(), strict=False) if n not in off)
-
-
 def sign_of_surprise(surprise: float) -> float:
     """Log odds, from the sum of the squared prior deviations of the bench's parameters."""
     return min((surprise - SURPRISE) / 4.0, SURPRISE_SIGN)
@@ -311,20 +274,13 @@ def _unsteady(fitted: Fit) -> float:
     return float(max((fitted.jackknifed[first] / fitted.std[first] / STEADY) ** 2, 1.0))
 
 
-def _moved(search: Search) -> float:
-    """Gap between the parameters as believed and as recalibrated, in noise."""
-    moved = search.recalibrated.predicted - search.nominal.predicted
-    return largest_gap(search.recalibrated.problem, moved)
-
-
-def verdict_of(probability: Mapping[str, float]) -> Verdict:
-    """What is said of candidates, whose names tell whether they are effects."""
-    first = max(probability, key=lambda name: probability[name])
-    benign = probability[RECALIBRATION] + probability[NO_GAP]
-    if probability[first] < NAMED and (first not in (RECALIBRATION, NO_GAP) or benign < NAMED):
+def verdict_of(candidates: Sequence[Candidate]) -> Verdict:
+    """What is said of candidates, the most probable first."""
+    first, benign = candidates[0].name, (RECALIBRATION, NO_GAP)
+    likely = sum(c.probability for c in candidates if c.name in benign)
+    if (likely if first in benign else candidates[0].probability) < NAMED:
         return "ambiguous"
-    known = first in (RECALIBRATION, NO_GAP, UNEXPLAINED)
-    return cast(Verdict, first) if known else "effect"
+    return "effect" if candidates[0].effects else cast(Verdict, first)
 
 
 def _worth(size: float, wanted: float, steepness: float) -> float:

@@ -2,27 +2,43 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import chdtrc
 
-from sma_bench.diagnose.chain import break_chain
-from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED, Decision, Weights, decide, weigh
-from sma_bench.diagnose.facts import (
-    difference,
-    explanation,
-    left_behind,
-    moved_parameters,
-    smoother_kinetics,
-    unexplained_sign,
+from sma_bench.diagnose.decision import (
+    FLEXIBLE,
+    LEFT_OUTLIER,
+    LEFT_RATIO,
+    NO_GAP,
+    RECALIBRATION,
+    UNEXPLAINED,
+    UNSEEN,
+    Candidate,
+    decide,
+    estimates,
+    signs_of_unexplained,
+    verdict_of,
+    weigh,
 )
-from sma_bench.diagnose.next_experiment import NextExperiment, next_experiment
-from sma_bench.diagnose.result import DiagnosisResult, Where
+from sma_bench.diagnose.next_experiment import next_experiment
+from sma_bench.diagnose.result import (
+    DiagnosisResult,
+    Difference,
+    LeftOver,
+    Moved,
+    Verdict,
+    Where,
+)
 from sma_bench.diagnose.search import Progress, Search, held_back, search
-from sma_bench.diagnose.shrinkage import sensors_noise, shrinkage, unknown_share
-from sma_bench.diagnose.sizes import Cell, contribution, locate
-from sma_bench.diagnose.stages import missing_term, stages_of
-from sma_bench.diagnose.tails import widened
+from sma_bench.diagnose.sizes import (
+    contribution,
+    locate,
+    sensors_noise,
+    shrinkage,
+    unknown_share,
+)
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
@@ -30,17 +46,29 @@ from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit
 from sma_bench.estimation.unknowns import SHAPES, Unknowns
 from sma_bench.findings import Finding
-from sma_bench.parameters import Parameters, audit
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.audit import audit
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.parameters.table import BY_NAME
-from sma_bench.records.check import check_response
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.records.check import check_response, mended, under_suspicion
 from sma_bench.records.record import Record, fingerprint
-from sma_bench.records.trust import mended, under_suspicion
 
-Array = NDArray[np.float64]
-
+SURPRISING = 2.0  # prior deviations
+_SMOOTHER = ("wire.transition_spread", "wire.transition_tail")
+_WORTH_SAYING = 0.02  # probability of `unexplained`
 _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
 _FIT_SHARE = 0.6  # of a single record without another to hold out
+_STAGES = {
+    "wire.resistance": "electrical",
+    "wire.heat_transfer_coefficient": "thermal",
+    "wire.specific_heat": "thermal",
+    "environment.ambient_temperature": "thermal",
+    **dict.fromkeys(TRANSITIONS.values(), "transformation"),
+    "wire.stress_influence_austenite": "transformation",
+    "wire.stress_influence_martensite": "transformation",
+}
+_CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -48,16 +76,16 @@ class Diagnosis(DiagnosisResult, Reported):
     """The result with the fits behind it; `to_json` is the contract's.
 
     Attributes:
-        parameters: as believed; decision: candidates and verdict; search: all fits behind them.
+        candidates: with their fits; parameters: as believed; search: all fits.
         model: the fit that the improved parameters are of; improved: these parameters.
         observations: all records; fitted, held_out: those, or the parts of them, that the fit of
             the shrinkage has seen and has not.
     """
 
-    writer = ("diagnosis_report", "write_diagnosis_report")
+    writer = ("reports", "write_diagnosis_report")
 
+    candidates: tuple[Candidate, ...]
     parameters: Parameters
-    decision: Decision
     search: Search
     model: Fit
     improved: Parameters
@@ -96,13 +124,15 @@ def diagnose(
             raise InputError(
                 f"{record.path}: {same} fitted too; a hold-out must be of a run that no fit sees"
             )
+
+    # Clocks are mended; signals under suspicion are named, and hold effects back.
     progress("records")
-    # What is known of the records: clocks are mended, signals under suspicion are named.
-    whole = [mended(record) for record in (*records, *hold_out)]
-    known = [(record, finding) for record, found in whole for finding in found]
-    known += [(r, f) for r, _ in whole for f in r.findings if "repeated" in f.numbers]
+    pairs = [mended(record) for record in (*records, *hold_out)]
+    whole = [record for record, _ in pairs]
+    known = [(record, finding) for record, found in pairs for finding in found]
+    known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
     doubts = [
-        (r, f) for r, _ in whole for f in under_suspicion(r)
+        (r, f) for r in whole for f in under_suspicion(r)
         if f.subject.rpartition(".")[2] in ("voltage", "range", *quantities)
     ]
     lines = [f"{record.path.name}: {f.subject}: {f.text}" for record, f in (*known, *doubts)]
@@ -110,125 +140,116 @@ def diagnose(
     if held := held_back(doubted):
         lines.append(f"held back for that: {len(held)} effects, {', '.join(held[:3])}, ..."
                      if len(held) > 3 else f"held back for that: {', '.join(held)}")
-    sound = [record for record, _ in whole]
-    records, hold_out = sound[: len(records)], sound[len(records) :]
     unrelated = [
         replace(f, subject=f"{record.path}, {f.subject}")
-        for record in (*records, *hold_out) for f in check_response(record)
+        for record in whole for f in check_response(record)
     ]
     if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
-        records, hold_out = (list(map(_without_force, some)) for some in (records, hold_out))
-    shortest = shared_bin([*records, *hold_out], parameters)
-    seen = [observe(record, parameters, shortest, quantities) for record in records]
-    unseen = [observe(record, parameters, shortest, quantities) for record in hold_out]
-    found = search([*seen, *unseen], parameters, progress, doubted)
+        whole = [
+            replace(r, signals={n: s for n, s in r.signals.items() if n != "force"}) for r in whole
+        ]
+    shortest = shared_bin(whole, parameters)
+    observations = [observe(record, parameters, shortest, quantities) for record in whole]
+    seen, unseen = observations[: len(records)], observations[len(records) :]
+
+    # The verdict, and the most probable model that can be simulated.
+    found = search(observations, parameters, progress, doubted)
     weights = weigh(found)
-    decision = decide(found, weights)
-    model = _model(decision, found)
-    improved = _improved(model, decision, parameters)
+    candidates = decide(found, weights)
+    verdict = verdict_of(candidates)
+    model = next(c.fit for c in candidates if c.fit is not None)
+    recalibrated, no_gap = found.recalibrated, verdict == NO_GAP
+    improved = parameters if no_gap else _improved(model, parameters)
+
     progress("shrinkage on data that no fit saw")
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
-    moved = _fitted_to(fitted, found.recalibrated, found.off)
-    blind = moved if model is found.recalibrated else _fitted_to(fitted, model)
-    following, remarks = _next(decision, found, weights, [*seen, *unseen], parameters, progress)
-    cells = _where(found, model, decision.verdict)
-    stages = stages_of(decision, found, locate(found.recalibrated.problem, missing_term(found)))
+    moved = _fitted_to(fitted, recalibrated)
+    blind = moved if model is recalibrated else _fitted_to(fitted, model)
+    fits = [recalibrated, *found.singles.values(), *found.pairs.values()]
+    shrinks = shrinkage(
+        unfitted, parameters, moved.parameters, parameters if no_gap else blind.parameters,
+        sensors_noise(model, fits),
+    )
+
+    # A proposal that the bench's limits refuse costs no diagnosis.
+    following, remarks = None, []
+    if not no_gap:
+        progress("the next experiment")
+        try:
+            following = next_experiment(
+                verdict, candidates, found, weights, observations, parameters
+            )
+            if verdict == "ambiguous" and not (following and following.settles):
+                text = (
+                    "no experiment that can be simulated settles a tie with what no effect explains"
+                )
+                if following:
+                    text = (
+                        "nothing that the bench can do settles whether it is "
+                        f"{' or '.join(following.separates)}: after the best of it "
+                        f"({following.why}) the true cause would be named with a probability of "
+                        f"{100.0 * following.chance:.0f} % only"
+                    )
+                remarks = [Finding("info", "next experiment", text)]
+        except InputError as error:
+            remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
+
+    # Where the gap lies: what the effects do, what no candidate explains, or what separates belief
+    # and recalibration.
+    stages = {} if no_gap else stages_of(candidates, found)
+    if verdict == UNEXPLAINED:
+        # A smooth response where it is sure; else all that is slower than the scatter of samples,
+        # what a fit has to take for the drift of a sensor.
+        left, noise = recalibrated.left, recalibrated.problem.noise
+        missing = found.flexible.response
+        if found.flexible.gain <= FLEXIBLE:
+            missing = np.concatenate([
+                noise[b.signal.name].drift_in(left[b.rows]) for b in recalibrated.problem.blocks
+            ])  # fmt: skip
+        cells = locate(model.problem, missing if missing.any() else left)
+    elif model.unknowns.effects:
+        cells = locate(model.problem, contribution(model, model.unknowns.effects))
+    else:
+        cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
     top = cells[0]
+
+    # What was not tried: kinds of drives, and quantities that no record holds. Of a clamped wire
+    # there is no motion to miss.
+    share = unknown_share(fitted, unfitted, improved)
+    text = (
+        f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had one "
+        "(temperature, its rate, martensite, the other side's temperature)"
+    )
+    if share < _OF_ONE_KIND:
+        text += ": how far the gap shrinks under drives of another kind was not tried"
+    measured = {quantity for obs in observations for quantity in obs.quantities}
+    moves = load_kind(parameters) != "clamped"
     return Diagnosis(
-        verdict=decision.verdict,
-        cause=decision.cause,
-        candidates=tuple(map(explanation, decision.candidates)),
+        verdict=verdict,
+        cause=candidates[0].effects if verdict == "effect" else (),
+        candidates=candidates,
         where=Where(
-            top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells),
-            tuple(break_chain(found.recalibrated)),
+            top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)
         ),
-        shrinkage=shrinkage(
-            unfitted, parameters, moved.parameters, _believable(blind, decision, parameters),
-            sensors_noise(
-                model, [found.recalibrated, *found.singles.values(), *found.pairs.values()]
-            ),
+        shrinkage=shrinks,
+        **_facts(verdict, candidates, found, model),
+        not_compared=tuple(
+            q for q in QUANTITIES if q not in measured and (moves or q != "deflection")
         ),
-        moved=moved_parameters(model),
-        smoother=smoother_kinetics(model),
-        difference=difference(decision),
-        left=left_behind(found, model),
-        unexplained_sign=unexplained_sign(decision, found),
-        not_compared=_not_compared([*seen, *unseen], parameters),
         record=tuple(dict.fromkeys(lines)),
         next_experiment=following if following and following.settles else None,
         findings=(
             *unrelated, *audit(parameters, papers_own=False),
-            *about_unstated(found.recalibrated.unknowns, parameters),
-            _of_another_kind(fitted, unfitted, improved), *remarks,
+            *about_unstated(recalibrated.unknowns, parameters),
+            Finding("info", "held-out data", text), *remarks,
         ),
-        parameters=parameters, decision=decision, search=found, model=model, improved=improved,
-        observations=(*seen, *unseen), fitted=tuple(fitted), held_out=tuple(unfitted),
+        parameters=parameters, search=found, model=model, improved=improved,
+        observations=tuple(observations), fitted=tuple(fitted), held_out=tuple(unfitted),
     )
 
 
-def _without_force(record: Record) -> Record:
-    return replace(record, signals={n: s for n, s in record.signals.items() if n != "force"})
-
-
-def _next(
-    decision: Decision, found: Search, weights: Weights, observations: Sequence[Observation],
-    parameters: Parameters, progress: Progress,
-) -> tuple[NextExperiment | None, list[Finding]]:
-    """The proposal and what there is to say of it; one that is refused costs no diagnosis."""
-    if decision.verdict == NO_GAP:
-        return None, []
-    progress("the next experiment")
-    try:
-        following = next_experiment(decision, found, weights, observations, parameters)
-    except InputError as error:
-        return None, [Finding("warning", "next experiment", f"none is proposed: {error}")]
-    return following, _inseparable(following) if decision.verdict == "ambiguous" else []
-
-
-def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
-    """What of the bench's unknowns nobody stated."""
-    items = unknowns.items[: unknowns.bench]
-    names = [
-        n for item in items for n in (item.name, item.partner)
-        if n and n not in parameters.given and BY_NAME[n].spread is not None
-    ]
-    text = (
-        f"nobody stated {', '.join(names)}: each may be as far from its default as such wires and "
-        "benches differ; identify it, or state what is known"
-    )
-    return [Finding("info", "parameters", text, {"unstated": float(len(names))})] if names else []
-
-
-def _inseparable(following: NextExperiment | None) -> list[Finding]:
-    if following is not None and following.settles:
-        return []
-    text = "no experiment that can be simulated settles a tie with what no effect explains" if (
-        following is None
-    ) else (
-        f"nothing that the bench can do settles whether it is {' or '.join(following.separates)}: "
-        f"after the best of it ({following.why}) the true cause would be named with a probability "
-        f"of {100.0 * following.chance:.0f} % only"
-    )
-    return [Finding("info", "next experiment", text)]
-
-
-def _model(decision: Decision, found: Search) -> Fit:
-    """The most probable model that can be simulated."""
-    for candidate in decision.candidates:
-        if candidate.name == UNEXPLAINED:
-            continue
-        return candidate.fit or found.recalibrated
-    return found.recalibrated
-
-
-def _believable(fitted: Fit, decision: Decision, parameters: Parameters) -> Parameters:
-    return parameters if decision.verdict == NO_GAP else fitted.parameters
-
-
-def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Parameters:
+def _improved(model: Fit, parameters: Parameters) -> Parameters:
     """Parameters of the model with their new uncertainties, on top of what was given."""
-    if decision.verdict == NO_GAP:
-        return parameters
     values = model.parameters
     names = [n for n in model.unknowns.names if n not in SHAPES or values[n] != BY_NAME[n].default]
     stds = dict(zip(model.unknowns.names, model.errors.tolist(), strict=True))
@@ -239,29 +260,6 @@ def _improved(model: Fit, decision: Decision, parameters: Parameters) -> Paramet
         {name: values[name] for name in names},
         {name: stds[name] for name in names if stds[name] > 0.0},
     )
-
-
-def _fitted_to(
-    observations: Sequence[Observation], model: Fit, off: Sequence[str] = ()
-) -> Fit:
-    """The same model fitted to some of the records, or parts of them; `off`: parameters of which
-    more is unknown than was stated."""
-    if not model.unknowns.items:
-        return model
-    problem = Problem(tuple(observations), model.problem.noise, ()).with_nuisances(model.parameters)
-    unknowns, far = widened(model.unknowns, off)
-    return fit(problem, unknowns, model.x / far, rounds=1, keep_noise=True)
-
-
-def _where(found: Search, model: Fit, verdict: str) -> list[Cell]:
-    """Where the gap lies: what the effects do, what no candidate explains, or what separates
-    belief and recalibration."""
-    problem = model.problem
-    if verdict == UNEXPLAINED:
-        return locate(problem, missing_term(found))
-    if model.unknowns.effects:
-        return locate(problem, contribution(model, model.unknowns.effects))
-    return locate(problem, found.recalibrated.predicted - found.nominal.predicted)
 
 
 def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list[Observation]]:
@@ -280,25 +278,111 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
     return early, late
 
 
-def _of_another_kind(
-    fitted: Sequence[Observation], held_out: Sequence[Observation], parameters: Parameters
-) -> Finding:
-    """How far the held-out data try what the fitted ones have not shown."""
-    share = unknown_share(fitted, held_out, parameters)
+def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
+    """The same model fitted to other records."""
+    if not model.unknowns.items:
+        return model
+    problem = Problem(tuple(observations), model.problem.noise, ()).with_nuisances(model.parameters)
+    return fit(problem, model.unknowns, model.x, rounds=1, keep_noise=True)
+
+
+def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float]:
+    """Probability of each stage of the model in which a gap may arise, the most probable first.
+
+    An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
+    whose parameters moved further than anyone believed; where all moved as far as believed they
+    tell of no stage (six transition numbers move further than one resistance by their number
+    alone). What nothing explains has that stage, or the one of the effect that gains most; the
+    share that it keeps without any sign of it tells of none.
+    """
+    # How likely the parameters of one of the stages move so far by chance: squared prior deviations
+    # are chi squared.
+    moved: dict[str, list[float]] = {}
+    unknowns = found.recalibrated.unknowns
+    for name, x in zip(unknowns.bench_names, found.recalibrated.x.tolist(), strict=False):
+        moved.setdefault(_STAGES.get(name, "mechanical"), []).append(x)
+    chances = {stage: float(chdtrc(len(xs), np.sum(np.square(xs)))) for stage, xs in moved.items()}
+    least = min(chances, key=lambda stage: chances[stage])
+    beyond_belief = least if chances[least] * len(moved) < _CHANCE else ""
+    benign = sum(c.probability for c in candidates if c.name in (RECALIBRATION, NO_GAP))
+    shares: dict[str, float] = {}
+    for candidate in candidates:
+        share, stage = candidate.probability, ""
+        if candidate.effects:
+            stage = EFFECTS[max(candidate.effects, key=found.gain)].stage
+        elif candidate.name == RECALIBRATION:
+            stage = beyond_belief
+        elif candidate.name == UNEXPLAINED:
+            best = EFFECTS[found.ranked[0]].stage if found.ranked else ""
+            stage, share = beyond_belief or best, share - float(np.exp(UNSEEN)) * benign
+        if stage and share > 0.0:
+            shares[stage] = shares.get(stage, 0.0) + share
+    ranked = sorted(shares, key=lambda stage: shares[stage], reverse=True)
+    return {stage: shares[stage] for stage in ranked} or {least: 0.0}
+
+
+def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
+    """What of the bench's unknowns nobody stated."""
+    items = unknowns.items[: unknowns.bench]
+    names = [
+        n for item in items for n in (item.name, item.partner)
+        if n and n not in parameters.given and BY_NAME[n].spread is not None
+    ]
     text = (
-        f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had one "
-        "(temperature, its rate, martensite, the other side's temperature)"
+        f"nobody stated {', '.join(names)}: each may be as far from its default as such wires and "
+        "benches differ; identify it, or state what is known"
     )
-    if share < _OF_ONE_KIND:
-        text += ": how far the gap shrinks under drives of another kind was not tried"
-    return Finding("info", "held-out data", text)
+    return [Finding("info", "parameters", text, {"unstated": float(len(names))})] if names else []
 
 
-def _not_compared(
-    observations: Sequence[Observation], parameters: Parameters
-) -> tuple[str, ...]:
-    """Quantities that no record holds, though the bench has them."""
-    held = {quantity for obs in observations for quantity in obs.quantities}
-    moves = load_kind(parameters) != "clamped"  # of a clamped wire there is no motion to miss
-    wanted = [q for q in QUANTITIES if moves or q != "deflection"]
-    return tuple(quantity for quantity in wanted if quantity not in held)
+def _facts(
+    verdict: Verdict, candidates: Sequence[Candidate], found: Search, model: Fit
+) -> dict[str, Any]:
+    """What speaks for the verdict and against it, as fields of the result."""
+    # Parameters far from what was believed, the farthest first, and how smooth the kinetics are.
+    unknowns = model.unknowns
+    values, deviations = unknowns.values(model.x), unknowns.deviations(model.x)
+    moved = [
+        Moved(item.name, value - item.mean, BY_NAME[item.name].unit, deviation)
+        for item, value, deviation in zip(
+            unknowns.items[: unknowns.bench], values.tolist(), deviations.tolist(), strict=False
+        )
+        if abs(deviation) > SURPRISING
+    ]
+    smoother = {
+        name: one for name, one in estimates(model, model.std).items()
+        if name in _SMOOTHER and one.value > SURPRISING * one.std
+    }
+
+    # Where the two most probable models differ most; one that only adds to the first is no rival.
+    models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP]
+    differ = None
+    if len(models) > 1 and verdict not in (NO_GAP, UNEXPLAINED):
+        (first, one), *others = models
+        own = set(first.effects)
+        rivals = [(c, fit) for c, fit in others if not (own and own <= set(c.effects))]
+        rival, other = (rivals or others)[0]
+        cell = locate(one.problem, one.predicted - other.predicted)[0]
+        differ = Difference((first.name, rival.name), cell)
+
+    # What the best model leaves, its signs that are no noise apart.
+    left, gain, by = found.left, found.flexible.gain, RECALIBRATION
+    if unknowns.effects:
+        left, gain, by = found.left_by_best, found.beyond.gain, "the best model"
+    left_behind = LeftOver(
+        by, gain, left.signal, left.ratio if left.ratio > LEFT_RATIO else 0.0,
+        left.outlier if left.outlier > LEFT_OUTLIER else 0.0, gain > FLEXIBLE,
+    )
+
+    # The sign that weighs most for a cause outside the library, unless that is out of question.
+    sign = ""
+    unexplained = next(c for c in candidates if c.name == UNEXPLAINED)
+    if unexplained.probability >= _WORTH_SAYING and verdict != NO_GAP:
+        signs = signs_of_unexplained(found)
+        sign = max(signs, key=lambda name: signs[name])
+        if signs[sign] <= 0.0:
+            sign = "no sign was found, which is no proof that there is none"
+    return {
+        "moved": tuple(sorted(moved, key=lambda one: -abs(one.deviations))),
+        "smoother": smoother, "difference": differ, "left": left_behind, "unexplained_sign": sign,
+    }

@@ -32,17 +32,31 @@ class Drive:
         targets = {
             "one side": (one,), "the other side": (other,), "both sides": ("all",),
         }.get(self.order, (one, other) if one != other else (one,))
+        warmed, triangle = "warmed" in self.order, self.shape == "triangle"
+        pulse = self.seconds * (2.0 if triangle else 1.0) + self.rest
+        pulse += 2.0 * self.seconds if warmed else 0.0
         steps: list[dict[str, Any]] = [{"kind": "rest", "duration": _FIRST_REST}]
         left, k = 60.0 * self.minutes - _FIRST_REST, 0
         shares = _SHARES[self.heights]
-        while k == 0 or left >= self._pulse:
+        while k == 0 or left >= pulse:
+            target = targets[k % len(targets)]
             volts = round(shares[(k // len(targets)) % len(shares)] * level, 3)
-            steps += self._steps(targets[k % len(targets)], volts, sides)
-            left, k = left - self._pulse, k + 1
-        what = "triangles" if self.shape == "triangle" else "steps"
+            if warmed:
+                passive = next((s for s in sides if s != target), target)
+                steps.append({"kind": "step", "drive": passive, "level": round(0.5 * volts, 3),
+                              "duration": 2.0 * self.seconds})
+            if triangle:
+                steps.append({"kind": "triangle", "drive": target, "peak": volts,
+                              "rise": self.seconds, "fall": self.seconds})
+            else:
+                steps.append({"kind": "step", "drive": target, "level": volts,
+                              "duration": self.seconds})
+            steps.append({"kind": "rest", "duration": self.rest})
+            left, k = left - pulse, k + 1
+        what = "triangles" if triangle else "steps"
         order = [self.order]
         if len(set(sides)) == 1:
-            order = ["warmed before"] if "warmed" in self.order else []
+            order = ["warmed before"] if warmed else []
         return {
             "name": "_".join([self.heights, what, *order]).replace(" ", "_"),
             "description": ", ".join([
@@ -51,25 +65,6 @@ class Drive:
             ]),
             "steps": steps,
         }
-
-    @property
-    def _pulse(self) -> float:
-        warmed = 2.0 * self.seconds if "warmed" in self.order else 0.0
-        return self.seconds * (2.0 if self.shape == "triangle" else 1.0) + self.rest + warmed
-
-    def _steps(self, target: str, volts: float, sides: Sequence[str]) -> list[dict[str, Any]]:
-        steps: list[dict[str, Any]] = []
-        if "warmed" in self.order:
-            passive = next((s for s in sides if s != target), target)
-            steps.append({"kind": "step", "drive": passive, "level": round(0.5 * volts, 3),
-                          "duration": 2.0 * self.seconds})
-        if self.shape == "triangle":
-            steps.append({"kind": "triangle", "drive": target, "peak": volts,
-                          "rise": self.seconds, "fall": self.seconds})
-        else:
-            steps.append({"kind": "step", "drive": target, "level": volts,
-                          "duration": self.seconds})
-        return [*steps, {"kind": "rest", "duration": self.rest}]
 
 
 FIRST = Drive("in turn", "triangle", "growing", 10.0, 10.0, _SHORT)  # of a bench without a record
@@ -84,6 +79,8 @@ KNOWN = (
 
 
 def drawn(random: np.random.Generator) -> Drive:
+    """Any drive of the family."""
+
     def between(ends: tuple[float, float]) -> float:
         return float(f"{np.exp(random.uniform(*np.log(ends))):.2g}")
 
@@ -104,47 +101,47 @@ def changed(drive: Drive, random: np.random.Generator) -> Drive:
 
 
 class Test(NamedTuple):
-    """A test of the paper: minutes, and the standard deviations that it leaves, absolute [K] or
-    as a share of the value. An effect that its `readings_hold` is read as the parameter's own."""
+    """A test of the paper: minutes, and the standard deviations that it leaves, of temperatures in
+    K, of all others as a share. An effect that its `readings_hold` is read as the parameter's own.
+    """
 
     minutes: float
     title: str
-    absolute: Mapping[str, float]
-    relative: Mapping[str, float]
+    leaves: Mapping[str, float]
     readings_hold: str = ""
 
     def stds(self, parameters: Parameters) -> dict[str, float]:
         """What it leaves, in the parameters' units."""
-        relative = {name: share * abs(parameters[name]) for name, share in self.relative.items()}
-        return {**self.absolute, **relative}
+        return {
+            name: std if name.endswith("_temperature") else std * abs(parameters[name])
+            for name, std in self.leaves.items()
+        }
 
 
 TESTS = {
     # With sense leads: by the driver's volts all three would hold the resistance of the leads.
-    "E1": Test(12.0, "the staircase of E1, volts taken at the wire's ends", {},
+    "E1": Test(12.0, "the staircase of E1, volts taken at the wire's ends",
                {"wire.resistance": 0.003}),
-    "E2": Test(15.0, "the staircase of E2, volts taken at the wire's ends",
-               {"environment.ambient_temperature": 0.1},
-               {"wire.heat_transfer_coefficient": 0.015}),
-    "E3": Test(32.0, "E1 to E3, volts taken at the wire's ends",
-               {"environment.ambient_temperature": 0.1},
-               {"wire.resistance": 0.003, "wire.heat_transfer_coefficient": 0.015,
-                "wire.specific_heat": 0.015}),
+    "E2": Test(15.0, "the staircase of E2, volts taken at the wire's ends", {
+        "environment.ambient_temperature": 0.1, "wire.heat_transfer_coefficient": 0.015,
+    }),
+    "E3": Test(32.0, "E1 to E3, volts taken at the wire's ends", {
+        "environment.ambient_temperature": 0.1, "wire.resistance": 0.003,
+        "wire.heat_transfer_coefficient": 0.015, "wire.specific_heat": 0.015,
+    }),
     # The specific heat without any current: 3 %, as of ASTM E1269.
     "DSC": Test(90.0, "a DSC run", {
         "wire.austenite_start_temperature": 0.25, "wire.austenite_finish_temperature": 0.25,
         "wire.martensite_start_temperature": 0.25, "wire.martensite_finish_temperature": 0.25,
-    }, {"wire.specific_heat": 0.03}),
-    "E6": Test(60.0, "isobaric tests", {}, {
+        "wire.specific_heat": 0.03,
+    }),
+    "E6": Test(60.0, "isobaric tests", {
         "wire.stress_influence_austenite": 0.02, "wire.stress_influence_martensite": 0.02,
         "wire.maximum_recoverable_strain": 0.01,
     }, "stress_dependent_transition"),
-    "E7": Test(45.0, "tensile tests", {}, {
-        "wire.martensite_modulus": 0.015, "wire.austenite_modulus": 0.015,
-    }),
-    "E8": Test(45.0, "a staircase of the clamped wire", {}, {
-        "wire.thermal_expansion_factor": 0.03,
-    }),
+    "E7": Test(45.0, "tensile tests",
+               {"wire.martensite_modulus": 0.015, "wire.austenite_modulus": 0.015}),
+    "E8": Test(45.0, "a staircase of the clamped wire", {"wire.thermal_expansion_factor": 0.03}),
 }
 _ROUNDING = 1.1  # of deviations in a file, and of values that have changed since
 

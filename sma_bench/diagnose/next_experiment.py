@@ -7,44 +7,45 @@ what the freedom that it had to use costs a rival (Box and Hill, Technometrics 9
 counts: an effect that is there cannot be refitted away by a model without it, one that is not there
 can. A test of one parameter is the same with one reading: the parameter.
 
-What an experiment is worth is the probability that the truth is expected to be given after it
-(`prospect.py`), less that of now: where no single one settles the matter, the first of several is
-still found.
+What an experiment is worth is the probability that the truth is expected to be given after it, by
+the decision's own rule, less that of now: where no single one settles the matter, the first of
+several is still found.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
+from scipy.special import ndtri
 
+from sma_bench.compiled import in_threads
 from sma_bench.diagnose.decision import (
     JOIN,
     LARGEST_SIGN,
+    NAMED,
     NO_GAP,
     RECALIBRATION,
     UNEXPLAINED,
-    Decision,
+    Candidate,
     Weights,
+    scale_of,
     sign_of_surprise,
-    surprise_of,
 )
 from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn, measured
-from sma_bench.diagnose.prospect import VISIBLE, Telling, Tellings, prospect
-from sma_bench.diagnose.result import WORTH, NextExperiment
+from sma_bench.diagnose.result import SET_MASS, WORTH, NextExperiment, Verdict
 from sma_bench.diagnose.search import Search
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
 from sma_bench.estimation.nuisances import offsets
 from sma_bench.estimation.observation import SENSORS, BinnedSignal, Observation
 from sma_bench.estimation.residual import DRIFT_EFFECT, Problem
-from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
-from sma_bench.physics.heat import heating_voltage
+from sma_bench.physics.material import heating_voltage
 from sma_bench.protocols import parse_protocol
 
 Array = NDArray[np.float64]
@@ -55,36 +56,45 @@ _LEAST = 0.02  # probability of a cause worth an experiment, if only as a rival
 _COOLER = 10.0  # K below the bench's limit, as simulated
 _PERIOD = 0.1  # s of the simulation
 _STEP = 0.05
-_DRAWS, _PARENTS, _CHILDREN = 14, 3, 4
+_DRAWS, _GENERATIONS, _CAREFULLY, _PARENTS, _CHILDREN = 14, 3, 6, 3, 4
 _SEED = 1
 _DIRECTIONS = 8  # of the least known, while drives are searched
-_HOPE = 0.01  # of merit: where none of the first drives promises that, none is searched for
-_ADDED = 6e-3  # to a drive's merit by refitting, at most: 4e-3 near the best of five cases
+_HOPE = 0.01  # of merit: where no drive promises that, none is searched for
 # Nats of a record that an effect which is not there keeps by taking up what the model misses: the
 # mean of 11 rivals after further records of four cases of the development split.
 _TAKEN_UP = 3.5
 # A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
 _MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
 _SETUP = 5.0  # minutes until the bench is cold and recorded again
+VISIBLE = 2.0  # standard deviations
+_LUCK = ndtri((np.arange(7) + 0.5) / 7.0)  # of noise, in standard deviations
+
+
+class Telling(NamedTuple):
+    """What an experiment would say against a rival of the truth: the `evidence` to be expected
+    [nats], and the `distance` of the two in standard deviations, by which noise scatters it."""
+
+    evidence: float
+    distance: float
+
+
+Tellings = dict[tuple[str, str], Telling]  # by (truth, rival)
 # Of the most that any drive tells. One that tells much more settles less: of a large gain equations
 # are off by their share.
 _PLAIN = (Telling(10.0, 4.5), Telling(30.0, 7.7), Telling(100.0, 14.0))
-
-
-# --- What is proposed.
 
 
 class Matter:
     """What is still open: the causes, what their fits leave free, and what the bench can do."""
 
     def __init__(
-        self, decision: Decision, search: Search, weights: Weights,
+        self, candidates: Sequence[Candidate], search: Search, weights: Weights,
         observations: Sequence[Observation], parameters: Parameters,
     ) -> None:
-        self.probability = {c.name: c.probability for c in decision.candidates}
+        self.probability = {c.name: c.probability for c in candidates}
         self.weights, self.search, self.parameters = weights, search, parameters
         possible = [
-            c for c in decision.candidates
+            c for c in candidates
             if c.fit is not None and c.name != NO_GAP
             and (c.probability > _LEAST or c.name == RECALIBRATION)
         ]
@@ -107,53 +117,32 @@ class Matter:
         self.level = min(seen, float(parameters["bench.maximum_voltage"]))
         self.minutes, self.records = sum(map(_minutes, observations)), len(observations)
 
-    def leading(self) -> dict[str, Fit]:
-        """The few causes that drives are searched for."""
-        return dict(list(self.fits.items())[:_SEARCHED])
-
-    def wandering(self, tellings: Tellings, minutes: float) -> dict[tuple[str, str], Telling]:
-        """Whether a zero wanders, no model predicts: another record tells as much as one of the
-        records has, and a longer one no more, for it may only wander more slowly."""
-        found = {}
-        for pair in tellings:
-            one, other = sorted(map(_parts, pair), key=len)
-            if other - one == {DRIFT_EFFECT} and one < other:
-                steady, wanders = sorted(pair, key=lambda name: len(_parts(name)))
-                gains = self.weights.gains
-                share = min(minutes / self.minutes, 1.0 / self.records)
-                evidence = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * share
-                seen = float(np.sqrt(2.0 * evidence))  # several records tell what one hardly does
-                found[pair] = Telling(evidence, max(seen, VISIBLE) if evidence > 0.0 else 0.0)
-        return found
-
-    def experiment(self, kind: str, why: str, minutes: float, tellings: Tellings,
-                   **more: Any) -> NextExperiment:
+    def experiment(
+        self, kind: str, why: str, minutes: float, tellings: Tellings, **more: Any
+    ) -> NextExperiment:
         """What it would be worth, the rivals given."""
-        measured = more.get("parameters") or ()
-        after = prospect(self._believing(measured), self.probability, tellings)
-        causes = dict.fromkeys(name for pair in tellings for name in pair)
-        protocol = more.pop("protocol", {})
+        weights = replace(self.weights, records=self.weights.records + 1)
+        if known := more.get("parameters"):  # no record, and what was measured surprises no more
+            best = self.search.best
+            moved = zip(best.unknowns.bench_names, best.x.tolist(), strict=False)
+            surprise = sign_of_surprise(sum(x * x for name, x in moved if name not in known))
+            weights = replace(self.weights, surprise=min(self.weights.surprise, surprise))
+        after = prospect(weights, self.probability, tellings)
+        causes = tuple(dict.fromkeys(name for pair in tellings for name in pair))
         return NextExperiment(
-            kind, why, tuple(causes), protocol, minutes, after.named,
-            after.given - self.before, **more
+            kind, why, causes, minutes=minutes, chance=after.named,
+            worth=after.given - self.before, **more,
         )
-
-    def _believing(self, measured: Sequence[str]) -> Weights:
-        """A parameter that was measured surprises no more; a drive is one record more."""
-        if not measured:
-            return replace(self.weights, records=self.weights.records + 1)
-        moved = surprise_of(self.search, measured)
-        surprise = min(self.weights.surprise, sign_of_surprise(moved))
-        return replace(self.weights, surprise=surprise)
 
 
 def next_experiment(
-    decision: Decision, search: Search, weights: Weights,
+    verdict: Verdict, candidates: Sequence[Candidate], search: Search, weights: Weights,
     observations: Sequence[Observation], parameters: Parameters,
 ) -> NextExperiment | None:
     """The quickest of what would settle the matter nearly as often as anything.
 
     Args:
+        candidates: the most probable first.
         observations: the records, for what is measured and how hard the bench was driven.
 
     Returns:
@@ -164,42 +153,18 @@ def next_experiment(
     Raises:
         InputError: the bench's limits refuse every drive.
     """
-    matter = Matter(decision, search, weights, observations, parameters)
-    if decision.verdict == UNEXPLAINED:
-        # The known drive that shows most a minute of what no effect explains, as far as a smooth
-        # response of free form tells it; None where the records have shown as much.
-        missing, recalibrated = matter.search.flexible, matter.search.recalibrated
-        if not missing.gain > 0.0:
-            return None
-        so_far = float(np.linalg.norm(recalibrated.problem.whiten(missing.response)))
-        shown = []
-        for drive in KNOWN:
-            document = drive.document(matter.level, matter.sides)
-            planned = _planned(document, recalibrated.problem, matter, ())
-            (obs,) = planned.observations
-            _require_cool(obs, recalibrated.parameters)
-            term = missing.on(obs, obs.simulate(recalibrated.parameters))
-            size = float(np.linalg.norm(planned.whiten(term)))
-            minutes = _minutes(obs)
-            shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
-        _, size, minutes, document = max(shown, key=lambda one: one[0])
-        if size < so_far:
-            return None
-        why = (
-            f"{document['description']}: would show what no effect explains by {size:.0f} standard "
-            "deviations, as far as a smooth response of free form tells it"
-        )
-        return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
-    if len(decision.credible) == 1 or matter.most < WORTH:
+    matter = Matter(candidates, search, weights, observations, parameters)
+    if verdict == UNEXPLAINED:
+        return _showing(search, matter)
+    if candidates[0].probability >= SET_MASS or matter.most < WORTH:
         return None
-    tests = [_test(name, matter) for name in TESTS]
-    options = [found for found in tests if found is not None]
-    drives = _drives(matter) if len(matter.fits) > 1 else []
-    if drives:
-        options += [_driven(drives[0], matter, matter.fits)]
-        # The same drive with each sensor that the bench does not have.
+    options = [found for name in TESTS if (found := _test(name, matter)) is not None]
+    if len(matter.fits) > 1:
+        # The best drive, and the same with each sensor that the bench does not have.
+        best = _best_drive(matter)
+        options += [_driven(best, matter, matter.fits)]
         options += [
-            _driven(drives[0], matter, matter.fits, mounted=(q,), minutes=_MOUNTED[q][2])
+            _driven(best, matter, matter.fits, mounted=(q,), minutes=_MOUNTED[q][2])
             for q in _MOUNTED if q not in matter.observation.quantities
         ]
     if not options:
@@ -214,12 +179,36 @@ def next_experiment(
             f"{first.why}: the true cause would become more probable, by {100.0 * first.worth:.0f} "
             "% of all, and be named after more of it"
         )
-    if others:
-        why += "; " + ", ".join(
-            f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %"
-            for o in others[:2]
-        )
-    return replace(first, why=why)
+    also = [
+        f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %" for o in others[:2]
+    ]
+    return replace(first, why="; ".join([why, *([", ".join(also)] if also else [])]))
+
+
+def _showing(search: Search, matter: Matter) -> NextExperiment | None:
+    """The known drive that shows most a minute of what no effect explains, as far as a smooth
+    response of free form tells it; None where the records have shown as much."""
+    missing, recalibrated = search.flexible, search.recalibrated
+    if not missing.gain > 0.0:
+        return None
+    so_far = float(np.linalg.norm(recalibrated.problem.whiten(missing.response)))
+    shown = []
+    for drive in KNOWN:
+        document = drive.document(matter.level, matter.sides)
+        planned = _planned(document, recalibrated, matter, ())
+        (obs,) = planned.observations
+        term = missing.on(obs, obs.simulate(recalibrated.parameters))
+        size = float(np.linalg.norm(planned.whiten(term)))
+        minutes = _minutes(obs)
+        shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
+    _, size, minutes, document = max(shown, key=lambda one: one[0])
+    if size < so_far:
+        return None
+    why = (
+        f"{document['description']}: would show what no effect explains by {size:.0f} standard "
+        "deviations, as far as a smooth response of free form tells it"
+    )
+    return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
 
 
 def _parts(name: str) -> frozenset[str]:
@@ -231,59 +220,45 @@ def _minutes(obs: Observation) -> float:
     return float(obs.grid[-1] - obs.grid[0]) / 60.0
 
 
-def _drives(matter: Matter) -> list[dict[str, Any]]:
-    """Documents of the drives that are worth most, the best one first: some known ones and some
-    drawn, then changes of the best.
-
-    Refitting adds hardly anything to a merit: what is far behind without it is none of the best,
-    and where even the best of the first ones is worth next to nothing, the search ends with them.
+def _best_drive(matter: Matter) -> dict[str, Any]:
+    """Document of the drive that is worth most: some known ones and some drawn are tried, then
+    changes of the best. Raises InputError where the bench's limits refuse all of them.
     """
     random = np.random.default_rng(_SEED)
-    leading = matter.leading()
-    promised: dict[Drive, float | str] = {}
+    leading = dict(list(matter.fits.items())[:_SEARCHED])
+    promised: dict[Drive, float] = {}
     weighed: dict[Drive, float] = {}
+    refused: list[InputError] = []
 
-    def document(drive: Drive) -> dict[str, Any]:
-        return drive.document(matter.level, matter.sides)
-
-    def merit(drive: Drive, directions: int) -> float | str:
+    def merit(drive: Drive, directions: int) -> float:
         try:
-            found = _driven(document(drive), matter, leading, directions)
-            return found.worth - 0.002 * found.minutes
+            found = _driven(drive.document(matter.level, matter.sides), matter, leading, directions)
         except InputError as error:
-            return str(error)
+            refused.append(error)
+            return -np.inf
+        return found.worth - 0.002 * found.minutes
 
-    def ranked() -> list[Drive]:
-        found = [drive for drive in promised if drive in weighed]
-        return sorted(found, key=lambda drive: weighed[drive], reverse=True)
+    def try_out(
+        drives: Sequence[Drive], merits: dict[Drive, float], directions: int
+    ) -> list[Drive]:
+        """All drives of the merits, the new ones weighed, the best one first."""
+        new = [drive for drive in dict.fromkeys(drives) if drive not in merits]
+        found = in_threads(merit, [(drive, directions) for drive in new])
+        merits.update(zip(new, found, strict=True))
+        return sorted(merits, key=lambda drive: merits[drive], reverse=True)
 
-    def promise(drives: Sequence[Drive]) -> list[tuple[float, Drive]]:
-        """Those that are new and not refused, the most promising first."""
-        new = [drive for drive in dict.fromkeys(drives) if drive not in promised]
-        promised.update(zip(new, in_threads(merit, [(d, 0) for d in new]), strict=True))
-        found = [(p, k) for k, d in enumerate(new) if isinstance(p := promised[d], float)]
-        return [(p, new[k]) for p, k in sorted(found, reverse=True)]
-
-    def weigh(left: list[tuple[float, Drive]]) -> None:
-        while left:
-            best = ranked()[:_PARENTS]
-            if len(best) == _PARENTS and left[0][0] + _ADDED < weighed[best[-1]]:
-                break
-            pair, left = [drive for _, drive in left[:2]], left[2:]
-            found = in_threads(merit, [(drive, _DIRECTIONS) for drive in pair])
-            weighed.update((d, m) for d, m in zip(pair, found, strict=True) if isinstance(m, float))
-
-    first = promise([*KNOWN, *(drawn(random) for _ in range(_DRAWS))])
-    if first and first[0][0] < _HOPE:
-        return [document(drive) for _, drive in first]
-    weigh(first)
-    for _ in range(2):
-        near = [changed(drive, random) for drive in ranked()[:_PARENTS] for _ in range(_CHILDREN)]
-        weigh(promise(near))
-    refused = [said for said in promised.values() if isinstance(said, str)]
-    if not weighed and refused:
-        raise InputError(refused[-1])
-    return [document(drive) for drive in ranked()]
+    near = [*KNOWN, *(drawn(random) for _ in range(_DRAWS))]
+    for _ in range(_GENERATIONS):
+        # Rivals that refit take ten times as long: only against those that promise most.
+        ranked = [drive for drive in try_out(near, promised, 0) if promised[drive] > -np.inf]
+        if not ranked:
+            raise refused[-1]
+        if promised[ranked[0]] < _HOPE:
+            return ranked[0].document(matter.level, matter.sides)
+        hopeful = [drive for drive in ranked if drive not in weighed][:_CAREFULLY]
+        parents = try_out(hopeful, weighed, _DIRECTIONS)[:_PARENTS]
+        near = [changed(drive, random) for drive in parents for _ in range(_CHILDREN)]
+    return parents[0].document(matter.level, matter.sides)
 
 
 def _driven(
@@ -291,31 +266,46 @@ def _driven(
     most: int | None = None, mounted: Sequence[str] = (), minutes: float = 0.0,
 ) -> NextExperiment:
     """A drive with what it would tell; `most` directions of each cause, all by default."""
-    first = next(iter(fits.values()))
-    planned = _planned(document, first.problem, matter, mounted)
-    _require_cool(planned.observations[0], first.parameters)
-    tellings = taken_up(_tellings(*_on(planned, fits, most)))
+    planned = _planned(document, next(iter(fits.values())), matter, mounted)
+    readings = {name: planned.predict(f.parameters) for name, f in fits.items()}
+
+    def space(name: str) -> Array:
+        """(n, k) whitened, in which the records leave a cause free, one deviation long."""
+        fitted = fits[name]
+        along = _directions(fitted).T
+        along = along if most is None else along[max(len(along) - most, 0) :]
+        if not len(along):
+            return planned.white_nuisances
+        moved = [np.clip(fitted.x + _STEP * one, *fitted.unknowns.bounds()) for one in along]
+        there = planned.predict_many([fitted.unknowns.parameters(x) for x in moved])
+        columns = (there - readings[name][:, None]) / _STEP
+        return np.hstack([planned.whiten(columns), planned.white_nuisances])
+
+    spaces = dict(zip(fits, in_threads(space, [(name,) for name in fits]), strict=True))
+    tellings = _tellings({name: planned.whiten(p) for name, p in readings.items()}, spaces)
     driven = _minutes(planned.observations[0])
-    tellings |= matter.wandering(tellings, driven)
-    minutes += driven
+    for pair, telling in tellings.items():
+        if pair[0] == RECALIBRATION:  # a bench that is not quite the model
+            less = max(telling.evidence - _TAKEN_UP, min(telling.evidence, 0.0))
+            tellings[pair] = telling._replace(evidence=less)
+        # Whether a zero wanders, no model predicts: another record tells as much as one of the
+        # records has, and a longer one no more, for it may only wander more slowly.
+        one, other = sorted(map(_parts, pair), key=len)
+        if other - one == {DRIFT_EFFECT} and one < other:
+            steady, wanders = sorted(pair, key=lambda name: len(_parts(name)))
+            gains = matter.weights.gains
+            share = min(driven / matter.minutes, 1.0 / matter.records)
+            evidence = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * share
+            seen = float(np.sqrt(2.0 * evidence))  # several records tell what one hardly does
+            tellings[pair] = Telling(evidence, max(seen, VISIBLE) if evidence > 0.0 else 0.0)
     why = document["description"]
     if mounted:
         why += f", with the {' and the '.join(mounted)} of the wires measured too"
     quantities = (*matter.observation.quantities, *mounted) if mounted else ()
     return matter.experiment(
-        "sensor" if mounted else "protocol", why, minutes, tellings, protocol=document,
+        "sensor" if mounted else "protocol", why, minutes + driven, tellings, protocol=document,
         quantities=quantities,
     )
-
-
-def _require_cool(planned: Observation, parameters: Parameters) -> None:
-    """Where a level is held for longer than ever, the wires get hotter than they were."""
-    hottest = float(planned.simulate(parameters).temperature.max())
-    limit = float(parameters["bench.maximum_temperature"]) - _COOLER
-    if hottest > limit:
-        raise InputError(
-            f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}"
-        )
 
 
 def _test(name: str, matter: Matter) -> NextExperiment | None:
@@ -324,9 +314,8 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
     test, parameters = TESTS[name], matter.parameters
     stds = test.stds(parameters)
     items = matter.search.recalibrated.unknowns.items
-    known = {item.name: (k, item.std) for k, item in enumerate(items)}
-    for name in measured(parameters):  # once more it would be no better
-        known.pop(name, None)
+    done = measured(parameters)  # once more it would be no better
+    known = {item.name: (k, item.std) for k, item in enumerate(items) if item.name not in done}
     places = {n: known[n][0] for n, std in stds.items() if n in known and std < known[n][1]}
     fits = {c: f for c, f in matter.fits.items() if test.readings_hold not in _parts(c)}
     if not places or len(fits) < 2:
@@ -335,8 +324,7 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
 
     def reading(fitted: Fit, x: Array) -> Array:
         there = fitted.unknowns.parameters(np.clip(x, *fitted.unknowns.bounds()))
-        values = [items[k].x_of(there[n]) for n, k in places.items()]
-        return np.array(values) / errors
+        return np.array([items[k].x_of(there[n]) for n, k in places.items()]) / errors
 
     predicted, spaces = {}, {}
     for cause, f in fits.items():
@@ -350,73 +338,53 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
     )
 
 
-# --- What an experiment would show of each cause.
-
-
 def _planned(
-    document: Mapping[str, Any], known: Problem, matter: Matter, mounted: Sequence[str]
+    document: Mapping[str, Any], fitted: Fit, matter: Matter, mounted: Sequence[str]
 ) -> Problem:
-    """The bench on a protocol that it has not run: the same sensors at the same rates."""
+    """The bench on a protocol that it has not run: the same sensors at the same rates, and new
+    ones of the quantities that are `mounted`.
+
+    Raises:
+        InputError: the wires would get hotter than the bench's limit.
+    """
     protocol = parse_protocol(dict(document), matter.parameters, "next experiment")
     time, commanded = protocol.sample(_PERIOD)
     voltage = heating_voltage(commanded, matter.parameters)
-    like = matter.observation
-    more = [_new_signal(q, wire, like) for q in mounted for wire in range(len(like.channels))]
-    signals = tuple(_planned_signal(signal, time, voltage) for signal in (*like.signals, *more))
-    noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more} | known.noise
+    like, nothing = matter.observation, np.zeros(0)
+    more = [
+        BinnedSignal(
+            f"{channel}.{q}", q, wire, nothing, nothing, np.ones(1), _MOUNTED[q][1],
+            _MOUNTED[q][0], csr_array((0, 1)), SENSORS[q],
+        )
+        for q in mounted for wire, channel in enumerate(like.channels)
+    ]
+    signals = []
+    for signal in (*like.signals, *more):
+        stride = max(1, round(signal.period / _PERIOD))
+        rows = np.arange(len(time) // stride)
+        columns = np.arange(len(rows) * stride)
+        entries = np.repeat(1.0 / stride, len(columns))
+        if signal.quantity == "current":
+            entries = entries * voltage[: len(columns), signal.wire]
+        average = csr_array(
+            (entries, (np.repeat(rows, stride), columns)), shape=(len(rows), len(time))
+        )
+        signals.append(replace(
+            signal, time=time[0] + (rows + 0.5) * stride * _PERIOD, value=np.zeros(len(rows)),
+            average=average, count=np.full(len(rows), float(np.median(signal.count))),
+        ))  # fmt: skip
+    noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more}
     obs = replace(
-        like, grid=time, voltage=voltage, signals=signals, path=document["name"], delays={}
+        like, grid=time, voltage=voltage, signals=tuple(signals), path=document["name"], delays={}
     )
-    return Problem((obs,), noise, (offsets(signals),))
-
-
-def _new_signal(quantity: str, wire: int, like: Observation) -> BinnedSignal:
-    noise, period, _ = _MOUNTED[quantity]
-    nothing = np.zeros(0)
-    return BinnedSignal(
-        f"{like.channels[wire]}.{quantity}", quantity, wire, nothing, nothing, np.ones(1), period,
-        noise, csr_array((0, 1)), SENSORS[quantity],
-    )
-
-
-def _planned_signal(signal: BinnedSignal, time: Array, voltage: Array) -> BinnedSignal:
-    stride = max(1, round(signal.period / _PERIOD))
-    rows = np.arange(len(time) // stride)
-    entries = np.repeat(1.0 / stride, len(rows) * stride)
-    columns = np.arange(len(rows) * stride)
-    if signal.quantity == "current":
-        entries = entries * voltage[: len(columns), signal.wire]
-    average = csr_array((entries, (np.repeat(rows, stride), columns)), shape=(len(rows), len(time)))
-    centre = time[0] + (rows + 0.5) * stride * _PERIOD
-    return replace(
-        signal, time=centre, value=np.zeros(len(rows)), average=average,
-        count=np.full(len(rows), float(np.median(signal.count))),
-    )
-
-
-Columns = dict[str, Array]
-
-
-def _on(
-    problem: Problem, fits: Mapping[str, Fit], most: int | None
-) -> tuple[Columns, Columns]:
-    """By cause: whitened readings (n,), and whitened directions (n, k) in which the records leave
-    it free, one deviation long."""
-    predicted = {name: problem.predict(f.parameters) for name, f in fits.items()}
-
-    def space(name: str) -> Array:
-        fitted, here = fits[name], predicted[name]
-        along = _directions(fitted).T
-        along = along if most is None else along[max(len(along) - most, 0) :]
-        if not len(along):
-            return problem.white_nuisances
-        moved = [np.clip(fitted.x + _STEP * one, *fitted.unknowns.bounds()) for one in along]
-        there = problem.predict_many([fitted.unknowns.parameters(x) for x in moved])
-        columns = (there - here[:, None]) / _STEP
-        return np.hstack([problem.whiten(columns), problem.white_nuisances])
-
-    spaces = dict(zip(fits, in_threads(space, [(name,) for name in fits]), strict=True))
-    return {name: problem.whiten(p) for name, p in predicted.items()}, spaces
+    # Where a level is held for longer than ever, the wires get hotter than they were.
+    hottest = float(obs.simulate(fitted.parameters).temperature.max())
+    limit = float(fitted.parameters["bench.maximum_temperature"]) - _COOLER
+    if hottest > limit:
+        raise InputError(
+            f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}"
+        )
+    return Problem((obs,), noise | fitted.problem.noise, (offsets(signals),))
 
 
 def _directions(fitted: Fit) -> Array:
@@ -425,35 +393,71 @@ def _directions(fitted: Fit) -> Array:
     return np.asarray(turn * np.sqrt(np.maximum(spread, 0.0)))
 
 
-def _tellings(predicted: Columns, spaces: Columns) -> dict[tuple[str, str], Telling]:
-    """Of every (truth, rival)."""
-    freedom = {name: _freedom(space) for name, space in spaces.items()}
+def _tellings(predicted: Mapping[str, Array], spaces: Mapping[str, Array]) -> Tellings:
+    """Of every (truth, rival), from whitened readings (n,) and directions (n, k) of each cause."""
+    normals = {name: space.T @ space + np.eye(space.shape[1]) for name, space in spaces.items()}
+    # Log of how much of what was possible before an experiment is so no more after it.
+    freedom = {name: float(np.linalg.slogdet(normal)[1]) for name, normal in normals.items()}
     tellings = {}
     for truth, rival in permutations(predicted, 2):
-        distance = _left(predicted[truth] - predicted[rival], spaces[rival])
+        # What refitting, each direction at its price, does not take away.
+        difference = predicted[truth] - predicted[rival]
+        seen = spaces[rival].T @ difference
+        taken = float(seen @ np.linalg.solve(normals[rival], seen))
+        distance = float(np.sqrt(max(float(difference @ difference) - taken, 0.0)))
         evidence = 0.5 * (distance**2 + freedom[rival] - freedom[truth])
         tellings[truth, rival] = Telling(evidence, distance)
     return tellings
 
 
-def taken_up(tellings: Tellings) -> dict[tuple[str, str], Telling]:
-    """As a bench tells it that is not quite the model: against effects, of recalibration."""
-    return {
-        (truth, rival): telling._replace(
-            evidence=max(telling.evidence - _TAKEN_UP, min(telling.evidence, 0.0))
-        ) if truth == RECALIBRATION else telling
-        for (truth, rival), telling in tellings.items()
-    }
+class Prospect(NamedTuple):
+    """Probabilities that the verdict after an experiment names the true cause, and that the true
+    cause is `given`: the mean of what it would have."""
+
+    named: float
+    given: float
 
 
-def _left(difference: Array, space: Array) -> float:
-    """Norm of what refitting, each direction at its price, does not take away."""
-    normal = space.T @ space + np.eye(space.shape[1])
-    seen = space.T @ difference
-    left = float(difference @ difference) - float(seen @ np.linalg.solve(normal, seen))
-    return float(np.sqrt(max(left, 0.0)))
+def prospect(
+    weights: Weights, probability: Mapping[str, float], tellings: Mapping[tuple[str, str], Telling]
+) -> Prospect:
+    """What the verdict would be after an experiment, whichever cause is true, as noise may fall.
 
+    Args:
+        weights: as they are now, the effects' gains before the experiment.
+        probability: of every candidate now.
+        tellings: by (truth, rival) of the causes that were simulated; another cause stays as
+            probable beside the truth as it is.
+    """
+    simulated = list(dict.fromkeys(name for pair in tellings for name in pair))
+    now = weights.gains
+    named = given = 0.0
 
-def _freedom(space: Array) -> float:
-    """Log of how much of what was possible before an experiment is so no more after it."""
-    return float(np.linalg.slogdet(space.T @ space + np.eye(space.shape[1]))[1])
+    def against(truth: str, rival: str, luck: float) -> float:
+        """Nats. An effect that is not there is told by not being seen, which takes an experiment
+        that would show it; without that its freedom alone speaks against it, and that settles
+        nothing."""
+        telling = tellings[truth, rival]
+        nats = telling.evidence + luck * telling.distance
+        visible = max(telling.distance, tellings[rival, truth].distance) >= VISIBLE
+        return nats if visible else min(nats, 0.0)
+
+    for truth in simulated:
+        right = (truth,) if truth != RECALIBRATION else (RECALIBRATION, NO_GAP)
+        own = sum(probability[name] for name in right)
+        for luck in _LUCK:
+            lost = {r: against(truth, r, luck) for r in simulated if r != truth}
+            over = lost.get(RECALIBRATION, 0.0)
+            gains = {c: now[c] + over - lost.get(c, 0.0) for c in simulated if c in now}
+            best = max([0.0, *gains.values()])
+            stretch = scale_of(best) / scale_of(max([0.0, *now.values()]))
+            # What was not simulated goes with the truth, as probable beside it as before.
+            gains |= {
+                c: now.get(truth, 0.0) + over - (now.get(truth, 0.0) - gain) * stretch
+                for c, gain in now.items() if c not in gains
+            }
+            after = replace(weights, gains=gains).probabilities()
+            share = sum(after[name] for name in right)
+            given += own * share / len(_LUCK)
+            named += own * (share >= NAMED) / len(_LUCK)
+    return Prospect(named, given)

@@ -3,13 +3,12 @@ topic is made from (`templates/diagnosis.j2`)."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any, ClassVar, Literal
 
-from sma_bench.cards import card_html, card_rows, card_text, cells, sentences
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.results import decoded
+from sma_bench.results import card_html, card_rows, card_text, cells, decoded, sentences
 
 Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained"]
 SET_MASS = 0.9  # probability that the credible candidates make together
@@ -31,20 +30,6 @@ class Cell:
     gap: float
     share: float
     rms: float
-
-
-@dataclass(frozen=True)
-class Link:
-    """One block of the chain, from what drives it to the signal that it is held to.
-
-    `gap` is the root mean square misfit over the white noise of a sample, which is taken off;
-    `ci90` from blocks of time drawn anew; `rms` in the signal's unit.
-    """
-
-    block: str
-    gap: float
-    ci90: tuple[float, float]
-    rms: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -96,7 +81,7 @@ class NextExperiment:
     minutes: float = math.nan
     chance: float = math.nan
     worth: float = 0.0
-    parameters: Mapping[str, float] | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
     quantities: tuple[str, ...] = ()
 
     @property
@@ -106,11 +91,7 @@ class NextExperiment:
 
     def to_json(self) -> dict[str, Any]:
         """As in the contract."""
-        return {
-            "kind": self.kind, "why": self.why, "separates": list(self.separates),
-            "chance": self.chance, "minutes": self.minutes, "protocol": dict(self.protocol),
-            "parameters": dict(self.parameters or {}), "quantities": list(self.quantities),
-        }
+        return {name: value for name, value in asdict(self).items() if name != "worth"}
 
 
 @dataclass(frozen=True)
@@ -129,9 +110,8 @@ class Explanation:
 
 @dataclass(frozen=True)
 class Where:
-    """The place of the gap: its largest cell, all cells in `table`, stages with their
-    probabilities, the most probable first, and the blocks of the chain, each driven by what was
-    measured before it."""
+    """The place of the gap: its largest cell, all cells in `table`, and stages with their
+    probabilities, the most probable first."""
 
     signal: str
     phase: str
@@ -139,7 +119,6 @@ class Where:
     stage: str
     stages: dict[str, float] = field(default_factory=dict)
     table: tuple[Cell, ...] = ()
-    chain: tuple[Link, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -262,7 +241,8 @@ class DiagnosisResult:
             "verdict": self.verdict,
             "cause": list(self.cause),
             "candidates": [
-                {**vars(c), "parameters": _numbers(c.parameters)} for c in self.candidates
+                {f.name: getattr(c, f.name) for f in fields(Explanation)}
+                | {"parameters": _numbers(c.parameters)} for c in self.candidates
             ],
             "credible": list(self.credible),
             "card": card_rows(self),
@@ -290,26 +270,6 @@ def _numbers(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
     return {n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in estimates.items()}
 
 
-@dataclass(frozen=True)
-class _File:
-    """A result file as it is written."""
-
-    verdict: Verdict
-    cause: tuple[str, ...]
-    candidates: tuple[Explanation, ...]
-    where: Where
-    shrinkage: dict[str, Shrinkage]
-    moved: tuple[Moved, ...] = ()
-    smoother: dict[str, Estimate] = field(default_factory=dict)
-    difference: Difference | None = None
-    left: LeftOver | None = None
-    unexplained_sign: str = ""
-    not_compared: tuple[str, ...] = ()
-    next_experiment: NextExperiment | None = None
-    record: tuple[str, ...] = ()
-    findings: tuple[str, ...] = ()
-
-
 def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
     """A diagnosis from what its JSON held.
 
@@ -318,7 +278,9 @@ def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
     """
     if isinstance(document, dict):  # null stands for none here, for no number elsewhere
         document = {name: value for name, value in document.items() if value is not None}
-    found = decoded(_File, document, where)
-    facts = {name: getattr(found, name) for name in _File.__dataclass_fields__}
-    findings = tuple(Finding.read(line) for line in found.findings)
-    return DiagnosisResult(**{**facts, "findings": findings, "path": where})
+        document["path"] = where
+        if isinstance(lines := document.get("findings"), list):
+            document["findings"] = [
+                vars(Finding.read(line)) if isinstance(line, str) else line for line in lines
+            ]
+    return decoded(DiagnosisResult, document, where)

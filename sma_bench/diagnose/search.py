@@ -1,21 +1,22 @@
 """Candidates: recalibration alone, every effect with it, and pairs around the best ones."""
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve
 
-from sma_bench.diagnose.flexible import Flexible, flexible_residual
-from sma_bench.diagnose.left_over import Left, left_over
-from sma_bench.diagnose.starts import Remainder, find_start, start_off
-from sma_bench.diagnose.tails import gain_of_tails, with_tails
+from sma_bench.compiled import in_threads
+from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.unknowns import (
     Unknowns,
+    number_of_effect,
     stated_effects,
     unknowns_of,
     unknowns_of_records,
@@ -50,7 +51,26 @@ _INSTEAD = {
     }
 }
 
+# Prior deviations of the number that switches an effect on: what a large one does says little
+# about a small one.
+_SIZES = (0.012, 0.06, 0.3, 1.5)
+_STRETCH = (0.3, 2.0)  # of a tried size that is still believed
+# Numbers that shape an effect are tried over their range; the others start at their default.
+_SHAPES = {
+    "effect.matrix_thermal_mass.inner_share": (0.25, 0.5, 0.8),
+    "effect.viscoelastic_matrix.time_constant": (4.0, 20.0, 90.0),
+    "effect.transition_drift.cycles": (1.0, 6.0),
+    "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
+}
+
 Progress = Callable[[str], None]
+
+
+class Start(NamedTuple):
+    """Where to begin, and the gain in log posterior that a straight line from there promises."""
+
+    x: Array
+    gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +84,6 @@ class Search:
         best: of all these, the one with the largest evidence.
         flexible: of what recalibration leaves; beyond: of what the best candidate leaves.
         left, left_by_best: whether that still depends on what the bench does.
-        off: parameters that recalibration needs farther off than was stated.
     """
 
     problem: Problem
@@ -77,7 +96,6 @@ class Search:
     beyond: Flexible
     left: Left
     left_by_best: Left
-    off: tuple[str, ...] = ()
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""
@@ -111,38 +129,47 @@ def search(
     # As believed: every parameter exact.
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
     held = held_back(doubted)
-    possible = [name for name in _possible(parameters, quantities) if name not in held]
-    singles = _singles(baseline, recalibrated, possible, progress)
+    names = [name for name in possible_effects(parameters, quantities) if name not in held]
+    singles = _singles(baseline, recalibrated, names, progress)
+
+    def keep(fits: Iterable[Fit]) -> None:
+        for found in fits:
+            (name,) = found.unknowns.effects
+            singles[name] = max(singles[name], found, key=_evidence)
+
     recalibrated, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("recalibration was stuck: once more")
-        singles = _singles(baseline, recalibrated, possible, progress)
+        singles = _singles(baseline, recalibrated, names, progress)
     if np.max(np.abs(recalibrated.x[: baseline.bench])) > _SURPRISING:
+        # From surprising parameters the way back to those believed can be long and winding, so the
+        # most promising effects are fitted from these.
         progress("effects instead of surprising parameters")
-        for name, found in _from_belief(problem, baseline, recalibrated, list(singles)).items():
-            singles[name] = max(singles[name], found, key=lambda f: f.evidence)
+        believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
+        begun = _starts(baseline, believed, names)
+        ranked = sorted(begun, key=lambda name: begun[name].gain, reverse=True)
+        keep(in_threads(
+            lambda name: fit(problem, baseline.with_effects([name]), begun[name].x, far=True),
+            [(name,) for name in ranked[:_MOST_FROM_BELIEF]],
+        ))  # fmt: skip
+
     progress("the best again, carefully")
-    worth = [(singles[name],) for name in _worth_refining(singles, recalibrated)]
-    again = in_threads(_refined, worth)
-    again += [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
-    for found in again:
-        (name,) = found.unknowns.effects
-        singles[name] = max(singles[name], found, key=lambda f: f.evidence)
+    gains = {name: f.evidence - recalibrated.evidence for name, f in singles.items()}
+    ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
+    best_gain = gains[ranked[0]] if ranked else 0.0
+    limit = best_gain - max(_NEAR, _CLOSE * best_gain)
+    worth = [(singles[name],) for name in ranked[:_MOST_REFINED] if gains[name] >= limit]
+    instead = [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
+    keep([*in_threads(_refined, worth), *instead])
     better, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("recalibration was stuck: once more")
-        for name, found in _singles(baseline, better, possible, progress).items():
-            singles[name] = max(singles[name], found, key=lambda f: f.evidence)
+        keep(_singles(baseline, better, names, progress).values())
     recalibrated = better
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
-    progress("parameters that may be far off")
-    narrow = recalibrated.evidence
-    recalibrated, off = with_tails(recalibrated)
-    most = recalibrated.evidence - narrow
-    singles = {name: _tailed(found, most) for name, found in singles.items()}
-    pairs = {names: _tailed(found, most) for names, found in pairs.items()}
-    best = max([recalibrated, *singles.values(), *pairs.values()], key=lambda f: f.evidence)
+
+    best = max([recalibrated, *singles.values(), *pairs.values()], key=_evidence)
     progress("what is left")
     fits = list(dict.fromkeys([recalibrated, best]))
     works = [(work, fitted) for work in (flexible_residual, left_over) for fitted in fits]
@@ -150,91 +177,12 @@ def search(
     flexible, left = done[: len(fits)], done[len(fits) :]
     return Search(
         problem, nominal, recalibrated, singles, pairs, best, flexible[0], flexible[-1],
-        left[0], left[-1], off,
+        left[0], left[-1],
     )
 
 
-def _tailed(found: Fit, most: float) -> Fit:
-    """With the evidence that tails add to it: `most` that recalibration has gained by them."""
-    return replace(found, evidence=found.evidence + min(gain_of_tails(found)[0], most))
-
-
-def _singles(
-    baseline: Unknowns, recalibrated: Fit, names: Sequence[str], progress: Progress
-) -> dict[str, Fit]:
-    """Every effect, begun where recalibration ended: the most promising first, beside which others
-    may be hopeless."""
-    remainder = Remainder(recalibrated)
-    models = {name: baseline.with_effects([name]) for name in names}
-
-    def off(name: str) -> Fit:
-        x = start_off(recalibrated, models[name], name)
-        return _fit_from(recalibrated, models[name], x, rounds=0)
-
-    def single(name: str) -> Fit:
-        progress(name)
-        found = _fit_from(recalibrated, models[name], starts[name].x)
-        if found.evidence >= recalibrated.evidence - _LOST:
-            return found
-        without = off(name)
-        if found.evidence >= without.evidence:
-            return found
-        again = _fit_from(recalibrated, models[name], without.x)
-        return max(found, without, again, key=lambda f: f.evidence)
-
-    if not names:
-        return {}
-    progress(names[0])
-    found = in_threads(
-        lambda name: find_start(remainder, models[name], name), [(name,) for name in names]
-    )
-    starts = dict(zip(names, found, strict=True))
-    ranked = sorted(names, key=lambda name: starts[name].gain, reverse=True)
-    first = ranked[:_FIRST]
-    begun = in_threads(single, [(name,) for name in first])
-    fits = dict(zip(first, begun, strict=True))
-    lead = max((f.evidence - recalibrated.evidence for f in fits.values()), default=0.0)
-    hopeless = {n for n in ranked[_FIRST:] if _PROMISES * starts[n].gain < lead - _BEYOND}
-    others = ranked[_FIRST:]
-    rest = in_threads(
-        lambda name: (off if name in hopeless else single)(name), [(name,) for name in others]
-    )
-    fits |= zip(others, rest, strict=True)
-    return {name: fits[name] for name in names}
-
-
-def _fit_from(recalibrated: Fit, unknowns: Unknowns, x: Array, rounds: int = 2) -> Fit:
-    return fit(recalibrated.problem, unknowns, x, rounds=rounds, frozen=recalibrated.derivatives)
-
-
-def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tuple[Fit, bool]:
-    """Recalibration from where the best effect has taken the parameters, if that is better; and
-    whether it is so much better that effects are to be looked for from there."""
-    if not singles:
-        return recalibrated, False
-    best = max(singles.values(), key=lambda f: f.evidence)
-    better = fit(recalibrated.problem, baseline, best.x[: baseline.baseline], far=True)
-    gained = better.evidence - recalibrated.evidence
-    return (better if gained > 0.0 else recalibrated), gained > _STUCK
-
-
-def _from_belief(
-    problem: Problem, baseline: Unknowns, recalibrated: Fit, names: Sequence[str]
-) -> dict[str, Fit]:
-    """The most promising effects, fitted from the parameters as believed: from surprising ones the
-    way back to them can be long and winding."""
-    believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
-    remainder = Remainder(believed)
-    starts = in_threads(
-        lambda name: find_start(remainder, baseline.with_effects([name]), name),
-        [(name,) for name in names],
-    )
-    ranked = sorted(zip(names, starts, strict=True), key=lambda s: s[1].gain, reverse=True)
-    best = ranked[:_MOST_FROM_BELIEF]
-    fits = in_threads(
-        lambda name, start: fit(problem, baseline.with_effects([name]), start.x, far=True), best
-    )
-    return {name: found for (name, _), found in zip(best, fits, strict=True)}
+def _evidence(fitted: Fit) -> float:
+    return fitted.evidence
 
 
 def held_back(doubted: Collection[str]) -> list[str]:
@@ -247,7 +195,7 @@ def held_back(doubted: Collection[str]) -> list[str]:
     ]
 
 
-def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
+def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
     """Effects that this load can have, that show in these signals and are not believed in yet."""
     stated, load = stated_effects(parameters), load_kind(parameters)
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
@@ -257,12 +205,65 @@ def _possible(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
     ]
 
 
-def _worth_refining(singles: dict[str, Fit], recalibrated: Fit) -> list[str]:
-    gains = {name: f.evidence - recalibrated.evidence for name, f in singles.items()}
-    ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
-    best = gains[ranked[0]] if ranked else 0.0
-    limit = best - max(_NEAR, _CLOSE * best)
-    return [name for name in ranked[:_MOST_REFINED] if gains[name] >= limit]
+def _starts(baseline: Unknowns, fitted: Fit, names: Sequence[str]) -> dict[str, Start]:
+    """Of every effect, added to a fit of the baseline."""
+    remainder = Remainder(fitted)
+    found = in_threads(
+        lambda name: find_start(remainder, baseline.with_effects([name]), name),
+        [(name,) for name in names],
+    )
+    return dict(zip(names, found, strict=True))
+
+
+def _singles(
+    baseline: Unknowns, recalibrated: Fit, names: Sequence[str], progress: Progress
+) -> dict[str, Fit]:
+    """Every effect, begun where recalibration ended: the most promising first, beside which others
+    may be hopeless."""
+    if not names:
+        return {}
+    progress(names[0])
+    starts = _starts(baseline, recalibrated, names)
+
+    def fit_from(name: str, x: Array, rounds: int = 2) -> Fit:
+        unknowns, frozen = baseline.with_effects([name]), recalibrated.derivatives
+        return fit(recalibrated.problem, unknowns, x, rounds=rounds, frozen=frozen)
+
+    def off(name: str) -> Fit:
+        x = start_off(recalibrated, baseline.with_effects([name]), name)
+        return fit_from(name, x, rounds=0)
+
+    def single(name: str) -> Fit:
+        progress(name)
+        found = fit_from(name, starts[name].x)
+        if found.evidence >= recalibrated.evidence - _LOST:
+            return found
+        without = off(name)
+        if found.evidence >= without.evidence:
+            return found
+        return max(found, without, fit_from(name, without.x), key=_evidence)
+
+    ranked = sorted(names, key=lambda name: starts[name].gain, reverse=True)
+    first, others = ranked[:_FIRST], ranked[_FIRST:]
+    fits = dict(zip(first, in_threads(single, [(name,) for name in first]), strict=True))
+    lead = max(f.evidence - recalibrated.evidence for f in fits.values())
+    hopeless = {n for n in others if _PROMISES * starts[n].gain < lead - _BEYOND}
+    rest = in_threads(
+        lambda name: (off if name in hopeless else single)(name), [(name,) for name in others]
+    )
+    fits |= zip(others, rest, strict=True)
+    return {name: fits[name] for name in names}
+
+
+def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tuple[Fit, bool]:
+    """Recalibration from where the best effect has taken the parameters, if that is better; and
+    whether it is so much better that effects are to be looked for from there."""
+    if not singles:
+        return recalibrated, False
+    best = max(singles.values(), key=_evidence)
+    better = fit(recalibrated.problem, baseline, best.x[: baseline.baseline], far=True)
+    gained = better.evidence - recalibrated.evidence
+    return (better if gained > 0.0 else recalibrated), gained > _STUCK
 
 
 def _refined(found: Fit) -> Fit:
@@ -290,8 +291,8 @@ def _handed_over(found: Fit) -> Fit:
 def _pairs(
     baseline: Unknowns, singles: dict[str, Fit], recalibrated: Fit
 ) -> dict[tuple[str, str], Fit]:
-    """The best singles, each with the partners that promise most; the best pair again with its own
-    nuisances, as the best singles."""
+    """The best singles, each with the partners that promise most beside it; the best pair again
+    with its own nuisances, as the best singles."""
     ranked = sorted(singles, key=lambda name: singles[name].evidence, reverse=True)
     gains = {name: singles[name].evidence - recalibrated.evidence for name in ranked}
     pairs: dict[tuple[str, str], Fit] = {}
@@ -301,31 +302,114 @@ def _pairs(
         if (one, other) not in pairs or found.evidence > pairs[one, other].evidence:
             pairs[one, other] = found
 
+    def with_partners(alone: Fit) -> list[Fit]:
+        (name,) = alone.unknowns.effects
+        remainder, frozen = Remainder(alone), alone.derivatives[:, : baseline.baseline]
+
+        def promise(partner: str) -> float:
+            unknowns = baseline.with_effects([name, partner])
+            return find_start(remainder, unknowns, partner, quick=True).gain
+
+        def pair(partner: str) -> Fit:
+            unknowns = baseline.with_effects([name, partner])
+            start = find_start(remainder, unknowns, partner)
+            return fit(alone.problem, unknowns, start.x, rounds=2, frozen=frozen)
+
+        partners = [partner for partner in singles if partner != name]
+        promises = in_threads(promise, [(partner,) for partner in partners])
+        order = np.argsort(promises, kind="stable")[::-1][:_PARTNERS]
+        return in_threads(pair, [(partners[k],) for k in order])
+
     for name in ranked[:_MOST_PAIRED]:
         if gains[name] < max(_WORTH_PAIRING, _HOPELESS * gains[ranked[0]]):
             break
-        for found in _pairs_with(name, baseline, singles):
+        for found in with_partners(singles[name]):
             keep(found)
     if pairs:
-        keep(_refined(max(pairs.values(), key=lambda f: f.evidence)))
+        keep(_refined(max(pairs.values(), key=_evidence)))
     return pairs
 
 
-def _pairs_with(name: str, baseline: Unknowns, singles: dict[str, Fit]) -> list[Fit]:
-    """One effect with each of the partners that promise most beside it."""
-    remainder = Remainder(singles[name])
-    frozen = singles[name].derivatives[:, : baseline.baseline]
+# --- Where the fit of an effect begins: sizes tried against what recalibration leaves. A score test
+# at zero is blind to effects whose number acts only together with another (a time constant of a
+# relaxation that is not there yet), so whole differences are tried, not slopes.
 
-    def promise(partner: str) -> float:
-        unknowns = baseline.with_effects([name, partner])
-        return find_start(remainder, unknowns, partner, quick=True).gain
 
-    def pair(partner: str) -> Fit:
-        unknowns = baseline.with_effects([name, partner])
-        start = find_start(remainder, unknowns, partner)
-        return fit(singles[name].problem, unknowns, start.x, rounds=2, frozen=frozen)
+class Remainder:
+    """What recalibration leaves, with all directions that recalibration can still go taken out."""
 
-    partners = [partner for partner in singles if partner != name]
-    promises = in_threads(promise, [(partner,) for partner in partners])
-    order = np.argsort(promises, kind="stable")[::-1][:_PARTNERS]
-    return in_threads(pair, [(partners[k],) for k in order])
+    def __init__(self, fitted: Fit) -> None:
+        self.fitted = fitted
+        problem = fitted.problem
+        self._rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
+        self._normal = cho_factor(self._rows.T @ self._rows + np.eye(self._rows.shape[1]))
+        residual = problem.whiten(problem.measured - fitted.predicted)
+        # The priors pull back what they had to let go: an effect may relieve them of it.
+        moved = np.concatenate([fitted.x, np.zeros(self._rows.shape[1] - len(fitted.x))])
+        self._left = residual - self._explained(self._rows.T @ residual - moved)
+        self._before = problem.coarse.predict(fitted.parameters)
+
+    def _explained(self, pull: Array) -> Array:
+        return np.asarray(self._rows @ cho_solve(self._normal, pull))
+
+    def changes(self, benches: Sequence[Parameters]) -> Array:
+        """(n, p) whitened, of the readings from the fit's to these benches'."""
+        problem = self.fitted.problem
+        return problem.whiten(problem.coarse.predict_many(benches) - self._before[:, np.newaxis])
+
+    def gain(self, change: Array) -> tuple[float, float]:
+        """Gain of adding a multiple of `change` (n,) whitened, and that multiple."""
+        power = float(change @ (change - self._explained(self._rows.T @ change)))
+        if power <= 0.0:
+            return 0.0, 1.0
+        pull = float(change @ self._left)
+        share = float(np.clip(pull / power, *_STRETCH))
+        return share * pull - 0.5 * share**2 * power, share
+
+
+def find_start(
+    remainder: Remainder, unknowns: Unknowns, name: str, quick: bool = False
+) -> Start:
+    """Best of the tried sizes of one effect, added to a fit.
+
+    Args:
+        remainder: of the fit without this effect; unknowns: with this effect's numbers last.
+        quick: every shape at its default.
+
+    Where no size promises anything the fit begins with the effect off.
+    """
+    fitted, effect, bounds = remainder.fitted, EFFECTS[name], unknowns.bounds()
+    first = len(unknowns.names) - len(effect.parameters)
+    switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]
+
+    # One switch at a time, every shape.
+    numbers = [number_of_effect(p) for p in effect.parameters]
+    known = {} if quick else _SHAPES
+    shapes = [
+        [0.0] if first + k in switches else
+        [number.x_of(value) for value in known.get(number.name, (number.mean,))]
+        for k, number in enumerate(numbers)
+    ]
+    trials = []
+    for k in switches:
+        signs = (1.0, -1.0) if numbers[k - first].low < 0.0 else (1.0,)
+        for shape, size, sign in product(product(*shapes), _SIZES, signs):
+            x = np.concatenate([fitted.x, shape])
+            x[k] = sign * size
+            trials.append(np.clip(x, *bounds))
+
+    best = Start(start_off(fitted, unknowns, name), 0.0)
+    changes = remainder.changes([unknowns.parameters(x) for x in trials])
+    for x, change in zip(trials, np.ascontiguousarray(changes.T), strict=True):
+        gain, share = remainder.gain(change)
+        if gain > best.gain:
+            there = x.copy()
+            there[switches] *= share
+            best = Start(np.clip(there, *bounds), gain)
+    return best
+
+
+def start_off(fitted: Fit, unknowns: Unknowns, name: str) -> Array:
+    """Where a fit without this effect ended, the effect added but off."""
+    off = np.zeros(len(EFFECTS[name].parameters))
+    return np.clip(np.concatenate([fitted.x, off]), *unknowns.bounds())

@@ -13,9 +13,8 @@ from sma_bench.estimation.noise_model import (
 )
 from sma_bench.estimation.voltage import FEWEST_SAMPLES, VoltageSegment, find_segments
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import wire_length, wire_section
 from sma_bench.physics import Boundary
-from sma_bench.physics.bending import wire_section
 from sma_bench.records.record import Record, has_samples, samples
 
 LOAD_FRAME = ("elongation", "force")

@@ -74,11 +74,6 @@ class Noise:
         """Standard deviation of the noise of a bin."""
         return float(np.hypot(self.white, self.drift))
 
-    @property
-    def innovation(self) -> float:
-        """Standard deviation of what the past does not tell."""
-        return self.arma[2]
-
     def whiten(self, columns: Array) -> Array:
         """Residuals or derivatives (b,) or (b, k) as independent ones of unit variance."""
         white = np.array(columns, dtype=np.float64, order="C")
@@ -102,7 +97,7 @@ class Noise:
 
     def log_scale(self, bins: int) -> float:
         """log of the whitening's determinant, inverted."""
-        return (bins - 1) * float(np.log(self.innovation)) + float(np.log(self.total))
+        return (bins - 1) * float(np.log(self.arma[2])) + float(np.log(self.total))
 
 
 def _log_prior(
@@ -176,14 +171,13 @@ def _add_powers(
     residual: Array, phi: Array, theta: Array, scale: Array, first: Array, powers: Array
 ) -> None:
     """Add the power of the whitened residual (b,) under each noise (m,) to `powers` (m,)."""
-    for k in range(phi.shape[0]):
-        before, innovation = residual[0], residual[0]
-        power = (before * first[k]) ** 2
-        for i in range(1, residual.shape[0]):
-            innovation = residual[i] - phi[k] * before - theta[k] * innovation
-            before = residual[i]
-            power += (innovation * scale[k]) ** 2
-        powers[k] += power
+    innovation = np.full(phi.shape[0], residual[0])
+    power = (innovation * first) ** 2
+    for i in range(1, residual.shape[0]):
+        for k in range(phi.shape[0]):
+            innovation[k] = residual[i] - phi[k] * residual[i - 1] - theta[k] * innovation[k]
+            power[k] += (innovation[k] * scale[k]) ** 2
+    powers += power
 
 
 def white_noise_level(values: Array) -> float:

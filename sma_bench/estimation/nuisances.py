@@ -5,19 +5,16 @@ converter holds between two of its steps, straight stretches of a noisy voltage,
 held. A fit takes them along; those of a sensor are worth telling when they are found.
 """
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.compiled import in_threads
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import JUMP_STD, BinnedSignal, Observation
-from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.parameters import Parameters
-
-Index = NDArray[np.intp]
 
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
 _LAST = 0.49  # of the time between two samples
@@ -48,21 +45,15 @@ class Nuisances:
     columns: Array
     about: Array | float = 0.0
 
-    @classmethod
-    def none(cls, observation: Observation) -> "Nuisances":
-        """Nothing is off."""
-        return cls((), np.zeros((sum(len(s.time) for s in observation.signals), 0)))
-
 
 def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
     """Only the sensors' zeros."""
     rows = np.concatenate([np.full(len(s.time), k) for k, s in enumerate(signals)])
-    own = [k for k, s in enumerate(signals) if s.sensor.zero_std > 0.0]
+    own = [(k, s) for k, s in enumerate(signals) if s.sensor.zero_std > 0.0]
     items = tuple(
-        Nuisance(OFFSET, signals[k].name, signals[k].sensor.zero_std, UNITS[signals[k].quantity])
-        for k in own
+        Nuisance(OFFSET, s.name, s.sensor.zero_std, UNITS[s.quantity]) for _, s in own
     )
-    columns = [signals[k].sensor.zero_std * (rows == k) for k in own]
+    columns = [s.sensor.zero_std * (rows == k) for k, s in own]
     return Nuisances(items, np.column_stack([np.zeros((len(rows), 0)), *columns]))
 
 
@@ -70,14 +61,15 @@ def moved_to(observation: Observation, own: Nuisances, z: Array) -> tuple[Observ
     """The record with its jumps and stamps where a fit has found them, which no straight line goes
     to from where they were; and these values, 0 for what is linear."""
     kept = np.array([item.kind in (JUMP, DELAY) for item in own.items], dtype=bool) * z
-    of_jumps = [at for at, item in zip(kept, own.items, strict=True) if item.kind == JUMP]
-    place = np.clip(JUMP_STD * np.array(of_jumps), -_LAST, _LAST)
+    jumps = [k for k, item in enumerate(own.items) if item.kind == JUMP]
+    place = np.clip(JUMP_STD * kept[jumps], -_LAST, _LAST)
     delays = {
         item.subject: float(at * item.std)
         for at, item in zip(kept, own.items, strict=True) if item.kind == DELAY
     }
-    kept[[item.kind == JUMP for item in own.items]] = place / JUMP_STD
-    return observation.moved(place, delays), kept
+    kept[jumps] = place / JUMP_STD
+    volts = observation.drive.on_grid(observation.grid, place)
+    return replace(observation, voltage=volts, place=place, delays=delays), kept
 
 
 def nuisances_about(
@@ -94,8 +86,8 @@ def nuisances_about(
         return np.concatenate(observation.readings(there)) - base
 
     zeros = offsets(observation.signals)
-    rates = observation.rates(simulation)
     items, columns = [*zeros.items], [zeros.columns]
+    rates = observation.rates(simulation)
     for quantity in observation.quantities:
         late = np.concatenate([
             -s.sensor.clock_std * rate if s.quantity == quantity else np.zeros(len(rate))
@@ -105,10 +97,28 @@ def nuisances_about(
             std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
             items.append(Nuisance(DELAY, quantity, std, "s"))
             columns.append(late[:, np.newaxis])
-    moves = [*_moves(observation, voltage_noise)]
+
+    # Each jump once, not the drives, of which an hour has hundreds; held levels of which the
+    # converter's steps hide something; what noise hides of straight stretches.
+    drive = observation.drive
+    moves = [
+        _Move(JUMP, early, late, place=JUMP_STD * (np.arange(len(drive.early)) == k))
+        for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True))
+    ]
+    for kind, own in (
+        (LEVEL, drive.level_errors()), (LINE, drive.line_errors() if voltage_noise else ()),
+    ):
+        for errors in own:
+            at = np.concatenate([
+                polygon.time[error != 0.0]
+                for polygon, error in zip(drive.channels, errors, strict=True)
+            ])
+            moves.append(_Move(kind, at.min(), at.max(), errors=errors))
     items += [Nuisance(move.kind) for move in moves]
     columns.append(_responses(observation, moves, lambda drive: moved(drive, None)))
-    loads = observation.load_errors
+
+    # One standard error of each held load in turn.
+    loads = [row for row in np.diag([hold.std for hold in observation.holds]) if row.any()]
     items += [Nuisance(LOAD)] * len(loads)
     columns += [
         column[:, np.newaxis] for column in in_threads(moved, [(None, error) for error in loads])
@@ -126,23 +136,6 @@ class _Move:
     end: float
     place: Array | float = 0.0
     errors: tuple[Array, ...] | None = None
-
-
-def _moves(observation: Observation, voltage_noise: bool) -> Iterator[_Move]:
-    """Each jump once, not the drives, of which an hour has hundreds; held levels of which the
-    converter's steps hide something; what noise hides of straight stretches."""
-    drive = observation.drive
-    for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True)):
-        yield _Move(JUMP, early, late, JUMP_STD * (np.arange(len(drive.early)) == k))
-    for kind, own in (
-        (LEVEL, drive.level_errors()), (LINE, drive.line_errors() if voltage_noise else ()),
-    ):
-        for errors in own:
-            at = np.concatenate([
-                polygon.time[error != 0.0]
-                for polygon, error in zip(drive.channels, errors, strict=True)
-            ])
-            yield _Move(kind, at.min(), at.max(), errors=errors)
 
 
 def _responses(
@@ -165,14 +158,30 @@ def _responses(
         errors = [sum(own) for own in zip(*filter(None, known), strict=True)]
         return change((place, errors or None))
 
-    groups, alone = _far_apart(moves), list(range(len(moves)))
+    # Groups in which none begins before another is forgotten.
+    groups: list[list[int]] = []
+    for k in sorted(range(len(moves)), key=lambda k: moves[k].begin):
+        far = (g for g in groups if moves[k].begin - moves[g[-1]].end >= _FORGOTTEN)
+        group = next(far, None)
+        if group is None:
+            groups.append([k])
+        else:
+            group.append(k)
+
+    alone = list(range(len(moves)))
     if len(groups) < _FEWER * len(moves):
         alone = []
-        for group, response in zip(groups, in_threads(together, [(g,) for g in groups]),
-                                   strict=True):  # fmt: skip
+        found = in_threads(together, [(group,) for group in groups])
+        for group, response in zip(groups, found, strict=True):
+            # Whether a signal shows nothing of a move any more when the next one begins.
             begins = np.array([moves[k].begin for k in group])
             owner = np.searchsorted(begins, ends, side="right") - 1
-            if _are_forgotten(begins, owner, ends, rows, response):
+            following = np.append(begins[1:], _NEVER)[owner]
+            last = (owner >= 0) & (ends > following - _LAST_PART * _FORGOTTEN)
+            size, last_size = np.zeros((2, rows.max(initial=0) + 1))
+            np.maximum.at(size, rows, np.abs(response))
+            np.maximum.at(last_size, rows[last], np.abs(response[last]))
+            if np.all(last_size <= _TRACE * size):
                 seen = np.flatnonzero(owner >= 0)
                 columns[seen, np.array(group)[owner[seen]]] = response[seen]
             else:
@@ -180,33 +189,3 @@ def _responses(
     for k, column in zip(alone, in_threads(together, [([k],) for k in alone]), strict=True):
         columns[:, k] = column
     return columns
-
-
-def _far_apart(moves: Sequence[_Move]) -> list[list[int]]:
-    """Moves in groups in which none begins before another is forgotten."""
-    groups: list[list[int]] = []
-    for k in sorted(range(len(moves)), key=lambda k: moves[k].begin):
-        for group in groups:
-            if moves[k].begin - moves[group[-1]].end >= _FORGOTTEN:
-                group.append(k)
-                break
-        else:
-            groups.append([k])
-    return groups
-
-
-def _are_forgotten(
-    begins: Array, owner: Index, ends: Array, rows: Index, response: Array
-) -> bool:
-    """Whether the readings show nothing of any of these moves any more when the next one begins.
-
-    Args:
-        begins: (g,) s of the moves; owner: (n,) of each reading, the last move before it.
-        ends: (n,) s of the readings' bins; rows: (n,) their signals; response: (n,).
-    """
-    following = np.append(begins[1:], _NEVER)[owner]
-    last = (owner >= 0) & (ends > following - _LAST_PART * _FORGOTTEN)
-    size, last_size = np.zeros((2, rows.max(initial=0) + 1))
-    np.maximum.at(size, rows, np.abs(response))
-    np.maximum.at(last_size, rows[last], np.abs(response[last]))
-    return bool(np.all(last_size <= _TRACE * size))

@@ -19,16 +19,20 @@ from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.unknowns import LOADS
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage, commands_of
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length
-from sma_bench.parameters.parameters import as_recorded, load_kind
+from sma_bench.parameters.parameters import as_recorded, load_kind, wire_length
 from sma_bench.physics import simulate
 from sma_bench.physics.boundary import moves_tip
-from sma_bench.physics.heat import time_constant
-from sma_bench.physics.kernel import Kernel
-from sma_bench.physics.material import current
-from sma_bench.physics.simulate import Bench, Simulation, simulate_many
-from sma_bench.records.record import Record, has_samples, samples
-from sma_bench.records.samples import ohms_of_source, require_channels, with_commands
+from sma_bench.physics.kernel import at_rest
+from sma_bench.physics.material import current, time_constant
+from sma_bench.physics.simulate import Bench, Simulation
+from sma_bench.records.record import (
+    Record,
+    has_samples,
+    ohms_of_source,
+    require_channels,
+    samples,
+    with_commands,
+)
 
 QUANTITIES = ("current", "temperature", "deflection")
 
@@ -49,13 +53,16 @@ _MOST_CELLS = 12_000
 _CELLS_A_SAMPLE = 50  # what lies between readings so far apart is not to be known
 _END_OF_CELLS = 4_000_000  # whatever the stamps
 _SAMPLES_A_BIN = 2.0
-_AT_ONCE = 1_000_000  # samples of all wires, of benches that are simulated together
 _WORTHWHILE = 0.7  # of the cells
 _FEWEST_SAMPLES = 20
 _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 _MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
+_HISTORIES = (
+    "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction", "bending",
+    "temperature_reading",
+)
 
 
 @dataclass(frozen=True)
@@ -114,13 +121,6 @@ class BinnedSignal:
         """Slow drift that a good instrument may have."""
         return max(self.sensor.drift, self.noise * float(np.sqrt(np.median(self.count))))
 
-    def part(self, keep: NDArray[np.intp]) -> "BinnedSignal":
-        """Some of its bins."""
-        return replace(
-            self, time=self.time[keep], value=self.value[keep], count=self.count[keep],
-            average=self.average[keep],
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Observation:
@@ -149,11 +149,6 @@ class Observation:
     delays: Mapping[str, float] = field(default_factory=dict)
     ohms: float = 0.0
 
-    def moved(self, place: Array, delays: Mapping[str, float]) -> "Observation":
-        """The same record, its jumps and stamps elsewhere."""
-        volts = self.drive.on_grid(self.grid, place)
-        return replace(self, voltage=volts, place=place, delays=delays)
-
     @property
     def quantities(self) -> tuple[str, ...]:
         """What is measured, each once."""
@@ -161,13 +156,13 @@ class Observation:
 
     @cached_property
     def coarse(self) -> "Observation":
-        """The same record on cells of a quarter of a bin, for differences: what coarse cells are
-        off by drops out of them. It is this one where little would be gained."""
+        """On cells of a quarter of a bin, for differences, of which what coarse cells are off by
+        drops out; this one where little would be gained."""
         return self._on_cells(0.25)
 
     @cached_property
     def rough(self) -> "Observation":
-        """The same on cells of a bin, for the direction of a step from afar."""
+        """On cells of a bin, for the direction of a step from afar."""
         return self._on_cells(1.0)
 
     def _on_cells(self, share: float) -> "Observation":
@@ -178,9 +173,9 @@ class Observation:
         if self.holds or len(grid) > _WORTHWHILE * len(self.grid):
             return self
         onto = _interpolation(grid, self.grid)
-        place = self.place + np.zeros(len(self.drive.early))
+        volts = self.drive.on_grid(grid, self.place + np.zeros(len(self.drive.early)))
         signals = tuple(replace(s, average=s.average @ onto) for s in self.signals)
-        return replace(self, grid=grid, voltage=self.drive.on_grid(grid, place), signals=signals)
+        return replace(self, grid=grid, voltage=volts, signals=signals)
 
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
@@ -194,41 +189,34 @@ class Observation:
         parameters = self.own_bench(parameters)
         volts = self.voltage if voltage is None else voltage
         volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
-        if self.holds:
-            # One hold after the other, each from where the last one ended.
-            errors = np.zeros(len(self.holds)) if loads is None else loads
-            begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
-            ends = [*begins[1:].tolist(), len(self.grid)]
-            parts: list[Simulation] = []
-            bench: Bench | None = None
-            for hold, error, begin, end in zip(
-                self.holds, errors.tolist(), begins.tolist(), ends, strict=True
-            ):
-                span = slice(begin - 1 if parts else 0, end)
-                if end <= span.start + bool(parts):
-                    continue
-                if bench is None:
-                    load = hold.boundary(error, parameters)
-                    bench = Bench(parameters, initial=Kernel(parameters, load).rest, boundary=load)
-                else:
-                    bench.pull_against(hold.boundary(error, parameters))
-                parts.append(bench.follow(self.grid[span], volts[span]))
-            # One simulation of parts, each of which begins with the last sample of the one before.
-            if len(parts) == 1:
-                return parts[0]
-            histories = (
-                "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
-                "bending", "temperature_reading",
-            )
-            first, *others = parts
-            joined: dict[str, Any] = {
-                name: np.concatenate(
-                    [getattr(first, name), *(getattr(p, name)[1:] for p in others)]
-                )
-                for name in histories
-            }
-            return replace(first, final=parts[-1].final, **joined)
-        return simulate(parameters, self.grid, volts, initial=Kernel.of(parameters, None).rest)
+        if not self.holds:
+            return simulate(parameters, self.grid, volts, initial=at_rest(parameters))
+        # One hold after the other, each from the last sample of the one before.
+        errors = np.zeros(len(self.holds)) if loads is None else loads
+        begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
+        ends = [*begins[1:].tolist(), len(self.grid)]
+        parts: list[Simulation] = []
+        bench: Bench | None = None
+        for hold, error, begin, end in zip(
+            self.holds, errors.tolist(), begins.tolist(), ends, strict=True
+        ):
+            span = slice(begin - 1 if parts else 0, end)
+            if end <= span.start + bool(parts):
+                continue
+            load = hold.boundary(error, parameters)
+            if bench is None:
+                bench = Bench(parameters, initial=at_rest(parameters, load), boundary=load)
+            else:
+                bench.pull_against(load)
+            parts.append(bench.follow(self.grid[span], volts[span]))
+        first, *others = parts
+        if not others:
+            return first
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(first, name), *(getattr(p, name)[1:] for p in others)])
+            for name in _HISTORIES
+        }
+        return replace(first, final=parts[-1].final, **joined)
 
     def own_bench(self, parameters: Parameters) -> Parameters:
         """The bench with this record's channels, as records show it."""
@@ -244,20 +232,17 @@ class Observation:
 
     def predict(self, benches: Sequence[Parameters]) -> Array:
         """(b, p) what the sensors of p benches read, signal after signal."""
-        most = max(1, _AT_ONCE // self.voltage.size)
-        if len(benches) > most:
-            return np.hstack([self.predict(benches[:most]), self.predict(benches[most:])])
-        if self.holds or self.ohms:
-            runs = [self.simulate(bench) for bench in benches]
-        else:
-            runs = simulate_many([*map(self.own_bench, benches)], self.grid, self.voltage)
-        return np.column_stack([self._averages @ self._courses(run) for run in runs])
+        return np.column_stack([
+            self._averages @ self._courses(self.simulate(bench)) for bench in benches
+        ])  # fmt: skip
 
     @cached_property
     def _averages(self) -> csr_array:
         """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
-        pairs = [(s.average, self.grid - self.delays.get(s.quantity, 0.0)) for s in self.signals]
-        own = [average @ _interpolation(self.grid, time) for average, time in pairs]
+        own = [
+            s.average @ _interpolation(self.grid, self.grid - self.delays.get(s.quantity, 0.0))
+            for s in self.signals
+        ]
         return csr_array(block_diag(own, "csr"))
 
     def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
@@ -295,13 +280,11 @@ class Observation:
     def between(self, start: float, stop: float) -> "Observation":
         """The same drive, the signals of a span of time only."""
         kept = [(s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals]
-        parts = tuple(s.part(keep) for s, keep in kept if len(keep) > 1)
+        parts = tuple(
+            replace(s, time=s.time[k], value=s.value[k], count=s.count[k], average=s.average[k])
+            for s, k in kept if len(k) > 1
+        )
         return replace(self, signals=parts)
-
-    @property
-    def load_errors(self) -> list[Array]:
-        """(h,) one standard error of each held load in turn."""
-        return [row for row in np.diag([hold.std for hold in self.holds]) if row.any()]
 
 
 def _course(quantity: str, simulation: Simulation) -> Array:
@@ -333,6 +316,12 @@ class Measured:
         """Some of its samples."""
         return replace(self, time=self.time[keep], values=self.values[keep])
 
+    @property
+    def bin(self) -> float:
+        """Shortest bin, in s, that suits it."""
+        apart = float(np.median(np.diff(self.time)))
+        return max(float(np.ptp(self.time)) / _MOST_BINS, _SAMPLES_A_BIN * apart)
+
 
 @dataclass(frozen=True)
 class Rig:
@@ -349,12 +338,93 @@ class Rig:
     ohms: float
 
 
+def find_rig(record: Record, parameters: Parameters) -> Rig:
+    """The rig that a record is of.
+
+    Raises:
+        InputError: as `observe`.
+    """
+    # Its wires: those of the bench, or the only one that the record has.
+    record, ohms = with_commands(record, parameters)
+    driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
+    channels, sides = tuple(parameters["bench.channels"]), tuple(parameters["bench.channel_sides"])
+    if set(channels).difference(driven) and len(driven) == len(record.channels) == 1:
+        channels, sides = (driven[0],), ("front",)
+    else:
+        require_channels(record, channels, driven)
+    voltages = [samples(record, f"{channel}.voltage") for channel in channels]
+    commands = commands_of(record, channels, tuple(parameters["bench.channels"]))
+    voltage = applied_voltage(voltages, commands)
+    start = min(float(time[0]) for time, _ in voltages)
+    stop = max(float(time[-1]) for time, _ in voltages)
+    moves = pulls_a_load(record, parameters)
+    holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
+
+    # What is measured. Of a record with one wire of a beam, or a bare one of the same alloy, the
+    # tip is not asked.
+    wanted = [
+        (f"{channel}.{quantity}", f"{channel}.{quantity}", quantity, wire)
+        for wire, channel in enumerate(channels) for quantity in ("current", "temperature")
+    ]
+    tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
+    if tip:
+        wanted.append(("deflection", "deflection", "deflection", 0))
+    elif moves:
+        wanted += [("deflection", "elongation", "deflection", 0), ("force", "force", "force", 0)]
+    elif holds:
+        response = "force" if holds[0].clamped else "elongation"
+        wanted.append((response, response, response, 0))
+    found = [
+        Measured(name, quantity, wire, *samples(record, signal))
+        for name, signal, quantity, wire in wanted if has_samples(record, signal)
+    ]
+    looking = [s for s in ("front", "back") if has_samples(record, f"{s}.range")]
+    if tip and looking and not has_samples(record, "deflection"):
+        # The tip's position from the range sensors that look at it from both sides.
+        time = samples(record, f"{looking[0]}.range")[0]
+        signed = [
+            (-1.0 if side == "front" else 1.0) * np.interp(time, *samples(record, f"{side}.range"))
+            for side in looking
+        ]
+        away: Array = np.asarray(np.mean(signed, axis=0), dtype=np.float64)
+        found.append(Measured("deflection", "deflection", 0, time, away - away[0]))
+
+    # A current read while the voltage jumps says nothing, as only the jump's bounds are known; nor
+    # does an elongation while the load changes, as the wire follows a force known too roughly.
+    measured = []
+    for one in found:
+        if len(one.time) < _FEWEST_SAMPLES:
+            continue
+        known = np.ones(len(one.time), dtype=bool)
+        if one.quantity == "current":
+            known = ~voltage.is_jumping(one.time)
+        elif one.quantity == "elongation":
+            for hold in holds:
+                if not hold.steady:
+                    begin, end = hold.start - _MARGIN, hold.stop + _MARGIN
+                    known &= (one.time < begin) | (one.time > end)
+        measured.append(one.where(known))
+    if not measured:
+        raise InputError(
+            f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
+        )
+    return Rig(record, channels, sides, voltage, start, stop, holds, tuple(measured), ohms)
+
+
+def pulls_a_load(record: Record, parameters: Parameters) -> bool:
+    """Whether the wires move a load of their own: no beam, no clamps, no frame that measures what
+    it holds."""
+    kind = load_kind(parameters)
+    held = kind == "force" and has_samples(record, "force")
+    return kind in LOADS and not held
+
+
 def shared_bin(
     records: Sequence[Record], parameters: Parameters, shortest: float = _BIN
 ) -> float:
     """Shortest bin [s] that suits every signal of all records: noise is that of a bin."""
     measured = [m for record in records for m in find_rig(record, parameters).measured]
-    return max([shortest, *(_own_bin(m) for m in measured)])
+    return max([shortest, *(m.bin for m in measured)])
 
 
 def observe(
@@ -374,7 +444,7 @@ def observe(
     rig = find_rig(record, parameters)
 
     # Times that are simulated: an even grid (n,), with only every so many points where voltages
-    # have been held for long; finer behind a jump, and on both sides of it.
+    # have been held for long.
     start, stop = rig.start, rig.stop
     cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
     sampled = sum(len(measured.time) for measured in rig.measured)
@@ -389,14 +459,21 @@ def observe(
     moving = (even - last < _SETTLED) | (first - even < _LONG_CELL)
     stride = max(1, round(_LONG_CELL / cell))
     even = even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
-    finest = max(time_constant(parameters) / _CELLS, 2.0 * _NARROW)
-    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, finest))
+
+    # Finer behind a jump, on both sides of it, and between two samples far apart: heat before a
+    # jump has cooled off after it.
+    forgets = time_constant(parameters)
+    fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(forgets / _CELLS, 2.0 * _NARROW)))
     loads = [hold.start for hold in rig.holds]
-    jumps = np.unique(np.concatenate([rig.voltage.early, rig.voltage.late, loads]))
+    early, late = rig.voltage.early, rig.voltage.late
+    jumps = np.unique(np.concatenate([early, late, loads]))
     jumps = jumps[(jumps > start) & (jumps < even[-1])]
-    after = np.add.outer(rig.voltage.late, fine).ravel()
-    others = np.concatenate([even, after[(after > start) & (after < even[-1])]])
-    others = np.concatenate([others, *map(_within, rig.voltage.early, rig.voltage.late)])
+    after = np.add.outer(late, fine).ravel()
+    within = [
+        np.linspace(a, b, int((b - a) / _FINE_CELL) + 1)[1:-1]
+        for a, b in zip(early, late, strict=True) if _FAR_APART < b - a < _LONG_CELL
+    ]
+    others = np.concatenate([even, after[(after > start) & (after < even[-1])], *within])
     around = np.concatenate([[-np.inf], jumps, [np.inf]])
     k = np.searchsorted(around, others)
     near = np.asarray(np.minimum(around[k] - others, others - around[k - 1]))
@@ -404,143 +481,36 @@ def observe(
     grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
     grid = grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
 
-    known = [m for m in _known_history(rig, parameters) if m.quantity in quantities]
+    # What was measured; of a record that begins under voltage, after that has been forgotten.
+    known = list(rig.measured)
+    level = np.array([c.voltage[0] for c in rig.voltage.channels])
+    if np.max(np.abs(level)) > _DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
+        begin = start + _FORGOTTEN * forgets
+        known = [m.where(m.time >= begin) for m in known if np.sum(m.time >= begin) > 1]
+    known = [m for m in known if m.quantity in quantities]
     if not known and any(m.quantity in quantities for m in rig.measured):
-        wait = _FORGOTTEN * time_constant(parameters)
         raise InputError(
             f"{record.path}: begins under voltage, expected 0 V at first, or more than the "
-            f"{wait:.3g} s in which a wire of the stated time constant forgets what was before"
+            f"{_FORGOTTEN * forgets:.3g} s in which a wire of the stated time constant forgets "
+            "what was before"
         )
     if not known:
         held = ", ".join(m.name for m in rig.measured)
         raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
-    left_out = tuple(m.name for m in rig.measured if m.quantity not in quantities)
-    place = np.zeros(len(rig.voltage.early))
     signals = tuple(_binned(m, rig, grid, shortest_bin) for m in known)
     if not any(len(signal.value) for signal in signals):
         few = ", ".join(m.name for m in known)
         raise InputError(f"{record.path}: too few samples of {few} to compare with a model")
     return Observation(
-        str(record.path), rig.channels, rig.sides, grid, rig.voltage.on_grid(grid, place),
-        rig.voltage, signals, left_out, rig.holds, ohms=rig.ohms,
+        str(record.path), rig.channels, rig.sides, grid,
+        rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
+        tuple(m.name for m in rig.measured if m.quantity not in quantities), rig.holds,
+        ohms=rig.ohms,
     )
 
 
-def find_rig(record: Record, parameters: Parameters) -> Rig:
-    """The rig that a record is of.
-
-    Raises:
-        InputError: as `observe`.
-    """
-    record, ohms = with_commands(record, parameters)
-    channels, sides = _channels(record, parameters)
-    voltages = [samples(record, f"{channel}.voltage") for channel in channels]
-    commands = commands_of(record, channels, tuple(parameters["bench.channels"]))
-    voltage = applied_voltage(voltages, commands)
-    start = min(float(time[0]) for time, _ in voltages)
-    stop = max(float(time[-1]) for time, _ in voltages)
-    moves = pulls_a_load(record, parameters)
-    holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
-    # Of a record with one wire of a beam, or a bare one of the same alloy, the tip is not asked.
-    tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
-    found = []
-    for wire, channel in enumerate(channels):
-        for quantity in ("current", "temperature"):
-            name = f"{channel}.{quantity}"
-            if has_samples(record, name):
-                found.append(Measured(name, quantity, wire, *samples(record, name)))
-    if tip:
-        found += _deflection(record)
-    elif moves:
-        for quantity, name in (("deflection", "elongation"), ("force", "force")):
-            if has_samples(record, name):
-                found.append(Measured(quantity, quantity, 0, *samples(record, name)))
-    elif holds:
-        response = "force" if holds[0].clamped else "elongation"
-        if has_samples(record, response):
-            found.append(Measured(response, response, 0, *samples(record, response)))
-    everything = [m for m in found if len(m.time) >= _FEWEST_SAMPLES]
-    measured = tuple(_without_load_changes(_without_jumps(m, voltage), holds) for m in everything)
-    if not measured:
-        raise InputError(
-            f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
-        )
-    return Rig(record, channels, sides, voltage, start, stop, holds, measured, ohms)
-
-
-def _channels(record: Record, parameters: Parameters) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
-    channels = tuple(parameters["bench.channels"])
-    missing = set(channels).difference(driven)
-    if missing and len(driven) == len(record.channels) == 1:
-        return (driven[0],), ("front",)
-    require_channels(record, channels, driven)
-    return channels, tuple(parameters["bench.channel_sides"])
-
-
-def pulls_a_load(record: Record, parameters: Parameters) -> bool:
-    """Whether the wires move a load of their own: no beam, no clamps, no frame that measures what
-    it holds."""
-    kind = load_kind(parameters)
-    held = kind == "force" and has_samples(record, "force")
-    return kind in LOADS and not held
-
-
-def _deflection(record: Record) -> list[Measured]:
-    """The tip's position; without it, from the range sensors that look at it from both sides."""
-    if has_samples(record, "deflection"):
-        return [Measured("deflection", "deflection", 0, *samples(record, "deflection"))]
-    sides = [s for s in ("front", "back") if has_samples(record, f"{s}.range")]
-    if not sides:
-        return []
-    time = samples(record, f"{sides[0]}.range")[0]
-    readings = {s: np.interp(time, *samples(record, f"{s}.range")) for s in sides}
-    signed = [(-1.0 if side == "front" else 1.0) * readings[side] for side in sides]
-    away: Array = np.asarray(np.mean(signed, axis=0), dtype=np.float64)
-    return [Measured("deflection", "deflection", 0, time, away - away[0])]
-
-
-def _without_jumps(measured: Measured, voltage: AppliedVoltage) -> Measured:
-    """A current read while the voltage jumps says nothing: only the jump's bounds are known."""
-    if measured.quantity != "current":
-        return measured
-    return measured.where(~voltage.is_jumping(measured.time))
-
-
-def _without_load_changes(measured: Measured, holds: tuple[Hold, ...]) -> Measured:
-    """While the load changes the wire follows a force that is known too roughly."""
-    if measured.quantity != "elongation":
-        return measured
-    known = np.ones(len(measured.time), dtype=bool)
-    for hold in holds:
-        if not hold.steady:
-            start, stop = hold.start - _MARGIN, hold.stop + _MARGIN
-            known &= (measured.time < start) | (measured.time > stop)
-    return measured.where(known)
-
-
-def _known_history(rig: Rig, parameters: Parameters) -> list[Measured]:
-    """What was measured; of a record that begins under voltage, after that has been forgotten."""
-    first = np.array([c.voltage[0] for c in rig.voltage.channels])
-    if np.max(np.abs(first)) <= _DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
-        return list(rig.measured)
-    begin = rig.start + _FORGOTTEN * time_constant(parameters)
-    return [m.where(m.time >= begin) for m in rig.measured if np.sum(m.time >= begin) > 1]
-
-
-def _within(early: float, late: float) -> Array:
-    """Points between two samples far apart: heat before a jump has cooled off after it."""
-    cells = int((late - early) / _FINE_CELL) if _FAR_APART < late - early < _LONG_CELL else 1
-    return np.linspace(early, late, cells + 1)[1:-1]
-
-
-def _own_bin(measured: Measured) -> float:
-    apart = float(np.median(np.diff(measured.time)))
-    return max(float(np.ptp(measured.time)) / _MOST_BINS, _SAMPLES_A_BIN * apart)
-
-
 def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> BinnedSignal:
-    period = max(shortest, _own_bin(measured))
+    period = max(shortest, measured.bin)
     which = np.floor((measured.time - measured.time[0]) / period).astype(np.intp)
     _, which, count = np.unique(which, return_inverse=True, return_counts=True)
     # The mean of far fewer samples than usual would scatter like no other.
@@ -550,27 +520,20 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     kept, which, count = np.unique(which[full], return_inverse=True, return_counts=True)
     bins, sensor = len(kept), SENSORS[measured.quantity]
     noise = max(sensor.least, noise_floor(value) / float(np.sqrt(np.median(count))))
+    # Interpolation at the samples' times, then the mean over each bin.
+    weight = 1.0 / count[which]
+    if measured.quantity == "current":
+        weight = weight * rig.voltage.at(measured.wire, time)
+    mean = csr_array((weight, (which, np.arange(len(time)))), shape=(bins, len(time)))
     return BinnedSignal(
         measured.name, measured.quantity, measured.wire,
         np.bincount(which, time, bins) / count, np.bincount(which, value, bins) / count,
-        count.astype(np.float64), period, noise, _averaging(measured, rig, grid, which, count),
-        sensor,
+        count.astype(np.float64), period, noise, mean @ _interpolation(grid, time), sensor,
     )
 
 
-def _averaging(
-    measured: Measured, rig: Rig, grid: Array, which: NDArray[np.intp], count: NDArray[np.intp]
-) -> csr_array:
-    """Interpolation at the samples' times, then the mean over each bin."""
-    time, weight = measured.time, 1.0 / count[which]
-    if measured.quantity == "current":
-        weight = weight * rig.voltage.at(measured.wire, time)
-    mean = csr_array((weight, (which, np.arange(len(time)))), shape=(len(count), len(time)))
-    return mean @ _interpolation(grid, time)
-
-
 def _interpolation(grid: Array, time: Array) -> csr_array:
-    """(m, n) from a course on the grid (n,) to times (m,), as np.interp."""
+    """(m, n) from values on the grid (n,) to times (m,), as np.interp."""
     right = np.clip(np.searchsorted(grid, time), 1, len(grid) - 1)
     share = np.clip((time - grid[right - 1]) / (grid[right] - grid[right - 1]), 0.0, 1.0)
     rows = np.tile(np.arange(len(time)), 2)

@@ -12,13 +12,13 @@ from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag
+from scipy.linalg import block_diag, cho_factor
 
+from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
 from sma_bench.estimation.nuisances import Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
-from sma_bench.estimation.side_by_side import in_threads, threads_to_spare
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
 
@@ -63,7 +63,9 @@ class Problem:
             s.name: first_guess(s.noise, s.period, s.usual_drift)
             for observation in observations for s in observation.signals
         }
-        none = tuple(Nuisances.none(o) for o in observations)
+        none = tuple(
+            Nuisances((), np.zeros((sum(len(s.time) for s in o.signals), 0))) for o in observations
+        )
         return cls(tuple(observations), noise, none, voltage_noise)
 
     def with_nuisances(self, parameters: Parameters) -> Self:
@@ -89,13 +91,13 @@ class Problem:
     def with_noise(self, residual: Array) -> Self:
         """Noise estimated anew from a residual (n,)."""
         found: dict[str, Noise] = {}
-        for name in self.noise:
-            own = [block for block in self.blocks if block.signal.name == name]
-            white = float(np.median([block.signal.noise for block in own]))
+        for name, before in self.noise.items():
+            own = list(self.of_signal(name))
             first = own[0].signal
             found[name] = estimate_noise(
-                [residual[block.rows] for block in own], white, first.period, first.usual_drift,
-                self.noise[name].wanders,
+                [residual[block.rows] for block in own],
+                float(np.median([block.signal.noise for block in own])), first.period,
+                first.usual_drift, before.wanders,
             )
         return replace(self, noise=found)
 
@@ -108,12 +110,8 @@ class Problem:
         """
         strokes = float(np.sqrt(max(sum(one.strokes for one in self.observations), 1)))
         noise = self.with_noise(residual).noise
-        moved: dict[str, float] = {}
-        for block in self.blocks:
-            if block.signal.quantity in MOTIONS:
-                name, reach = block.signal.name, float(np.ptp(block.signal.value))
-                moved[name] = max(moved.get(name, 0.0), reach)
-        for name, reach in moved.items():
+        for name in {b.signal.name for b in self.blocks if b.signal.quantity in MOTIONS}:
+            reach = max(float(np.ptp(block.signal.value)) for block in self.of_signal(name))
             own, least = noise[name], _LEAST_MISFIT * reach
             time = own.time if own.drift > least else _MISFIT_TIME
             noise[name] = replace(own, drift=strokes * max(own.drift, least), time=time)
@@ -122,24 +120,21 @@ class Problem:
     def for_effects(self, effects: Sequence[str]) -> Self:
         """The same, the deflection's zero wandering if that is one of the effects."""
         wanders = DRIFT_EFFECT in effects
-        return replace(
-            self,
-            noise={
-                name: replace(noise, wanders=wanders and name == "deflection")
-                for name, noise in self.noise.items()
-            },
-        )
+        noise = {
+            name: replace(own, wanders=wanders and name == "deflection")
+            for name, own in self.noise.items()
+        }
+        return replace(self, noise=noise)
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         """The index of the rows: records in order, signals in order."""
-        found, start = [], 0
-        for observation in self.observations:
-            for signal in observation.signals:
-                stop = start + len(signal.time)
-                found.append(Block(observation, signal, slice(start, stop)))
-                start = stop
-        return tuple(found)
+        pairs = [(o, signal) for o in self.observations for signal in o.signals]
+        ends = np.cumsum([0, *(len(signal.time) for _, signal in pairs)]).tolist()
+        return tuple(
+            Block(*pair, slice(*rows))
+            for pair, rows in zip(pairs, zip(ends, ends[1:], strict=False), strict=True)
+        )
 
     def of_signal(self, name: str) -> Iterator[Block]:
         """Blocks of one signal."""
@@ -149,15 +144,14 @@ class Problem:
         """Rows of all signals in each of the equally long parts of every record."""
         for observation in self.observations:
             borders = np.linspace(observation.grid[0], observation.grid[-1], parts + 1)[1:-1]
-            own = [block for block in self.blocks if block.observation is observation]
-            part = [np.searchsorted(borders, block.signal.time) for block in own]
+            own = [
+                (b.rows.start, np.searchsorted(borders, b.signal.time))
+                for b in self.blocks if b.observation is observation
+            ]
             for number in range(parts):
-                found = [
-                    block.rows.start + np.flatnonzero(where == number)
-                    for block, where in zip(own, part, strict=True)
-                ]
-                if any(len(rows) for rows in found):
-                    yield np.concatenate(found)
+                found = np.concatenate([start + np.flatnonzero(p == number) for start, p in own])
+                if len(found):
+                    yield found
 
     @cached_property
     def measured(self) -> Array:
@@ -252,6 +246,11 @@ class Problem:
         """(q, q) of the nuisances alone, their priors' among it."""
         rows = self.white_nuisances
         return np.asarray(rows.T @ rows + np.eye(rows.shape[1]))
+
+    @cached_property
+    def nuisance_factor(self) -> tuple[Array, bool]:
+        """Of the same, Cholesky's."""
+        return cho_factor(self.nuisance_information)
 
     def log_scale(self) -> float:
         """Sum over all rows of the log of what whitening divided by."""

@@ -13,8 +13,7 @@ from scipy.linalg import block_diag
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import DELAY, OFFSET
 from sma_bench.estimation.solver import Fit
-from sma_bench.estimation.unknowns import PRODUCTS, Unknown
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.estimation.unknowns import PRODUCTS, Unknown, range_of
 from sma_bench.records.contract import CELSIUS_ZERO
 
 OF_EXCESS = ("sensor.temperature.emissivity", "sensor.temperature.spot_share")
@@ -105,21 +104,26 @@ def result_of(
     # partner's, and w' n against w n, which no record tells, n of unit prior.
     unknowns = fitted.unknowns
     split = [k for k, item in enumerate(unknowns.items) if item.partner]
-    items, origin, rows = [], [], []
+    items: list[tuple[int, Unknown]] = []
+    rows = []
     for k, item in enumerate(unknowns.items):
         row, other = np.zeros((2, len(unknowns.items) + len(split)))
-        row[k] = share = item.share
-        if item.partner:
-            rest = float(np.sqrt(1.0 - share**2))
-            place = len(unknowns.items) + split.index(k)
-            row[place], other[k], other[place] = rest, rest, -share
-        for name, std, own in (
-            (item.name, item.own_std if item.partner else item.std, row),
-            (item.partner, rest * item.std if item.partner else 0.0, other),
-        ):
-            if name and std > 0.0:
-                items.append(_factor(name, std, item, fitted))
-                origin.append(k)
+        row[k] = share = item.own_std / item.std if item.partner else 1.0
+        if not item.partner:
+            items.append((k, item))
+            rows.append(row)
+            continue
+        rest = float(np.sqrt(1.0 - share**2))
+        place = len(unknowns.items) + split.index(k)
+        row[place], other[k], other[place] = rest, rest, -share
+        mean = float(unknowns.base[item.partner])
+        factors: list[tuple[str, float, float, Array]] = [
+            (item.name, item.mean, item.own_std, row), (item.partner, mean, rest * item.std, other)
+        ]
+        for name, own_mean, std, own in factors:
+            if std > 0.0:
+                std = std / item.mean * own_mean
+                items.append((k, Unknown(name, own_mean, std, *range_of(name), item.log)))
                 rows.append(own)
     apart = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
 
@@ -133,33 +137,43 @@ def result_of(
     shifts = {name: apart[:, : len(x)] @ turn @ x for name, x in (scales or {}).items()}
     numbers = tuple(
         _number(item, at, error, bool(at_end[k]), {n: float(x[i]) for n, x in shifts.items()})
-        for i, (item, at, error, k) in enumerate(zip(
-            items, moved.tolist(), sigma.tolist(), origin, strict=True
+        for i, ((k, item), at, error) in enumerate(zip(
+            items, moved.tolist(), sigma.tolist(), strict=True
         ))
     )  # fmt: skip
-    best = max(tried, key=lambda one: one.evidence)
-    return Result(
-        fitted, numbers, covariance / np.outer(sigma, sigma), _products(fitted), _off(fitted),
-        sum(_is_same(one, best) for one in tried), len(tried),
+
+    # Of what the records know better than its factors.
+    deviations = np.sqrt(np.diag(fitted.covariance)).tolist()
+    products = []
+    for k, item in enumerate(unknowns.items):
+        if item.name in PRODUCTS and item.partner:
+            times = float(unknowns.base[item.partner])
+            whole = Unknown(
+                f"{item.name} x {item.partner}", item.mean * times, item.std * times, log=True
+            )
+            products.append(_number(whole, float(fitted.x[k]), deviations[k], False))
+
+    # Zeros and delays.
+    errors = np.sqrt(np.diag(fitted.joint))[len(fitted.x) :]
+    pairs = zip(fitted.problem.observations, fitted.problem.nuisances, strict=True)
+    named = [(observation.path, item) for observation, own in pairs for item in own.items]
+    off = tuple(
+        Off(item.kind, path, item.subject, z * item.std, error * item.std, item.std, item.unit)
+        for (path, item), z, error in zip(named, fitted.z.tolist(), errors.tolist(), strict=True)
+        if item.kind in (OFFSET, DELAY)
     )
 
-
-def _is_same(one: Fit, best: Fit) -> bool:
-    """Whether a start has ended where the best one did: as probable, or within half a standard
-    deviation, where a few nats are soon lost among hundreds of thousands."""
-    if one.evidence > best.evidence - _SAME:
-        return True
-    return bool(np.all(np.abs(one.x - best.x) < _NEAR * np.sqrt(np.diag(best.covariance))))
-
-
-def _factor(name: str, std: float, item: Unknown, fitted: Fit) -> Unknown:
-    if name == item.name and not item.partner:
-        return item
-    mean = item.mean if name == item.name else float(fitted.unknowns.base[name])
-    low, high = BY_NAME[name].low, BY_NAME[name].high
-    return Unknown(
-        name, mean, std / item.mean * mean, -np.inf if low is None else float(low),
-        np.inf if high is None else float(high), item.log,
+    # A start has ended where the best one did if it is as probable, or within half a standard
+    # deviation, where a few nats are soon lost among hundreds of thousands.
+    best = max(tried, key=lambda one: one.evidence)
+    near = _NEAR * np.sqrt(np.diag(best.covariance))
+    agreed = sum(
+        one.evidence > best.evidence - _SAME or bool(np.all(np.abs(one.x - best.x) < near))
+        for one in tried
+    )
+    return Result(
+        fitted, numbers, covariance / np.outer(sigma, sigma), tuple(products), off, agreed,
+        len(tried),
     )
 
 
@@ -180,6 +194,18 @@ def scale_errors(fitted: Fit) -> dict[str, Array]:
     standard deviation of it, when every signal of its quantity is off alike; what of a zero a
     record's own zeros take up is not left to the unknowns."""
     problem, parameters = fitted.problem, fitted.parameters
+
+    def with_volts(factor: float, offset: float) -> Array:
+        """(n,) change of measured less predicted with other voltages."""
+        found = []
+        for one in problem.observations:
+            there, here = (
+                one.readings(one.simulate(parameters, volts))
+                for volts in (factor * one.voltage + offset, one.voltage)
+            )
+            found += [now - up for up, now in zip(there, here, strict=True)]
+        return np.concatenate(found)
+
     rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
     gain = fitted.joint[: len(fitted.x)] @ rows.T
     found = {}
@@ -190,9 +216,9 @@ def scale_errors(fitted: Fit) -> dict[str, Array]:
         # (n,) by which measured less predicted changes with one standard deviation.
         column = np.zeros(len(problem.measured))
         if quantity == "voltage" and name in ZEROS:
-            column = _volts_moved(fitted, offset=std)
+            column = with_volts(1.0, std)
         elif quantity == "voltage":
-            column = _volts_moved(fitted, factor=1.0 + _UP) / _UP
+            column = with_volts(1.0 + _UP, 0.0) / _UP
             for block in problem.blocks:
                 if block.signal.quantity == "current":  # which is read off its volts
                     column[block.rows] -= fitted.predicted[block.rows]
@@ -208,44 +234,3 @@ def scale_errors(fitted: Fit) -> dict[str, Array]:
         if column.any():
             found[name] = gain @ problem.whiten(column)
     return found
-
-
-def _volts_moved(fitted: Fit, factor: float = 1.0, offset: float = 0.0) -> Array:
-    """(n,) change of measured less predicted with other voltages."""
-    found = []
-    for one in fitted.problem.observations:
-        there, here = (
-            one.readings(one.simulate(fitted.parameters, volts))
-            for volts in (factor * one.voltage + offset, one.voltage)
-        )
-        found += [now - up for up, now in zip(there, here, strict=True)]
-    return np.concatenate(found)
-
-
-def _products(fitted: Fit) -> tuple[Number, ...]:
-    """Of what the records know better than its factors."""
-    found = []
-    sigma = np.sqrt(np.diag(fitted.covariance))
-    for k, item in enumerate(fitted.unknowns.items):
-        if item.name in PRODUCTS and item.partner:
-            other = float(fitted.unknowns.base[item.partner])
-            whole = Unknown(
-                f"{item.name} x {item.partner}", item.mean * other, item.std * other, log=True
-            )
-            found.append(_number(whole, float(fitted.x[k]), float(sigma[k]), False))
-    return tuple(found)
-
-
-def _off(fitted: Fit) -> tuple[Off, ...]:
-    errors = np.sqrt(np.diag(fitted.joint))[len(fitted.x) :]
-    problem = fitted.problem
-    named = [
-        (observation.path, item)
-        for observation, own in zip(problem.observations, problem.nuisances, strict=True)
-        for item in own.items
-    ]
-    return tuple(
-        Off(item.kind, path, item.subject, z * item.std, error * item.std, item.std, item.unit)
-        for (path, item), z, error in zip(named, fitted.z.tolist(), errors.tolist(), strict=True)
-        if item.kind in (OFFSET, DELAY)
-    )

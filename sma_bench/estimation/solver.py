@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import cho_solve
 
+from sma_bench.compiled import in_threads
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.side_by_side import in_threads
 from sma_bench.estimation.unknowns import Unknowns, shares_of_factor
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
@@ -202,43 +203,35 @@ class _State:
         self.problem = problem.for_effects(unknowns.effects)
         self.unknowns, self.given, self.base = unknowns, frozen, frozen
         self.linear_about: Array | None = None
-        self.kept: tuple[Problem, Array, Array, Array] | None = None
-        self.slopes_of: tuple[Array, Array] | None = None
+        # Of the steps that share them: problem, baseline, its whitened columns, what they tell.
+        self.kept: tuple[Problem, Array, Array, Array, Array] | None = None
+        self.slopes_of: tuple[Array | None, Array | None] = None, None
         self.x = np.clip(x, *unknowns.bounds())
         self.predicted = self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
 
     def linearise(self, rough: bool = False) -> None:
         """Derivatives at the present place, or about there; `rough` ones afar."""
-        if self.given is None and not self._is_near(self.linear_about):
+        about, near = self.linear_about, 0.0 if self.problem.voltage_noise else _NEAR
+        off = np.inf if about is None else np.max(np.abs(self.x - about), initial=0.0)
+        if self.given is None and off > near:
             self.linear_about = self.x
             self.base = self.problem.derivatives(
                 self.unknowns, self.x, self.predicted, range(self.unknowns.baseline), rough
             )
-        self.slopes = self._slopes()
+        self._take_slopes()
 
-    def _is_near(self, place: Array | None) -> bool:
-        if place is None or self.problem.voltage_noise:
-            return place is not None and np.array_equal(place, self.x)
-        return bool(np.max(np.abs(self.x - place), initial=0.0) < _NEAR)
-
-    def _slopes(self) -> Array:
+    def _take_slopes(self) -> None:
         assert self.base is not None
-        if self.slopes_of is not None and all(
-            a is b for a, b in zip(self.slopes_of, (self.base, self.x), strict=True)
-        ):
-            return self.slopes
-        self.slopes_of = self.base, self.x
-        own = self.problem.derivatives(
-            self.unknowns, self.x, self.predicted, range(self.unknowns.baseline, len(self.x))
-        )
-        return np.hstack([self.base, own])
-
-    def difference(self) -> Array:
-        return self.problem.measured - self.predicted
+        if self.slopes_of[0] is not self.base or self.slopes_of[1] is not self.x:
+            self.slopes_of = self.base, self.x
+            own = self.problem.derivatives(
+                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline, len(self.x))
+            )
+            self.slopes = np.hstack([self.base, own])
 
     def left(self) -> Array:
-        return self.difference() - self.problem.nuisance_rows @ self.z
+        return self.problem.measured - self.predicted - self.problem.nuisance_rows @ self.z
 
     def cost(self) -> float:
         """Twice the negative log posterior, without its constants."""
@@ -247,12 +240,11 @@ class _State:
 
     def approach(self) -> None:
         """Steps from afar, as long as they gain."""
-        low, high = self.unknowns.bounds()
         before = np.inf
         for _ in range(_FAR_STEPS):
             self.problem = self.problem.with_noise(self.left())
             self.linearise(rough=self.problem.voltage_noise)
-            now = self._descend(self.cost(), low, high) + 2.0 * self.problem.log_scale()
+            now = self._descend(self.cost()) + 2.0 * self.problem.log_scale()
             if before - now < 2.0 * _SETTLED:
                 break
             before = now
@@ -261,19 +253,18 @@ class _State:
 
     def climb(self, most: int) -> None:
         """Steps as long as they gain."""
-        low, high = self.unknowns.bounds()
         cost = self.cost()
-        fresh = True
-        for _ in range(most):
-            if not fresh:
-                self.slopes = self._slopes()
-            now = self._descend(cost, low, high)
+        for number in range(most):
+            if number:
+                self._take_slopes()
+            now = self._descend(cost)
             if cost - now < 2.0 * _GAIN:
                 return
-            cost, fresh = now, False
+            cost = now
 
-    def _descend(self, cost: float, low: Array, high: Array) -> float:
+    def _descend(self, cost: float) -> float:
         """The least damped step that gains, and the cost after it; none if none does."""
+        low, high = self.unknowns.bounds()
         normal, force = self._system()
         force[: len(self.x)] -= self.x
         before = self.x, self.z, self.predicted
@@ -293,26 +284,23 @@ class _State:
 
     def _system(self) -> tuple[Array, Array]:
         """Information (k + q, k + q) on x and z, priors among it, and the residual's pull."""
-        k, first = len(self.x), self.unknowns.baseline
-        still, known = self._still()
-        own = self.problem.whiten(self.slopes[:, first:])
-        across = still.T @ own
-        information = np.block([[known, across], [across.T, own.T @ own]])
-        left = self.problem.whiten(self.difference())
-        pull = np.concatenate([still.T @ left, own.T @ left])
-        # The baseline, an effect's own numbers, the nuisances.
-        order = np.argsort([*range(first), *range(k, len(pull)), *range(first, k)])
-        return information[np.ix_(order, order)] + np.eye(len(pull)), pull[order]
-
-    def _still(self) -> tuple[Array, Array]:
-        """Whitened columns that stay from step to step, the baseline's and the nuisances', and
-        what they tell of these."""
-        assert self.base is not None
+        problem, nuisances = self.problem, self.problem.white_nuisances
         kept = self.kept
-        if kept is None or kept[0] is not self.problem or kept[1] is not self.base:
-            still = np.hstack([self.problem.whiten(self.base), self.problem.white_nuisances])
-            self.kept = kept = self.problem, self.base, still, still.T @ still
-        return kept[2:]
+        if kept is None or kept[0] is not problem or kept[1] is not self.base:
+            assert self.base is not None
+            base = problem.whiten(self.base)
+            known = base.T @ base + np.eye(base.shape[1])
+            self.kept = kept = problem, self.base, base, known, base.T @ nuisances
+        _, _, base, known, across = kept
+        own = problem.whiten(self.slopes[:, self.unknowns.baseline :])
+        mixed, shared = base.T @ own, own.T @ nuisances
+        information = np.block([
+            [known, mixed, across],
+            [mixed.T, own.T @ own + np.eye(own.shape[1]), shared],
+            [across.T, shared.T, problem.nuisance_information],
+        ])
+        left = problem.whiten(problem.measured - self.predicted)
+        return information, np.concatenate([base.T @ left, own.T @ left, nuisances.T @ left])
 
     def _step(
         self, normal: Array, force: Array, damping: float, low: Array, high: Array
@@ -336,11 +324,12 @@ class _State:
         return step[:k]
 
     def _best_nuisances(self) -> Array:
-        seen = self.problem.white_nuisances.T @ self.problem.whiten(self.difference())
-        return np.asarray(np.linalg.solve(self.problem.nuisance_information, seen))
+        problem = self.problem
+        seen = problem.white_nuisances.T @ problem.whiten(problem.measured - self.predicted)
+        return np.asarray(cho_solve(problem.nuisance_factor, seen))
 
     def finished(self) -> Fit:
-        self.slopes = self._slopes()
+        self._take_slopes()
         information, _ = self._system()
         joint: Array = np.asarray(np.linalg.inv(information), dtype=np.float64)
         freedom = float(np.linalg.slogdet(information)[1])

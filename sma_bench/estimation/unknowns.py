@@ -8,20 +8,26 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.estimation.transitions import TEMPERATURES, Transitions
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import EFFECT_PREFIX, EFFECT_TABLE, Parameter
+from sma_bench.parameters.parameter import (
+    BY_NAME,
+    EFFECT_PREFIX,
+    EFFECT_TABLE,
+    TRANSITIONS,
+    Parameter,
+)
 from sma_bench.parameters.parameters import LOAD_NEEDS, load_kind
-from sma_bench.parameters.table import BY_NAME
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
+TEMPERATURES = tuple(TRANSITIONS.values())  # A_s, A_f, M_s, M_f
 HEAT = (
     "wire.resistance",
     "wire.heat_transfer_coefficient",
@@ -89,6 +95,119 @@ _STILL = 1e-6  # deviations a prior deviation
 _ABOVE_NOTHING = 1e-3  # of what is believed: the least of a number that cannot be 0
 _SMALLEST = 1e-300
 _MOST_LOG = 50.0  # of a number's logarithm, beyond which it says nothing any more
+# Of the centre c in K and of the logarithms of h, w_A and w_M where nothing is stated. The
+# paper's h is 1.7 K, most wires have 5 to 20 K.
+_SPREADS = np.array([25.0, 1.2, 0.5, 0.5])
+_COORDINATES = np.array(
+    [[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25], [-1.0, 1.0, 0.0, 0.0],
+     [0.0, 0.0, 1.0, -1.0]]
+)  # fmt: skip
+_TEMPERATURES = np.linalg.inv(_COORDINATES)
+_LOWEST = float(BY_NAME[TEMPERATURES[0]].low or 0.0)
+_HIGHEST = float(BY_NAME[TEMPERATURES[0]].high or 0.0)
+_NARROWEST = 0.2  # K, of a range: the core divides by its width
+_FARTHEST = 5.0  # of a logarithm
+_TINY = 1e-4  # prior deviations, of a difference
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """The transition temperatures that are not exact, moved so that their order holds wherever a
+    fit goes, as functions of x (m,) of unit normal prior.
+
+        A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
+
+    of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
+    and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is stated of the
+    four is the prior of these; of the others it is that of wires of the field, given what is
+    stated.
+
+    Attributes:
+        mean: (4,) K, as believed; moving: (m,) which of them; turn: (m, m) K, the root of the
+            prior's covariance, symmetric but for units: x[k] is mostly the k-th one's deviation.
+    """
+
+    mean: Array
+    moving: NDArray[np.intp]
+    turn: Array
+
+    @classmethod
+    def of(cls, parameters: Parameters) -> Self:
+        """As believed; a temperature whose deviation is 0 is exact."""
+        mean = np.array([parameters[name] for name in TEMPERATURES])
+        stated = np.array([name in parameters.given for name in TEMPERATURES])
+        coordinates = _COORDINATES @ mean
+        scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
+        scale[0] = _SPREADS[0]
+        root = _TEMPERATURES * scale
+        covariance = root @ root.T
+        if stated.any():
+            std = np.array([parameters.std(n) for n in np.array(TEMPERATURES)[stated]])
+            own = np.diag(np.minimum(std, _HIGHEST - _LOWEST) ** 2)
+            within = covariance[np.ix_(stated, stated)]
+            follows = np.linalg.solve(within, covariance[stated]).T
+            covariance += follows @ (own - within) @ follows.T
+        moving = np.flatnonzero(~stated | (np.diag(covariance) > 1e-12))
+        kept = covariance[np.ix_(moving, moving)]
+        deviation = np.sqrt(np.diag(kept))
+        values, vectors = np.linalg.eigh(kept / np.outer(deviation, deviation))
+        half = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        return cls(mean, moving, deviation[:, np.newaxis] * half)
+
+    @property
+    def std(self) -> Array:
+        """(m,) K, of each by itself."""
+        return np.asarray(np.sqrt(np.sum(self.turn**2, axis=1)))
+
+    @property
+    def stds(self) -> dict[str, float]:
+        """By name, of those that are not exact."""
+        names = [TEMPERATURES[k] for k in self.moving]
+        return dict(zip(names, self.std.tolist(), strict=True))
+
+    def values(self, x: Array) -> Array:
+        """(4,) K, A_s below A_f and M_f below M_s."""
+        straight = self.mean.copy()
+        straight[self.moving] += self.turn @ x
+        centre, *widths = (_COORDINATES @ straight).tolist()
+        half, austenite, martensite = (
+            width if known <= 0.0  # an impossible hysteresis is left as it is
+            else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), _FARTHEST))
+            for width, known in zip(widths, (_COORDINATES[1:] @ self.mean).tolist(), strict=True)
+        )
+        branches = [[centre + half, 0.5 * austenite], [centre - half, 0.5 * martensite]]
+        exact = [k for k in range(4) if k not in self.moving]
+        for number in exact:
+            # An exact one takes its range along, and the other range if none of that is exact.
+            branch, sign = number // 2, (-1.0, 1.0, 1.0, -1.0)[number]
+            middle, reach = branches[branch]
+            off = float(self.mean[number]) - middle - sign * reach
+            for other in {branch, branch if exact[0] // 2 < branch else 1 - branch}:
+                branches[other][0] += off
+        found = []
+        for middle, reach in branches:
+            lower = min(max(middle - reach, _LOWEST), _HIGHEST - _NARROWEST)
+            found.append((lower, min(max(middle + reach, lower + _NARROWEST), _HIGHEST)))
+        return np.array([*found[0], *found[1][::-1]])
+
+    def slopes(self, x: Array) -> Array:
+        """(m, m) d(moving ones)/dx, K."""
+        steps = _TINY * np.eye(len(x))
+        columns = [self.values(x + step) - self.values(x - step) for step in steps]
+        return np.asarray(np.column_stack(columns)[self.moving] / (2.0 * _TINY))
+
+    def x_of(self, values: Sequence[float] | Array) -> Array:
+        """Inverse of `values`."""
+        believed, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
+        logs = (believed > 0.0) & (found > 0.0)
+        logs[0] = False
+        found[logs] = believed[logs] * (1.0 + np.log(found[logs] / believed[logs]))
+        exact = len(self.moving) < 4  # which place the centre
+        rows = slice(1 if exact else 0, None)
+        straight = np.linalg.lstsq(
+            _COORDINATES[rows, self.moving], (found - believed)[rows], rcond=None
+        )[0]
+        return np.asarray(np.linalg.solve(self.turn, straight))
 
 
 @dataclass(frozen=True)
@@ -133,11 +252,6 @@ class Unknown:
     def slope(self, x: float) -> float:
         """Units a prior deviation."""
         return self.std / self.mean * self.value(x) if self.log else self.std
-
-    @property
-    def share(self) -> float:
-        """Of a product's deviation that is this factor's own: 1 without a partner."""
-        return self.own_std / self.std if self.partner else 1.0
 
 
 @dataclass(frozen=True)
@@ -187,9 +301,9 @@ class Unknowns:
     @cached_property
     def _bounds(self) -> tuple[Array, Array]:
         ends = [(item.x_of(item.low), item.x_of(item.high)) for item in self.items]
-        low, high = np.array(ends, dtype=np.float64).reshape(-1, 2).T
+        low, high = np.clip(np.array(ends, dtype=np.float64).reshape(-1, 2).T, -_REACH, _REACH)
         low[self._together], high[self._together] = -_REACH, _REACH
-        return np.maximum(low, -_REACH), np.minimum(high, _REACH)
+        return low, high
 
     def bounds(self) -> tuple[Array, Array]:
         """Lowest and highest (k,) of x."""
@@ -254,22 +368,6 @@ class Unknowns:
             return self.parameters(there)
         return bench.replace(dict.fromkeys((item.name, *item.tied), item.value(x[i] + step)))
 
-    def widened(self, factors: Array) -> "Unknowns":
-        """The same with wider priors, by factors (k,)."""
-        items = tuple(
-            replace(item, std=item.std * factor, own_std=item.own_std * factor)
-            for item, factor in zip(self.items, factors.tolist(), strict=True)
-        )
-        if self.transitions is None:
-            return replace(self, items=items)
-        wider = self.transitions.widened(factors[self._together])
-        together = tuple(
-            replace(item, std=std)
-            for item, std in zip(items[self._together], wider.std.tolist(), strict=True)
-        )
-        items = (*items[: self._together.start], *together, *items[self._together.stop :])
-        return replace(self, items=items, transitions=wider)
-
     def start(self, spread: float = 0.3) -> Array:
         """What is believed, effects off; `spread` in its prior's deviations, at 0 of which its
         slope vanishes."""
@@ -299,13 +397,17 @@ def unknowns_of_records(
         unmodelled: of wires with a load, what the paper's model leaves out of every one; what of
             it is believed in is unknown in any case.
     """
-    names, shapes = [*HEAT], {**SHAPES, **_of_table(parameters, stated_effects(parameters))}
+
+    def of_table(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
+        return {name: (parameters.std(name), *range_of(name)) for name in names}
+
+    names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         if own:
-            found = [n for n in UNMODELLED if unmodelled or parameters[n] != 0.0]
-            shapes |= (LOADED_SHAPES if unmodelled else {}) | _of_table(parameters, found)
+            shapes |= LOADED_SHAPES if unmodelled else {}
+            shapes |= of_table(n for n in UNMODELLED if unmodelled or parameters[n] != 0.0)
             names += [*own, "wire.diameter"]
             names += [] if parameters["wire.length"] else ["wire.mass"]
         elif "deflection" in quantities:
@@ -324,9 +426,7 @@ def stated_effects(parameters: Parameters) -> list[str]:
         if parameters[p.name] != p.default or p.name in parameters.given_uncertainty
     }
     on = [e for e in EFFECTS.values() if stated & {p.name for p in e.parameters}]
-    return [
-        p.name for e in on for p in e.parameters if p.name in stated or p not in e.switches
-    ]
+    return [p.name for e in on for p in e.parameters if p.name in stated or p not in e.switches]
 
 
 def unknowns_of(
@@ -353,62 +453,49 @@ def unknowns_of(
             std = float(np.hypot(std, parameters.std(partner) / parameters[partner] * mean))
         else:
             partner = ""
-        low, high = _range(name)
-        above = name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ())
-        low = _ABOVE_NOTHING * mean if above else low
+        low, high = range_of(name)
+        if name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ()):
+            low = _ABOVE_NOTHING * mean
         log = name not in _STRAIGHT and low > 0.0
         # A prior that is wider than the range is as wide as that.
         widest = (mean * math.log(high / low) if log else high - low) / max(std, _SMALLEST)
         std, own = (min(1.0, widest) * one for one in (std, own))
-        item = Unknown(name, mean, std, low, high, log, (), partner, own)
-        if item.std > 0.0:
-            found[name] = item
-    if not sides_apart and _alike(found):
-        found[FRONT] = replace(found[FRONT], tied=(BACK,))
+        if std > 0.0:
+            found[name] = Unknown(name, mean, std, low, high, log, (), partner, own)
+    # One stiffness, where both sides are believed to be equally stiff, and equally well known.
+    front, back = found.get(FRONT), found.get(BACK)
+    if not sides_apart and front and back and (front.mean, front.std) == (back.mean, back.std):
+        found[FRONT] = replace(front, tied=(BACK,))
         del found[BACK]
     fixed = {n: v for n, v in derived.items() if n not in found and parameters[n] != v}
     base = parameters.replace(fixed)
-    extra = [_shape(name, base, row) for name, row in shapes.items()]
-    items = (*found.values(), *(item for item in extra if item.std > 0.0))
+
+    # Shapes of the kinetics; what is believed is within the range.
+    extra = []
+    for name, (std, low, high) in shapes.items():
+        mean = float(base[name])
+        low, high = min(low, mean), max(high, mean)
+        std = min(base.given_uncertainty.get(name, std), high - low)
+        if std > 0.0:
+            extra.append(Unknown(name, mean, std, low, high, log=bool(BY_NAME[name].default)))
+    items = (*found.values(), *extra)
     moving = together if stds else None
     return Unknowns(base, items, len(found), len(items), transitions=moving)
 
 
-def _range(name: str) -> tuple[float, float]:
+def range_of(name: str) -> tuple[float, float]:
+    """Lowest and highest value of a parameter, in its unit."""
     low, high = BY_NAME[name].low, BY_NAME[name].high
     return -math.inf if low is None else float(low), math.inf if high is None else float(high)
-
-
-def _alike(found: dict[str, Unknown]) -> bool:
-    """Whether both sides are believed to be equally stiff, and equally well known."""
-    front, back = found.get(FRONT), found.get(BACK)
-    if front is None or back is None:
-        return False
-    return (front.mean, front.std) == (back.mean, back.std)
-
-
-def _of_table(
-    parameters: Parameters, names: Iterable[str]
-) -> dict[str, tuple[float, float, float]]:
-    """Standard deviation, lowest and highest value."""
-    return {name: (parameters.std(name), *_range(name)) for name in names}
-
-
-def _shape(name: str, believed: Parameters, row: tuple[float, float, float]) -> Unknown:
-    """What is believed is within its range."""
-    std, low, high = row
-    mean = float(believed[name])
-    low, high = min(low, mean), max(high, mean)
-    std = min(believed.given_uncertainty.get(name, std), high - low)
-    return Unknown(name, mean, std, low, high, log=bool(BY_NAME[name].default))
 
 
 def number_of_effect(number: Parameter) -> Unknown:
     """An effect's number, centred where nobody gave another; moved by its logarithm where that is
     not 0."""
-    assert number.low is not None and number.high is not None
-    default, std = default_of(number), float(number.uncertainty or 1.0)
-    return Unknown(number.name, default, std, number.low, number.high, log=default != 0.0)
+    assert number.low is not None and number.high is not None and isinstance(number.default, float)
+    std = float(number.uncertainty or 1.0)
+    log = number.default != 0.0
+    return Unknown(number.name, number.default, std, number.low, number.high, log)
 
 
 def shares_of_factor(name: str, value: float, parameters: Parameters) -> dict[str, float]:
@@ -418,9 +505,3 @@ def shares_of_factor(name: str, value: float, parameters: Parameters) -> dict[st
         return {}
     factor = _TIMES[name]
     return {factor: -value * parameters.std(factor) / parameters[factor]}
-
-
-def default_of(number: Parameter) -> float:
-    """An effect's number where nobody gave another."""
-    assert isinstance(number.default, float)
-    return number.default

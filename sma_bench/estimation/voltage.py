@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import (
@@ -66,11 +65,6 @@ class VoltageSegment:
     def level(self) -> float:
         """Mean voltage in V."""
         return 0.5 * (self.voltage_start + self.voltage_stop)
-
-    @property
-    def slope(self) -> float:
-        """Rate in V/s."""
-        return (self.voltage_stop - self.voltage_start) / self.duration
 
 
 @dataclass(frozen=True)
@@ -126,8 +120,9 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     if not (np.all(np.isfinite(voltage)) and np.all(np.isfinite(time))):
         raise InputError("voltage holds values that are not finite, expected V")
     # The median of three drops single wild samples and keeps edges and ramps.
-    smooth = np.asarray(median_filter(voltage, 3, mode="constant"), dtype=np.float64)
-    smooth[[0, -1]] = voltage[[0, -1]]
+    a, b, c = voltage[:-2], voltage[1:-1], voltage[2:]
+    smooth = voltage.astype(np.float64)
+    smooth[1:-1] = np.maximum(np.minimum(a, b), np.minimum(np.maximum(a, b), c))
     # A channel that is switched off may read exactly 0, which says nothing of its noise.
     second = np.diff(voltage, 2)
     driven = second[voltage[1:-1] != 0.0]
@@ -149,39 +144,41 @@ def find_segments(time: Array, voltage: Array) -> Segments:
                 pieces.pop()
                 piece = (first, last)
             pieces.append(piece)
-        if tolerance > span / 8.0 or not _is_fragmented(time, pieces):
+        # A ramp commanded in small steps falls into crumbs, as of many tiny plateaus: look more
+        # coarsely.
+        crumbs = longest = 0.0
+        for first, last in pieces:
+            length = float(time[last] - time[first])
+            crumbs = crumbs + length if length < SHORTEST_SEGMENT else 0.0
+            longest = max(longest, crumbs)
+        if tolerance > span / 8.0 or longest <= 2.0 * SHORTEST_SEGMENT:
             break
-        # A ramp commanded in small steps looks like many tiny plateaus: look more coarsely.
         tolerance *= 2.0
 
     # Plateaus, ramps and edges; a plateau's direction is that from the one before.
-    found: list[tuple[bool, float, float, float, float]] = []
-    edges: list[tuple[float, float]] = []
-    for first, last in pieces:
-        if last - first == 1 and abs(smooth[last] - smooth[first]) > tolerance:
-            edges.append((float(time[first]), float(time[last])))
-        if time[last] - time[first] < SHORTEST_SEGMENT:
-            continue
-        begin, end, _ = _line(time, smooth, first, last)
-        found.append(
-            (abs(end - begin) <= tolerance, float(time[first]), float(time[last]), begin, end)
-        )
-    levels = [0.5 * (begin + end) for flat, _, _, begin, end in found if flat]
+    edges = tuple(
+        (float(time[first]), float(time[last])) for first, last in pieces
+        if last - first == 1 and abs(smooth[last] - smooth[first]) > tolerance
+    )
+    lines = [
+        (float(time[first]), float(time[last]), *_line(time, smooth, first, last)[:2])
+        for first, last in pieces if time[last] - time[first] >= SHORTEST_SEGMENT
+    ]
+    flat = [abs(end - begin) <= tolerance for _, _, begin, end in lines]
+    levels = [0.5 * (b + e) for (_, _, b, e), is_flat in zip(lines, flat, strict=True) if is_flat]
     items = []
     seen = 0
-    for flat, start, stop, begin, end in found:
+    for (start, stop, begin, end), is_flat in zip(lines, flat, strict=True):
         rise = end - begin
-        if flat:
+        if is_flat:
             reference = levels[max(seen, 1) - 1 : max(seen, 1) + 1]
             rise = reference[-1] - reference[0] if len(reference) == 2 else 0.0
             seen += 1
+        kind: Literal["plateau", "ramp"] = "plateau" if is_flat else "ramp"
         items.append(
-            VoltageSegment(
-                "plateau" if flat else "ramp", start, stop, begin, end,
-                "up" if rise >= 0.0 else "down",
-            )
+            VoltageSegment(kind, start, stop, begin, end, "up" if rise >= 0.0 else "down")
         )
-    return Segments(tuple(items), tuple(edges), tolerance)
+    return Segments(tuple(items), edges, tolerance)
 
 
 def protocol_spans(
@@ -227,17 +224,6 @@ def _line(time: Array, voltage: Array, first: int, last: int) -> tuple[float, fl
     slope = float(centred @ v) / max(float(centred @ centred), 1e-12)
     fitted = v.mean() + slope * centred
     return float(fitted[0]), float(fitted[-1]), float(np.max(np.abs(v - fitted)))
-
-
-def _is_fragmented(time: Array, pieces: Sequence[tuple[int, int]]) -> bool:
-    """Whether some stretch of voltage fell into nothing but crumbs."""
-    crumbs = 0.0
-    for first, last in pieces:
-        length = float(time[last] - time[first])
-        crumbs = crumbs + length if length < SHORTEST_SEGMENT else 0.0
-        if crumbs > 2.0 * SHORTEST_SEGMENT:
-            return True
-    return False
 
 
 @dataclass(frozen=True)
@@ -295,48 +281,6 @@ class Polygon:
         knots = self.jumps.astype(np.intp)
         return slope[knots], slope[knots + 1]
 
-    def hidden_along(self, first: int, last: int, noise: float) -> dict[int, Array]:
-        """(last - first,) V: one standard error of the mean (0) and of the slope (1) of a ramp that
-        the converter hides, beside the `noise` of its samples.
-
-        A ramp is commanded in small jumps. Where these are whole steps of the converter, or nearly,
-        every sample has the same error and no scatter shows it; else the errors cancel.
-        """
-        found: dict[int, Array] = {}
-        if self.step == 0.0 or self.commanded is None or (
-            np.ptp(self.voltage[first:last]) < self.step
-        ):
-            return found
-        for number, shape in enumerate(_straight(last - first)):
-            left = coherence(self.commanded[first:last], self.step, shape)
-            std = float(np.sqrt(quantisation_variance(0.0, self.step, left)))
-            if std > _WORTH * noise / np.sqrt(last - first):
-                found[number] = std * shape
-        return found
-
-    def hidden_of(self, first: int, last: int) -> float:
-        """V, one standard error of a held level, by its own samples.
-
-        Of readings that toggle between two codes the level may lie anywhere from their mean, if
-        noise makes them toggle, to the middle between the codes, without any.
-        """
-        noise = next(n for a, b, n in self.lines if (a, b) == (first, last))
-        if noise > _TOGGLES * self.step:
-            return float(np.sqrt(quantisation_variance(noise, self.step)))
-        codes = float(np.mean(self.voltage[first:last])) / self.step
-        return self.step * abs(0.5 - codes % 1.0) / np.sqrt(3.0)
-
-    def hidden_levels(self) -> list[tuple[int, int, float]]:
-        """First and last knot, and volts, of each held level that is not known to the last bit."""
-        levels = []
-        for first, last, _ in self.lines:
-            volts = self.voltage[first:last]
-            if self.hidden > 0.0 and np.ptp(volts) < self.step and volts.min() > max(
-                self.step, _OFF
-            ):
-                levels.append((first, last, float(volts.mean())))
-        return levels
-
 
 @dataclass(frozen=True)
 class AppliedVoltage:
@@ -351,63 +295,72 @@ class AppliedVoltage:
     early: Array
     late: Array
 
-    def moments(self, place: Array) -> Array:
-        """(e,) s; `place` (e,) from -0.5 (just after `early`) to 0.5 (just before `late`)."""
-        return 0.5 * (self.early + self.late) + place * (self.late - self.early)
-
     def at(self, channel: int, time: Array) -> Array:
         """(m,) V of a channel at `time` (m,) s, freed of noise."""
         polygon = self.channels[channel]
         return np.interp(time, polygon.time, polygon.voltage)
 
     def level_errors(self, own: bool = False) -> list[tuple[Array, ...]]:
-        """(k,) V a channel: one standard error of each held level in turn, of all held at it, by
-        what all levels have in the mean, or by its own samples."""
-        held = sorted(
-            (level, channel, first, last)
-            for channel, polygon in enumerate(self.channels)
-            for first, last, level in polygon.hidden_levels()
-        )
+        """(k,) V a channel: one standard error of each held level that is not known to the last bit
+        in turn, of all held at it, by what all levels have in the mean, or by its own samples."""
+        held = []
+        for channel, polygon in enumerate(self.channels):
+            for first, last, noise in polygon.lines:
+                volts = polygon.voltage[first:last]
+                if polygon.hidden > 0.0 and np.ptp(volts) < polygon.step < volts.min() and (
+                    volts.min() > _OFF
+                ):
+                    held.append((float(volts.mean()), channel, first, last, noise))
         errors: list[tuple[Array, ...]] = []
         reached = -np.inf
-        for level, channel, first, last in held:
+        for level, channel, first, last, noise in sorted(held):
             polygon = self.channels[channel]
-            if level - reached > _ONE_LEVEL * polygon.step:
+            step, std = polygon.step, polygon.hidden / np.sqrt(2.0)
+            if level - reached > _ONE_LEVEL * step:
                 errors.append(self._no_error())
                 reached = level
-            std = polygon.hidden_of(first, last) if own else polygon.hidden / np.sqrt(2.0)
+            if own and noise > _TOGGLES * step:
+                std = float(np.sqrt(quantisation_variance(noise, step)))
+            elif own:
+                # Of readings that toggle between two codes the level may lie anywhere from their
+                # mean, if noise makes them toggle, to the middle between the codes, without any.
+                std = step * abs(0.5 - level / step % 1.0) / np.sqrt(3.0)
             errors[-1][channel][first:last] = std
         return errors
 
     def line_errors(self) -> list[tuple[Array, ...]]:
         """(k,) V a channel: one standard error of the mean and of the slope of each straight
         stretch in turn, from the noise of its samples; and what the converter hides of it."""
-        errors = []
-        for channel, polygon in enumerate(self.channels):
-            for first, last, noise in polygon.lines:
-                if noise == 0.0 or polygon.voltage[first:last].max() <= max(polygon.step, _OFF):
-                    continue
-                for shape in _straight(last - first):
-                    knots = self._no_error()
-                    knots[channel][first:last] = noise / np.sqrt(last - first) * shape
-                    errors.append(knots)
-        return [*errors, *self._ramp_errors(), *self.level_errors(own=True)]
-
-    def _ramp_errors(self) -> list[tuple[Array, ...]]:
-        """(k,) V a channel: what the converter hides of each ramp in turn, of all ramps alike."""
+        errors: list[tuple[Array, ...]] = []
+        # Of all ramps alike: their ends in the converter's steps, and the errors.
         alike: list[tuple[Array, dict[int, tuple[Array, ...]]]] = []
         for channel, polygon in enumerate(self.channels):
+            step = polygon.step
             for first, last, noise in polygon.lines:
-                ends = polygon.voltage[[first, last - 1]] / (polygon.step or 1.0)
-                hidden = polygon.hidden_along(first, last, noise)
+                n, volts = last - first, polygon.voltage[first:last]
+                if noise != 0.0 and volts.max() > max(step, _OFF):
+                    for shape in _straight(n):
+                        knots = self._no_error()
+                        knots[channel][first:last] = noise / np.sqrt(n) * shape
+                        errors.append(knots)
+                # A ramp is commanded in small jumps. Where these are whole steps of the converter,
+                # or nearly, every sample has the same error and no scatter shows it; else the
+                # errors cancel.
+                ends = volts[[0, -1]] / (step or 1.0)
                 near = (own for other, own in alike if np.max(np.abs(ends - other)) < _ALIKE)
                 own = next(near, None)
                 if own is None:
                     own = {}
                     alike.append((ends, own))
-                for number, error in hidden.items():
-                    own.setdefault(number, self._no_error())[channel][first:last] = error
-        return [error for _, own in alike for error in own.values()]
+                if step == 0.0 or polygon.commanded is None or np.ptp(volts) < step:
+                    continue
+                for number, shape in enumerate(_straight(n)):
+                    left = coherence(polygon.commanded[first:last], step, shape)
+                    std = float(np.sqrt(quantisation_variance(0.0, step, left)))
+                    if std > _WORTH * noise / np.sqrt(n):
+                        own.setdefault(number, self._no_error())[channel][first:last] = std * shape
+        ramps = [error for _, own in alike for error in own.values()]
+        return [*errors, *ramps, *self.level_errors(own=True)]
 
     def _no_error(self) -> tuple[Array, ...]:
         return tuple(np.zeros(len(c.time)) for c in self.channels)
@@ -422,8 +375,13 @@ class AppliedVoltage:
     def on_grid(
         self, grid: Array, place: Array, errors: Sequence[Array] | None = None
     ) -> Array:
-        """Voltages (n, w) V which, held from each grid time to the next, heat as the true ones."""
-        moments = self.moments(place)
+        """Voltages (n, w) V which, held from each grid time to the next, heat as the true ones.
+
+        Args:
+            place: (e,) of the jumps, from -0.5 (just after `early`) to 0.5 (just before `late`).
+            errors: (k,) V, added to the knots of each channel.
+        """
+        moments = 0.5 * (self.early + self.late) + place * (self.late - self.early)
         columns = []
         for channel, (polygon, own) in enumerate(zip(self.channels, self.events, strict=True)):
             error = None if errors is None else errors[channel]
@@ -457,10 +415,13 @@ def applied_voltage(
     Raises:
         InputError: too few samples, or values that are not finite.
     """
-    polygons = tuple(
-        _polygon(time, voltage, None if commands is None else _held(*commands, k, time))
-        for k, (time, voltage) in enumerate(channels)
-    )
+    polygons = []
+    for k, (time, voltage) in enumerate(channels):
+        commanded = None
+        if commands is not None:  # the last one before each time, 0 before the first
+            commanded = np.append(0.0, commands[1][:, k])
+            commanded = commanded[np.searchsorted(commands[0], time, side="right")]
+        polygons.append(_polygon(time, voltage, commanded))
     # Jumps of several channels that can have been one command are one event.
     found = sorted(
         (polygon.time[knot], polygon.time[knot + 1], channel, order)
@@ -476,13 +437,7 @@ def applied_voltage(
             bounds.append([before, after])
         events[channel][order] = len(bounds) - 1
     edges = np.array(bounds, dtype=np.float64).reshape(-1, 2)
-    return AppliedVoltage(polygons, *(tuple(events), edges[:, 0], edges[:, 1]))
-
-
-def _held(times: Array, commands: Array, channel: int, time: Array) -> Array:
-    """(n,) V of the last command before each time, 0 before the first."""
-    volts = np.append(0.0, commands[:, channel])
-    return np.asarray(volts[np.searchsorted(times, time, side="right")])
+    return AppliedVoltage(tuple(polygons), tuple(events), edges[:, 0], edges[:, 1])
 
 
 def _straight(n: int) -> tuple[Array, Array]:
@@ -540,13 +495,13 @@ def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int
     nearer = float(np.sum((volts - line) ** 2)) - levels
     if nearer <= _CLEAR**2 * levels / n or height[k] < _CLEAR_STEPS * step:
         return [(0, n)], line
-    found, course = [], []
+    spans, levelled = [], []
     for first, last in ((0, int(count[k])), (int(count[k]), n)):
         level = np.full(last - first, volts[first:last].mean())
         parts, own = _levels(volts[first:last], level, step)
-        found += [(first + a, first + b) for a, b in parts]
-        course.append(own)
-    return found, np.concatenate(course)
+        spans += [(first + a, first + b) for a, b in parts]
+        levelled.append(own)
+    return spans, np.concatenate(levelled)
 
 
 def _bend(left: Array, step: float) -> Array:

@@ -5,61 +5,79 @@
 while it is enabled and fresh commands come.
 """
 
+import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
-from sma_bench.hardware.bench_sensors import BenchReading, BenchSensors
-from sma_bench.hardware.conversation import LinkError
-from sma_bench.hardware.device import DeviceIdentity, LinkStatus, Reading
-from sma_bench.hardware.expectation import SharedWatch
-from sma_bench.hardware.safety import CommandGate, Guard, Interlock, Limits
-from sma_bench.hardware.self_test import NEEDED, CheckResult, self_test
-from sma_bench.hardware.serial_link import SerialLink
-from sma_bench.hardware.serial_messages import TIMEOUT_CAUSE, DeviceState
+from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors, SharedWatch
+from sma_bench.hardware.safety import CommandGate, Guard, Limits
+from sma_bench.hardware.serial_link import LateAnswer, LinkError, SerialLink
+from sma_bench.hardware.serial_messages import (
+    TIMEOUT_CAUSE,
+    TURN,
+    DeviceIdentity,
+    DeviceState,
+    Telemetry,
+)
 
 REFRESH = 0.02
 """s between commands to the device, whose own timeout is ten times that"""
+_LEAST_TIMEOUT = 3.0 * REFRESH
 
-_LEAST_TIMEOUTS = 3.0
+# What the device is to allow beyond the rig's own limits.
 _PER_BOARD = 2
 _MARGIN = 1.2
 _HOTTER = 1.1
-_LEAST_HOT_TIME = 0.05
-# A, of the peak above the mean.
-_LEAST_STEP = 0.1
+_LEAST_HOT_TIME = 0.05  # s
+_LEAST_STEP = 0.1  # A, of the peak above the mean
+
+NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
+"""checks of the self-test without which nobody enables"""
+_TRIES = 3
+_MOST_CURRENT_AT_REST = 0.15  # A
+_MOST_CLOCK_UNCERTAINTY = 2e-3  # s
+_CLOSED_FOR = 0.12  # s; the relay closes within 30 ms, the mean of the current needs as long
+# s, of the device's clock from the last frame before the stop: half a second of frames may wait in
+# the cable's buffers; and of this computer's, in which such frames come.
+_STOP_WITHIN, _PATIENCE = 0.6, 2.0
+
+
+class CheckResult(NamedTuple):
+    """One check of the self-test: what, how it ended, and the number behind it."""
+
+    check: str
+    passed: bool
+    text: str
+
+    @property
+    def forbids(self) -> bool:
+        return self.check in NEEDED and not self.passed
+
+    def __str__(self) -> str:
+        return f"{self.check}: {'ok' if self.passed else 'FAILED'}, {self.text}"
 
 
 class BenchDriver:
-    """See the module. All times (`now`) are s of one monotonic clock."""
+    """See the module. All times (`now`) are s of one monotonic clock; `newest` is the last reading,
+    None before the first."""
 
     def __init__(
-        self,
-        link: SerialLink,
-        sensors: BenchSensors,
-        guard: Guard,
-        channels: Sequence[str],
-        limits: Limits,
-        waiver: str = "",
-        pause: Callable[[float], None] = time.sleep,
+        self, link: SerialLink, sensors: BenchSensors, guard: Guard, channels: Sequence[str],
+        limits: Limits, waiver: str = "", pause: Callable[[float], None] = time.sleep,
     ) -> None:
         """`waiver`: why nobody needs a self-test before enabling; "" to demand one."""
-        self._link = link
-        self._waiver = waiver
+        self._link, self._sensors, self._guard = link, sensors, guard
+        self._channels, self._limits, self._waiver = channels, limits, waiver
         self._pause = pause
-        self._tested = -1
-        self._sensors = sensors
-        self._guard = guard
-        self._channels = channels
-        self._zero = (0.0,) * len(channels)
-        self._limits = limits
-        self._interlock = Interlock()
+        self._tested = -1  # number of the connection whose self-test passed
+        self._stopped = ""
         self._supply_reading = 0.0
         self._driven = -math.inf
         self._watch_shared_sensors()
         self.enabled = False
         self.newest: BenchReading | None = None
-        """last reading, None before the first"""
         self.gate = CommandGate(len(channels), limits)
 
     @property
@@ -67,12 +85,11 @@ class BenchDriver:
         """`idle`, `enabled`, `stopped: why`, `not connected: why` or `still flowing: ...`."""
         if flowing := self.flowing:
             return f"still flowing: pull the plug ({flowing})"
-        if self._interlock.tripped:
-            return f"stopped: {self._interlock.reason}"
+        if self._stopped:
+            return f"stopped: {self._stopped}"
         if self.enabled:
             return "enabled"
-        status = self._link.status
-        fault = _device_fault(status)
+        status, fault = self._link.status, self._link.status.fault
         # What a former host left: the device remembers why it stopped.
         return f"stopped: {fault}" if fault and status.connected else fault or "idle"
 
@@ -94,15 +111,25 @@ class BenchDriver:
 
     @property
     def supply(self) -> float:
-        """V, calibrated."""
-        return self._sensors.supply(self._supply_reading)
+        return self._sensors.supply.apply(self._supply_reading)
 
     @property
     def applied(self) -> tuple[float, ...]:
         """V at the wires as the device says, one a channel; none before the first reading."""
         return tuple(power.voltage for power in self.newest.powers) if self.newest else ()
 
-    # --- requests -----------------------------------------------------------------------------
+    def diagnostics(self, now: float) -> dict[str, str]:
+        gate = self.gate
+        return {
+            "state": self.state, "self_test": self.tested, "supply_volts": f"{self.supply:.2f}",
+            "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
+            "applied": " ".join(f"{volt:.2f}" for volt in self.applied),
+            "commander": gate.commander, "accepted_commands": str(gate.accepted),
+            "rejected_commands": str(gate.rejected), "command_timeouts": str(gate.timeouts),
+            "last_rejection": gate.last_rejection,
+        }
+
+    # --- Requests; LinkError says why one must not be, or the device's refusal
 
     def command(self, voltage: Sequence[float], now: float, sender: str = "") -> str:
         """Take a sender's command (V, one a channel); the reason when it is rejected."""
@@ -114,19 +141,36 @@ class BenchDriver:
         return reason
 
     def enable(self, now: float) -> None:
-        """Arm the device; the outputs stay at 0 V until the next command.
-
-        Raises:
-            LinkError: why that must not be, or the device's refusal.
-        """
-        if obstacle := "enabled already" if self.enabled else self._obstacle(now):
-            raise LinkError(obstacle)
-        if self.tested == "due" and (failed := _failed(self.self_test())):
-            raise LinkError(f"self-test: {'; '.join(map(str, failed))}")
-        self.gate.clear()
+        """Arm the device; the outputs stay at 0 V until the next command."""
         status = self._link.status
-        if status.device:
-            self._link.limit(device_limits(self._limits, status.device, self.supply))
+        if self.enabled:
+            raise LinkError("enabled already")
+        if self.flowing:
+            raise LinkError(self.state)
+        if self._stopped:
+            raise LinkError(f"{self.state}; reset first")
+        if status.fault:
+            raise LinkError(status.fault + ("; reset first" if status.connected else ""))
+        if device := status.device:
+            limit = self._limits.maximum_voltage
+            highest = self._limits.reading(limit)
+            if highest > device.maximum_voltage:
+                heats = f" and heats as {highest:.4g} V do" if highest != limit else ""
+                raise LinkError(
+                    f"bench.maximum_voltage is {limit:g} V{heats}, the device allows "
+                    f"{device.maximum_voltage:g} V"
+                )
+            if device.command_timeout < _LEAST_TIMEOUT:
+                raise LinkError(f"the device's timeout is {device.command_timeout:g} s: too short")
+        if fault := self._guard.fault(now):
+            raise LinkError(fault)
+        if self.tested == "due":
+            failed = [str(result) for result in self.self_test() if result.forbids]
+            if failed:
+                raise LinkError(f"self-test: {'; '.join(failed)}")
+        self.gate.clear()
+        if device:
+            self._link.limit(device_limits(self._limits, device, self.supply))
         self._link.arm()
         self.enabled = True
 
@@ -136,77 +180,21 @@ class BenchDriver:
         self._tested = -1
         self._link.stop()
         self.gate.clear()
-        self._interlock.trip(reason)
+        self._stopped = self._stopped or reason
 
     def reset(self) -> None:
-        """Forget why it stopped; enabling is another request.
-
-        Raises:
-            LinkError: enabled, or the device does not answer.
-        """
-        if self.enabled:
-            raise LinkError("enabled: stop first")
+        """Forget why it stopped; enabling is another request."""
+        self._require_stopped()
         if self.flowing:
             raise LinkError(self.state)
         self._link.reset()
-        self._interlock.reset()
+        self._stopped = ""
         self._guard.recorder("")
         self._watch_shared_sensors()
 
-    def self_test(self) -> list[CheckResult]:
-        """Check what can be checked without driving; ends disabled, at 0 V.
-
-        Raises:
-            LinkError: enabled.
-        """
+    def _require_stopped(self) -> None:
         if self.enabled:
             raise LinkError("enabled: stop first")
-        self._tested = -1
-        findings = self_test(self._link, self.newest, self.supply, self._sensors, self._pause)
-        if not _failed(findings):
-            self._tested = self._link.status.connections
-        return findings
-
-    # --- what happens -------------------------------------------------------------------------
-
-    def take(self, reading: Reading, now: float) -> BenchReading:
-        """Note telemetry; what it says about the bench."""
-        self._supply_reading = reading.telemetry.supply
-        taken = self.newest = self._sensors.reading(reading)
-        for channel, power in zip(self._channels, taken.powers, strict=True):
-            self._guard.power(
-                channel, power.voltage, power.current, taken.time, now, self._limits
-            )
-        for wires, watch in self._shared:
-            volts = [taken.powers[k].voltage for k in wires]
-            amperes = [taken.powers[k].current for k in wires]
-            reason = watch.power(volts, amperes, taken.time, self._limits.model)
-            self._guard.found(f"wires {wires}", reason)
-        self._guard.boards(taken.board_currents, taken.board_volts, now, self._limits)
-        return taken
-
-    def temperature(self, channel: str, kelvin: float, stamp: float, now: float) -> None:
-        """Note a wire's temperature (K), acquired at `stamp` s of the readings' clock."""
-        self._guard.temperature(channel, kelvin, stamp, now, self._limits)
-
-    def recorder(self, failure: str) -> None:
-        """Note why the recorder failed, "" when it records."""
-        self._guard.recorder(failure)
-
-    def tick(self, now: float) -> str:
-        """Check everything, then keep the device supplied; the reason when it stops here."""
-        if not self.enabled:
-            self._guard.commanded(self._zero)
-            if self._guard.flowing and not self._interlock.tripped:
-                self.stop(self._guard.flowing)
-                return self._guard.flowing
-            return ""
-        reason = self._fault(now)
-        if reason:
-            self.stop(reason)
-        elif now - self._driven >= REFRESH:
-            reason = self._drive(now)
-        return reason
 
     def _watch_shared_sensors(self) -> None:
         self._shared = [
@@ -214,80 +202,141 @@ class BenchDriver:
             for wires in self._sensors.shared
         ]
 
-    def _drive(self, now: float) -> str:
-        outputs = self.gate.outputs(now)
-        self._guard.commanded(outputs)
-        self._driven = now
-        try:
-            # Of a duty the commanded mean; the device is told the direct volts of the same heat.
-            volts = [self._limits.model.reading(volt) for volt in outputs]
-            self._link.drive(self._sensors.millivolts(volts, self._supply_reading))
-        except LinkError as error:
-            reason = self._fault(now) or str(error)
+    # --- The self-test
+
+    def self_test(self) -> list[CheckResult]:
+        """Check what can be checked without driving, in about a second; ends disabled, at 0 V. What
+        is late is asked again; what is wrong has failed."""
+        self._require_stopped()
+        self._tested = -1
+        status, newest = self._link.status, self.newest
+        device = status.device
+        if not status.connected or newest is None or device is None:
+            return [CheckResult("connection", False, status.problem or "no reading yet")]
+        uncertainty, (low, high) = status.clock_uncertainty, device.supply_range
+        most = max(map(abs, newest.board_currents))
+        rows = [
+            ("connection", True, f"{device.name} {device.build}, reset: {device.reset}"),
+            ("link", status.lost + status.damaged + status.not_understood == 0,
+             f"{status.telemetry} frames, {status.lost} lost, {status.damaged} damaged"),
+            ("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY,
+             f"known to {1e3 * uncertainty:.2f} ms, drift {1e6 * status.drift:.0f} ppm"),
+            ("supply", low <= self.supply <= high,
+             f"{self.supply:.2f} V, expected {low:g} to {high:g} V"),
+            ("currents", most < _MOST_CURRENT_AT_REST,
+             f"at most {most:.2f} A at rest, expected under {_MOST_CURRENT_AT_REST:g} A"),
+        ]
+        for side, distance in zip(SIDES, newest.distances, strict=True):
+            if side in self._sensors.range_sensors:
+                rows.append((f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm"))
+        found = [CheckResult(*row) for row in rows]
+        for name, test in (("relay", self._relay), ("stop", self._heard_stop)):
+            for left in reversed(range(_TRIES)):
+                try:
+                    outcome = test()
+                except LinkError as error:
+                    outcome = False, str(error)
+                    if left and isinstance(error, LateAnswer):
+                        self._link.stop()
+                        self._pause(_CLOSED_FOR)
+                        with contextlib.suppress(LinkError):
+                            self._link.reset()
+                        continue
+                break
+            found.append(CheckResult(name, *outcome))
+        if not any(result.forbids for result in found):
+            self._tested = self._link.status.connections
+        return found
+
+    def _relay(self) -> tuple[bool, str]:
+        """With the relay closed and nothing driven, a switch that is stuck or inverted conducts."""
+        self._link.arm()
+        self._pause(_CLOSED_FOR)
+        status = self._link.status
+        if status.stopped and status.cause == TIMEOUT_CAUSE:
+            raise LateAnswer(f"closed, nothing driven: {status.cause_text}")
+        if status.stopped:
+            return False, f"closed, nothing driven: {status.cause_text}"
+        currents = self._sensors.board_currents(status.newest) if status.newest else (0.0,)
+        most = max(map(abs, currents))
+        return most < _MOST_CURRENT_AT_REST, f"closed, nothing driven: at most {most:.2f} A"
+
+    def _heard_stop(self) -> tuple[bool, str]:
+        """The emergency stop must be heard, and be forgotten on request only."""
+        before = self._link.status.newest
+        self._link.stop()
+        waited = 0.0
+        while not (status := self._link.status).stopped:
+            if before and status.newest:
+                passed = 1e-6 * ((status.newest.time_us - before.time_us) % TURN)
+                if passed > _STOP_WITHIN:
+                    return False, f"the device does not stop within {_STOP_WITHIN:g} s"
+            if waited > _PATIENCE:
+                raise LateAnswer("the device says nothing after the stop")
+            self._pause(0.005)
+            waited += 0.005
+        if status.cause == TIMEOUT_CAUSE:  # which says nothing about the stop
+            raise LateAnswer(f"stopped by its {status.cause_text}")
+        self._link.reset()
+        return True, f"stopped within {waited:.3f} s"
+
+    # --- What happens
+
+    def take(self, telemetry: Telemetry, now: float) -> BenchReading:
+        """Note telemetry; what it says about the bench."""
+        self._supply_reading = telemetry.supply
+        taken = self.newest = self._sensors.reading(telemetry)
+        for channel, power in zip(self._channels, taken.powers, strict=True):
+            self._guard.power(channel, *power, taken.time, now, self._limits)
+        for wires, watch in self._shared:
+            volts, amperes = zip(*(taken.powers[k] for k in wires), strict=True)
+            reason = watch.power(volts, amperes, taken.time, self._limits.circuit)
+            self._guard.found(f"wires {wires}", reason)
+        self._guard.boards(taken.board_currents, taken.board_volts, now, self._limits)
+        return taken
+
+    def tick(self, now: float) -> str:
+        """Check everything, then keep the device supplied; the reason when it stops here."""
+        reason = ""
+        if not self.enabled:
+            self._guard.commanded((0.0,) * len(self._channels))
+            reason = "" if self._stopped else self._guard.flowing
+        elif not (reason := self._fault(now)) and now - self._driven >= REFRESH:
+            outputs = self.gate.outputs(now)
+            self._guard.commanded(outputs)
+            self._driven = now
+            try:
+                # Of a duty the commanded mean; the device gets the direct volts of the same heat.
+                volts = [self._limits.reading(volt) for volt in outputs]
+                self._link.drive(self._sensors.millivolts(volts, self._supply_reading))
+            except LinkError as error:
+                reason = self._fault(now) or str(error)
+        if reason:
             self.stop(reason)
-            return reason
-        return ""
+        return reason
 
     def _fault(self, now: float) -> str:
         status = self._link.status
-        another = f"another host speaks to the device: it answered {status.unasked!r}"
-        another = f"{another}, not asked from here" if status.unasked else ""
-        return _device_fault(status) or another or self._guard.fault(now)
-
-    def _obstacle(self, now: float) -> str:
-        if self.flowing:
-            return self.state
-        if self._interlock.tripped:
-            return f"{self.state}; reset first"
-        status = self._link.status
-        fault = _device_fault(status)
-        if fault:
-            return fault + ("; reset first" if status.connected else "")
-        limit = self._limits.maximum_voltage
-        highest = self._limits.model.reading(limit)
-        if status.device and highest > status.device.maximum_voltage:
-            heats = f" and heats as {highest:.4g} V do" if highest != limit else ""
-            return (
-                f"bench.maximum_voltage is {limit:g} V{heats}, the device allows "
-                f"{status.device.maximum_voltage:g} V"
-            )
-        if status.device and status.device.command_timeout < _LEAST_TIMEOUTS * REFRESH:
-            return f"the device's timeout is {status.device.command_timeout:g} s: too short"
-        return self._guard.fault(now)
+        answered = f"another host speaks to the device: it answered {status.unasked!r}"
+        another = f"{answered}, not asked from here" if status.unasked else ""
+        return status.fault or another or self._guard.fault(now)
 
 
 def device_limits(limits: Limits, device: DeviceIdentity, supply: float) -> list[int]:
-    """What the device is to allow this rig: the numbers of its command C.
-
-    Its own limits are ceilings. The heat that it allows is what holds a wire of the model a tenth
-    in volts above its highest temperature, forgotten as fast as that wire cools.
-    """
-    model = limits.model
-    least = max(device.least_resistance, model.least_resistance)
-    rise = max(limits.maximum_temperature - model.ambient, 1.0)
-    hot = _HOTTER * math.sqrt(rise * model.heat_loss * model.heated)
+    """What the device is to allow this rig: the numbers of its command C. Its own limits are
+    ceilings. The heat that it allows is what holds a wire of the model a tenth in volts above its
+    highest temperature, forgotten as fast as that wire cools."""
+    least = max(device.least_resistance, limits.least_resistance)
+    rise = max(limits.maximum_temperature - limits.ambient, 1.0)
+    hot = _HOTTER * math.sqrt(rise * limits.heat_loss * limits.heated)
     mean = min(device.maximum_mean_current, _PER_BOARD * _MARGIN * limits.maximum_current)
     peak = min(device.maximum_peak_current, _PER_BOARD * _MARGIN * supply / least)
-    peak = max(peak, mean + _LEAST_STEP)
     values = (
-        min(device.maximum_voltage, _MARGIN * model.reading(limits.maximum_voltage)),
+        min(device.maximum_voltage, _MARGIN * limits.reading(limits.maximum_voltage)),
         mean,
-        peak,
+        max(peak, mean + _LEAST_STEP),
         least,
         min(device.hot_voltage, hot),
-        min(device.hot_time, max(model.heat_capacity / model.heat_loss, _LEAST_HOT_TIME)),
+        min(device.hot_time, max(limits.heat_capacity / limits.heat_loss, _LEAST_HOT_TIME)),
     )
     return [round(1e3 * value) for value in values]
-
-
-def _failed(findings: Sequence[CheckResult]) -> list[CheckResult]:
-    return [finding for finding in findings if finding.check in NEEDED and not finding.passed]
-
-
-def _device_fault(status: LinkStatus) -> str:
-    if not status.connected:
-        return f"not connected: {status.problem or 'no handshake yet'}"
-    if status.stopped:
-        why = f" ({status.silence})" if status.cause == TIMEOUT_CAUSE and status.silence else ""
-        return f"{status.cause_text}, found by the device{why}"
-    return ""

@@ -1,122 +1,370 @@
-"""Readings of the device's sensors as volts, amperes and metres of the bench."""
+"""The device's sensors: readings as volts, amperes and metres of the bench, calibration by known
+loads, and the instruments of a bench in software."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from decimal import Decimal
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.calibration import Calibration, RangeCalibration
-from sma_bench.hardware.device import Reading
 from sma_bench.hardware.serial_messages import CHANNELS, Telemetry
 
-# --- Volts and amperes of each wire from what the device measures: one supply, two boards,
-# duties.
-#
-# The supply is the one without load, less what a pulse of the wire's own board takes from it.
-#
-# A wire switched on for the share d of the time has the heat of the direct voltage sqrt(d) U, and
-# carries, in that sense, the current I/sqrt(d), where I is its mean current: V/I is the resistance
-# and V^2/R the power, as for direct voltage.
+SIDES = ("front", "back")
+"""of the device's boards, and of its range sensors"""
+_PER_SIDE = CHANNELS // len(SIDES)
+_LEAST_DUTY = 1e-3  # below it a converter's step of mean current is amplified more than 30 times
+# Of a shared current sensor: s between two readings whose difference is what a step of the voltage
+# did to the power; much less than a phase change takes.
+_STEP_BASE = 0.05
+_LEAST_STEP = 0.5  # V^2
+_LEAST_PAIRS = 20
+_OVERLAP = 5  # differences that overlap count once for each of this many
+_FORGOTTEN = 0.995  # kept of what is known, from one difference to the next
+_INDEPENDENT = 0.1  # of a wire's own excitation, what must not be its neighbour's too
+_RIDGE = 1e-6
+# Of the expected conductance: an open wire has less than the first, with three standard deviations
+# less than the second.
+_OPEN, _SURELY = 0.5, 0.7
+_LEAST_NOISE = 0.02  # W
 
 
-BOARDS = 2
-_PER_BOARD = CHANNELS // BOARDS
-# Below it a converter's step of mean current is amplified more than 30 times.
-_LEAST_DUTY = 1e-3
+class Calibration(NamedTuple):
+    """value = gain * reading + offset; of a triangulation sensor, that has a shift (m), distance =
+    1/(gain * reading + offset) - shift, infinite beyond what it can see (REP-117)."""
+
+    gain: float = 1.0
+    offset: float = 0.0
+    shift: float | None = None
+
+    def apply(self, reading: float) -> float:
+        value = self.gain * reading + self.offset
+        if self.shift is None:
+            return value
+        return 1.0 / value - self.shift if value > 0.0 else math.inf
 
 
-@dataclass(frozen=True)
-class ChannelPower:
-    """Equivalent direct voltage (V) and current (A) of one wire; NaN is not measured."""
+class CalibratedSensor(NamedTuple):
+    """One sensor: units of its reading and of what is known, what is measured with it, and where
+    telemetry has it."""
+
+    unit: str
+    known_unit: str
+    quantity: str
+    reading: Callable[[Telemetry], float]
+
+    @property
+    def is_range(self) -> bool:
+        return self.known_unit == "m"
+
+
+SENSORS = {
+    "supply": CalibratedSensor("V", "V", "voltage", lambda t: t.supply),
+    "front_current": CalibratedSensor("A", "A", "current", lambda t: t.current[0]),
+    "back_current": CalibratedSensor("A", "A", "current", lambda t: t.current[1]),
+    "front_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[0]),
+    "back_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[1]),
+}
+
+
+class ChannelPower(NamedTuple):
+    """Equivalent direct voltage (V) and current (A) of one wire; NaN is not measured. A wire
+    switched on for the share d of the time has the heat of the direct voltage sqrt(d) U, and
+    carries, in that sense, the current I/sqrt(d), where I is its mean current: V/I is the
+    resistance and V^2/R the power, as for direct voltage."""
 
     voltage: float
     current: float
 
 
-@dataclass(frozen=True)
-class PowerCalibration:
-    """Of the supply's divider and of both boards' current sensors."""
+class BenchReading(NamedTuple):
+    """One window of telemetry in the bench's own terms; pairs are of SIDES."""
 
-    supply: Calibration = field(default_factory=Calibration)
-    current: tuple[Calibration, Calibration] = (Calibration(), Calibration())
+    time: float  # s of the host's monotonic clock, the middle of the window
+    powers: tuple[ChannelPower, ...]  # in the order of bench.channels
+    distances: tuple[float, float]  # m, infinite beyond a sensor's sight
+    deflection: float  # m, positive toward the front; NaN when no sensor sees the tip
+    board_currents: tuple[float, float] = (0.0, 0.0)  # A, mean through all wires of a board
+    # V, mean over time and summed over a board's wires: current times resistance.
+    board_volts: tuple[float, float] = (0.0, 0.0)
 
 
-def channel_powers(
-    telemetry: Telemetry, calibration: PowerCalibration
-) -> tuple[ChannelPower, ...]:
-    """One ChannelPower a channel.
+class BenchSensors:
+    """Telemetry in, readings out; volts in, the device's millivolts out.
 
-    Two driven wires of a board share its current like their duties: equal resistances.
+    Attributes:
+        channels: the device's channel of every bench channel: the sides' outputs in their order.
+        supply: calibration of the supply's divider.
+        shared: bench channels whose currents one sensor measures together.
+        range_sensors: sides that are mounted; one clamped wire bends nothing.
     """
-    gain = calibration.supply.gain
-    supply = calibration.supply.apply(telemetry.supply)
-    means = [
-        sensor.apply(current)
-        for sensor, current in zip(calibration.current, telemetry.current, strict=True)
-    ]
-    return tuple(
-        ChannelPower(
-            math.sqrt(duty) * (supply - gain * telemetry.drop[channel // _PER_BOARD]),
-            _current(telemetry.duty, channel, means),
+
+    def __init__(self, sides: Sequence[str], settings: Mapping[str, Any]) -> None:
+        """`settings` are the bridge's `calibration.` and `range.` parameters. Raises InputError:
+        more channels on a side than the device has there; an unknown range sensor."""
+        free = {side: [k * _PER_SIDE + n for n in range(_PER_SIDE)] for k, side in enumerate(SIDES)}
+        try:
+            self.channels = tuple(free[side].pop(0) for side in sides)
+        except (KeyError, IndexError):
+            raise InputError(
+                f"bench.channel_sides: {', '.join(sides)}, the device has {_PER_SIDE} channels "
+                f"at the front and {_PER_SIDE} at the back"
+            ) from None
+
+        self._calibrations = {
+            name: Calibration(*(
+                settings[f"calibration.{name}.{number}"]
+                for number in Calibration._fields[: 3 if sensor.is_range else 2]
+            ))
+            for name, sensor in SENSORS.items()
+        }
+        self.supply = self._calibrations["supply"]
+        self._standoffs = [settings[f"range.{side}_standoff"] for side in SIDES]
+        for sensor in settings["range.sensors"]:
+            if sensor not in SIDES:
+                raise InputError(f"range.sensors: {sensor!r}, expected front or back")
+        self.range_sensors: tuple[str, ...] = settings["range.sensors"] if len(sides) > 1 else ()
+        boards = [
+            tuple(k for k, channel in enumerate(self.channels) if channel // _PER_SIDE == board)
+            for board in range(len(SIDES))
+        ]
+        self.shared = tuple(board for board in boards if len(board) > 1)
+
+    def _calibrated(self, quantity: str, telemetry: Telemetry) -> tuple[float, float]:
+        """Of the front's and the back's sensor."""
+        front, back = (
+            self._calibrations[name].apply(SENSORS[name].reading(telemetry))
+            for name in (f"{side}_{quantity}" for side in SIDES)
         )
-        for channel, duty in enumerate(telemetry.duty)
-    )
+        return front, back
+
+    def board_currents(self, telemetry: Telemetry) -> tuple[float, float]:
+        """A, mean through the front and the back board."""
+        return self._calibrated("current", telemetry)
+
+    def reading(self, telemetry: Telemetry) -> BenchReading:
+        """What a window says. Two driven wires of a board share its current like their duties:
+        equal resistances."""
+        duties = telemetry.duty
+        supply, currents = self.supply.apply(telemetry.supply), self.board_currents(telemetry)
+        totals = sum(duties[:_PER_SIDE]), sum(duties[_PER_SIDE:])
+        powers = []
+        for channel in self.channels:
+            duty, board = duties[channel], channel // _PER_SIDE
+            if duty == 0.0:
+                # Not driven: nothing that a sensor common to both wires could distinguish.
+                current = 0.0 if totals[board] > 0.0 else currents[board]
+            elif duty < _LEAST_DUTY:
+                current = math.nan
+            else:
+                current = currents[board] * duty / totals[board] / math.sqrt(duty)
+            # The supply without load, less what a pulse of the wire's own board takes from it.
+            drop = self.supply.gain * telemetry.drop[board]
+            powers.append(ChannelPower(math.sqrt(duty) * (supply - drop), current))
+
+        # Mean over the mounted sensors that see the tip; bending to the front nears the front.
+        near, far = self._calibrated("range", telemetry)
+        towards = {"front": self._standoffs[0] - near, "back": far - self._standoffs[1]}
+        seen = [towards[sensor] for sensor in self.range_sensors if math.isfinite(towards[sensor])]
+        return BenchReading(
+            telemetry.time, tuple(powers), (near, far),
+            sum(seen) / len(seen) if seen else math.nan,
+            currents, (supply * totals[0], supply * totals[1]),
+        )
+
+    def millivolts(self, voltage: Sequence[float], supply_reading: float) -> list[int]:
+        """What to command for `voltage` V at the bench's wires; other outputs stay off. The device
+        drives in proportion to its own reading of the supply, `supply_reading` V; the calibration
+        knows better."""
+        true = self.supply.apply(supply_reading)
+        scale = supply_reading / true if supply_reading > 0.0 and true > 0.0 else 1.0
+        command = [0] * CHANNELS
+        for channel, volt in zip(self.channels, voltage, strict=True):
+            command[channel] = round(1e3 * volt * scale)
+        return command
 
 
-def _current(duties: tuple[float, ...], channel: int, means: list[float]) -> float:
-    board = channel // _PER_BOARD
-    duty = duties[channel]
-    total = sum(duties[board * _PER_BOARD : (board + 1) * _PER_BOARD])
-    if duty == 0.0:
-        # Not driven: nothing that a sensor common to both wires could distinguish.
-        return 0.0 if total > 0.0 else means[board]
-    if duty < _LEAST_DUTY:
-        return math.nan
-    return means[board] * duty / total / math.sqrt(duty)
+class SharedWatch:
+    """Two wires behind one current sensor: does each take its part of a step? Alone, or with a
+    third of the power, a broken wire shows in its own readings. Beside a stronger one it does not:
+    they share the current like their duties. But the board's power is sum(V^2/R), and what a step
+    of the voltages changes in it, before any wire's phase can follow, has each wire's conductance
+    in it as soon as the two do not step alike."""
+
+    def __init__(self, channels: Sequence[str]) -> None:
+        self._channels = channels
+        self._recent: deque[tuple[float, float, tuple[float, ...]]] = deque()
+        self._before: tuple[float, ...] = ()
+        # Sums over the differences, the older the less: of the wires' steps and the power's.
+        self._sums = np.zeros((len(channels) + 1, len(channels) + 1))
+        self._pairs = 0.0
+        self._reason = ""
+
+    def power(
+        self, volts: Sequence[float], amperes: Sequence[float], stamp: float, circuit: float
+    ) -> str:
+        """The wire that takes no current, by readings acquired at `stamp` s, or ""; `circuit` ohm
+        is what each should have, with its leads."""
+        heat = tuple(volt**2 for volt in volts)
+        before, self._before = self._before, heat
+        if self._recent and stamp < self._recent[-1][0]:
+            self._recent.clear()
+        # In the window of a step, voltages are those of its end and currents a mean.
+        near = len(heat) == len(before) and all(
+            abs(now - then) < 0.01 * max(now, _LEAST_STEP)
+            for now, then in zip(heat, before, strict=True)
+        )
+        if heat != before and not near:
+            return self._reason
+        power = sum(v * i for v, i in zip(volts, amperes, strict=True) if not math.isnan(v * i))
+        self._recent.append((stamp, power, heat))
+        while stamp - self._recent[0][0] > _STEP_BASE:
+            _, old_power, old_heat = self._recent.popleft()
+            step = np.subtract((*heat, power), (*old_heat, old_power))
+            if np.abs(step[:-1]).max() >= _LEAST_STEP:
+                self._sums = _FORGOTTEN * self._sums + np.outer(step, step)
+                self._pairs = _FORGOTTEN * self._pairs + 1.0
+                self._reason = self._open(circuit)
+        return self._reason
+
+    def _open(self, circuit: float) -> str:
+        """Least squares of the wires' conductances, and the one that surely has none."""
+        if self._pairs < _LEAST_PAIRS:
+            return ""
+        squares, products = self._sums[:-1, :-1], self._sums[:-1, -1]
+        excited = np.diag(squares)
+        # From steps that were all alike no wire is identifiable; this keeps it finite.
+        ridge = _RIDGE * float(excited.max())
+        inverse = np.linalg.inv(squares + ridge * np.eye(len(excited)))
+        conductance = inverse @ products
+        left = max(float(self._sums[-1, -1] - conductance @ products), 0.0)
+        noise = max(left / self._pairs, _LEAST_NOISE**2) * _OVERLAP
+        for k, channel in enumerate(self._channels):
+            share = conductance[k] * circuit
+            std = math.sqrt(noise * inverse[k, k]) * circuit
+            identifiable = 1.0 / inverse[k, k] - ridge > _INDEPENDENT * excited[k] > ridge
+            if identifiable and share < _OPEN and share + 3.0 * std < _SURELY:
+                return (
+                    f"open: {channel} takes {max(share, 0.0):.0%} of its current where the "
+                    f"voltages step, beside {self._channels[1 - k]}"
+                )
+        return ""
 
 
-def commanded_millivolts(voltage: float, supply_reading: float, supply: Calibration) -> int:
-    """What to command for `voltage` V at a wire while the device reads `supply_reading` V.
+# --- Calibrating one of the device's sensors: gain and offset from known loads, with their errors.
+# Readings are the device's own (V, A), known loads true ones (V, A, m).
 
-    The device drives in proportion to its own reading of the supply; the calibration knows better.
+_FEWEST = 3  # pairs that tell a scatter
+
+
+class SensorFit(NamedTuple):
+    """The bridge's parameters of a sensor, and how well the known loads lie on them. `std` has the
+    standard errors that the scatter gives (NaN with two points), `rest` the rms of what is left, in
+    the unit of the known loads; `uncertainty` what it leaves open of the readings of this kind, by
+    the parameters `sensor.` (none with two points)."""
+
+    parameters: dict[str, float]
+    std: dict[str, float]
+    rest: float
+    uncertainty: dict[str, float]
+
+
+def fit_sensor(
+    name: str, readings: Sequence[float], known: Sequence[float], shift: float = 0.0
+) -> SensorFit:
+    """Fit a sensor of SENSORS to readings (n,) of known loads (n,).
+
+    Args:
+        shift: m, depth of the lens behind the face of a range sensor; others have none.
+
+    Raises:
+        InputError: fewer than two different readings, values that are not finite, a gain of zero, a
+            distance that is not in front of the lens.
     """
-    true = supply.apply(supply_reading)
-    scale = supply_reading / true if supply_reading > 0.0 and true > 0.0 else 1.0
-    return round(1e3 * voltage * scale)
+    kind, std = SENSORS[name], dict[str, float]()
+    x, y = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
+    if x.shape != y.shape:
+        raise InputError(
+            f"calibration: {x.size} readings for {y.size} known loads, expected as many"
+        )
+    if kind.is_range and not (y + shift > 0.0).all():
+        raise InputError(
+            f"calibration: distance {y.min():g} m with shift {shift:g} m, expected positive"
+        )
+    gain, offset, *stds, scatter = _line(x, 1.0 / (y + shift) if kind.is_range else y)
+    calibration = Calibration(gain, offset, shift if kind.is_range else None)
+    calibrated, found = np.array([calibration.apply(one) for one in x]), calibration._asdict()
+    if kind.is_range:
+        (gain, *_, scatter), digit = _line(calibrated, y), 0.0
+    else:
+        del found["shift"]
+        std, digit = dict(zip(found, stds, strict=True)), _last_digit(readings)
+
+    # What stays open of a calibrated reading: by the scatter, and by the last digits of readings
+    # and known loads where these scatter less.
+    uncertainty = {}
+    if len(x) >= _FEWEST and math.isfinite(scatter):
+        digits = math.hypot(gain * digit, _last_digit(known)) / math.sqrt(12.0)
+        if scatter := max(scatter, digits):
+            spread = math.sqrt(float(((y - y.mean()) ** 2).sum()))
+            uncertainty[f"sensor.{kind.quantity}.gain"] = scatter / spread
+            if not kind.is_range:  # the tip at rest is zero, whatever the distance
+                offset_of = scatter * math.hypot(len(x) ** -0.5, y.mean() / spread)
+                uncertainty[f"sensor.{kind.quantity}.offset"] = offset_of
+    named, named_std = (
+        {f"calibration.{name}.{key}": value for key, value in numbers.items()}
+        for numbers in (found, std)
+    )
+    rest = math.sqrt(float(np.mean((calibrated - y) ** 2)))
+    return SensorFit(named, named_std, rest, uncertainty)
 
 
-# --- What instruments make of a true value: noise, then quantisation.
+def _line(readings: ArrayLike, known: ArrayLike) -> tuple[float, float, float, float, float]:
+    """Least-squares gain and offset, their standard errors, and the scatter about the line: NaN
+    with two points."""
+    x, y = np.asarray(readings), np.asarray(known)
+    if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        raise InputError("calibration: a reading or a load is not finite")
+    if (different := np.unique(x).size) < 2:
+        raise InputError(f"calibration: {different} different readings, expected at least 2")
+    centre, spread = x.mean(), float(((x - x.mean()) ** 2).sum())
+    gain = float(((x - centre) * y).sum() / spread)
+    if gain == 0.0:
+        raise InputError("calibration: the readings do not follow the known loads (gain 0)")
+    offset, freedom = float(y.mean() - gain * centre), len(x) - 2
+    squares = float(((y - gain * x - offset) ** 2).sum())
+    scatter = math.sqrt(squares / freedom) if freedom else math.nan
+    gain_std = scatter / math.sqrt(spread)
+    return gain, offset, gain_std, scatter * math.sqrt(1 / len(x) + centre**2 / spread), scatter
 
+
+def _last_digit(values: Sequence[float]) -> float:
+    """What the last decimal that any of them has is worth; 0 where all are whole."""
+    places = [-int(Decimal(repr(float(value))).normalize().as_tuple().exponent) for value in values]
+    return 10.0 ** -max(places) if max(places, default=0) > 0 else 0.0
+
+
+# --- What instruments of a bench in software make of a true value: noise, then quantisation.
 
 _BLOCK = 4096
 
 
 class Instrument:
-    """One sensor chain; a node reads every sample by itself, so the noise is drawn in blocks."""
+    """The sensor chain of a quantity (voltage, current, temperature, range, force) by the simulator
+    node's parameters; a node reads every sample by itself, so noise is drawn in blocks."""
 
-    def __init__(self, noise: float, resolution: float, seed: np.random.SeedSequence) -> None:
-        """Gaussian `noise` (standard deviation) and `resolution` (step; 0 for none), in the unit
-        of what is read."""
-        self._noise = noise
-        self._resolution = resolution
+    def __init__(
+        self, settings: Mapping[str, Any], quantity: str, seed: np.random.SeedSequence
+    ) -> None:
+        self._noise = settings[f"sensor.{quantity}_noise"]
+        self._resolution = settings.get(f"sensor.{quantity}_resolution", 0.0)
         self._random = np.random.default_rng(seed)
         self._drawn: list[float] = []
 
-    @classmethod
-    def of(
-        cls, settings: Mapping[str, Any], quantity: str, seed: np.random.SeedSequence
-    ) -> "Instrument":
-        """The sensor of a quantity (voltage, current, temperature, range, force), as the simulator
-        node's parameters have it."""
-        resolution = settings.get(f"sensor.{quantity}_resolution", 0.0)
-        return cls(settings[f"sensor.{quantity}_noise"], resolution, seed)
-
     def read(self, value: float) -> float:
-        """The reading of a true `value`."""
         if self._noise > 0.0:
             self._drawn = self._drawn or self._block()
             value += self._drawn.pop()
@@ -139,135 +387,3 @@ class Instrument:
     def _block(self) -> list[float]:
         drawn: list[float] = (self._noise * self._random.standard_normal(_BLOCK)).tolist()
         return drawn
-
-
-# --- What the device measures as readings of the bench: which wire and which sensor hang where.
-
-SIDES = ("front", "back")
-_PER_SIDE = CHANNELS // len(SIDES)
-
-
-@dataclass(frozen=True)
-class BenchReading:
-    """One window of telemetry in the bench's own terms.
-
-    `time` is the host's monotonic clock in s, the middle of the window. `powers` are in the order
-    of bench.channels, `distances` (m) in that of SIDES: infinite beyond a sensor's sight.
-    `deflection` (m, positive toward the front) is NaN when no sensor sees the tip.
-    """
-
-    time: float
-    powers: tuple[ChannelPower, ...]
-    distances: tuple[float, float]
-    deflection: float
-    board_currents: tuple[float, float] = (0.0, 0.0)
-    """A, mean through all wires of the front, the back board"""
-    board_volts: tuple[float, float] = (0.0, 0.0)
-    """V, mean over time and summed over the wires of a board: current times resistance"""
-
-
-def device_channels(sides: Sequence[str]) -> tuple[int, ...]:
-    """The device's channel of every bench channel: the sides' outputs in the order of the names.
-
-    Raises:
-        InputError: more channels on a side than the device has there.
-    """
-    used = dict.fromkeys(SIDES, 0)
-    found = []
-    for side in sides:
-        if side not in used or used[side] == _PER_SIDE:
-            raise InputError(
-                f"bench.channel_sides: {', '.join(sides)}, the device has {_PER_SIDE} channels "
-                f"at the front and {_PER_SIDE} at the back"
-            )
-        found.append(SIDES.index(side) * _PER_SIDE + used[side])
-        used[side] += 1
-    return tuple(found)
-
-
-class BenchSensors:
-    """Telemetry in, readings out; volts in, the device's millivolts out."""
-
-    def __init__(self, sides: Sequence[str], settings: Mapping[str, Any]) -> None:
-        """`settings` are the bridge's `calibration.` and `range.` parameters.
-
-        Raises:
-            InputError: as `device_channels`; an unknown range sensor.
-        """
-        self._channels = device_channels(sides)
-        front, back = (_line(f"{side}_current", settings) for side in SIDES)
-        self._power = PowerCalibration(_line("supply", settings), (front, back))
-        self._range = tuple(
-            RangeCalibration(
-                *(settings[f"calibration.{side}_range.{n}"] for n in ("gain", "offset", "shift"))
-            )
-            for side in SIDES
-        )
-        self._standoff = tuple(settings[f"range.{side}_standoff"] for side in SIDES)
-        for sensor in settings["range.sensors"]:
-            if sensor not in SIDES:
-                raise InputError(f"range.sensors: {sensor!r}, expected front or back")
-        # One clamped wire bends nothing.
-        composite = len(sides) > 1
-        self.range_sensors: tuple[str, ...] = settings["range.sensors"] if composite else ()
-
-    @property
-    def shared(self) -> tuple[tuple[int, ...], ...]:
-        """Bench channels whose currents one sensor measures together."""
-        boards = [
-            tuple(k for k, channel in enumerate(self._channels) if channel // _PER_SIDE == board)
-            for board in range(len(SIDES))
-        ]
-        return tuple(board for board in boards if len(board) > 1)
-
-    def reading(self, reading: Reading) -> BenchReading:
-        """The bench behind one window of telemetry."""
-        telemetry = reading.telemetry
-        powers = channel_powers(telemetry, self._power)
-        supply, duty = self.supply(telemetry.supply), telemetry.duty
-        front, back = (
-            sensor.distance(volt)
-            for sensor, volt in zip(self._range, telemetry.range_voltage, strict=True)
-        )
-        return BenchReading(
-            reading.time,
-            tuple(powers[channel] for channel in self._channels),
-            (front, back),
-            self._deflection(front, back),
-            self.board_currents(telemetry),
-            (supply * sum(duty[:_PER_SIDE]), supply * sum(duty[_PER_SIDE:])),
-        )
-
-    def board_currents(self, telemetry: Telemetry) -> tuple[float, float]:
-        """A, mean through each board, calibrated."""
-        front, back = (
-            sensor.apply(current)
-            for sensor, current in zip(self._power.current, telemetry.current, strict=True)
-        )
-        return front, back
-
-    def supply(self, measured: float) -> float:
-        """The supply's voltage (V) behind the device's reading of it."""
-        return self._power.supply.apply(measured)
-
-    def millivolts(self, voltage: Sequence[float], supply_reading: float) -> list[int]:
-        """What to command for `voltage` V at the bench's wires; other outputs stay off."""
-        command = [0] * CHANNELS
-        for channel, volt in zip(self._channels, voltage, strict=True):
-            command[channel] = commanded_millivolts(volt, supply_reading, self._power.supply)
-        return command
-
-    def _deflection(self, front: float, back: float) -> float:
-        """Mean over the mounted sensors that see the tip; bending to the front nears the front."""
-        towards_front = {
-            "front": self._standoff[0] - front,
-            "back": back - self._standoff[1],
-        }
-        seen = [towards_front[sensor] for sensor in self.range_sensors]
-        seen = [deflection for deflection in seen if math.isfinite(deflection)]
-        return sum(seen) / len(seen) if seen else math.nan
-
-
-def _line(sensor: str, settings: Mapping[str, Any]) -> Calibration:
-    gain, offset = (settings[f"calibration.{sensor}.{name}"] for name in ("gain", "offset"))
-    return Calibration(gain, offset)

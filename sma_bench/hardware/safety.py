@@ -1,23 +1,39 @@
 """Rules that keep a heated wire safe. No ROS, no clock of its own: time comes in as seconds.
 
-Every rule answers with a reason, one line for people, or "" when all is well. What acts on them
-(a node, a bridge, a firmware emulation) puts the outputs to 0 V.
+Every rule answers with a reason, one line for people, or "" when all is well; whoever asked puts
+the outputs to 0 V. The rules about readings are three tables, evaluated by `broken`: limits, which
+a reading breaks at once, and what a wire should do by the model, which it must fail to do for a
+while: a broken or shorted wire, a camera that looks elsewhere, a cooling fan that stopped.
 """
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import NamedTuple
 
-from sma_bench.hardware.expectation import BoardWatch, WireModel, WireWatch
 from sma_bench.parameters import Parameters
 
 CELSIUS_ZERO = 273.15
-_MODELLED_CURRENT = 2.0
+CURRENT_FLOOR = 0.1
+"""A; offset and noise of a board's current sensor"""
+LEAST_VOLTAGE = 1.0
+"""V; below it the current sensor's noise says nothing about a resistance"""
+_LEAST_TOLERANCE = 0.2  # of the voltage's tolerance: what is left of it at 0 V
+FLOWING = "flowing"
+_FEEDBACK = ("power", "temperature")
+Lasting = dict[str, tuple[float, int]]
+_COMMANDS = 10  # a reading may belong to any of the last commands
+_LEAST_READINGS = 5  # that show what must last
+_RATE_BASE = 0.05  # s; stamps of a camera come a few ms early or late
+_MODELLED_CURRENT = 2.0  # times the largest: more than that does not get into the model
+_OFF_CURRENT = 0.3  # A; an uncalibrated ACS712 may be 0.4 A off, a calibrated one is not
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a bench allows: V, A, K, s of silence, W, K/s; and what its wires should do."""
+    """What a bench allows, and its wires' model: Ohm's law and eq. (1) of one channel, its wires as
+    one, and what may differ from them."""
 
     maximum_voltage: float
     maximum_current: float
@@ -25,130 +41,161 @@ class Limits:
     command_timeout: float
     maximum_power: float
     maximum_heating_rate: float
-    model: WireModel
+    voltage_tolerance: float  # V, at the highest voltage
+    resistance_tolerance: float  # share of the expected current
+    temperature_tolerance: float  # K
+    resistance: float
+    heat_loss: float  # W/K
+    heat_capacity: float  # J/K
+    ambient: float
+    leads: float  # ohm, between where the voltage is measured and the wire
+    supply: float  # V that a duty switches; 0: commanded volts are direct
 
     @classmethod
-    def from_parameters(cls, parameters: Parameters) -> "Limits":
-        """The limits among the contract's parameters."""
-        names = [field.name for field in fields(cls) if field.name != "model"]
-        allowed = {name: parameters[f"bench.{name}"] for name in names}
-        return cls(**allowed, model=WireModel.from_parameters(parameters))
-
-
-def command_fault(command: Sequence[float], channels: int, limits: Limits) -> str:
-    """Why a voltage command (V, one per channel) cannot be accepted, or ""."""
-    if len(command) != channels:
-        return f"voltage_command has {len(command)} values, expected {channels}"
-    for value in command:
-        if not math.isfinite(value):
-            return f"voltage_command has {value}, expected finite volts"
-        if not 0.0 <= value <= limits.maximum_voltage:
-            return (
-                f"voltage_command has {value:g} V, expected 0 to {limits.maximum_voltage:g} V"
-            )
-    return ""
-
-
-def temperature_fault(channel: str, temperature: float, limits: Limits) -> str:
-    """Over-temperature of a wire at `temperature` K, or ""; NaN is no reading and no fault."""
-    if temperature > limits.maximum_temperature:
-        return (
-            f"over-temperature: {channel} at {temperature - CELSIUS_ZERO:.1f} degC, limit "
-            f"{limits.maximum_temperature - CELSIUS_ZERO:.1f} degC"
+    def from_parameters(cls, p: Parameters) -> "Limits":
+        count, names = p["wire.count"], [field.name for field in fields(cls)]
+        return cls(
+            **{name: p[f"bench.{name}"] for name in names[: names.index("resistance")]},
+            resistance=p["wire.resistance"] / count,
+            heat_loss=count * p["wire.heat_transfer_coefficient"] * p["wire.surface_area"],
+            heat_capacity=count * p["wire.mass"] * p["wire.specific_heat"],
+            ambient=p["environment.ambient_temperature"],
+            leads=p["bench.lead_resistance"],
+            supply=p["bench.supply_voltage"] if p["bench.drive"] == "duty" else 0.0,
         )
-    return ""
+
+    def reading(self, commanded: float) -> float:
+        """V that are read at a command: of a duty the direct voltage of the same heat."""
+        return math.sqrt(max(commanded, 0.0) * self.supply) if self.supply else commanded
+
+    @property
+    def circuit(self) -> float:
+        """V/I, ohm: the wire with its leads."""
+        return self.resistance + self.leads
+
+    @property
+    def heated(self) -> float:
+        """V^2 over the heat of the wire, ohm."""
+        return self.circuit**2 / self.resistance
+
+    @property
+    def least_resistance(self) -> float:
+        """ohm that the circuit may have, its wire cold, hot or worn."""
+        return self.circuit * max(1.0 - self.resistance_tolerance, 0.05)
+
+    def warmed(self, temperature: float, volt: float, elapsed: float) -> float:
+        """Temperature (K) after `elapsed` s at `volt` V, from `temperature` K."""
+        steady = self.ambient + volt**2 / self.heated / self.heat_loss
+        decay = math.exp(-elapsed * self.heat_loss / self.heat_capacity)
+        return steady + (temperature - steady) * decay
+
+    def heating_voltage(self, volt: float, ampere: float) -> float:
+        """V that heat the wire at least as what was measured; NaN is not measured. A current
+        without a voltage heats too: a switch that does not open."""
+        powers = [volt**2 / self.heated, (volt - self.leads * ampere) * ampere]
+        if not volt >= LEAST_VOLTAGE and abs(ampere) > CURRENT_FLOOR:
+            powers.append(ampere**2 * self.resistance)
+        highest = max((power for power in powers if not math.isnan(power)), default=0.0)
+        return math.sqrt(highest * self.heated)
+
+    def allowed_deviation(self, volt: float) -> float:
+        """V by which a commanded voltage and its reading may differ: less at small ones."""
+        share = _LEAST_TOLERANCE + volt / self.reading(self.maximum_voltage)
+        return self.voltage_tolerance * min(share, 1.0)
+
+    @property
+    def highest_reading(self) -> float:
+        """V that may be read of the largest command."""
+        return self.reading(self.maximum_voltage) + self.voltage_tolerance
 
 
-def current_fault(channel: str, current: float, limits: Limits) -> str:
-    """Over-current of a wire carrying `current` A, or ""; NaN is no reading and no fault."""
-    if abs(current) > limits.maximum_current:
-        return (
-            f"over-current: {channel} at {current:.2f} A, limit {limits.maximum_current:g} A"
-        )
-    return ""
-
-
-def power_fault(channel: str, volt: float, ampere: float, limits: Limits) -> str:
-    """Over-voltage or too much power at a wire, or ""; NaN is no reading and no fault."""
-    highest = limits.model.reading(limits.maximum_voltage)
-    if volt > highest + limits.model.voltage_tolerance:
-        return f"over-voltage: {channel} gets {volt:.2f} V, limit {highest:.4g} V"
-    if volt * ampere > limits.maximum_power:
-        return (
-            f"over-power: {channel} takes {volt * ampere:.1f} W, limit {limits.maximum_power:g} W"
-        )
-    return ""
+# --- Silence, and whoever commands.
 
 
 class Watchdog:
-    """Notices silence. There is no way to switch it off."""
+    """Notices silence: expired from the start, and again `timeout` s after every `feed`. There is
+    no way to switch it off: ValueError unless the timeout is positive and finite."""
 
     def __init__(self, timeout: float) -> None:
-        """Expired from the start, and again `timeout` s after every `feed`.
-
-        Raises:
-            ValueError: the timeout is not positive and finite.
-        """
         if not 0.0 < timeout < math.inf:
             raise ValueError(f"watchdog timeout is {timeout} s, expected positive and finite")
-        self.timeout = timeout
-        self._fed: float | None = None
+        self.timeout, self.fed = timeout, -math.inf
 
     def feed(self, now: float) -> None:
-        """Something was heard at `now` s."""
-        self._fed = now
+        self.fed = now
 
     def expired(self, now: float) -> bool:
         """True when nothing was heard within the timeout before `now` s."""
         # A clock that went back (a restarted simulation) proves nothing about the silence.
-        return self._fed is None or not 0.0 <= now - self._fed <= self.timeout
+        return not 0.0 <= now - self.fed <= self.timeout
 
-    def silence(self, now: float) -> float:
-        """Seconds since something was heard; infinite when nothing ever was."""
-        return math.inf if self._fed is None else now - self._fed
+
+class Freshness(Watchdog):
+    """Age of one reading. Only a new acquisition stamp counts: a frozen driver is stale too."""
+
+    def __init__(self, subject: str, timeout: float) -> None:
+        super().__init__(timeout)
+        self._subject, self._stamp = subject, math.nan
+
+    def seen(self, stamp: float, now: float) -> None:
+        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared)."""
+        if stamp != self._stamp:
+            self._stamp = stamp
+            self.feed(now)
+
+    def fault(self, now: float) -> str:
+        """Why the reading cannot be trusted at `now` s, or ""."""
+        if not self.expired(now):
+            return ""
+        if math.isinf(self.fed):
+            return f"no feedback: {self._subject} was never received"
+        return (
+            f"stale feedback: nothing new from {self._subject} for {now - self.fed:.2f} s, "
+            f"limit {self.timeout:g} s"
+        )
 
 
 class CommandGate:
-    """Accepted commands become outputs; bad ones are counted, silence puts outputs to 0 V.
-
-    One commander at a time: the first, until it is silent for the command timeout. 0 V is obeyed
-    from anybody, for as long as a command is.
-    """
+    """Accepted commands become outputs; bad ones are counted, silence puts outputs to 0 V. One
+    commander at a time: the first, until it is silent for the command timeout. 0 V is obeyed from
+    anybody, for as long as a command is."""
 
     def __init__(self, channels: int, limits: Limits) -> None:
         self._limits = limits
         self._watchdog = Watchdog(limits.command_timeout)
-        self._zero = (0.0,) * channels
-        self._outputs = self._zero
+        self._zeroed = Watchdog(limits.command_timeout)
+        self._zero = self._outputs = (0.0,) * channels
         self._live = False
         self._commander = ""
-        self._zeroed = Watchdog(limits.command_timeout)
-        self.accepted = 0
-        self.rejected = 0
-        self.timeouts = 0
+        self.accepted = self.rejected = self.timeouts = 0
         self.last_rejection = ""
 
     def command(self, values: Sequence[float], now: float, sender: str = "") -> str:
-        """Take a command at `now` s; the reason when it is rejected and changes nothing."""
-        reason = command_fault(values, len(self._zero), self._limits)
-        if reason:
-            return self.refuse(reason)
+        """Take a command (V, one a channel) at `now` s; the reason when it is rejected and changes
+        nothing."""
+        if len(values) != len(self._zero):
+            return self.refuse(
+                f"voltage_command has {len(values)} values, expected {len(self._zero)}"
+            )
+        highest = self._limits.maximum_voltage
+        for value in values:
+            if not math.isfinite(value):
+                return self.refuse(f"voltage_command has {value}, expected finite volts")
+            if not 0.0 <= value <= highest:
+                return self.refuse(f"voltage_command has {value:g} V, expected 0 to {highest:g} V")
         if self._live and sender != self._commander and not self._watchdog.expired(now):
             if any(values):
-                return self.refuse(f"{_named(sender)}: {_named(self._commander)} commands already")
+                return self.refuse(f"{_named(sender)}: {self.commander} commands already")
             self._zeroed.feed(now)
-            self.accepted += 1
-            return ""
-        self._commander = sender
-        self._watchdog.feed(now)
-        self._outputs = tuple(float(value) for value in values)
-        self._live = True
+        else:
+            self._commander, self._live = sender, True
+            self._watchdog.feed(now)
+            self._outputs = tuple(float(value) for value in values)
         self.accepted += 1
         return ""
 
     @property
     def commander(self) -> str:
-        """Who commands; "" where nobody does."""
         return _named(self._commander) if self._live else ""
 
     def refuse(self, reason: str) -> str:
@@ -159,14 +206,12 @@ class CommandGate:
 
     def clear(self) -> None:
         """Outputs to 0 V until the next command."""
-        self._live = False
-        self._outputs = self._zero
+        self._live, self._outputs = False, self._zero
 
     def outputs(self, now: float) -> tuple[float, ...]:
         """Volts of every channel at `now` s."""
         if self._live and self._watchdog.expired(now):
-            self._live = False
-            self._outputs = self._zero
+            self.clear()
             self.timeouts += 1
         return self._outputs if self._zeroed.expired(now) else self._zero
 
@@ -176,51 +221,160 @@ def _named(sender: str) -> str:
     return sender.partition("#")[0] or "a node without a name"
 
 
-class Freshness:
-    """Age of one reading. Only a new acquisition stamp counts: a frozen driver is stale too."""
-
-    def __init__(self, subject: str, timeout: float) -> None:
-        self._subject = subject
-        self._watchdog = Watchdog(timeout)
-        self._stamp = math.nan
-
-    def seen(self, stamp: float, now: float) -> None:
-        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared)."""
-        if stamp != self._stamp:
-            self._stamp = stamp
-            self._watchdog.feed(now)
-
-    def fault(self, now: float) -> str:
-        """Why the reading cannot be trusted at `now` s, or ""."""
-        if not self._watchdog.expired(now):
-            return ""
-        silence = self._watchdog.silence(now)
-        if silence == math.inf:
-            return f"no feedback: {self._subject} was never received"
-        return (
-            f"stale feedback: nothing new from {self._subject} for {silence:.2f} s, limit "
-            f"{self._watchdog.timeout:g} s"
-        )
+# --- What is known of a wire and of a board, and the rules about it.
 
 
-class Interlock:
-    """Latched stop: the first reason stays until someone resets it."""
+@dataclass
+class Wire:
+    """What was read of one wire (NaN: not measured), and what the model makes of it. Before the
+    first reading anything may have heated it: it counts as hot as allowed."""
 
-    def __init__(self) -> None:
-        self.reason = ""
+    name: str
+    volt: float = math.nan
+    ampere: float = math.nan
+    kelvin: float = math.nan
+    commands: deque[float] = field(default_factory=lambda: deque(maxlen=_COMMANDS))  # V
+    rise: float = 0.0  # K/s, 0 between two readings that are too near each other
+    modelled: float = math.nan  # K, from the volts
+    hottest: float = math.nan  # K, from all power that was measured
+    since: Lasting = field(default_factory=dict)
+    _heating: float = 0.0
+    _powered: float = math.nan
+    _reference: tuple[float, float] | None = None
 
-    @property
-    def tripped(self) -> bool:
-        """True from the first trip to the reset."""
-        return bool(self.reason)
+    def power(self, volt: float, ampere: float, stamp: float, limits: Limits) -> None:
+        """A reading acquired at `stamp` s: the model goes on to there."""
+        self.volt, self.ampere = volt, ampere
+        volt, ampere = self.believed(limits)
+        if math.isnan(volt) and math.isnan(ampere):
+            return
+        elapsed = stamp - self._powered
+        if not elapsed >= 0.0:  # the first reading, or a clock that went back
+            self.modelled, self.hottest, elapsed = limits.ambient, limits.maximum_temperature, 0.0
+        heating = limits.heating_voltage(volt, ampere)
+        expected = heating if math.isnan(volt) else volt
+        self.modelled = limits.warmed(self.modelled, expected, elapsed)
+        # Nobody knows when, since the last reading, the voltage changed.
+        self.hottest = limits.warmed(self.hottest, max(heating, self._heating), elapsed)
+        self._heating, self._powered = heating, stamp
 
-    def trip(self, reason: str) -> None:
-        """Latch `reason`; "" and later reasons change nothing."""
-        self.reason = self.reason or reason
+    def believed(self, limits: Limits) -> list[float]:
+        """Volts and amperes for the model: what is beyond the limits is a fault by itself; one such
+        number must not stay in the model for good."""
+        return [
+            max(-most, min(value, most)) if math.isfinite(value) else math.nan
+            for value, most in (
+                (self.volt, limits.highest_reading),
+                (self.ampere, _MODELLED_CURRENT * limits.maximum_current),
+            )
+        ]
 
-    def reset(self) -> None:
-        """Forget the reason."""
-        self.reason = ""
+    def temperature(self, kelvin: float, stamp: float) -> None:
+        """A temperature acquired at `stamp` s; the rise since one that is far enough back."""
+        self.kelvin, self.rise = kelvin, 0.0
+        if not math.isfinite(kelvin):
+            return
+        before, at = self._reference or (kelvin, stamp)
+        if self._reference is None or not 0.0 <= stamp - at < _RATE_BASE:
+            self._reference = (kelvin, stamp)
+            self.rise = (kelvin - before) / (stamp - at) if stamp > at else 0.0
+
+
+class Rule(NamedTuple):
+    """Broken by a `value` above the `limit`, when every one for `hold` s is. NaN is no reading: it
+    shows nothing, and does not end what lasts."""
+
+    value: float
+    limit: float
+    said: Callable[[], str]
+    hold: float = 0.0
+
+
+def power_rules(
+    wire: Wire, x: Limits, timeout: float = 0.0, unseen: bool = False
+) -> dict[str, Rule]:
+    """About voltage and current; what rests on the model must last for the timeout, s. `unseen`:
+    nobody measures the temperature, which otherwise is judged itself."""
+    name, volt, ampere = wire.name, wire.volt, wire.ampere
+    v, i = wire.believed(x)
+    # All that the last commands allow, and what the volts make of the current.
+    commands = [x.reading(command) for command in wire.commands or (0.0,)]
+    low = min(commands) - x.allowed_deviation(min(commands))
+    high = max(commands) + x.allowed_deviation(max(commands))
+    strays = max(low - v, v - high) if wire.commands else 0.0 * v
+    last, expected = commands[-1], v / x.circuit
+    allowed = CURRENT_FLOOR + x.resistance_tolerance * expected
+    off = abs(i - expected) if v >= LEAST_VOLTAGE else 0.0 * v
+    hottest = wire.hottest if unseen else math.nan
+    return {
+        "current": Rule(abs(ampere), x.maximum_current, lambda: (
+            f"over-current: {name} at {ampere:.2f} A, limit {x.maximum_current:g} A")),
+        "voltage": Rule(volt, x.highest_reading, lambda: (
+            f"over-voltage: {name} gets {volt:.2f} V, limit "
+            f"{x.reading(x.maximum_voltage):.4g} V")),
+        "power": Rule(volt * ampere, x.maximum_power, lambda: (
+            f"over-power: {name} takes {volt * ampere:.1f} W, limit {x.maximum_power:g} W")),
+        "heat": Rule(hottest, x.maximum_temperature, lambda: (
+            f"over-temperature by the model: {name} at {_celsius(hottest)}, limit "
+            f"{_celsius(x.maximum_temperature)}, and no temperature is measured")),
+        "follows": Rule(strays, 0.0, lambda: (
+            f"disagreement: {name} gets {volt:.2f} V, commanded {last:.2f} V, tolerance "
+            f"{x.allowed_deviation(last):.2g} V"), timeout),
+        "conducts": Rule(off, allowed, lambda: (
+            f"disagreement: {name} carries {ampere:.2f} A at {volt:.2f} V, the model says "
+            f"{expected:.2f} A, tolerance {allowed:.2f} A"), timeout),
+    }
+
+
+def temperature_rules(wire: Wire, x: Limits, timeout: float = 0.0) -> dict[str, Rule]:
+    name, kelvin, modelled = wire.name, wire.kelvin, wire.modelled
+    return {
+        "temperature": Rule(kelvin, x.maximum_temperature, lambda: (
+            f"over-temperature: {name} at {_celsius(kelvin)}, limit "
+            f"{_celsius(x.maximum_temperature)}")),
+        "rate": Rule(wire.rise, x.maximum_heating_rate, lambda: (
+            f"heating rate: {name} rises by {wire.rise:.0f} K/s, limit "
+            f"{x.maximum_heating_rate:g} K/s")),
+        "warms": Rule(abs(kelvin - modelled), x.temperature_tolerance, lambda: (
+            f"disagreement: {name} measured at {_celsius(kelvin, 0)}, the model says "
+            f"{_celsius(modelled, 0)}, tolerance {x.temperature_tolerance:g} K"), timeout),
+    }
+
+
+def board_rules(side: str, ampere: float, volts: float, x: Limits) -> dict[str, Rule]:
+    """About a board's mean current and its wires' mean volts."""
+    off, most = volts == 0.0, CURRENT_FLOOR + volts / x.least_resistance
+    return {
+        "short": Rule(0.0 if off else ampere, most, lambda: (
+            f"short circuit: the {side} board carries {ampere:.2f} A, its outputs explain at "
+            f"most {most:.2f} A"), hold=0.06),
+        # A window may hold what flowed before an output's last step.
+        FLOWING: Rule(abs(ampere) if off else 0.0, _OFF_CURRENT, lambda: (
+            f"{ampere:.2f} A through the {side} board with its outputs off"), hold=0.15),
+    }
+
+
+def broken(
+    rules: Mapping[str, Rule], now: float = 0.0, since: Lasting | None = None
+) -> dict[str, str]:
+    """The rules that are broken at `now` s, with their reasons; `since` is kept by the caller: when
+    readings began to break a rule, and how many did."""
+    since, reasons = {} if since is None else since, {}
+    for name, (value, limit, said, hold) in rules.items():
+        if math.isnan(value):
+            continue
+        if not value > limit:
+            since.pop(name, None)
+            continue
+        begun, readings = since.get(name, (now, 0))
+        since[name] = begun, readings + 1
+        if not hold or (now - begun >= hold and readings + 1 >= _LEAST_READINGS):
+            reasons[name] = said()
+    return reasons
+
+
+def _celsius(kelvin: float, digits: int = 1) -> str:
+    return f"{kelvin - CELSIUS_ZERO:.{digits}f} degC"
 
 
 class Guard:
@@ -229,96 +383,67 @@ class Guard:
     def __init__(
         self, channels: Iterable[str], feedback: Iterable[str], timeout: float
     ) -> None:
-        """Demand `feedback` ("power", "temperature") of all channels at least every `timeout` s.
-
-        A disagreement between model and readings is a fault when it lasts as long.
-        """
-        channels = tuple(channels)
-        self._fresh = {
-            f"{channel}/{kind}": Freshness(f"{channel}/{kind}", timeout)
-            for channel in channels
-            for kind in feedback
-        }
-        self._measured = {channel: Freshness(channel, timeout) for channel in channels}
-        self._wires = {channel: WireWatch(channel, timeout) for channel in channels}
-        self._boards = tuple(BoardWatch(side) for side in ("front", "back"))
-        self._readings: dict[str, str] = {}
-        self._recording = ""
+        """Demand `feedback` ("power", "temperature") of all channels at least every `timeout` s. A
+        disagreement between model and readings is a fault when it lasts as long."""
+        self._timeout = timeout
+        self._wires = {channel: Wire(channel) for channel in channels}
+        self._boards: dict[str, Lasting] = {side: {} for side in ("front", "back")}
+        self.wanted = [f"{channel}/{kind}" for channel in self._wires for kind in feedback]
+        known = [f"{channel}/{kind}" for channel in self._wires for kind in _FEEDBACK]
+        self._fresh = {name: Freshness(name, timeout) for name in (*self.wanted, *known)}
+        self._found: dict[str, str] = {}
+        self._recording = self.flowing = ""
+        """`flowing`: what flows though every output is off, "" for nothing"""
 
     def recorder(self, failure: str) -> None:
         """Note why the recorder failed (a full disk), "" when it records or nobody minds."""
         self._recording = f"recording failed: {failure}" if failure else ""
 
     def found(self, subject: str, reason: str) -> None:
-        """Note what somebody else found about a subject, "" for nothing."""
-        self._readings[subject] = reason
+        """Note what is wrong with a subject, "" for nothing."""
+        self._found[subject] = reason
 
     def commanded(self, voltage: Sequence[float]) -> None:
         """Note the volts that were sent, one a channel: readings must follow them."""
         for wire, volt in zip(self._wires.values(), voltage, strict=True):
-            wire.commanded(volt)
+            wire.commands.append(volt)
 
     def temperature(
         self, channel: str, kelvin: float, stamp: float, now: float, limits: Limits
     ) -> None:
         """Note a temperature in K; NaN or infinite is not a reading and makes nothing fresh."""
+        wire, subject = self._wires[channel], f"{channel}/temperature"
+        wire.temperature(kelvin, stamp)
         if math.isfinite(kelvin):
-            self._measured[channel].seen(stamp, now)
-            self._note(f"{channel}/temperature", stamp, now)
-        wire = self._wires[channel]
-        rate = wire.rate(kelvin, stamp, limits.maximum_heating_rate)
-        disagreement = wire.temperature(kelvin, now, limits.model)
-        self._readings[f"{channel}/temperature"] = (
-            temperature_fault(channel, kelvin, limits) or rate or disagreement
-        )
+            self._fresh[subject].seen(stamp, now)
+        reasons = broken(temperature_rules(wire, limits, self._timeout), now, wire.since)
+        self.found(subject, next(iter(reasons.values()), ""))
 
     def power(
         self, channel: str, volt: float, ampere: float, stamp: float, now: float, limits: Limits
     ) -> None:
         """Note voltage in V and current in A; both NaN or infinite is not a reading."""
+        wire, subject = self._wires[channel], f"{channel}/power"
+        wire.power(volt, ampere, stamp, limits)
         if math.isfinite(volt) or math.isfinite(ampere):
-            self._note(f"{channel}/power", stamp, now)
-        wire = self._wires[channel]
-        # What is beyond the limits is a fault by itself; one such number must not stay in the
-        # model for good.
-        highest = limits.model.reading(limits.maximum_voltage)
-        volts = _within(volt, highest + limits.model.voltage_tolerance)
-        amperes = _within(ampere, _MODELLED_CURRENT * limits.maximum_current)
-        disagreement = wire.power(volts, amperes, stamp, now, limits.model)
-        # A temperature that is measured is judged itself.
-        unseen = self._measured[channel].fault(now)
-        self._readings[f"{channel}/power"] = (
-            current_fault(channel, ampere, limits)
-            or power_fault(channel, volt, ampere, limits)
-            or (wire.heat(limits.model) if unseen else "")
-            or disagreement
-        )
+            self._fresh[subject].seen(stamp, now)
+        unseen = bool(self._fresh[f"{channel}/temperature"].fault(now))
+        reasons = broken(power_rules(wire, limits, self._timeout, unseen), now, wire.since)
+        self.found(subject, next(iter(reasons.values()), ""))
 
     def boards(
         self, amperes: Sequence[float], volts: Sequence[float], now: float, limits: Limits
     ) -> None:
         """Note the boards' mean currents (A) and their wires' mean volts."""
-        for number, (board, ampere, volt) in enumerate(
-            zip(self._boards, amperes, volts, strict=True)
-        ):
-            self._readings[f"board {number}"] = board.current(ampere, volt, now, limits.model)
-
-    @property
-    def flowing(self) -> str:
-        """What flows though every output is off, "" for nothing."""
-        return "; ".join(board.flowing for board in self._boards if board.flowing)
+        flowing = []
+        for (side, since), ampere, volt in zip(self._boards.items(), amperes, volts, strict=True):
+            reasons = broken(board_rules(side, ampere, volt, limits), now, since)
+            flowing += [reasons[FLOWING]] if FLOWING in reasons else []
+            self.found(f"{side} board", next(iter(reasons.values()), ""))
+        self.flowing = "; ".join(flowing)
 
     def fault(self, now: float) -> str:
         """First reason not to drive the wires at `now` s, or ""."""
-        faults = [reason for reason in (self._recording, *self._readings.values()) if reason]
-        faults += [fault for fresh in self._fresh.values() if (fault := fresh.fault(now))]
-        return faults[0] if faults else ""
-
-    def _note(self, topic: str, stamp: float, now: float) -> None:
-        if topic in self._fresh:
-            self._fresh[topic].seen(stamp, now)
-
-
-def _within(value: float, largest: float) -> float:
-    """A reading cut to plus or minus `largest`; NaN where it is no number."""
-    return max(-largest, min(value, largest)) if math.isfinite(value) else math.nan
+        stale = (self._fresh[name].fault(now) for name in self.wanted)
+        reasons = (self._recording, *self._found.values(), *stale)
+        return next((reason for reason in reasons if reason), "")

@@ -1,4 +1,4 @@
-"""The link to the bench's Uno: one thread reads, whoever drives the bench writes.
+"""The link to the bench's Uno: a port for one host only, one thread that reads, and whoever drives.
 
 It connects by itself, again and again, and never arms by itself. The newest command is said again
 while its driver is late, for a quarter of a second: a busy host, or a byte lost on the way, ends
@@ -7,48 +7,195 @@ nothing. A driver that hangs is spoken for no longer, and the device's own timeo
 
 import contextlib
 import copy
+import fcntl
 import math
+import os
+import select
+import termios
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
+from pathlib import Path
+
+import serial
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.conversation import Conversation, LinkError, Port, transmission_time
-from sma_bench.hardware.device import (
-    HANDSHAKE_LINES,
-    DeviceClock,
-    DeviceIdentity,
-    LinkStatus,
-    Reading,
-)
-from sma_bench.hardware.serial_messages import (
-    CHANNELS,
-    STOP,
-    TIMEOUT_CAUSE,
-    DeviceState,
-    Message,
-    Named,
-    Pong,
-    Refused,
-    Telemetry,
-    command,
-)
+from sma_bench.hardware import serial_messages as messages
+from sma_bench.hardware.device_clock import DeviceClock
+from sma_bench.hardware.serial_messages import NUMBERS, DeviceState, Named, Refused, Telemetry
+
+# --- The port
+
+BAUD_RATE = 500_000
+BY_ID = Path("/dev/serial/by-id")
+_BITS_PER_BYTE = 10
+_READ_TIMEOUT = 0.05  # s
+_WRITE_TIMEOUT = 0.2  # s
+
+
+class LinkError(Exception):
+    """The device did not do what was asked; one line says why."""
+
+
+class LateAnswer(LinkError):
+    """It may have done it, but did not say so in time."""
+
+
+def find_port(folder: Path = BY_ID) -> str:
+    """The one serial device with a stable name. Raises InputError: none, or several: the message
+    names them."""
+    names = sorted(str(path) for path in folder.glob("*")) if folder.is_dir() else []
+    if len(names) != 1:
+        found = ", ".join(names) or "none"
+        raise InputError(f"port: {found} in {folder}, expected one device, or give the port")
+    return names[0]
+
+
+class _OwnPort(serial.Serial):
+    """A port that no other program can open, not even one that ignores pyserial's lock."""
+
+    def open(self) -> None:
+        super().open()
+        try:
+            fcntl.ioctl(self.fileno(), termios.TIOCEXCL)
+        except OSError:
+            self.close()
+            raise
+
+    def write(self, data: bytes) -> int:
+        """All of `data`; pyserial's own calls it a timeout, too, when everything was sent but the
+        process was kept waiting right after."""
+        left, end = memoryview(data), time.monotonic() + _WRITE_TIMEOUT
+        while left:
+            try:
+                left = left[os.write(self.fileno(), left) :]
+            except BlockingIOError:
+                pass
+            except OSError as error:
+                raise serial.SerialException(f"write failed: {error}") from None
+            patience = max(end - time.monotonic(), 0.0)
+            if left and not select.select([], [self.fileno()], [], patience)[1]:
+                raise serial.SerialTimeoutException("Write timeout")
+        return len(data)
+
+    def close(self) -> None:
+        if self.is_open:
+            with contextlib.suppress(OSError):
+                fcntl.ioctl(self.fileno(), termios.TIOCNXCL)
+        super().close()
+
+
+def open_port(path: str) -> serial.Serial:
+    """Open `path` for this program alone; OSError when that cannot be, or another host has it."""
+    return _OwnPort(
+        path, BAUD_RATE, timeout=_READ_TIMEOUT, write_timeout=_WRITE_TIMEOUT, exclusive=True
+    )
+
+
+# --- What the link knows of the device
+
+
+@dataclass
+class LinkStatus:
+    """All that the link knows of the device; counts are since the link was made, or (*) of this
+    connection."""
+
+    connected: bool = False
+    device: messages.DeviceIdentity | None = None
+    state: DeviceState = DeviceState.IDLE
+    cause: int = 0
+    telemetry: int = 0
+    lost: int = 0
+    damaged: int = 0  # *
+    not_understood: int = 0  # *
+    refused: int = 0
+    last_refusal: str = ""
+    # Why the device heard no command, as far as this host knows; "" unless it timed out.
+    silence: str = ""
+    # Newest answer, since this host armed, to what it had not asked: another one speaks.
+    unasked: str = ""
+    counters: dict[str, str] = field(default_factory=dict)  # the device's own, once a second
+    connections: int = 0
+    round_trip: float = math.nan  # s, of a ping
+    command_latency: float = math.nan  # s, from a command to the telemetry that echoes it
+    drift: float = 0.0
+    clock_uncertainty: float = math.inf  # s
+    problem: str = ""
+    newest: Telemetry | None = field(default=None, repr=False)  # *
+
+    @property
+    def stopped(self) -> bool:
+        return self.state in (DeviceState.STOPPED, DeviceState.STILL_FLOWING)
+
+    @property
+    def cause_text(self) -> str:
+        """Why the device stopped, in words; "" when it did not."""
+        return messages.name_of(messages.CAUSES, self.cause)
+
+    @property
+    def fault(self) -> str:
+        """Why the device cannot drive, "" when it can."""
+        if not self.connected:
+            return f"not connected: {self.problem or 'no handshake yet'}"
+        if not self.stopped:
+            return ""
+        timed_out = self.cause == messages.TIMEOUT_CAUSE and self.silence
+        return f"{self.cause_text}, found by the device{f' ({self.silence})' if timed_out else ''}"
+
+    def note(self, telemetry: Telemetry) -> None:
+        if self.newest is not None:
+            self.lost += (telemetry.sequence - self.newest.sequence - 1) % NUMBERS
+        self.newest = telemetry
+        self.telemetry += 1
+        self.state, self.cause = DeviceState(telemetry.state), telemetry.cause
+
+    def restarted(self, telemetry: Telemetry, period_us: int) -> bool:
+        """True when the device started anew since the last frame; windows last `period_us`. Its
+        clock went back, or, where half a turn of it hides that, windows were missed that do not
+        fill the time that seems to have passed."""
+        if self.newest is None:
+            return False
+        elapsed = (telemetry.time_us - self.newest.time_us) % messages.TURN
+        windows = (telemetry.sequence - self.newest.sequence) % NUMBERS
+        left = (elapsed - windows * period_us + period_us) % (NUMBERS * period_us)
+        # The window in which the rate was set is shorter or longer.
+        return elapsed > messages.TURN // 2 or (windows != 1 and left > 2 * period_us)
+
+    @property
+    def diagnostics(self) -> dict[str, str]:
+        """What the link counts, in the units of its names."""
+        values = {
+            "connections": str(self.connections), "frames": str(self.telemetry),
+            "lost_frames": str(self.lost), "crc_errors": str(self.damaged),
+            "not_understood": str(self.not_understood), "refused_by_device": str(self.refused),
+            "last_refusal": self.last_refusal, "round_trip_ms": f"{1e3 * self.round_trip:.2f}",
+            "command_latency_ms": f"{1e3 * self.command_latency:.1f}",
+            "clock_drift_ppm": f"{1e6 * self.drift:.0f}",
+            "clock_uncertainty_ms": f"{1e3 * self.clock_uncertainty:.3f}",
+        }
+        if device := self.device:
+            values |= {"firmware": f"{device.name} {device.build}", "last_reset": device.reset}
+        return values | {f"device_{name}": count for name, count in self.counters.items()}
+
+
+# --- The link
 
 BINARY_ABOVE = 100
 """Hz: text telemetry up to here, binary above."""
-
 _ASKS = 3
-_LONGEST_WAIT = 0.1
-_NUMBERS = 1 << 16
+_ANSWER_TIMEOUT = 0.5  # s; the device answers within a few ms
+_LONGEST_WAIT = 0.1  # s of silence that one read counts for
 # s between two sendings of a command, and how long its driver may be away meanwhile.
-_REPEAT = 0.05
-_SPOKEN_FOR = 0.25
-_REMEMBERED = 64
-# Of the device's timeout: a pause in which all is this host's fault.
-_LONG_PAUSE = 0.75
+_REPEAT, _SPOKEN_FOR = 0.05, 0.25
+_REMEMBERED = 64  # sendings
+_TICK = 1e-6  # s between two stamps, at least
+_LONG_PAUSE = 0.75  # of the device's timeout: a pause in which all is this host's fault
+# What changes who drives is always asked for, and answered one at a time.
+_ALWAYS_ASKED = "ACDR"
+_NOT_OUR_SESSION = messages.REASONS.index("wrong nonce or session")
 
 
 @dataclass(frozen=True)
@@ -65,30 +212,32 @@ class LinkOptions:
     longest_back_off: float = 8.0
 
 
-def _ignore(_: object) -> None:
-    pass
-
-
 class SerialLink:
     """See the module. `on_reading` and `on_event` are called in the link's own thread."""
 
     def __init__(
         self,
-        open_port: Callable[[], Port],
+        open_port: Callable[[], serial.Serial],
         options: LinkOptions | None = None,
-        on_reading: Callable[[Reading], None] = _ignore,
-        on_event: Callable[[str], None] = _ignore,
+        on_reading: Callable[[Telemetry], None] = lambda _: None,
+        on_event: Callable[[str], None] = lambda _: None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._open_port = open_port
-        self._options = options or LinkOptions()
-        self._on_reading = on_reading
-        self._on_event = on_event
-        self._now = clock
-        self._conversation: Conversation | None = None
-        self._device_clock = DeviceClock()
+        self._open_port, self._options = open_port, options or LinkOptions()
+        self._on_reading, self._on_event, self._now = on_reading, on_event, clock
         self._status = LinkStatus()
-        self._changed = threading.Condition()
+        self._heard = threading.Condition()  # an answer, or news of the status
+        # The connection: port, what is read from it, and the question that is open.
+        self._port: serial.Serial | None = None
+        self._writing = threading.Lock()
+        self._splitter = messages.Splitter()
+        self._clock = DeviceClock()
+        self._ping = (0, 0.0)
+        self._ended = -math.inf  # of the last window, s
+        self._one_question = threading.Lock()
+        self._asked = ""
+        self._answers: dict[str, messages.Answer] = {}
+        # The session: the last command, when it was said, and the one not yet echoed.
         self._driving = threading.Lock()
         self._session: int | None = None
         self._sequence = 0
@@ -96,18 +245,14 @@ class SerialLink:
         self._said: deque[float] = deque(maxlen=_REMEMBERED)
         self._drove = self._refused = -math.inf
         self._unheard: tuple[int, float] | None = None
-        self._ping = (0, 0.0)
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._live, name="serial link", daemon=True)
-
-    # --- for whoever drives the bench ---------------------------------------------------------
 
     def start(self) -> None:
         """Begin to connect; returns at once."""
         self._thread.start()
 
     def close(self) -> None:
-        """Outputs off, port closed."""
         self.stop()
         self._closing.set()
         if self._thread.is_alive():
@@ -115,63 +260,74 @@ class SerialLink:
 
     @property
     def status(self) -> LinkStatus:
-        """A copy of the present state and counts."""
-        with self._changed:
+        with self._heard:
             return copy.copy(self._status)
 
     def wait_connected(self, timeout: float) -> bool:
         """True as soon as the handshake succeeded, False after `timeout` s."""
-        with self._changed:
-            return self._changed.wait_for(lambda: self._status.connected, timeout)
+        with self._heard:
+            return self._heard.wait_for(lambda: self._status.connected, timeout)
+
+    # --- For whoever drives the bench; all but `stop` raise LinkError: not connected, no answer, or
+    # the device's refusal
 
     def arm(self) -> None:
-        """Ask the device to accept voltages.
-
-        Raises:
-            LinkError: not connected, stopped, no supply, no answer.
-        """
-        conversation = self._connected()
-        conversation.unasked = self._status.unasked = ""
-        greeting = conversation.ask_named("?", "H")["H"]
-        if "nonce" not in greeting.values:
+        """Ask the device to accept voltages: not when it is stopped, or without supply."""
+        self._require_connected()
+        self._status.unasked = ""
+        greeting = self._ask("?", answer="H")
+        if not isinstance(greeting, Named) or "nonce" not in greeting.values:
             raise LinkError("the device has just restarted")
-        session = conversation.ask_for_consent("A", int(greeting.values["nonce"]))
+        armed = self._ask("A", int(greeting.values["nonce"]))
         self._status.last_refusal = self._status.silence = ""
         with self._driving:
-            self._session, self._sequence, self._unheard = session, 0, None
+            self._session = armed.value if isinstance(armed, messages.Accepted) else None
             # Spoken for from now on, at 0 V.
+            self._sequence, self._volts, self._drove = 0, (0,) * messages.CHANNELS, self._now()
+            self._unheard = None
             self._said.clear()
-            self._volts, self._drove = (0,) * CHANNELS, self._now()
 
     def limit(self, numbers: Sequence[int]) -> None:
-        """Set the device's limits for this rig: mV, mA mean, mA peak, mohm, mV and ms of heat.
-
-        Raises:
-            LinkError: not connected, armed, beyond the device's own limits, no answer.
-        """
-        self._connected().ask_for_consent("C", *numbers)
+        """Set the device's limits for this rig: mV, mA mean, mA peak, mohm, mV and ms of heat; not
+        while it is armed, and not beyond its own."""
+        self._require_connected()
+        self._ask("C", *numbers)
 
     def drive(self, millivolts: Sequence[int]) -> int:
         """Send one voltage command (mV, four channels); its sequence number, echoed by telemetry.
-
-        Raises:
-            LinkError: not armed, or the port is gone.
-            ValueError: not four numbers that the protocol can carry.
-        """
-        if len(millivolts) != CHANNELS:
-            raise ValueError(f"{len(millivolts)} voltages, expected {CHANNELS}")
+        Raises ValueError: not four numbers that the protocol can carry."""
+        if len(millivolts) != messages.CHANNELS:
+            raise ValueError(f"{len(millivolts)} voltages, expected {messages.CHANNELS}")
         with self._driving:
-            self._volts = tuple(millivolts)
-            self._drove = self._now()
+            self._volts, self._drove = tuple(millivolts), self._now()
             return self._say_volts()
+
+    def stop(self) -> None:
+        """Emergency stop: one byte, never refused; harmless when nothing is connected."""
+        self._session = None
+        with contextlib.suppress(LinkError):
+            self._send(messages.STOP)
+
+    def reset(self) -> None:
+        """Forget the latched cause; arming is another request."""
+        self._session = None
+        self._require_connected()
+        self._ask("R")
+        with self._heard:
+            # The next telemetry says the same, a little later.
+            self._status.state, self._status.cause = DeviceState.IDLE, 0
+
+    def _require_connected(self) -> None:
+        if not self._status.connected:
+            raise LinkError(self._status.fault)
 
     def _say_volts(self) -> int:
         if self._session is None:
             raise LinkError("not armed")
-        sequence = (self._sequence + 1) % _NUMBERS
-        conversation = self._connected()
+        self._require_connected()
+        sequence = (self._sequence + 1) % NUMBERS
         try:
-            conversation.say("V", self._session, sequence, *self._volts)
+            self._say("V", self._session, sequence, *self._volts)
         except LinkError as error:  # the writer may know before the link's thread does
             raise LinkError(f"not connected: {error}") from None
         self._sequence = sequence
@@ -179,113 +335,146 @@ class SerialLink:
         self._unheard = self._unheard or (sequence, self._now())
         return sequence
 
-    def stop(self) -> None:
-        """Emergency stop: one byte, never refused; harmless when nothing is connected."""
-        self._session = None
-        conversation = self._conversation
-        if conversation is not None:
-            with contextlib.suppress(LinkError):
-                conversation.send(STOP)
+    # --- Bytes, questions and answers
 
-    def disarm(self) -> None:
-        """Outputs off, without a latched cause.
+    def _send(self, data: bytes) -> None:
+        with self._writing:
+            if self._port is None:
+                raise LinkError("the port is closed")
+            try:
+                self._port.write(data)
+            except OSError as error:
+                raise LinkError(f"cannot write: {error}") from None
 
-        Raises:
-            LinkError: not connected, no answer.
-        """
-        self._session = None
-        self._connected().ask_for_consent("D")
+    def _say(self, letter: str, *numbers: int) -> float:
+        """A command whose answer nobody waits for; s that it takes on the cable."""
+        data = messages.line(messages.command(letter, *numbers))
+        self._send(data)
+        return _BITS_PER_BYTE * len(data) / BAUD_RATE
 
-    def reset(self) -> None:
-        """Forget the latched cause; arming is another request.
+    def _ask(self, letter: str, *numbers: int, answer: str = "") -> messages.Answer:
+        """What the device answers to a command; `answer` is its letter where it is another one.
+        Raises LateAnswer: it does not come in time. LinkError: it is a refusal, or the port is
+        closed."""
+        with self._one_question:
+            port, self._answers, self._asked = self._port, {}, letter
+            try:
+                self._say(letter, *numbers)
+                until = self._now() + _ANSWER_TIMEOUT
+                with self._heard:
+                    while (found := self._answers.get(answer or letter)) is None:
+                        if self._port is not port or self._now() > until:
+                            raise LateAnswer(f"no answer to {letter}")
+                        self._heard.wait(_READ_TIMEOUT)
+            finally:
+                self._asked = ""
+        if isinstance(found, Refused):
+            raise LinkError(str(found))
+        return found
 
-        Raises:
-            LinkError: not connected, no answer.
-        """
-        self._session = None
-        self._connected().ask_for_consent("R")
-        with self._changed:
-            # The next telemetry says the same, a little later.
-            self._status.state, self._status.cause = DeviceState.IDLE, 0
+    def _receive(self, patience: float = _READ_TIMEOUT) -> tuple[list[messages.Message], float]:
+        """What came in within `patience` s, and the host time when it was read; answers go to
+        whoever asked. Raises OSError: the port is gone."""
+        port = self._port
+        assert port is not None
+        port.timeout = max(patience, 0.0)
+        received = port.read(max(1, port.in_waiting))
+        now = self._now()
+        found: list[messages.Message] = []
+        for body in self._splitter.feed(received):
+            try:
+                found.append(messages.decode(body))
+            except messages.ProtocolError:
+                self._status.not_understood += 1
+        self._status.damaged = self._splitter.damaged
+        for answer in found:
+            if not isinstance(answer, Named | messages.Accepted | Refused):
+                continue
+            # Before it is handed over: whoever asked may be gone a moment later.
+            foreign = answer.letter in _ALWAYS_ASKED and answer.letter != self._asked
+            if isinstance(answer, Refused) and answer.letter == "V":
+                foreign = answer.reason == _NOT_OUR_SESSION
+            if foreign:
+                self._status.unasked = str(answer)
+            with self._heard:
+                self._answers[answer.letter] = answer
+                self._heard.notify_all()
+        return found, now
 
-    def counters(self) -> dict[str, int]:
-        """The device's own counters (S line).
-
-        Raises:
-            LinkError: not connected, no answer.
-        """
-        line = self._connected().ask_named("S", "S")["S"]
-        return {key: int(value) for key, value in line.values.items()}
-
-    def _connected(self) -> Conversation:
-        conversation = self._conversation
-        if conversation is None or not self._status.connected:
-            raise LinkError(f"not connected: {self._status.problem or 'no handshake yet'}")
-        return conversation
-
-    # --- the thread ---------------------------------------------------------------------------
+    # --- The thread
 
     def _live(self) -> None:
         back_off = self._options.first_back_off
         while not self._closing.is_set():
             try:
-                conversation = self._connect()
+                self._connect()
                 back_off = self._options.first_back_off
-                self._serve(conversation)
-            except (OSError, LinkError, InputError) as error:
-                self._lose(str(error))
+                self._serve()
             except Exception as error:  # a thread that died would go on looking connected
-                self._lose(f"{type(error).__name__}: {error}")
-            lost, self._conversation = self._conversation, None
-            if lost is not None:
-                with contextlib.suppress(OSError):
-                    lost.close()
+                known = isinstance(error, OSError | LinkError | InputError)
+                problem = f"{'' if known else type(error).__name__ + ': '}{error}"
+                with self._heard:
+                    news = self._status.connected or problem != self._status.problem
+                    self._status.connected, self._status.problem = False, problem
+                    self._heard.notify_all()
+                # After the reason is known: the driver's next command must not get "not armed".
+                if self._session is not None:
+                    self.stop()
+                if news:
+                    self._on_event(f"not connected: {problem}")
+            with self._writing:
+                lost, self._port = self._port, None
+                if lost is not None:
+                    with contextlib.suppress(OSError):
+                        lost.close()
             self._closing.wait(back_off)
             back_off = min(2.0 * back_off, self._options.longest_back_off)
 
-    def _connect(self) -> Conversation:
-        conversation = Conversation(self._open_port(), self._now)
-        self._conversation = conversation
-        self._device_clock = DeviceClock()
+    def _connect(self) -> None:
+        status = self._status
+        self._splitter, self._clock = messages.Splitter(), DeviceClock()
+        status.not_understood, status.unasked = 0, ""
+        self._port = self._open_port()
         # Opening may have reset the device; asking its bootloader would hold it there.
         until = self._now() + self._options.greeting_timeout
         while self._now() < until and not self._closing.is_set():
-            if conversation.receive()[0]:
+            if self._receive()[0]:
                 break
-        device = self._identify(conversation)
-        binary = self._options.rate > BINARY_ABOVE
-        conversation.say("B" if binary else "T", self._options.rate)
-        conversation.expect(binary)
-        with self._changed:
-            self._status.start_anew(device)
-            self._changed.notify_all()
-        self._on_event(f"connected to {device.name} {device.build}, last reset: {device.reset}")
-        return conversation
-
-    def _identify(self, conversation: Conversation) -> DeviceIdentity:
+        said: dict[str, Named] = {}
         for _ in range(_ASKS):
             # Ends whatever a former host left of a line, and its binary mode.
-            conversation.send(b"\n")
-            conversation.say("T", BINARY_ABOVE)
-            with contextlib.suppress(LinkError):
-                return DeviceIdentity.from_lines(
-                    conversation.ask_named("?", HANDSHAKE_LINES, pump=True)
-                )
-        raise LinkError("no answer to the handshake: is the bench's firmware on this port?")
+            self._send(messages.LINE_END)
+            self._say("T", BINARY_ABOVE)
+            self._say("?")
+            until = self._now() + _ANSWER_TIMEOUT
+            while self._now() < until and not said.keys() >= set("HLM"):
+                said |= {m.letter: m for m in self._receive()[0] if isinstance(m, Named)}
+            if said.keys() >= set("HLM"):
+                break
+        else:
+            raise LinkError("no answer to the handshake: is the bench's firmware on this port?")
+        device = messages.DeviceIdentity.from_lines(said)
+        binary = self._options.rate > BINARY_ABOVE
+        self._say("B" if binary else "T", self._options.rate)
+        self._splitter.expect(binary)
+        with self._heard:
+            # The first frame of a connection is not late.
+            status.connected, status.device, status.problem = True, device, ""
+            status.connections += 1
+            status.state, status.cause, status.newest = DeviceState.IDLE, 0, None
+            self._heard.notify_all()
+        self._on_event(f"connected to {device.name} {device.build}, last reset: {device.reset}")
 
-    def _serve(self, conversation: Conversation) -> None:
+    def _serve(self) -> None:
         last = next_ping = self._now()
         next_count = last + self._options.counters_period
         silence = 0.0
         while not self._closing.is_set():
-            messages, now = conversation.receive(next_ping - self._now())
-            for message in messages:
+            received, now = self._receive(next_ping - self._now())
+            for message in received:
                 self._act(message, now)
-            self._status.damaged = conversation.damaged
-            self._status.not_understood = conversation.not_understood
-            self._status.unasked = conversation.unasked
             # A host that was stopped itself has not listened: no wait counts for longer than asked.
-            silence = 0.0 if messages else silence + min(now - last, _LONGEST_WAIT)
+            silence = 0.0 if received else silence + min(now - last, _LONGEST_WAIT)
             last = now
             with self._driving, contextlib.suppress(LinkError):  # its driver is late
                 said = self._said[-1] if self._said else -math.inf
@@ -295,34 +484,59 @@ class SerialLink:
                 raise LinkError(f"the device is silent for {silence:.2f} s")
             if now >= next_ping:
                 next_ping = now + self._options.ping_period
-                number = (self._ping[0] + 1) % _NUMBERS
-                conversation.say("P", number)
+                number = (self._ping[0] + 1) % NUMBERS
+                on_cable = self._say("P", number)
                 # Its last byte leaves when the cable has carried all of them.
-                self._ping = (number, self._now() + transmission_time(command("P", number)))
+                self._ping = (number, self._now() + on_cable)
             # Not together with a ping: at 500 Hz there is no time for two answers in a window.
             if now >= next_count and next_ping - now < 0.5 * self._options.ping_period:
                 next_count = now + self._options.counters_period
-                conversation.say("S")
+                self._say("S")
 
-    def _act(self, message: Message, now: float) -> None:
-        if isinstance(message, Telemetry):
-            self._take(message, now)
-        elif isinstance(message, Pong):
+    def _act(self, message: messages.Message, now: float) -> None:
+        status = self._status
+        if isinstance(message, messages.Pong):
             number, sent = self._ping
             if message.identity == number:
-                self._device_clock.add(sent, message.arrived_us, message.left_us, now)
-                self._status.round_trip = now - sent
-                self._status.drift = self._device_clock.drift
-                self._status.clock_uncertainty = self._device_clock.uncertainty
+                self._clock.add(sent, message.arrived_us, message.left_us, now)
+                status.round_trip, status.drift = now - sent, self._clock.drift
+                status.clock_uncertainty = self._clock.uncertainty
         elif isinstance(message, Refused):
-            self._status.refused += 1
-            self._status.last_refusal, self._refused = str(message), now
+            status.refused += 1
+            status.last_refusal, self._refused = str(message), now
         elif isinstance(message, Named) and message.letter == "S":
-            self._status.counters = {key: int(value) for key, value in message.values.items()}
+            status.counters = message.values
         elif isinstance(message, Named) and message.letter == "H" and "nonce" not in message.values:
             # Clock and count may have gone on as if nothing had happened: a host that stood still
             # for as long as the device ran before sees no step.
             raise LinkError("the device restarted by itself")
+        if not isinstance(message, Telemetry):
+            return
+
+        # A window of readings.
+        if message.state > max(DeviceState):
+            raise LinkError(f"the device is in state {message.state}, which nobody knows here")
+        if status.restarted(message, round(1e6 / self._options.rate)):
+            raise LinkError("the device restarted by itself")
+        with self._heard:
+            stopped_already = status.stopped
+            if message.cause == messages.TIMEOUT_CAUSE and not stopped_already:
+                status.silence = self._why_silent(now)
+            status.note(message)
+        if status.stopped and not stopped_already:
+            self._session = None
+            self._on_event(f"the device stopped: {status.cause_text}")
+        if self._unheard is not None:
+            sequence, sent = self._unheard
+            if (message.echo - sequence) % NUMBERS < NUMBERS // 2:
+                status.command_latency, self._unheard = now - sent, None
+        self._clock.heard(message.time_us, now)
+        ended = self._clock.host_time(message.time_us)
+        if not math.isnan(ended):
+            # A window cannot end after it was received, nor before the one before it: what is known
+            # of the device's clock gets better meanwhile, in the first seconds by milliseconds.
+            self._ended = max(min(ended, now), self._ended + _TICK)
+            self._on_reading(message._replace(time=self._ended - 0.5 / self._options.rate))
 
     def _why_silent(self, now: float) -> str:
         with self._driving:
@@ -333,37 +547,3 @@ class SerialLink:
         if pause > _LONG_PAUSE * timeout:
             return f"this computer sent nothing for {pause:.2f} s"
         return self._status.last_refusal if now - self._refused < 2.0 * timeout else ""
-
-    def _take(self, telemetry: Telemetry, now: float) -> None:
-        if telemetry.state > max(DeviceState):
-            raise LinkError(f"the device is in state {telemetry.state}, which nobody knows here")
-        if self._status.restarted(telemetry, round(1e6 / self._options.rate)):
-            raise LinkError("the device restarted by itself")
-        with self._changed:
-            stopped_already = self._status.stopped
-            if telemetry.cause == TIMEOUT_CAUSE and not stopped_already:
-                self._status.silence = self._why_silent(now)
-            self._status.note(telemetry)
-        if self._status.stopped and not stopped_already:
-            self._session = None
-            self._on_event(f"the device stopped: {self._status.cause_text}")
-        if self._unheard is not None:
-            sequence, sent = self._unheard
-            if (telemetry.echo - sequence) % _NUMBERS < _NUMBERS // 2:
-                self._status.command_latency, self._unheard = now - sent, None
-        self._device_clock.heard(telemetry.time_us, now)
-        if self._device_clock.synchronised:
-            # A window cannot end after it was received.
-            ended = min(self._device_clock.host_time(telemetry.time_us), now)
-            self._on_reading(Reading(telemetry, ended - 0.5 / self._options.rate))
-
-    def _lose(self, problem: str) -> None:
-        with self._changed:
-            news = self._status.connected or problem != self._status.problem
-            self._status.connected, self._status.problem = False, problem
-            self._changed.notify_all()
-        # After the reason is known: the driver's next command must not get "not armed".
-        if self._session is not None:
-            self.stop()
-        if news:
-            self._on_event(f"not connected: {problem}")

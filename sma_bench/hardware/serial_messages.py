@@ -1,17 +1,19 @@
 """The serial protocol (docs/serial_protocol.md): lines, frames, and messages in SI units."""
 
 import binascii
+import math
 import struct
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import Any
+from typing import NamedTuple
 
-LINE_END = b"\n"
-FRAME_END = b"\0"
-_CHECKSUM_BYTES = 2
-# Far above any message: what is longer has lost its end.
-_LONGEST = 512
+from sma_bench.errors import InputError
+
+# --- Bytes on the cable
+
+LINE_END, FRAME_END = b"\n", b"\0"
+_LONGEST = 512  # bytes, far above any message: what is longer has lost its end
 
 
 def checksum(body: bytes) -> int:
@@ -26,30 +28,24 @@ def line(body: str) -> bytes:
 
 
 def frame(body: bytes) -> bytes:
-    """A message as a binary frame, its delimiter included."""
-    sealed = body + checksum(body).to_bytes(_CHECKSUM_BYTES, "little")
+    """A message as a binary frame (COBS), its delimiter included."""
     stuffed = b""
-    for piece in sealed.split(FRAME_END):
+    for piece in (body + checksum(body).to_bytes(2, "little")).split(FRAME_END):
         for at in range(0, max(len(piece), 1), 254):
             block = piece[at : at + 254]
-            is_last = at + 254 >= len(piece)
-            stuffed += bytes([len(block) + 1 if is_last else 255]) + block
+            stuffed += bytes([len(block) + 1 if at + 254 >= len(piece) else 255]) + block
     return stuffed + FRAME_END
 
 
 def open_line(text: bytes) -> bytes | None:
     """The body of a line without its end; None when the checksum is absent or wrong."""
-    text = text.removesuffix(b"\r")
-    body, star, digits = text[:-5], text[-5:-4], text[-4:]
-    if star != b"*" or digits != b"%04X" % checksum(body):
-        return None
-    return body
+    body, star, digits = text.removesuffix(b"\r").rpartition(b"*")
+    return body if star and digits == b"%04X" % checksum(body) else None
 
 
 def open_frame(stuffed: bytes) -> bytes | None:
     """The body of a frame without its delimiter; None when it is damaged."""
-    sealed = bytearray()
-    at = 0
+    sealed, at = bytearray(), 0
     while at < len(stuffed):
         code = stuffed[at]
         if code == 0 or at + code > len(stuffed):
@@ -58,60 +54,47 @@ def open_frame(stuffed: bytes) -> bytes | None:
         at += code
         if code < 255 and at < len(stuffed):
             sealed.append(0)
-    body, crc = bytes(sealed[:-_CHECKSUM_BYTES]), sealed[-_CHECKSUM_BYTES:]
-    if not body or int.from_bytes(crc, "little") != checksum(body):
-        return None
-    return body
+    body, crc = bytes(sealed[:-2]), int.from_bytes(sealed[-2:], "little")
+    return body if body and crc == checksum(body) else None
 
 
 class Splitter:
-    """Cuts a stream of bytes into the bodies of messages."""
+    """Cuts a stream of bytes into the bodies of messages; `damaged` counts those that were none."""
 
     def __init__(self) -> None:
-        self._pending = b""
-        self._binary = False
-        self._in_step = False
         self.damaged = 0
-
-    @property
-    def binary(self) -> bool:
-        """True when frames are expected, not lines."""
-        return self._binary
+        self.expect(binary=False)
 
     def expect(self, binary: bool) -> None:
         """Forget what is pending and expect frames (`binary`) or lines from here on."""
-        self._pending = b""
-        self._binary = binary
-        self._in_step = False
+        self._pending, self._binary = b"", binary
+        self._in_step = False  # the first piece may have begun before this host listened
 
     def feed(self, received: bytes) -> list[bytes]:
-        """Bodies of the messages that `received` completes; damaged ones are counted."""
-        end = FRAME_END if self._binary else LINE_END
+        end, unseal = (FRAME_END, open_frame) if self._binary else (LINE_END, open_line)
         *complete, self._pending = (self._pending + received).split(end)
+        bodies = [unseal(piece) for piece in complete if piece.strip()]
+        self.damaged += sum(body is None for body in (bodies if self._in_step else bodies[1:]))
+        self._in_step |= bool(bodies)
         if len(self._pending) > _LONGEST:
             self.damaged += 1
             self._pending = b""
-        return [body for piece in complete if (body := self._open(piece)) is not None]
-
-    def _open(self, piece: bytes) -> bytes | None:
-        if not piece.strip():
-            return None
-        body = open_frame(piece) if self._binary else open_line(piece)
-        # The first piece may have begun before this host listened.
-        self.damaged += body is None and self._in_step
-        self._in_step = True
-        return body
+        return [body for body in bodies if body is not None]
 
 
-# --- messages as values in SI units
+# --- Messages as values in SI units
 
 PROTOCOL_VERSION = 2
 CHANNELS = 4
 STOP = b"!"
+NUMBERS = 1 << 16
+"""sequence numbers before they begin again; one more than the largest number of a command"""
 
-_LEAST_DUTY = 1.0 / 65536.0
+TURN = 1 << 32
+"""us before the device's clock begins again"""
+
+_DUTY = 1.0 / 65536.0
 _BINARY = struct.Struct("<HIBBHHHhhHHHHHHH")
-_HIGHEST_SEQUENCE = 0xFFFF
 
 CAUSES = (
     "", "stop byte", "command timeout", "over-current of the front board",
@@ -136,57 +119,44 @@ class ProtocolError(ValueError):
 
 
 class DeviceState(IntEnum):
-    """Of the device."""
+    """Of the device; STILL_FLOWING is stopped, and current flows though every output is off."""
 
     IDLE = 0
     ARMED = 1
     STOPPED = 2
     STILL_FLOWING = 3
-    """stopped, and current flows though every output is off"""
 
 
-@dataclass(frozen=True, slots=True)
-class Telemetry:
-    """One window of readings, means over the time before `time_us` of the device's clock."""
+class Telemetry(NamedTuple):
+    """One window of readings, means over the time before `time_us` of the device's clock; pairs are
+    of the front and the back."""
 
     sequence: int
     time_us: int
     state: int
     cause: int
-    supply: float
-    """V without load"""
-    current: tuple[float, float]
-    """A, mean through the front and the back board"""
-    range_voltage: tuple[float, float]
-    """V at the front and the back triangulation sensor"""
-    duty: tuple[float, float, float, float]
-    """share of the time that each channel is switched on, read back from the output"""
-    echo: int
-    """sequence number of the last accepted command"""
-    drop: tuple[float, float] = (0.0, 0.0)
-    """V that a pulse of the front, the back board takes from the supply"""
+    supply: float  # V without load
+    current: tuple[float, float]  # A, mean through a board
+    range_voltage: tuple[float, float]  # V of the triangulation sensors
+    duty: tuple[float, float, float, float]  # share of time on, read back from the output
+    echo: int  # sequence number of the last accepted command
+    drop: tuple[float, float] = (0.0, 0.0)  # V that a pulse of a board takes from the supply
+    time: float = math.nan  # of acquisition: host s, the middle of the window
 
 
-@dataclass(frozen=True, slots=True)
-class Named:
+class Named(NamedTuple):
     """A line of `key=value`: H (who), L and M (limits), S (counters)."""
 
     letter: str
     values: dict[str, str]
 
 
-@dataclass(frozen=True, slots=True)
-class Accepted:
-    """`K letter value`."""
-
+class Accepted(NamedTuple):
     letter: str
     value: int
 
 
-@dataclass(frozen=True, slots=True)
-class Refused:
-    """`N letter reason`."""
-
+class Refused(NamedTuple):
     letter: str
     reason: int
 
@@ -194,16 +164,16 @@ class Refused:
         return f"device refused {self.letter}: {name_of(REASONS, self.reason)}"
 
 
-@dataclass(frozen=True, slots=True)
-class Pong:
-    """`P id arrived left`: the device's clock when the ping came and when the answer went."""
+class Pong(NamedTuple):
+    """The device's clock when the ping came and when the answer went."""
 
     identity: int
     arrived_us: int
     left_us: int
 
 
-Message = Telemetry | Named | Accepted | Refused | Pong
+Answer = Named | Accepted | Refused
+Message = Telemetry | Answer | Pong
 
 
 def name_of(names: tuple[str, ...], number: int) -> str:
@@ -211,65 +181,83 @@ def name_of(names: tuple[str, ...], number: int) -> str:
     return names[number] if number < len(names) else f"number {number}"
 
 
-def resets(flags: int) -> str:
-    """Words for the reset flags of an H line."""
-    return ", ".join(name for bit, name in RESETS if flags & bit) or "unknown"
-
-
 def command(letter: str, *numbers: int) -> str:
-    """Body of a command.
-
-    Raises:
-        ValueError: a number that the protocol cannot carry.
-    """
+    """Body of a command. Raises ValueError: a number that the protocol cannot carry."""
     for number in numbers:
-        if not 0 <= number <= _HIGHEST_SEQUENCE:
-            raise ValueError(f"command {letter} has {number}, expected 0 to {_HIGHEST_SEQUENCE}")
+        if not 0 <= number < NUMBERS:
+            raise ValueError(f"command {letter} has {number}, expected 0 to {NUMBERS - 1}")
     return " ".join([letter, *map(str, numbers)])
 
 
 def decode(body: bytes) -> Message:
-    """The message in a body whose checksum was right.
-
-    Raises:
-        ProtocolError: it is not one that this host knows.
-    """
-    if body[:1] == b"B" and len(body) == 1 + _BINARY.size:
-        return _telemetry(_BINARY.unpack(body[1:]))
+    """The message in a body whose checksum was right. Raises ProtocolError: it is not one that this
+    host knows."""
+    packed = body[1:] if body[:1] == b"B" and len(body) == 1 + _BINARY.size else b""
     try:
-        letter, *fields = body.decode("ascii").split(" ")
-        return _DECODERS[letter](letter, fields)
-    except (KeyError, ValueError, IndexError, struct.error):
+        letter, *fields = [""] if packed else body.decode("ascii").split(" ")
+        if letter == "T":  # packing refuses what a frame could not carry
+            packed = _BINARY.pack(*map(int, fields))
+        if packed:
+            sequence, time_us, state, cause, supply, *rest, echo = _BINARY.unpack(packed)
+            drop_front, drop_back, front, back, near, far, *duty = rest
+            a, b, c, d = (_DUTY * number for number in duty)
+            drops = 1e-3 * drop_front, 1e-3 * drop_back
+            return Telemetry(
+                sequence, time_us, state, cause, 1e-3 * supply, (1e-3 * front, 1e-3 * back),
+                (1e-4 * near, 1e-4 * far), (a, b, c, d), echo, drops,
+            )
+        if letter in ("H", "L", "M", "S"):
+            return Named(letter, dict(field.split("=", 1) for field in fields))
+        if letter == "P":
+            identity, arrived, left = map(int, fields)
+            return Pong(identity, arrived, left)
+        if letter in ("K", "N"):
+            about, number = fields
+            return (Accepted if letter == "K" else Refused)(about, int(number))
+        raise ValueError(letter)
+    except (ValueError, struct.error):
         raise ProtocolError(
             f"message {body[:40]!r} is not of protocol {PROTOCOL_VERSION}"
         ) from None
 
 
-def _telemetry(fields: tuple[int, ...]) -> Telemetry:
-    sequence, time_us, state, cause, supply, *others = fields
-    *drop, front, back, near, far, a, b, c, d, echo = others
-    return Telemetry(
-        sequence, time_us, state, cause, 1e-3 * supply, (1e-3 * front, 1e-3 * back),
-        (1e-4 * near, 1e-4 * far),
-        (a * _LEAST_DUTY, b * _LEAST_DUTY, c * _LEAST_DUTY, d * _LEAST_DUTY), echo,
-        (1e-3 * drop[0], 1e-3 * drop[1]),
-    )
+@dataclass(frozen=True)
+class DeviceIdentity:
+    """A device's name, build and limits (V, A, s, ohm), as its handshake says; `hot_voltage` is the
+    root mean square of a wire's volts over about `hot_time`."""
 
+    name: str
+    build: str
+    reset: str
+    maximum_voltage: float
+    command_timeout: float
+    maximum_mean_current: float
+    maximum_peak_current: float
+    supply_range: tuple[float, float]
+    least_resistance: float
+    hot_voltage: float
+    hot_time: float
 
-def _named(letter: str, fields: list[str]) -> Named:
-    pairs = [field.split("=", 1) for field in fields]
-    return Named(letter, {pair[0]: pair[1] for pair in pairs})
-
-
-def _typed(fields: list[str], *kinds: type) -> list[Any]:
-    return [kind(field) for kind, field in zip(kinds, fields, strict=True)]
-
-
-_DECODERS: dict[str, Callable[[str, list[str]], Message]] = {
-    # Packing them refuses what a frame could not carry.
-    "T": lambda _, fields: _telemetry(_BINARY.unpack(_BINARY.pack(*map(int, fields)))),
-    "H": _named, "L": _named, "M": _named, "S": _named,
-    "K": lambda _, fields: Accepted(*_typed(fields, str, int)),
-    "N": lambda _, fields: Refused(*_typed(fields, str, int)),
-    "P": lambda _, fields: Pong(*_typed(fields, int, int, int)),
-}
+    @classmethod
+    def from_lines(cls, lines: Mapping[str, Named]) -> "DeviceIdentity":
+        """From the H, L and M lines. Raises InputError: another protocol, another number of
+        channels, or something left out."""
+        said = {key: value for line in lines.values() for key, value in line.values.items()}
+        try:
+            for key, expected in (("protocol", PROTOCOL_VERSION), ("channels", CHANNELS)):
+                if int(said[key]) != expected:
+                    raise ValueError(f"the device has {key} {said[key]}, expected {expected}")
+            cause, flags = int(said["before"]), int(said["reset"])
+            reset = ", ".join(name for bit, name in RESETS if flags & bit) or "unknown"
+            stopped = f", after: {name_of(CAUSES, cause)}" if cause else ""
+            volts, timeout, mean, peak, low, high, *rest = (
+                1e-3 * int(said[key])
+                for key in ("max_mv", "timeout_ms", "mean_ma", "peak_ma", "supply_min_mv",
+                            "supply_max_mv", "least_mohm", "hot_mv", "hot_ms")
+            )
+            return cls(said["name"], said["build"], reset + stopped, volts, timeout, mean, peak,
+                       (low, high), *rest)
+        except KeyError as error:
+            raise InputError(f"handshake: {error.args[0]} is missing") from None
+        except ValueError as error:
+            raise InputError(f"handshake: {error}") from None

@@ -1,133 +1,34 @@
-"""Pictures of an infrared camera: bytes to pixel values, and which frames can be trusted. No ROS.
+"""Pictures of an infrared camera, real and synthetic: pixel values, radiance, emissivity of a wire.
 
-Times come in as seconds; a frame is an array (height, width) of pixel values as the Optris drivers
-publish them, T[degC] = (value - 1000)/10.
+A frame is an array (height, width) of pixel values as the Optris drivers publish them, T[degC] =
+(value - 1000)/10. The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response,
+which stands for the lens and the detector whose curves the maker does not publish. What is used are
+ratios of radiances, in which that matters little: a response falling to half at 13 um changes a
+temperature corrected from 0.5 to 1 of emissivity at 100 degC by 0.4 K.
 """
 
-import functools
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
+from sma_bench.parameters import Parameters
 
+Array = NDArray[np.float64]
 Frame = NDArray[np.uint16]
 
 ENCODING = "mono16"
-_BYTES_A_PIXEL = 2
-# Every so many pixels each way show whether a frame is one uniform surface.
-_SPARSE = 4
-
-
-@dataclass(frozen=True)
-class FrameFormat:
-    """What a picture must be: width and height in pixels."""
-
-    width: int
-    height: int
-
-    def decode(
-        self, encoding: str, width: int, height: int, step: int, big_endian: bool, data: object
-    ) -> Frame:
-        """Pixel values (height, width) of an image message's fields; no copy where none is needed.
-
-        Args:
-            step: bytes from one row to the next, at least two a pixel.
-            data: bytes, or anything with the buffer of bytes.
-
-        Raises:
-            InputError: wrong encoding or size, or fewer bytes than promised.
-        """
-        if encoding != ENCODING:
-            raise InputError(f"thermal_image has encoding {encoding!r}, expected {ENCODING!r}")
-        if (width, height) != (self.width, self.height):
-            raise InputError(
-                f"thermal_image is {width} x {height}, expected {self.width} x {self.height}"
-            )
-        if step < width * _BYTES_A_PIXEL:
-            raise InputError(
-                f"thermal_image has step {step}, expected {width * _BYTES_A_PIXEL} or more"
-            )
-        flat = np.frombuffer(data, np.uint8)  # type: ignore[call-overload]
-        if flat.size < height * step:
-            raise InputError(
-                f"thermal_image has {flat.size} bytes, expected {height * step} ({height} x {step})"
-            )
-        rows = flat[: height * step].reshape(height, step)[:, : width * _BYTES_A_PIXEL]
-        pixels = np.ascontiguousarray(rows).view(">u2" if big_endian else "<u2")
-        return pixels.astype(np.uint16, copy=False)
-
-
-def spread(frame: Frame) -> float:
-    """Warmest minus coldest pixel in K, of a sparse sample of the frame."""
-    sample = frame[::_SPARSE, ::_SPARSE]
-    return float(int(sample.max()) - int(sample.min())) / RAW_PER_KELVIN
-
-
-class FrameJudge:
-    """Says why a frame must be held back, or "" for a good one.
-
-    The Optris SDK repeats the last picture while the flag before the detector is closed, and other
-    cameras show the flag, a uniform surface. Two real pictures are never equal, for noise.
-    """
-
-    def __init__(self, stale_limit: float, shutter_spread: float, shutter_settle: float) -> None:
-        """`stale_limit` s is the oldest age of a frame; a frame whose `spread` is below
-        `shutter_spread` K is the shutter (0: never), and so is what comes within `shutter_settle`
-        s after it."""
-        self._stale_limit = stale_limit
-        self._shutter_spread = shutter_spread
-        self._settle = shutter_settle
-        self._stamp = -math.inf
-        self._last: Frame | None = None
-        self._shut = -math.inf
-        self._flag_closed = False
-
-    def flag(self, closed: bool) -> None:
-        """The camera itself says whether its flag covers the detector."""
-        self._flag_closed = closed
-
-    def objection(self, frame: Frame, stamp: float, now: float) -> str:
-        """Reason to hold back a frame acquired at `stamp` s that arrived at `now` s (one clock)."""
-        before, self._last = self._last, frame
-        newest, self._stamp = self._stamp, max(self._stamp, stamp)
-        age = now - stamp
-        if abs(age) > self._stale_limit:
-            # A clock that was set back starts afresh.
-            self._stamp = min(self._stamp, now)
-            where = "old" if age > 0.0 else "in the future"
-            return f"stale: frame {abs(age):.3g} s {where}, limit {self._stale_limit:g} s"
-        if stamp <= newest:
-            return "stale: frame with a stamp that was there before"
-        if before is not None and np.array_equal(before, frame):
-            return "frozen: frame equal to the one before (shutter closed, or camera hangs)"
-        if self._flag_closed or spread(frame) < self._shutter_spread:
-            self._shut = stamp
-        if 0.0 <= stamp - self._shut <= self._settle:
-            return "shutter: the flag covers the detector, or has just opened"
-        return ""
-
-
-# --- Radiance in a long-wave infrared camera's band, and what a wire's is behind its
-# emissivity.
-#
-# The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response, which stands for
-# the lens and the detector whose curves the maker does not publish. What is used are ratios of
-# radiances, in which that matters little: a response falling to half at 13 um changes a
-# temperature corrected from 0.5 to 1 of emissivity at 100 degC by 0.4 K.
-
-Array = NDArray[np.float64]
-
 BAND = (7.5e-6, 13e-6)
 """m, shortest and longest wavelength."""
-
-# A camera's pixel: T[degC] = (value - 1000)/10, as the Optris drivers publish it.
 RAW_OFFSET = 1000
 RAW_PER_KELVIN = 10
-_RAW_VALUES = 2**16
 
 _PLANCK_1 = 1.191042972e-16  # 2 h c^2, W m2/sr
 _PLANCK_2 = 1.438776877e-2  # h c/k, m K
@@ -137,27 +38,52 @@ _WAVELENGTHS = (BAND[0] + BAND[1]) / 2 + _HALF_BAND * _NODES
 _PLANCK_FACTORS = _PLANCK_1 / _WAVELENGTHS**5 * _WEIGHTS * _HALF_BAND
 
 
+def decode_frame(
+    size: tuple[int, int], encoding: str, width: int, height: int, step: int, big_endian: bool,
+    data: object,
+) -> Frame:
+    """Pixel values (height, width) of an image message's fields; no copy where none is needed.
+
+    Args:
+        size: expected width and height; step: bytes from one row to the next.
+        data: bytes, or anything with the buffer of bytes.
+
+    Raises:
+        InputError: wrong encoding or size, or fewer bytes than promised.
+    """
+    flat = np.frombuffer(data, np.uint8)  # type: ignore[call-overload]
+    for wrong, said in (
+        (encoding != ENCODING, f"has encoding {encoding!r}, expected {ENCODING!r}"),
+        ((width, height) != size, f"is {width} x {height}, expected {size[0]} x {size[1]}"),
+        (step < 2 * width, f"has step {step}, expected {2 * width} or more"),
+        (flat.size < height * step,
+         f"has {flat.size} bytes, expected {height * step} ({height} x {step})"),
+    ):
+        if wrong:
+            raise InputError(f"thermal_image {said}")
+    rows = flat[: height * step].reshape(height, step)[:, : 2 * width]
+    pixels = np.ascontiguousarray(rows).view(">u2" if big_endian else "<u2")
+    return pixels.astype(np.uint16, copy=False)
+
+
 def raw_from_kelvin(kelvin: ArrayLike) -> Array:
     """Pixel values, not yet rounded, of temperatures in K."""
     return (np.asarray(kelvin) - CELSIUS_ZERO) * RAW_PER_KELVIN + RAW_OFFSET
 
 
 def kelvin_from_raw(raw: ArrayLike) -> Array:
-    """Temperatures in K of pixel values."""
     return (np.asarray(raw, float) - RAW_OFFSET) / RAW_PER_KELVIN + CELSIUS_ZERO
 
 
 def band_radiance(kelvin: ArrayLike) -> Array:
     """Black body radiance in the band, W/(m2 sr), of temperatures (any shape) in K above 0.
-
-    Planck's law integrated with 24 Gauss points: exact to 1e-12 between 200 and 2000 K.
-    """
+    Planck's law integrated with 24 Gauss points: exact to 1e-12 between 200 and 2000 K."""
     temperature = np.asarray(kelvin, float)[..., np.newaxis]
     return (_PLANCK_FACTORS / np.expm1(_PLANCK_2 / (_WAVELENGTHS * temperature))).sum(axis=-1)
 
 
 # Radiance of every pixel value there is; strictly rising, so that it can be read backwards.
-_TABLE_KELVIN = kelvin_from_raw(np.arange(_RAW_VALUES))
+_TABLE_KELVIN = kelvin_from_raw(np.arange(2**16))
 _TABLE = band_radiance(_TABLE_KELVIN)
 _TABLE_SLOPE = np.gradient(_TABLE) * RAW_PER_KELVIN
 _TABLE_SINGLE = _TABLE.astype(np.float32)
@@ -178,12 +104,6 @@ def slope_at(kelvin: float) -> float:
     return float(np.interp(kelvin, _TABLE_KELVIN, _TABLE_SLOPE))
 
 
-@functools.lru_cache(maxsize=64)
-def radiance_at(kelvin: float) -> float:
-    """As `band_radiance`, of one temperature that is asked for again and again."""
-    return float(band_radiance(kelvin))
-
-
 @dataclass(frozen=True)
 class Surface:
     """What a wire does to radiation, each number with one standard deviation.
@@ -198,34 +118,194 @@ class Surface:
     emissivity_std: float = 0.0
     reflected_std: float = 0.0
 
-    def emitted(self, apparent: float) -> float:
-        """Black body radiance at the wire's temperature, from what comes from its surface.
+    @classmethod
+    def of(cls, parameters: Parameters, settings: Mapping[str, Any]) -> "Surface":
+        """From the parameters of `ir_camera` or `synthetic_camera`."""
+        ambient = parameters["environment.ambient_temperature"]
+        return cls(
+            settings["emissivity"], settings["reflected_temperature"] or ambient,
+            settings.get("emissivity_std", 0.0), settings.get("reflected_temperature_std", 0.0),
+        )
 
-        apparent = e L(T) + (1 - e) L(T_reflected), solved for L(T); may be negative.
-        """
-        reflected = radiance_at(self.reflected_temperature)
-        return (apparent - (1.0 - self.emissivity) * reflected) / self.emissivity
+    @cached_property
+    def _reflected(self) -> float:
+        return float(band_radiance(self.reflected_temperature))
 
     def apparent(self, kelvin: ArrayLike) -> Array:
         """Radiance that comes from the surface of a wire at these temperatures in K."""
-        reflected = radiance_at(self.reflected_temperature)
-        return self.emissivity * band_radiance(kelvin) + (1.0 - self.emissivity) * reflected
+        return self.emissivity * band_radiance(kelvin) + (1.0 - self.emissivity) * self._reflected
 
     def temperature(self, apparent: float, apparent_std: float) -> tuple[float, float]:
-        """Temperature in K and its standard deviation from the radiance of the surface.
-
-        First order in the deviations of the radiance, emissivity and reflected temperature, which
-        are independent. NaN where no temperature of 173 K or more emits that little.
-        """
-        emitted = self.emitted(apparent)
+        """Temperature in K and its standard deviation from the radiance of the surface. apparent =
+        e L(T) + (1 - e) L(T_reflected); first order in the deviations of the radiance, emissivity
+        and reflected temperature, which are independent. NaN where no temperature of 173 K or more
+        emits that little."""
+        reflected, mirrored = self._reflected, 1.0 - self.emissivity
+        emitted = (apparent - mirrored * reflected) / self.emissivity
         kelvin = float(temperature_of(emitted))
-        if np.isnan(kelvin):
-            return np.nan, np.nan
-        reflected = radiance_at(self.reflected_temperature)
-        mirrored = (1.0 - self.emissivity) * slope_at(self.reflected_temperature)
-        variance = (
-            apparent_std**2
-            + ((emitted - reflected) * self.emissivity_std) ** 2
-            + (mirrored * self.reflected_std) ** 2
-        ) / self.emissivity**2
-        return kelvin, float(np.sqrt(variance)) / slope_at(kelvin)
+        deviation = math.hypot(
+            apparent_std,
+            (emitted - reflected) * self.emissivity_std,
+            mirrored * slope_at(self.reflected_temperature) * self.reflected_std,
+        )
+        return kelvin, deviation / self.emissivity / slope_at(kelvin)
+
+
+# --- Pictures of wires as an infrared camera would take them: synthetic, with known truth.
+#
+#     camera = SyntheticCamera(382, 288, [SyntheticWire(start=(40, 90), end=(340, 100), width=0.8)])
+#     frame = camera.picture([350.0])       # K, one a wire; uint16 (288, 382)
+#     frame = camera.picture([350.0], sideways=3.5)   # the wires' far ends moved by 3.5 pixels
+
+_NOISE_PICTURES = 8
+_BLURRED_AWAY = 5.0  # standard deviations of the blur from a wire's edge to where it has ended
+_MARGIN = 0.05  # of the picture's size, from its border to the ends of a wire across all of it
+
+
+class SyntheticWire(NamedTuple):
+    """A straight wire in the picture, until it bends: (x, y) in pixels of the clamped end and of
+    the one that moves, and its width in pixels."""
+
+    start: tuple[float, float]
+    end: tuple[float, float]
+    width: float
+
+    @property
+    def along_x(self) -> bool:
+        return abs(self.end[0] - self.start[0]) > abs(self.end[1] - self.start[1])
+
+
+class SyntheticCamera:
+    """Takes pictures; the same seed takes the same ones."""
+
+    def __init__(
+        self, width: int, height: int, wires: Sequence[SyntheticWire],
+        surface: Surface = Surface(1.0, 296.15),  # noqa: B008 (frozen)
+        background: float = 296.15, unevenness: float = 0.0,
+        blur: float = 0.7, noise: float = 0.08, seed: int = 1,
+    ) -> None:
+        """A scene with everything but the wires' temperatures.
+
+        Args:
+            width, height: pixels of the picture.
+            surface: of all wires.
+            background: K, apparent; `unevenness` K is how much warmer its lower right corner is.
+            blur: standard deviation in pixels of lens and detector; a pixel's own square adds.
+            noise: K, standard deviation of every pixel (the data sheets' NETD).
+        """
+        self.shape = (height, width)
+        self._wires, self._surface, self._blur = tuple(wires), surface, blur
+        y, x = np.mgrid[0:height, 0:width]
+        kelvin = background + unevenness * (x / width + y / height) / 2.0
+        self._scene = raw_from_kelvin(kelvin).astype(np.float32)
+        self._scene_radiance = band_radiance(kelvin)
+        self._random = np.random.default_rng(seed)
+        drawn = self._random.standard_normal(_NOISE_PICTURES * width * height, np.float32)
+        self._noise = drawn * np.float32(noise * 10.0)
+
+    @classmethod
+    def of(cls, parameters: Parameters, settings: Mapping[str, Any]) -> "SyntheticCamera":
+        """The camera of the parameters of `synthetic_camera`, a wire a channel. Raises InputError:
+        wires that do not fit the channels, or that are not four numbers each."""
+        width, height = settings["image_width"], settings["image_height"]
+        channels, texts = parameters["bench.channels"], settings["wires"]
+        if not any(texts):  # side by side across the whole picture
+            rows = [height * (k + 0.5) / len(channels) for k in range(len(channels))]
+            ends = _MARGIN * width, (1.0 - _MARGIN) * width
+            texts = [f"{ends[0]!r} {row!r} {ends[1]!r} {row!r}" for row in rows]
+        if len(texts) != len(channels):
+            raise InputError(f"wires has {len(texts)} entries, expected one for each of {channels}")
+        wires, thickness = [], parameters["wire.diameter"] / settings["pixel_size"]
+        for text in texts:
+            try:
+                x0, y0, x1, y1 = (float(word) for word in text.split())
+            except ValueError:
+                raise InputError(f"wires: {text!r}, expected 'X0 Y0 X1 Y1' in pixels") from None
+            if (x0, y0) == (x1, y1):
+                raise InputError(f"wires: {text!r} has no length")
+            wires.append(SyntheticWire((x0, y0), (x1, y1), thickness))
+        return cls(
+            width, height, wires, Surface.of(parameters, settings),
+            settings["background"] or parameters["environment.ambient_temperature"],
+            **{name: settings[name] for name in ("unevenness", "blur", "noise", "seed")},
+        )
+
+    def picture(
+        self, kelvin: Sequence[float], sideways: float | Sequence[float] = 0.0
+    ) -> Frame:
+        """A frame (height, width) of wires at these temperatures in K, one a wire. `sideways`
+        pixels, one for all or one a wire: how far the end has moved across the wire, toward larger
+        x or y; the wire between bends as a beam of constant curvature. Raises InputError: not one
+        temperature a wire."""
+        if len(kelvin) != len(self._wires):
+            raise InputError(
+                f"synthetic camera: {len(kelvin)} temperatures for {len(self._wires)} wires"
+            )
+        moved = np.broadcast_to(np.asarray(sideways, float), (len(self._wires),))
+        raw = self._noisy(self._scene)
+        for wire, temperature, shift in zip(self._wires, kelvin, moved, strict=True):
+            self._draw(raw, wire, float(self._surface.apparent(temperature)), float(shift))
+        return _rounded(raw)
+
+    def empty(self) -> Frame:
+        return _rounded(self._noisy(self._scene))
+
+    def shutter(self, kelvin: float = 303.15) -> Frame:
+        """The closed flag: a uniform surface."""
+        return _rounded(self._noisy(np.float32(raw_from_kelvin(kelvin))))
+
+    def _noisy(self, raw: NDArray[np.float32] | np.float32) -> NDArray[np.float32]:
+        size = self.shape[0] * self.shape[1]
+        begin = int(self._random.integers(0, self._noise.size - size + 1))
+        return raw + self._noise[begin : begin + size].reshape(self.shape)
+
+    def _draw(
+        self, raw: NDArray[np.float32], wire: SyntheticWire, surface: float, shift: float
+    ) -> None:
+        """Add the wire's part to pixel values: what it changes in the scene without it."""
+        turned = wire.along_x
+        scene, bare, target = (a.T if turned else a for a in (
+            self._scene_radiance, self._scene, raw))
+
+        # Lines that it crosses, where it does, and its width along a line over that across.
+        (first, begin), (last, end) = (p if turned else p[::-1] for p in (wire.start, wire.end))
+        low, high = math.ceil(min(first, last)), math.floor(max(first, last))
+        line = np.arange(max(low, 0), min(high, len(scene) - 1) + 1)
+        position = (line - first) / (last - first)
+        centre = begin + (end - begin) * position + shift * position**2
+        tilt = np.hypot(1.0, (end - begin + 2.0 * shift * position) / (last - first))
+
+        # What the pixels near it see of it, and of what is behind.
+        reach = math.ceil((wire.width / 2 + _BLURRED_AWAY * self._blur + 1) * tilt.max(initial=1.0))
+        columns = np.rint(centre).astype(int)[:, np.newaxis] + np.arange(-reach, reach + 1)
+        inside = (columns >= 0) & (columns < scene.shape[1])
+        columns = columns.clip(0, scene.shape[1] - 1)
+        distance = (columns - centre[:, np.newaxis]) / tilt[:, np.newaxis]
+        share = pixel_share(distance, wire.width, self._blur)
+        near = line[:, np.newaxis], columns
+        seen = temperature_of(scene[near] + share * (surface - scene[near]))
+        change = raw_from_kelvin(seen) - bare[near]
+        target[near] += np.where(inside, change, 0.0).astype(np.float32)
+
+
+def pixel_share(distance: Array, width: float, blur: float) -> Array:
+    """Share of a pixel's view that a wire fills, its middle `distance` pixels away: the wire's
+    slit, the pixel's square and a Gaussian of standard deviation `blur`, convolved."""
+    half = np.array([1.0 + width, 1.0 - width, width - 1.0, -1.0 - width]) / 2.0
+    edges = distance + half.reshape(4, *(1,) * np.ndim(distance))
+    if blur == 0.0:
+        ramps = np.maximum(edges, 0.0)
+    else:  # max(u, 0), smeared
+        z = edges / blur
+        ramps = edges * ndtr(z) + blur * np.exp(-z * z / 2.0) / math.sqrt(2.0 * math.pi)
+    return ramps[0] - ramps[1] - ramps[2] + ramps[3]
+
+
+def _rounded(raw: NDArray[np.float32]) -> Frame:
+    return np.clip(np.rint(raw), 0, 2**16 - 1).astype(np.uint16)
+
+
+def regions_side_by_side(channels: int, width: int, height: int) -> list[str]:
+    """Regions for wires side by side across the whole picture, as `SyntheticCamera` draws them."""
+    strip = height // channels
+    return [f"0 {k * strip} {width} {strip} x" for k in range(channels)]

@@ -1,10 +1,11 @@
-"""What an experiment yields: numbers with their errors, remarks and curves to draw; and generalised
-least squares for models that are linear in their parameters.
-"""
+"""Arithmetic of numbers with errors: how repeats join, and fits of lines: of points that are all as
+good (`straight_line`), of points with a known covariance (`fit_linear`), and of points with errors
+in both directions (`fit_slope`)."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,27 +13,25 @@ from scipy.linalg import cholesky, solve_triangular
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 
 Array = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
-_CONTRADICTS = 3.0  # standard errors
-# A file states errors by two digits: one that is as large may be this measurement's own.
-_ROUNDED = 1.06
+GAUGE = "sensor.deflection.gain"
+MODULI = ("wire.martensite_modulus", "wire.austenite_modulus")
+SYMBOLS = {
+    **TRANSITIONS, "C_A": "wire.stress_influence_austenite",
+    "C_M": "wire.stress_influence_martensite", "E_M": MODULI[0], "E_A": MODULI[1],
+    "eps_L": "wire.maximum_recoverable_strain", "Theta_T": "wire.thermal_expansion_factor",
+}
 
 
 def combine(estimates: Sequence[Estimate]) -> Estimate:
-    """Weighted mean of independent estimates of one number.
-
-    Where they scatter by more than their errors explain, the error grows with the scatter
-    (Birge ratio), so that disagreeing records never yield a smaller error than agreeing ones.
-
-    Raises:
-        InputError: nothing to combine.
-    """
-    if not estimates:
-        raise InputError("no estimates to combine")
+    """Weighted mean of one or more independent estimates of one number. Where they scatter by more
+    than their errors explain, the error grows with the scatter (Birge ratio), so that disagreeing
+    records never yield a smaller error than agreeing ones."""
     if len(estimates) == 1:
         return estimates[0]
     values = np.array([e.value for e in estimates])
@@ -52,16 +51,10 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
 def mean_of_repeats(
     readings: Sequence[tuple[float, float]], scatter: float | None = None, freedom: int = 0
 ) -> tuple[float, float, float]:
-    """Mean of repeated readings of one number, the standard error that its own errors leave, and
-    that of what the repeats differ by beyond them.
-
-    What n repeats differ by is known by n - 1 of them: the error grows as Student's t does, so that
-    1.645 of it hold the truth in 90 %.
-
-    Args:
-        readings: (value, own standard error) of each.
-        scatter: variance between repeats where more of them, with `freedom`, tell it.
-    """
+    """Mean of readings (value, own standard error) of one number, the standard error that their own
+    errors leave, and that of what they differ by beyond: it grows as Student's t does, so that
+    1.645 of it hold the truth in 90 %. `scatter`: variance between repeats where more of them,
+    with `freedom`, tell it."""
     from scipy.special import stdtrit  # half a second to load
 
     values, n = [value for value, _ in readings], len(readings)
@@ -73,40 +66,68 @@ def mean_of_repeats(
     return float(np.mean(values)), math.sqrt(own / n), math.sqrt(excess / n) * float(grown)
 
 
-def with_prior(measured: Estimate, prior: Estimate) -> tuple[Estimate, str]:
-    """A measurement beside what was stated, and a remark if they contradict each other.
+def mean_and_deviation(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """Mean of repeats (value, own standard error) and their deviation, as the paper gives them, not
+    below the error of reading one."""
+    value, own = np.array(readings).T
+    reading = math.sqrt(float(np.mean(own**2)) / len(value))
+    deviation = float(np.std(value, ddof=1)) if len(value) > 1 else 0.0
+    return float(value.mean()), max(deviation, reading)
 
-    A measurement that is surer counts alone: it was made to replace what was stated. One that is
-    less sure is joined with it.
-    """
-    if prior.std <= 0.0:
-        return measured, ""
-    ratio = measured.std / prior.std
-    if ratio <= _ROUNDED:
-        narrowed = measured.capped(prior.std)
-        return replace(narrowed, informed=1.0 - min(ratio, 1.0) ** 2), ""
-    apart = (measured.value - prior.value) / math.hypot(measured.std, prior.std)
-    remark = "" if abs(apart) < _CONTRADICTS else (
-        f"measured {measured.value:.6g} +- {measured.std:.2g} {measured.unit} is {apart:+.1f} "
-        f"standard errors from {prior.value:.6g} +- {prior.std:.2g}, which was stated to be surer"
-    )
-    weight = 1.0 / (1.0 + ratio * ratio)
-    std = prior.std * math.sqrt(1.0 - weight)
-    return replace(
-        measured, value=prior.value + weight * (measured.value - prior.value), std=std,
-        method=f"{measured.method}, joined with what was known",
-        systematic=min(weight * measured.systematic, std), informed=weight,
-        shares={name: weight * share for name, share in measured.shares.items()},
-    ), remark
+
+def diameter_error(parameters: Parameters) -> float:
+    """Relative, of the diameter by which a testing machine gave stress: the stated one's, else what
+    a careful lab knows it to."""
+    name = "wire.diameter"
+    if name in parameters.given:
+        return parameters.std(name) / parameters[name]
+    return (BY_NAME[name].uncertainty or 0.0) / parameters[name]
+
+
+def scatter(values: Array) -> float:
+    """Standard deviation of points (n,) about a smooth curve, by second differences."""
+    return 1.4826 * float(np.median(np.abs(np.diff(values, 2)))) / math.sqrt(6.0)
 
 
 @dataclass(frozen=True)
-class LinearFit:
-    """Solution of y = A beta with a known covariance of y.
+class Line:
+    """Straight line y = value + slope (x - at), with the variances of value and slope, which are
+    independent of each other at the mean of the fitted points."""
 
-    `beta` (k,), `covariance` (k, k) from the stated errors, `misfit` chi2 per degree of freedom,
-    `residuals` (n,).
-    """
+    at: float
+    value: float
+    slope: float
+    value_variance: float = 0.0
+    slope_variance: float = 0.0
+
+    def __call__(self, x: Array) -> Array:
+        return np.asarray(self.value + self.slope * (x - self.at))
+
+    def crossing(self, other: "Line") -> float:
+        """x where two lines meet, NaN where they do not."""
+        if self.slope == other.slope:
+            return math.nan
+        at_zero = other.value - self.value + self.slope * self.at - other.slope * other.at
+        return at_zero / (self.slope - other.slope)
+
+    def variance(self, x: float) -> float:
+        """Of y at x."""
+        return self.value_variance + self.slope_variance * (x - self.at) ** 2
+
+
+def straight_line(x: Array, y: Array) -> Line:
+    """Least-squares line through points (n,) that are all as good, their scatter its error."""
+    centred = x - x.mean()
+    power = float(centred @ centred)
+    slope = float(centred @ y) / power
+    left = y - y.mean() - slope * centred
+    variance = float(left @ left) / max(len(x) - 2, 1)
+    return Line(float(x.mean()), float(y.mean()), slope, variance / len(x), variance / power)
+
+
+class LinearFit(NamedTuple):
+    """Solution of y = A beta: `beta` (k,), `covariance` (k, k) from the stated errors, `misfit`
+    chi2 per degree of freedom, `residuals` (n,)."""
 
     beta: Array
     covariance: Array
@@ -118,23 +139,10 @@ class LinearFit:
         """(k,) standard errors; larger than stated where the points scatter more than stated."""
         return np.sqrt(np.diag(self.covariance) * max(1.0, self.misfit))
 
-    def contrast(self, weights: Array) -> tuple[float, float]:
-        """A linear combination of the parameters and its standard error, scaled as `std`."""
-        variance = float(weights @ self.covariance @ weights) * max(1.0, self.misfit)
-        return float(weights @ self.beta), float(np.sqrt(variance))
-
 
 def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
-    """Generalised least squares.
-
-    Args:
-        design: (n, k) matrix A, n > k.
-        values: (n,) measured y.
-        covariance: (n, n) of y, positive definite.
-
-    Raises:
-        InputError: numbers so large or small that nothing can be solved with them.
-    """
+    """Generalised least squares of values (n,) with a covariance (n, n) by a design (n, k), n > k.
+    Raises InputError for numbers so large or small that nothing can be solved with them."""
     try:
         factor = cholesky(covariance, lower=True, check_finite=False)
         whitened = solve_triangular(factor, design, lower=True, check_finite=False)
@@ -147,6 +155,20 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
     left = target - whitened @ beta
     freedom = max(len(values) - design.shape[1], 1)
     return LinearFit(
-        beta=np.asarray(beta), covariance=np.linalg.pinv(whitened.T @ whitened),
-        misfit=float(left @ left) / freedom, residuals=values - design @ beta,
+        np.asarray(beta), np.linalg.pinv(whitened.T @ whitened), float(left @ left) / freedom,
+        values - design @ beta,
     )
+
+
+def fit_slope(
+    columns: Sequence[Array | Mask], values: Array, covariance: Callable[[float], Array],
+    slope: int = 1,
+) -> LinearFit:
+    """`fit_linear` of values (n,) by k columns (n,) where what is on the abscissa has errors too,
+    which count through the slope: `covariance` of beta[slope] is (n, n)."""
+    design = np.column_stack(columns).astype(np.float64)
+    at = float(np.linalg.lstsq(design, values, rcond=None)[0][slope])
+    for _ in range(3):
+        fit = fit_linear(design, values, covariance(at))
+        at = float(fit.beta[slope])
+    return fit

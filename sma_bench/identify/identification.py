@@ -1,54 +1,41 @@
-"""From records to parameters: finds out what each record holds and runs the experiments."""
+"""From records to parameters: what each record holds, and which experiments it serves."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.load_frame import find_pulls, is_clamped
+from sma_bench.estimation.noise_model import noise_floor
+from sma_bench.estimation.nuisances import UNITS
+from sma_bench.estimation.observation import Observation, observe, shared_bin
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import fit
+from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.findings import Finding
-from sma_bench.identify import load_frame, whole_model
-from sma_bench.identify.constitutive.joint_fit import fit_constitutive
-from sma_bench.identify.fit_verdict import fits_of_curves, fits_of_observations, worst
-from sma_bench.identify.instruments.isobaric import identify_isobaric
-from sma_bench.identify.instruments.tensile import identify_tensile
-from sma_bench.identify.instruments.thermal_expansion import identify_thermal_expansion
-from sma_bench.identify.instruments.transition_temperatures import (
-    identify_heating_rates,
-    identify_transition_temperatures,
-)
-from sma_bench.identify.result import Correlation, Experiment, Identification, SignalFit
-from sma_bench.identify.run import (
-    COEFFICIENT,
-    RESISTANCE,
-    IdentificationRun,
-    about_wire,
-    find_all_drives,
-    run_heat_transfer,
-    run_resistance,
-    run_specific_heat,
-)
-from sma_bench.identify.signals import FEWEST_LEVELS, ChannelDrive, as_calibrated, sensors_of
-from sma_bench.identify.thermal.specific_heat import CAMERA_LAG, LAG, observe_channel
-from sma_bench.identify.thermal.specific_heat import PARAMETER as SPECIFIC_HEAT
+from sma_bench.identify import signals
+from sma_bench.identify.estimate import SYMBOLS, combine
+from sma_bench.identify.heat_transfer import GAIN, coefficient, identify_heat_transfer
+from sma_bench.identify.resistance import heated, identify_resistance
+from sma_bench.identify.result import Experiment, Identification, SignalFit, remark
+from sma_bench.identify.run import SIGNIFICANT, IdentificationRun, about_wire
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.table import BY_NAME, TRANSITIONS
+from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
-from sma_bench.records.check import account_line, check_record
-from sma_bench.records.isobaric import IsobaricRecord
-from sma_bench.records.open import AnyRecord
+from sma_bench.records.check import check_record, mended
+from sma_bench.records.instruments import IsobaricRecord, Phase, TensileRecord
+from sma_bench.records.open import AnyRecord, account_line
 from sma_bench.records.record import has_samples, samples
-from sma_bench.records.tensile import Phase, TensileRecord
-from sma_bench.records.trust import mended
 
 NEEDS = {
     "E0": "E0 any voltage that changes, with current or temperature",
-    "E1": f"E1 a staircase of {FEWEST_LEVELS} voltages or more with current",
-    "E2": f"E2 a staircase of {FEWEST_LEVELS} voltages or more with temperature",
+    "E1": f"E1 a staircase of {signals.FEWEST_LEVELS} voltages or more with current",
+    "E2": f"E2 a staircase of {signals.FEWEST_LEVELS} voltages or more with temperature",
     "E3": "E3 a voltage ramp below A_s with temperature",
     "E5": "E5 a DSC file",
     "E6": "E6 isobaric test files (temperature, strain, stress), or a load frame that holds loads",
@@ -58,52 +45,22 @@ NEEDS = {
     "E10": "E10 voltages of all channels with the deflection, ranges or elongation of a load",
 }
 EXPERIMENTS = tuple(NEEDS)
-_FAR_APART = 4.0
-_LEAST_DRIVE = 0.05  # V
-_THERMAL = {"E1": run_resistance, "E2": run_heat_transfer, "E3": run_specific_heat}
-# Parts of the time: a whole-model fit takes most of it, and so does E9 where it is asked for.
-_WHOLE_MODEL = 0.9
-_PLAN = {"E1": 1.0, "E2": 1.0, "E3": 1.0, "E5": 1.0, "E6": 1.0, "E7": 1.0, "E8": 1.0}
-_JOINT = 0.3
 # Every clamped wire's force is tried for E8, whatever its voltages were meant for.
 _TRIED_ON_CHANCE = frozenset({"E8"})
-
-
-# What an experiment on bags reads, and what its numbers go with.
+# Parts of the time: a whole-model fit takes most of it, and so does E9 where it is asked for.
+_WHOLE_MODEL, _JOINT = 0.9, 0.3
+_PLAN = dict.fromkeys(("E1", "E2", "E3", "E5", "E6", "E7", "E8"), 1.0)
+_LEAST_DRIVE = 0.05  # V
+_SMALL = 0.01  # of a mean
+# What an experiment on bags reads, what it holds against its model, and what its numbers go with.
 _READS = {
     "E1": ("voltage", "current"), "E2": ("voltage", "temperature"),
     "E3": ("voltage", "temperature"), "E8": ("temperature", "force"),
 }
-_GO_WITH = {RESISTANCE: (COEFFICIENT, SPECIFIC_HEAT), COEFFICIENT: (SPECIFIC_HEAT,)}
-_SYMBOLS = {
-    **TRANSITIONS, "C_A": "wire.stress_influence_austenite",
-    "C_M": "wire.stress_influence_martensite", "E_M": "wire.martensite_modulus",
-    "E_A": "wire.austenite_modulus", "eps_L": "wire.maximum_recoverable_strain",
-    "Theta_T": "wire.thermal_expansion_factor",
-}
-
-
-def concerned(
-    finding: Finding, own: Experiment | None, experiments: Sequence[Experiment]
-) -> tuple[str, ...]:
-    """Names of the parameters that a remark is about: the one it names, with what goes with it;
-    those read from the signal that it names; else all of its experiment, or of all."""
-    if finding.subject in BY_NAME:
-        return (finding.subject, *_GO_WITH.get(finding.subject, ()))
-    named = tuple(_SYMBOLS[s] for s in finding.subject.split(", ") if s in _SYMBOLS)
-    if named or (own is None and finding.subject in NEEDS):
-        return named
-    if own is not None:
-        return tuple(own.estimates)
-    kind = finding.subject.rpartition("." if "." in finding.subject else "/")[2]
-    direct = [
-        name for e in experiments if kind in _READS.get(e.name, (kind,)) for name in e.estimates
-    ]
-    return tuple(dict.fromkeys(n for name in direct for n in (name, *_GO_WITH.get(name, ()))))
-
-
-def _line(finding: Finding, own: Experiment | None) -> str:
-    return f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}"
+_PREDICTS = {"E1": "current", "E2": "temperature", "E3": "temperature"}
+_R, _H, _C_P = signals.RESISTANCE, signals.COEFFICIENT, signals.SPECIFIC_HEAT
+_GO_WITH = {_R: (_H, _C_P), _H: (_C_P,)}
+Drives = Sequence[tuple[Record, signals.ChannelDrive]]
 
 
 def identify(
@@ -119,11 +76,8 @@ def identify(
     of another.
 
     Args:
-        records: bags and instrument files, already read.
-        parameters: what is known beforehand (mass, area, A_s, ...).
         experiments: names out of EXPERIMENTS; all that the records hold when None, but E9 on
             clamped wires and isobaric files, which takes a minute, only when named.
-        report: called with how far it is.
         phases: of tensile tests, by file name or pattern of names.
 
     Raises:
@@ -136,302 +90,364 @@ def identify(
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
+
+    # Bags put right, with what is remarked on them and on the wire's statements.
     sound = [mended(r) for r in records if isinstance(r, Record)]
-    bags = [as_calibrated(record, parameters) for record, _ in sound]
-    known = sensors_of(bags, parameters)
+    bags = [signals.as_calibrated(record, parameters) for record, _ in sound]
+    known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
-    run.notes.extend(f for record in bags for f in _remarks(record))
+    for record in bags:
+        run.notes.extend(record.findings)
+        checked = (f for f in check_record(record) if f.severity != "info")
+        run.notes.extend(f for f in checked if f not in record.findings)
     run.notes.extend(about_wire(known))
+
+    # Wires that move a load are identified by the whole model alone: their staircases bend it.
     whole = _whole_model(run, bags, report)
     reporter = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
-    # Wires that move a load are identified by the whole model alone: their staircases bend it.
-    still = [r for r in bags if not (whole and whole_model.moves(r, parameters))]
-    drives = find_all_drives(run, still)
-    for name, thermal in _THERMAL.items():
-        reporter(name)
-        thermal(run, drives)
-    driven = _driven(run, still, drives, report)
-    pulled = [test for r in still for test in load_frame.tensile_tests(r, run.improved())]
-    _instruments(run, [*records, *pulled, *_held(run, still)], phases or {}, reporter, report)
-    reporter("E8")
-    _thermal_expansion(run, bags)
-    _take_sharper(run, driven)
-    _take_sharper(run, whole)
+    still = [r for r in bags if not (whole and signals.moves(r, parameters))]
+    drives: list[tuple[Record, signals.ChannelDrive]] = []
+    for record in still:
+        try:
+            drives += [(record, drive) for drive in signals.find_drives(record)]
+        except InputError as error:
+            for name in ("E1", "E2", "E3"):
+                run.fail(name, str(error))
+    _thermal(run, drives, reporter)
+
+    # E0 on all records whose wires are driven and read, where no staircase was found in any.
+    driven = None
+    excited = [] if run.of("E1") or run.of("E2") or run.of("E9") else [
+        record for record in still
+        if any(
+            own is record and np.ptp(samples(own, f"{drive.channel}.voltage")[1]) > _LEAST_DRIVE
+            for own, drive in drives
+        ) and any(
+            has_samples(record, f"{c}.{q}")
+            for c in record.channels for q in ("current", "temperature")
+        )
+    ]
+    if excited:
+        from sma_bench.identify.whole_model import identify_driven_wires
+
+        share = part(report, 0.0, _WHOLE_MODEL, "E0")
+        driven = run.attempt("E0", lambda: identify_driven_wires(excited, run.given, share))
+    _material(run, records, bags, still, phases or {}, reporter, report)
+    run.take_sharper(driven)
+    run.take_sharper(whole)
     run.weigh_priors(driven, whole)
     run.keep_order(whole)
     _report_missing(run, records, drives)
     improved = run.improved()
+
     # The estimates with what was stated of them and what is to be said of each.
     remarks: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
     remarks += [(f, e) for e in run.experiments for f in e.findings]
-    warned = [(f, own) for f, own in remarks if f.severity != "info"]
-    doubts: dict[str, dict[str, None]] = {name: {} for name in run.estimates}
-    for finding, own in warned:
-        for name in concerned(finding, own, run.experiments):
-            doubts.get(name, {})[_line(finding, own)] = None
-    given = run.given
+    lines: list[str] = []
+    doubts: dict[str, list[str]] = {name: [] for name in run.estimates}
+    for finding, own in remarks:
+        if finding.severity != "info":
+            lines.append(f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}")
+            for name in _concerned(finding, own, run.experiments):
+                doubts.get(name, []).append(lines[-1])
     estimates = {
         name: replace(
-            e, warnings=tuple(doubts[name]),
-            stated=Estimate(float(given[name]), given.std(name), e.unit)
-            if name in given.given else None,
+            e, warnings=tuple(dict.fromkeys(doubts[name])),
+            stated=Estimate(float(known[name]), known.std(name), e.unit)
+            if name in known.given else None,
         )
         for name, e in run.estimates.items()
     }
-
-    # Correlation of all errors; between experiments as far as the same sensors are behind them.
-    names, every = list(run.estimates), list(run.estimates.values())
-    sources = sorted({source for e in every for source in e.shares})
-    matrix = np.eye(len(names))
-    for own in (e for e in run.experiments if e.correlation is not None):
-        assert own.correlation is not None
-        chosen = [
-            (k, names.index(name)) for k, name in enumerate(own.correlation.names)
-            if name in names and own.estimates.get(name) == run.estimates[name]
-        ]
-        if chosen:
-            here, there = np.array(chosen).T
-            matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
-    std = np.array([max(e.std, 1e-300) for e in every])
-    own_parts = np.array([e.statistical for e in every]) / std
-    shares = [[e.shares.get(s, 0.0) for s in sources] for e in every]
-    common = np.array(shares).reshape(len(every), len(sources)) / std[:, np.newaxis]
-    matrix = matrix * np.outer(own_parts, own_parts) + common @ common.T
-    np.fill_diagonal(matrix, 1.0)
+    fits: dict[str, SignalFit] = {}  # of every signal the worst of several records
+    for quantity, one in _fits(run, bags, drives, improved):
+        fits[quantity] = max(fits.get(quantity, one), one, key=lambda own: own.badness)
     return Identification(
-        improved, estimates, tuple(run.experiments), tuple(run.notes),
-        _fit(run, bags, drives, improved), Correlation(tuple(names), matrix),
-        tuple(dict.fromkeys(_line(f, own) for f, own in warned)),
-        accounts=tuple(filter(None, map(account_line, records))),
+        improved, estimates, tuple(run.experiments), tuple(run.notes), fits, run.correlation(),
+        tuple(dict.fromkeys(lines)), accounts=tuple(filter(None, map(account_line, records))),
     )
 
 
-# What an experiment on bags holds against its model.
-_PREDICTS = {"E1": "current", "E2": "temperature", "E3": "temperature"}
+def _concerned(
+    finding: Finding, own: Experiment | None, experiments: Sequence[Experiment]
+) -> tuple[str, ...]:
+    """Names of the parameters that a remark is about: the one it names, with what goes with it;
+    those read from the signal that it names; else all of its experiment, or of all."""
+    if finding.subject in BY_NAME:
+        return (finding.subject, *_GO_WITH.get(finding.subject, ()))
+    named = tuple(SYMBOLS[s] for s in finding.subject.split(", ") if s in SYMBOLS)
+    if named or (own is None and finding.subject in NEEDS):
+        return named
+    if own is not None:
+        return tuple(own.estimates)
+    kind = finding.subject.rpartition("." if "." in finding.subject else "/")[2]
+    direct = [
+        name for e in experiments if kind in _READS.get(e.name, (kind,)) for name in e.estimates
+    ]
+    return tuple(dict.fromkeys(n for name in direct for n in (name, *_GO_WITH.get(name, ()))))
 
 
-def _fit(
-    run: IdentificationRun, bags: Sequence[Record],
-    drives: Sequence[tuple[Record, ChannelDrive]], found: Parameters,
-) -> dict[str, SignalFit]:
-    """How the model with these parameters fits what they were identified from."""
-    lag = run.estimates.get(CAMERA_LAG)
-    model = found.replace({LAG: lag.value}) if lag else found
-    fits: list[tuple[str, SignalFit]] = []
-    done = {e.name for e in run.experiments}
-    if whole := done & {whole_model.NAME, whole_model.DRIVEN, load_frame.NAME}:
-        used = {path for e in run.experiments if e.name in whole for path in e.source.split("; ")}
-        records = [record for record in bags if str(record.path) in used]
-        if records:
-            fits += fits_of_observations(whole_model.observe_all(records, model), model)
-    quantities = {_PREDICTS[name] for name in done if name in _PREDICTS}
-    for record, drive in drives:
-        with suppress(InputError):  # a channel without a reading of any of these
-            one = observe_channel(record, drive.channel, model, quantities)
-            fits += fits_of_observations([one], model)
-    loops = [e for e in run.experiments if e.name in ("E6", load_frame.NAME)]
-    for experiment in loops[-1:]:
-        fits += fits_of_curves(experiment.curves)
-    return worst(fits)
-
-
-def _remarks(record: Record) -> Iterator[Finding]:
-    yield from record.findings
-    own = [f for f in check_record(record) if f.severity != "info"]
-    yield from (f for f in own if f not in record.findings)
+# --- Which records serve which experiment.
 
 
 def _whole_model(
     run: IdentificationRun, bags: Sequence[Record], report: Report
 ) -> Experiment | None:
     """E10 where a record shows the bench moving, else E9 where one shows a load frame."""
-    bent = [record for record in bags if whole_model.moves(record, run.given)]
+    bent = [record for record in bags if signals.moves(record, run.given)]
     framed = [
         r for r in bags
-        if load_frame.holds_frame(r) and r not in bent and not load_frame.find_pulls(r)
+        if signals.holds_frame(r)
+        and not any(r is moving for moving in bent)  # equal records would compare their arrays
+        and not find_pulls(r)
     ]
-    name = whole_model.NAME if bent else load_frame.NAME
+    name = "E10" if bent else "E9"
+    loaded = not all(is_clamped(record) for record in framed)
     if not (bent or framed) or name not in run.wanted:
         return None
-    loaded = any(load_frame.holds_loads(record) for record in framed)
+    if not (bent or loaded or run.asked):  # E8 tells Theta_T by it in a second
+        run.notes.append(remark("force of a clamped wire"))
+        return None
     if bent or loaded:
+        # Above A_s a clamped wire pulls with stresses that no real wire bears: they are better not
+        # mixed with held loads.
+        limit = run.given[SYMBOLS["A_s"]]
         framed = [
-            r for r in framed if load_frame.holds_loads(r) or load_frame.stays_cold(r, run.given)
+            r for r in framed if not is_clamped(r) or (
+                has_samples(r, hot := f"{r.channels[0]}.temperature")
+                and np.percentile(samples(r, hot)[1], 99.0) < limit
+            )
         ]
-    if not (bent or run.asked or loaded):
-        text = "the force of a clamped wire is there: --experiment E9 fits the whole model to it"
-        run.notes.append(Finding("info", name, text))
-        return None
-    reporter = part(report, 0.0, _WHOLE_MODEL, name)
-    try:
-        if bent:
-            experiment = whole_model.identify_moving_bench([*framed, *bent], run.given, reporter)
-        else:
-            experiment = load_frame.identify_load_frame(framed, run.given, reporter)
-    except InputError as error:
-        run.fail(name, str(error))
-        return None
-    run.experiments.append(experiment)
-    return experiment
+    from sma_bench.identify.whole_model import identify_load_frame, identify_moving_bench
+
+    reporter, used = part(report, 0.0, _WHOLE_MODEL, name), [*framed, *bent]
+    experiment = identify_moving_bench if bent else identify_load_frame
+    return run.attempt(name, lambda: experiment(used, run.given, reporter))
 
 
-def _driven(
-    run: IdentificationRun, bags: Sequence[Record],
-    drives: Sequence[tuple[Record, ChannelDrive]], report: Report,
-) -> Experiment | None:
-    """E0 on all records whose wires are driven and read, where no staircase was found in any."""
-    name = whole_model.DRIVEN
-    if name not in run.wanted or run.of("E1") or run.of("E2") or run.of(load_frame.NAME):
-        return None
-    excited = [
-        record for record in bags
-        if any(
-            record is own and _changes(record, f"{drive.channel}.voltage") for own, drive in drives
+def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], None]) -> None:
+    """E1 and E2 on every staircase, E3 on all ramps together with what these gave."""
+
+    def serving(name: str, quantity: str, ramps: bool = False) -> Drives:
+        """Drives of a kind that come with a signal; the others leave a reason."""
+        reporter(name)
+        found = []
+        for record, drive in drives if name in run.wanted else ():
+            if not (drive.segments.ramps if ramps else drive.staircases):
+                run.fail(name, f"{record.path}: {drive.describe()}", meant=False)
+            elif not has_samples(record, f"{drive.channel}.{quantity}"):
+                run.fail(name, f"{record.path}: no signal {drive.channel}.{quantity}")
+            else:
+                found.append((record, drive))
+        return found
+
+    def compare(parameter: str, found: Sequence[Estimate]) -> None:
+        """The same number by every staircase, before they are pooled."""
+        mean = combine(found).value
+        far = max(found, key=lambda e: abs(e.value - mean) / e.statistical)
+        doubt = max(SIGNIFICANT * far.statistical / mean, _SMALL)
+        if len(found) > 1 and abs(far.value - mean) / mean >= doubt:
+            low, high = (100.0 * (end(e.value for e in found) / mean - 1) for end in (min, max))
+            run.notes.append(
+                remark("repeats differ", subject=parameter, count=len(found), low=low, high=high)
+            )
+
+    def warm() -> Estimate:
+        """R as it heats: with the leads in it."""
+        return heated(run.known(_R), run.given, _R in run.estimates)
+
+    # E1: resistance.
+    for record, drive in serving("E1", "current"):
+        for staircase in drive.staircases:
+            run.attempt("E1", partial(identify_resistance, record, staircase, run.given))
+    if done := run.of("E1"):
+        compare(_R, [e.estimates[_R] for e in done])
+        run.join("E1")
+
+    # E2: the gains are independent of each other; the coefficients share one resistance.
+    for record, drive in serving("E2", "temperature"):
+        for staircase in drive.staircases:
+            run.attempt("E2", partial(
+                identify_heat_transfer, record, staircase, run.given, warm()
+            ))
+    gains = [e.details[GAIN] for e in run.of("E2")]
+    if gains:
+        compare(_H, gains)
+        run.estimates[_H] = coefficient(combine(gains), warm(), run.given)
+        run.estimates[signals.AMBIENT] = combine(
+            [e.estimates[signals.AMBIENT] for e in run.of("E2")]
         )
-        and any(
-            has_samples(record, f"{c}.{q}")
-            for c in record.channels for q in ("current", "temperature")
-        )
-    ]
-    if not excited:
-        return None
-    try:
-        fitted = whole_model.identify_driven_wires(
-            excited, run.given, part(report, 0.0, _WHOLE_MODEL, name)
-        )
-    except InputError as error:
-        run.fail(name, str(error))
-        return None
-    run.experiments.append(fitted)
-    return fitted
+
+    # E3: what is wrong with the heat loss is wrong with c_p, which goes with it.
+    ramps = serving("E3", "temperature", ramps=True)
+    if not ramps:
+        return
+    from sma_bench.identify.specific_heat import HeatLoss, identify_specific_heat
+
+    measured = bool(gains) or _H in run.given.given
+    default = Estimate(run.given[_H], run.given.std(_H), "", "default", 0)
+    heat_loss = HeatLoss(
+        warm(), run.known(_H) if measured else default, combine(gains) if gains else None, measured
+    )
+    fitted = run.attempt("E3", lambda: identify_specific_heat(ramps, run.improved(), heat_loss))
+    if fitted:
+        doubts = [
+            remark("heat loss in doubt", text=f.text) for e in run.of("E2") for f in e.findings
+            if f.severity == "warning" and f.subject == _H
+        ]
+        run.experiments[-1] = replace(fitted, findings=(*fitted.findings, *doubts))
+    run.join("E3")
 
 
-def _changes(record: Record, name: str) -> bool:
-    """Whether a voltage is anything but one level."""
-    return has_samples(record, name) and bool(np.ptp(samples(record, name)[1]) > _LEAST_DRIVE)
-
-
-def _held(run: IdentificationRun, bags: Sequence[Record]) -> list[IsobaricRecord]:
-    """Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same."""
-    if not run.asked or "E6" not in run.wanted or load_frame.NAME in run.wanted:
-        return []
-    framed = (r for r in bags if load_frame.holds_frame(r) and load_frame.holds_loads(r))
-    tests: list[IsobaricRecord] = []
-    for record in framed:
-        try:
-            tests += load_frame.isobaric_tests(record, run.improved())
-        except InputError as error:
-            run.fail("E6", str(error))
-    return tests
-
-
-def _instruments(
-    run: IdentificationRun, records: Sequence[AnyRecord], phases: Mapping[str, Phase],
-    reporter: Callable[[str], None], report: Report,
+def _material(
+    run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequence[Record],
+    still: Sequence[Record], phases: Mapping[str, Phase], reporter: Callable[[str], None],
+    report: Report,
 ) -> None:
-    """E5, E6, E7 and E9 on instrument files, each on all files of its kind together."""
+    """E5, E6, E7 and E9 on instrument files, each on all files of its kind together, and on what a
+    load frame's bags hold of the same; E8 on clamped wires."""
+
+    def done(name: str, experiment: Callable[[], Experiment]) -> None:
+        run.attempt(name, experiment)
+        run.join(name)
+
     dsc = [r for r in records if isinstance(r, DscRecord)]
-    isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
     tensile = [r for r in records if isinstance(r, TensileRecord)]
+    isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
+    for record in still:
+        if find_pulls(record):
+            from sma_bench.identify.tensile import tensile_tests
+
+            tensile += tensile_tests(record, run.improved())
+        # Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same.
+        alone = run.asked and "E6" in run.wanted and "E9" not in run.wanted
+        if alone and signals.holds_frame(record) and not is_clamped(record):
+            from sma_bench.identify.isobaric import isobaric_tests
+
+            try:
+                isobaric += isobaric_tests(record, run.improved())
+            except InputError as error:
+                run.fail("E6", str(error))
     reporter("E5")
-    if len(dsc) == 1 and _rate_follows_cycle(dsc[0]):
-        _try(run, "E5", lambda: identify_transition_temperatures(dsc[0]))
-    elif dsc:
-        _try(run, "E5", lambda: identify_heating_rates(dsc))
-    reporter("E6")
+    if dsc:
+        from sma_bench.identify.transition_temperatures import identify_transition_temperatures
+
+        done("E5", lambda: identify_transition_temperatures(dsc))
+
     # Tensile tests take their phase from E6's temperatures, and give the moduli of E6's elastic
     # part: so the temperatures come first, then the moduli, then E6 as a whole.
+    reporter("E6")
     own = run.improved()
+    if isobaric:
+        from sma_bench.identify.constitutive import fit_constitutive
+        from sma_bench.identify.isobaric import identify_isobaric
     if tensile and isobaric:
         with suppress(InputError):
-            own = own.replace(
-                {n: e.value for n, e in identify_isobaric(isobaric, own).estimates.items()}
-            )
+            first = identify_isobaric(isobaric, own).estimates
+            own = own.replace({name: e.value for name, e in first.items()})
     reporter("E7")
     if tensile:
-        _try(run, "E7", lambda: identify_tensile(tensile, own, phases=phases))
+        from sma_bench.identify.tensile import identify_tensile
+
+        done("E7", lambda: identify_tensile(tensile, own, phases=phases))
     if isobaric:
-        _try(run, "E6", lambda: identify_isobaric(isobaric, run.improved()))
+        done("E6", lambda: identify_isobaric(isobaric, run.improved()))
     if isobaric and run.asked:
         joint = part(report, _JOINT, 1.0, "E9")
-        _try(run, "E9", lambda: fit_constitutive(isobaric, run.improved(), report=joint))
+        done("E9", lambda: fit_constitutive(isobaric, run.improved(), joint))
 
-
-def _rate_follows_cycle(record: DscRecord) -> bool:
-    """Whether one run's cycles differ in rate, which must not pass for a law of the rate."""
-    scans = [s for s in record.segments if s.kind != "isothermal"]
-    return len({round(abs(s.rate) * 60.0, 1) for s in scans}) > 1
-
-
-def _thermal_expansion(run: IdentificationRun, bags: Sequence[Record]) -> None:
-    """E8 on the clamped wires among the bags; the whole model tells it better where it ran."""
-    clamped = [record for record in bags if load_frame.is_clamped_wire(record)]
-    if clamped and not run.of(load_frame.NAME):
-        channel = clamped[0].channels[0]
-        start = "wire.austenite_start_temperature"
-        if run.another_alloy() and start not in run.estimates.keys() | run.given.given:
-            run.fail("E8", "A_s is not stated, and the alloy is another than the paper's")
-            return
-        _try(
-            run, "E8", lambda: identify_thermal_expansion(
-                clamped, run.improved(), temperature=f"{channel}.temperature"
-            )
-        )
-
-
-def _try(run: IdentificationRun, name: str, experiment: Callable[[], Experiment]) -> None:
-    if name not in run.wanted:
+    # E8; the whole model tells it better where it ran.
+    reporter("E8")
+    clamped = [record for record in bags if signals.is_clamped_wire(record)]
+    if not clamped or run.of("E9"):
         return
-    try:
-        run.experiments.append(experiment())
-    except InputError as error:
-        run.fail(name, str(error))
-    run.join(name)
+    if run.another_alloy() and SYMBOLS["A_s"] not in run.estimates.keys() | run.given.given:
+        run.fail("E8", "A_s is not stated, and the alloy is another than the paper's")
+        return
+    from sma_bench.identify.thermal_expansion import identify_thermal_expansion
 
-
-def _take_sharper(run: IdentificationRun, whole: Experiment | None) -> None:
-    """Of what an experiment of its own and the whole model both tell, the sharper number counts.
-
-    They may rest on the same samples, so they are not averaged.
-    """
-    for name, estimate in (whole.estimates if whole else {}).items():
-        other = run.estimates.get(name)
-        if other is not None:
-            apart = (estimate.value - other.value) / math.hypot(estimate.std, other.std)
-            if abs(apart) > _FAR_APART:
-                text = f"the whole model says {estimate.value:.6g} +- {estimate.std:.2g} " + (
-                    f"{estimate.unit}, {apart:+.1f} standard errors from {other.value:.6g} +- "
-                    f"{other.std:.2g} ({other.method})"
-                )
-                run.notes.append(Finding("warning", name, text, {"deviations": apart}))
-        if other is None or estimate.std < other.std:
-            run.estimates[name] = estimate
+    done("E8", lambda: identify_thermal_expansion(clamped, run.improved()))
 
 
 def _report_missing(
-    run: IdentificationRun, records: Sequence[AnyRecord],
-    drives: Sequence[tuple[Record, ChannelDrive]],
+    run: IdentificationRun, records: Sequence[AnyRecord], drives: Drives
 ) -> None:
     """A note for each experiment without a result, a warning where a record was meant for it; an
     error if that leaves nothing."""
-    missing = run.missing(EXPERIMENTS)
+    missing = [name for name in EXPERIMENTS if name in run.wanted and not run.of(name)]
+    reasons = {name: list(dict.fromkeys(run.reasons.get(name, []))) for name in missing}
     if not run.experiments or (run.asked and missing):
-        where = ", ".join(str(r.path) for r in records)
-        reasons = list(dict.fromkeys(r for n in missing for r in run.reasons.get(n, [])))
+        every = [reason for name in missing for reason in reasons[name]]
         # What was found says more than a reason for each experiment that repeats it.
         found = [f"{record.path}: {drive.describe()}" for record, drive in drives]
-        if not drives:
+        if not drives and not every:
             held = sorted({s for r in records if isinstance(r, Record) for s in r.signals})
-            found = [f"signals {', '.join(held) or 'none'}"] if not reasons else []
-        shown = "; ".join(dict.fromkeys(found + reasons))
-        needs = "; ".join(NEEDS[name] for name in missing)
+            found = [f"signals {', '.join(held) or 'none'}"]
         what = "nothing to identify" if not run.experiments else f"no {', '.join(missing)}"
-        raise InputError(f"{where}: {what}: found {shown}; needed: {needs}")
+        raise InputError(
+            f"{', '.join(str(r.path) for r in records)}: {what}: found "
+            f"{'; '.join(dict.fromkeys(found + every))}; needed: "
+            f"{'; '.join(NEEDS[name] for name in missing)}"
+        )
     for name in missing:
-        if name in _TRIED_ON_CHANCE:
+        if reasons[name] and name not in _TRIED_ON_CHANCE:
+            run.notes.append(remark(
+                "not identified", "warning" if name in run.failed else "info", name,
+                reasons="; ".join(reasons[name]), needs=NEEDS[name],
+            ))
+
+
+# --- Does the model fit at all? The records predicted with the identified parameters.
+
+
+def _fits(
+    run: IdentificationRun, bags: Sequence[Record], drives: Drives, found: Parameters
+) -> Iterator[tuple[str, SignalFit]]:
+    """How the model with these parameters fits what they were identified from, by quantity; what
+    is off in a record beside the model, zeros, delays and moments of jumps, is taken off first."""
+    lag = run.estimates.get(signals.CAMERA_LAG)
+    model = found.replace({signals.LAG: lag.value}) if lag else found
+    used = {
+        path for e in run.experiments if e.name in ("E0", "E9", "E10")
+        for path in e.source.split("; ")
+    }
+    sets: list[list[Observation]] = []
+    if records := [record for record in bags if str(record.path) in used]:
+        sets.append(signals.observe_all(records, model))
+    quantities = {_PREDICTS[e.name] for e in run.experiments if e.name in _PREDICTS}
+    for record, drive in drives:
+        head, rig = f"{drive.channel}.", signals.one_wire(model, drive.channel)
+        own = {name: s for name, s in record.signals.items() if name.startswith(head)}
+        alone = replace(record, signals=own)
+        with suppress(InputError):  # a channel without a reading of any of these
+            sets.append([observe(alone, rig, shared_bin([alone], rig), quantities)])
+    known, still = Unknowns(model, (), 0, 0), np.zeros(0)
+    for observations in sets:
+        first = fit(Problem.of(observations).with_nuisances(model), known, still, rounds=1)
+        # Once more, with the noise that the model leaves: zeros of a first guess bend to a misfit.
+        fitted = fit(first.problem, known, still, rounds=1, keep_noise=True)
+        for block in fitted.problem.blocks:
+            signal, left = block.signal, fitted.left[block.rows]
+            # A bin's mean hides most of its samples' white noise: it is added again.
+            count = float(np.median(signal.count))
+            hidden = signal.noise**2 * (count - 1.0)
+            rms = float(np.sqrt(np.average(left**2, weights=signal.count) + hidden))
+            noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
+            unit = UNITS[signal.quantity]
+            yield signal.quantity, SignalFit.judged(rms, noise, reach, unit)
+
+    # Strain of isobaric loops, beside which an experiment has laid its model.
+    loops = [e for e in run.experiments if e.name in ("E6", "E9")]
+    for name, strain in loops[-1].curves.items() if loops else ():
+        stem, _, kind = name.rpartition("/")
+        if kind != "strain" or len(strain) < 3:
             continue
-        reasons = list(dict.fromkeys(run.reasons.get(name, [])))
-        if reasons:
-            text = f"not identified ({'; '.join(reasons)}); needed: {NEEDS[name]}"
-            run.notes.append(Finding("warning" if name in run.failed else "info", name, text))
+        curves = loops[-1].curves
+        strained = curves.get(f"{stem}/model")
+        if strained is None:
+            cosine = curves[f"{stem}/cosine"]
+            kelvin, modelled = cosine[np.argsort(cosine[:, 0])].T
+            strained = np.interp(curves[f"{stem}/temperature"], kelvin, modelled)
+        rms = float(np.sqrt(np.mean((strain - strained) ** 2)))
+        reach = float(np.ptp(strain))
+        yield "strain", SignalFit.judged(rms, noise_floor(strain), reach, "1")

@@ -1,24 +1,31 @@
 """The result of an identification as plain facts: what its file holds, and what every card, page
-and topic is made from (`templates/identification.j2`)."""
+and topic is made from (`templates/identification.j2`). The texts of its remarks are one table,
+remarks.yaml, keyed by cause."""
 
+import string
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from sma_bench.cards import card_html, card_rows, card_text, sentences
+from sma_bench.border import load_yaml
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.findings import Finding
+from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import Parameters
-from sma_bench.results import decoded
+from sma_bench.results import card_html, card_rows, card_text, decoded, sentences
 
 Array = npt.NDArray[np.float64]
 FitVerdict = Literal["ok", "imperfect", "misfit"]
 _SURPRISES = 3.0  # standard deviations
 _TOGETHER = 0.5  # correlation worth a line
+_WITHIN_NOISE = 1.1  # rms over the noise of a sample, which is itself known to some 5 %
+_USABLE = 0.05  # of the signal's range
 
 
 @dataclass(frozen=True)
@@ -30,6 +37,21 @@ class SignalFit:
     rms: float
     noise: float
     unit: str
+
+    @classmethod
+    def judged(cls, rms: float, noise: float, reach: float, unit: str) -> "SignalFit":
+        """`ok` within the noise, `imperfect` above it but at most 5 % of `reach`, what the signal
+        spans (every real bench is), `misfit` beyond."""
+        verdict: FitVerdict = "ok"
+        if rms > _WITHIN_NOISE * noise:
+            verdict = "imperfect" if rms**2 - noise**2 <= (_USABLE * reach) ** 2 else "misfit"
+        return cls(verdict, rms, noise, unit)
+
+    @property
+    def badness(self) -> tuple[int, float]:
+        """To order fits by, the worst last."""
+        ratio = self.rms / self.noise if self.noise else 0.0
+        return get_args(FitVerdict).index(self.verdict), ratio
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +68,10 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the paper as far as the records hold it.
-
-    `estimates` maps parameter names of the contract to what goes into a parameter file;
-    `details` holds further numbers (one direction, one heating rate, another method) under
-    names of their own; `curves` holds the arrays of its figure, never written to JSON;
-    `correlation` is that of the errors of estimates which one fit gave together.
-    """
+    """One experiment of the paper as far as the records hold it: `estimates` by parameter name;
+    `details` further numbers (one direction, one rate, another method) under names of their own;
+    `curves` the arrays of its figure, never written to JSON; `correlation` of the errors of
+    estimates which one fit gave together."""
 
     name: str
     title: str
@@ -65,13 +84,13 @@ class Experiment:
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the curves."""
+        estimates, details = (
+            {name: e.to_json() for name, e in found.items()}
+            for found in (self.estimates, self.details)
+        )
         return {
-            "name": self.name,
-            "title": self.title,
-            "source": self.source,
-            "estimates": {name: e.to_json() for name, e in self.estimates.items()},
-            "details": {name: e.to_json() for name, e in self.details.items()},
-            "findings": [finding.to_json() for finding in self.findings],
+            "name": self.name, "title": self.title, "source": self.source, "estimates": estimates,
+            "details": details, "findings": [finding.to_json() for finding in self.findings],
         }
 
 
@@ -80,15 +99,14 @@ class Identification(Reported):
     """Everything the records gave, or what a result file holds of it.
 
     `estimates` by parameter name, each with what the parameter file states and the warnings that
-    concern it; `parameters` the given ones with these put in, ready for a parameter file (of a
-    result file the defaults); `experiments` one each record and channel, with curves; `fit`: how
-    the model with these parameters fits every signal that they were identified from; `warnings`:
-    everything a careful reader should know before using the numbers; `correlation` of their errors;
-    `notes` what could not be identified and why, and what the reader of the records remarked;
-    `path` of the result file; `accounts` what became of each record's rows and columns.
+    concern it; `parameters` the given ones with these put in (of a result file the defaults);
+    `experiments` one each record and channel; `fit` of the model with these parameters to every
+    signal that they were identified from; `warnings` to read before using the numbers; `notes` what
+    could not be identified and why, and what was remarked on the records; `path` of the result
+    file; `accounts` what became of each record's rows and columns.
     """
 
-    writer = ("collected_report", "write_identification_report")
+    writer = ("reports", "write_identification_report")
     template: ClassVar[str] = "identification.j2"
 
     parameters: Parameters
@@ -103,13 +121,10 @@ class Identification(Reported):
 
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from, "" of none."""
-        holding = [e for e in self.experiments if name in e.estimates]
-        taken = self.estimates[name]
-        same = [
-            e for e in holding
-            if (e.estimates[name].value, e.estimates[name].n) == (taken.value, taken.n)
-        ]
-        return next((e.name for e in (same or holding)[-1:]), "")
+        holding, taken = [e for e in self.experiments if name in e.estimates], self.estimates[name]
+        own = [(e.name, e.estimates[name]) for e in holding]
+        same = [origin for origin, e in own if (e.value, e.n) == (taken.value, taken.n)]
+        return (["", *(origin for origin, _ in own), *same])[-1]
 
     @property
     def is_misfit(self) -> bool:
@@ -178,11 +193,12 @@ def identification_from(document: Any, where: str) -> Identification:
     """
     found = decoded(_File, document, where)
     names, matrix = (found.correlation.get(key, []) for key in ("names", "matrix"))
+    k = len(names)
     try:
-        numbers = np.array(matrix, dtype=np.float64).reshape(len(names), len(names))
+        numbers = np.array(matrix, dtype=np.float64).reshape(k, k)
     except (TypeError, ValueError):
-        raise InputError(f"{where}: damaged result: correlation of {len(names)} names is not as "
-                         "many rows and columns of numbers") from None
+        wrong = f"correlation of {k} names is not as many rows and columns of numbers"
+        raise InputError(f"{where}: damaged result: {wrong}") from None
     estimates = {
         name: e if "informed" in document["parameters"][name] else replace(e, informed=np.nan)
         for name, e in found.parameters.items()
@@ -190,4 +206,51 @@ def identification_from(document: Any, where: str) -> Identification:
     return Identification(
         Parameters.defaults(), estimates, found.experiments, (), found.fit,
         Correlation(tuple(map(str, names)), numbers), found.warnings, where,
+    )
+
+
+# --- Remarks.
+
+
+class _Words(string.Formatter):
+    """As `str.format`; a name may have a factor: {stress/1e6:.0f} MPa, {share*100:+.1f} %."""
+
+    def get_field(self, field: str, args: Sequence[Any], facts: Mapping[str, Any]) -> Any:
+        field, _, divisor = field.partition("/")
+        field, _, factor = field.partition("*")
+        value, name = super().get_field(field, args, facts)
+        if factor or divisor:
+            value = value * float(factor or 1.0) / float(divisor or 1.0)
+        return value, name
+
+
+@cache
+def _table() -> dict[str, dict[str, Any]]:
+    text = Path(__file__).with_name("remarks.yaml").read_text(encoding="utf-8")
+    found: dict[str, dict[str, Any]] = load_yaml(text)
+    return found
+
+
+def words(cause: str, **facts: object) -> str:
+    """The text of a cause with these facts in it."""
+    return _Words().vformat(_table()[cause]["text"], (), facts)
+
+
+def refusal(cause: str, **facts: object) -> InputError:
+    """The error of a cause, with these facts in its text."""
+    return InputError(words(cause, **facts))
+
+
+def remark(
+    cause: str, severity: Severity | None = None, subject: str = "",
+    numbers: Mapping[str, float] | None = None, **facts: Any,
+) -> Finding:
+    """The remark of a cause, its facts in SI units. `severity`, `subject`: other than the table's;
+    `numbers`: for machines, else the facts that the table lists."""
+    entry = _table()[cause]
+    if numbers is None:
+        numbers = {name: float(facts[name]) for name in entry.get("numbers", ())}
+    return Finding(
+        severity or entry.get("severity", "info"), subject or entry["subject"],
+        words(cause, **facts), dict(numbers),
     )

@@ -2,10 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.load_frame import LOAD_FRAME, has_load_frame, is_clamped
 from sma_bench.estimation.noise_model import (
     Array,
     autocorrelation,
@@ -13,18 +15,38 @@ from sma_bench.estimation.noise_model import (
     quantisation_variance,
     resolution,
 )
+from sma_bench.estimation.observation import (
+    QUANTITIES,
+    Observation,
+    observe,
+    pulls_a_load,
+    shared_bin,
+)
 from sma_bench.estimation.voltage import Segments, VoltageSegment, find_segments, protocol_spans
 from sma_bench.findings import Finding
+from sma_bench.identify.estimate import straight_line
+from sma_bench.identify.result import refusal, remark
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import NITI_DENSITY, wire_length
 from sma_bench.records import Record
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import has_samples, samples
 
-SHORTEST_PLATEAU = 2.0
+RESISTANCE, COEFFICIENT = "wire.resistance", "wire.heat_transfer_coefficient"
+SPECIFIC_HEAT, AMBIENT = "wire.specific_heat", "environment.ambient_temperature"
+LAG, CAMERA_LAG = "effect.temperature_lag.time_constant", "sensor.temperature.lag"
+KNOWN_LAG = 0.1  # of the wire's time constant, error of a lag that records by themselves tell
+LEADS = "bench.lead_resistance"
+VOLTAGE, CURRENT = "sensor.voltage.gain", "sensor.current.gain"
+# s: settle, then average; a plateau that is shorter than the last is none.
+SETTLE, AVERAGE, SHORTEST_PLATEAU = 15.0, 15.0, 2.0
+FEWEST_LEVELS = 4
+_FEWEST_SAMPLES = 8  # of a window
+_PRIOR_WEIGHT = 10.0  # samples of the others' scatter, on which short windows lean
 _COLDEST, _HOTTEST = 5.0, 95.0  # %
 # What scales the wire's excess over the room.
 CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
-          "sensor.temperature.spot_share")  # fmt: skip
+          "sensor.temperature.spot_share")
 _CALIBRATED = ("current", "voltage", "temperature", "deflection")
 
 
@@ -37,16 +59,29 @@ class Staircase:
     tolerance: float
     protocol: str = ""
 
-    def windows(self, settle: float, average: float) -> tuple[Array, tuple[Finding, ...]]:
-        """Averaging windows (p, 2) in s and remarks on them."""
-        return windows(self.plateaus, settle, average)
+    @property
+    def windows(self) -> Array:
+        """Averaging window (start, stop) in s of every plateau, (p, 2), as in section II.B; one
+        too short for both times keeps their proportion."""
+        start, duration = np.array([(p.start, p.duration) for p in self.plateaus]).T
+        shares = np.minimum(1.0, duration / (SETTLE + AVERAGE))
+        return start[:, np.newaxis] + np.outer(shares, (SETTLE, SETTLE + AVERAGE))
+
+    def means(self, record: Record, quantity: str) -> "Means":
+        """Of one of the channel's signals, plateau by plateau."""
+        name = f"{self.channel}.{quantity}"
+        return means(*samples(record, name), self.windows, name)
+
+    def same_level(self, voltage: Array) -> Array:
+        """(p, p) ones where two plateaus share a voltage and so the converter's error."""
+        apart = np.abs(voltage[:, None] - voltage[None, :])
+        return (apart < self.tolerance).astype(np.float64)
 
     def source(self, record: Record) -> str:
         """Where the points come from, for the result file."""
         span = f"{self.plateaus[0].start:.1f} to {self.plateaus[-1].stop:.1f} s"
-        return f"{record.path}: {self.channel}, {span}" + (
-            f", protocol {self.protocol}" if self.protocol else ""
-        )
+        protocol = f", protocol {self.protocol}" if self.protocol else ""
+        return f"{record.path}: {self.channel}, {span}{protocol}"
 
 
 @dataclass(frozen=True)
@@ -60,20 +95,16 @@ class ChannelDrive:
     def describe(self) -> str:
         """A few words for messages."""
         s = self.segments
-        counts = (len(s.plateaus), s.levels(), len(s.ramps))
         plateaus, voltages, ramps = (
-            f"{n} {word}{'' if n == 1 else 's'}"
-            for n, word in zip(counts, ("plateau", "voltage", "ramp"), strict=True)
+            f"{n} {word}{'' if n == 1 else 's'}" for n, word in
+            ((len(s.plateaus), "plateau"), (s.levels(), "voltage"), (len(s.ramps), "ramp"))
         )
         return f"{self.channel}: {plateaus} at {voltages}, {ramps}"
 
 
 def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
-    """Segments of every channel's voltage, split by protocol where markers name them.
-
-    Raises:
-        InputError: a voltage too short to be cut into segments.
-    """
+    """Segments of every channel's voltage, split by protocol where markers name them. Raises
+    InputError for a voltage too short to be cut."""
     drives = []
     for channel in record.channels:
         if not has_samples(record, f"{channel}.voltage"):
@@ -90,6 +121,48 @@ def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
                 found.append(Staircase(channel, plateaus, part.tolerance, protocol))
         drives.append(ChannelDrive(channel, segments, tuple(found)))
     return tuple(drives)
+
+
+def moves(record: Record, parameters: Parameters) -> bool:
+    """Whether a record shows the composite bending, or wires moving their load."""
+    own = ("elongation",) if pulls_a_load(record, parameters) else ()
+    return any(has_samples(record, n) for n in ("deflection", "front.range", "back.range", *own))
+
+
+def holds_frame(record: Record) -> bool:
+    """Whether a record shows one driven wire in a load frame."""
+    channels = record.channels
+    alone = len(channels) == 1 and has_load_frame(record)
+    return alone and has_samples(record, f"{channels[0]}.voltage")
+
+
+def is_clamped_wire(record: Record) -> bool:
+    """Whether one wire was clamped while its force and temperature were measured."""
+    if len(record.channels) != 1 or not is_clamped(record):
+        return False
+    names = ("force", f"{record.channels[0]}.temperature")
+    return all(has_samples(record, name) for name in names)
+
+
+def about_length(parameters: Parameters) -> Finding:
+    """Where the gauge length comes from."""
+    source = f"from mass and diameter at {NITI_DENSITY:g} kg/m3"
+    if parameters["wire.length"]:
+        source = "as given"
+    return remark("gauge length", length=wire_length(parameters), source=source)
+
+
+def observe_all(records: Sequence[Record], parameters: Parameters) -> list[Observation]:
+    """Everything that the records measure, in bins that suit all of them."""
+    shortest = shared_bin(records, parameters) if records else 0.0
+    return [observe(r, parameters, shortest, (*QUANTITIES, *LOAD_FRAME)) for r in records]
+
+
+def one_wire(parameters: Parameters, channel: str) -> Parameters:
+    """A bench of this channel alone, its wire clamped."""
+    return parameters.replace({
+        "bench.channels": (channel,), "bench.channel_sides": ("front",), "load.kind": "clamped",
+    })
 
 
 def as_calibrated(record: Record, parameters: Parameters) -> Record:
@@ -136,40 +209,14 @@ def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
     )
 
 
-def missing_findings(record: Record, channel: str) -> tuple[Finding, ...]:
-    """A warning for each signal of a channel of which some samples were not measured."""
-    findings = []
-    for quantity in ("voltage", "current", "temperature"):
-        signal = record.get(f"{channel}.{quantity}")
-        if signal is None:
-            continue
-        bad = int(np.sum(~np.isfinite(signal.values)))
-        if 0 < bad < len(signal.values):
-            text = f"{record.path}: {bad} of {len(signal.values)} samples are NaN and left out"
-            findings.append(Finding("warning", signal.name, text, {"count": float(bad)}))
-    return tuple(findings)
+# --- One point a plateau, with what its mean is worth.
 
 
-# --- Settle, then average: one point a plateau, with what its mean is worth.
-
-SETTLE = 15.0
-AVERAGE = 15.0
-FEWEST_LEVELS = 4
-_FEWEST_SAMPLES = 8
-# Detection finds a plateau's ends to a sample or two: only a real shortage is worth a remark.
-_SHORTAGE = 0.95
-_PRIOR_WEIGHT = 10.0
-
-
-@dataclass(frozen=True)
-class Means:
-    """Means of one signal over p plateaus, in its unit.
-
-    `value` (p,); `noise` (p,) standard error of each from the scatter of its samples, coloured
-    noise counted; `hidden` standard deviation of the converter error that averaging does not
-    remove, `step` the converter's step (0 if none is seen); `drift` (p,) change over the window by
-    a straight line, `drift_std` its error; `n` (p,) samples.
-    """
+class Means(NamedTuple):
+    """Means of one signal over p plateaus, in its unit: `value` (p,); `noise` (p,) their standard
+    errors, coloured noise counted; `hidden` standard deviation of the converter error that
+    averaging does not remove, `step` the converter's (0 if none is seen); `drift` (p,) change over
+    the window by a straight line, `drift_std` its error; `n` samples of all of them."""
 
     value: Array
     noise: Array
@@ -177,158 +224,37 @@ class Means:
     step: float
     drift: Array
     drift_std: Array
-    n: Array
-
-
-def windows(
-    plateaus: Sequence[VoltageSegment], settle: float = SETTLE, average: float = AVERAGE
-) -> tuple[Array, tuple[Finding, ...]]:
-    """Averaging window (start, stop) in s of every plateau, (p, 2), as in section II.B.
-
-    A plateau too short for both times keeps their proportion.
-    """
-    if settle < 0.0 or average <= 0.0:
-        raise InputError(f"settle {settle:g} s and average {average:g} s, expected >= 0 and > 0")
-    wanted = settle + average
-    scale = np.array([min(1.0, p.duration / wanted) for p in plateaus])
-    start = np.array([p.start for p in plateaus])
-    bounds = np.column_stack([start + scale * settle, start + scale * wanted])
-    short = int(np.sum(scale < _SHORTAGE))
-    if not short:
-        return bounds, ()
-    text = (
-        f"{short} of {len(plateaus)} plateaus are shorter than {settle:g} s + {average:g} s; "
-        f"their windows shrink in proportion, the shortest to {scale.min() * settle:.2g} s + "
-        f"{scale.min() * average:.2g} s"
-    )
-    return bounds, (
-        Finding("info", "plateaus", text, {"shortest_scale": float(scale.min())}),
-    )
+    n: int
 
 
 def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
-    """Mean of a signal in each window.
-
-    Args:
-        time: (n,) s, increasing; values: (n,); bounds: (p, 2) s.
-        what: name of the signal, for messages.
-
-    Raises:
-        InputError: a window without enough samples.
-    """
+    """Mean of a signal (n,) over time (n,) s in each window (p, 2) s. `what`: its name. Raises
+    InputError for a window without enough samples."""
     finite = np.isfinite(values)
     time, values = time[finite], values[finite]
-    first = np.searchsorted(time, bounds[:, 0], side="left")
-    beyond = np.searchsorted(time, bounds[:, 1], side="right")
-    windows_of_samples = []
-    for (start, stop), i, j in zip(bounds, first, beyond, strict=True):
-        if j - i < _FEWEST_SAMPLES:
-            raise InputError(
-                f"{what}: {j - i} samples between {start:.1f} s and {stop:.1f} s, "
-                f"expected {_FEWEST_SAMPLES} or more to average"
+    found, lines = [], []
+    for start, stop in bounds:
+        first = np.searchsorted(time, start, side="left")
+        inside = slice(first, np.searchsorted(time, stop, side="right"))
+        t, v = time[inside], values[inside]
+        if len(v) < _FEWEST_SAMPLES:
+            raise refusal(
+                "few to average", what=what, count=len(v), start=start, stop=stop,
+                least=_FEWEST_SAMPLES,
             )
-        windows_of_samples.append((time[i:j], values[i:j]))
-    n = np.array([len(v) for _, v in windows_of_samples], dtype=np.float64)
-    drift, residuals = [], []
-    for t, v in windows_of_samples:
-        centred = t - t.mean()
-        slope = float(centred @ v) / float(centred @ centred)
-        residuals.append(v - v.mean() - slope * centred)
-        drift.append(slope * float(t[-1] - t[0]))
-    correlated = inflation(autocorrelation(residuals))
-    variance = np.array([np.sum(r**2) / (len(r) - 2) for r in residuals])
+        found.append((t, v))
+        lines.append(straight_line(t, v))
+    n = np.array([len(v) for _, v in found], dtype=np.float64)
+    left = [v - line(t) for (t, v), line in zip(found, lines, strict=True)]
+    correlated = inflation(autocorrelation(left))
+    variance = n * np.array([line.value_variance for line in lines])
     pooled = float(np.sum(variance * n) / np.sum(n))
-    # Short windows know their own scatter badly and lean on the others'.
     steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)
-    noise = np.sqrt(steady * correlated / n)
-    step = resolution(values)
+    noise, step = np.sqrt(steady * correlated / n), resolution(values)
     hidden = quantisation_variance(float(np.sqrt(pooled)), step)
+    drift = [line.slope * float(np.ptp(t)) for (t, _), line in zip(found, lines, strict=True)]
     return Means(
-        value=np.array([v.mean() for _, v in windows_of_samples]),
-        noise=noise,
-        hidden=float(np.sqrt(hidden)),
-        step=step,
-        drift=np.array(drift),
+        np.array([line.value for line in lines]), noise, float(np.sqrt(hidden)), step,
         # A straight line's rise over its window has variance 12 times that of the mean.
-        drift_std=np.sqrt(12.0) * noise,
-        n=n,
+        np.array(drift), np.sqrt(12.0) * noise, int(np.sum(n)),
     )
-
-
-def same_level(voltage: Array, tolerance: float) -> Array:
-    """(p, p) ones where two plateaus share a voltage and so the converter's error, else zeros."""
-    return (np.abs(voltage[:, None] - voltage[None, :]) < tolerance).astype(np.float64)
-
-
-# --- Straight pieces of a curve, with as many pieces as the curve is worth.
-
-_MOST = 9
-_SHORTEST = 4
-
-
-@dataclass(frozen=True)
-class Piece:
-    """Points first..last (included), y = value + slope (x - at)."""
-
-    first: int
-    last: int
-    at: float
-    value: float
-    slope: float
-
-    def crossing(self, other: "Piece") -> float:
-        """x where two lines meet."""
-        at_zero = self.value - self.slope * self.at - other.value + other.slope * other.at
-        return at_zero / (other.slope - self.slope)
-
-
-def straight_pieces(x: Array, y: Array, tolerance: float) -> list[Piece]:
-    """Best straight pieces by dynamic programming (Bellman, 1961).
-
-    Args:
-        x: (n,) increasing; y: (n,).
-        tolerance: rms distance in the unit of y below which more pieces are not worth having.
-
-    Returns:
-        The smallest number of pieces whose rms distance is below the tolerance, at most nine.
-    """
-    n = len(x)
-    cost = _costs(x, y)
-    best = np.full((_MOST + 1, n + 1), np.inf)
-    best[0, 0] = 0.0
-    origin = np.zeros((_MOST + 1, n + 1), dtype=int)
-    for count in range(1, _MOST + 1):
-        for end in range(_SHORTEST, n + 1):
-            totals = best[count - 1, : end - _SHORTEST + 1] + cost[: end - _SHORTEST + 1, end]
-            origin[count, end] = int(np.argmin(totals))
-            best[count, end] = totals[origin[count, end]]
-        if best[count, n] <= n * tolerance**2:
-            break
-    ends = [n]
-    for k in range(count, 0, -1):
-        ends.append(int(origin[k, ends[-1]]))
-    bounds = ends[::-1]
-    return [fit_piece(x, y, a, b - 1) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
-
-
-def fit_piece(x: Array, y: Array, first: int, last: int) -> Piece:
-    """Least-squares line through points first..last."""
-    part = slice(first, last + 1)
-    centred = x[part] - x[part].mean()
-    slope = float(centred @ y[part]) / float(centred @ centred)
-    return Piece(first, last, float(x[part].mean()), float(y[part].mean()), slope)
-
-
-def _costs(x: Array, y: Array) -> Array:
-    """(n + 1, n + 1) sum of squared distances from the line through points first..end - 1."""
-    def running(values: Array) -> Array:
-        return np.concatenate([[0.0], np.cumsum(values)])
-
-    x, y = x - x.mean(), y - y.mean()
-    sums: Sequence[Array] = [running(v) for v in (np.ones_like(x), x, y, x * x, x * y, y * y)]
-    m, sx, sy, sxx, sxy, syy = (s[None, :] - s[:, None] for s in sums)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        vxx, vxy, vyy = sxx - sx * sx / m, sxy - sx * sy / m, syy - sy * sy / m
-        cost = np.maximum(vyy - np.where(vxx > 0.0, vxy * vxy / vxx, 0.0), 0.0)
-    cost[m < _SHORTEST] = np.inf
-    return np.asarray(cost)

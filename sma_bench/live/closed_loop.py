@@ -1,78 +1,74 @@
 """Controllers on a reference, followed as a protocol is (`run.OpenLoop`). No ROS."""
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
-from sma_bench.control import DeflectionController, TemperatureController
-from sma_bench.control.deflection import deflection_reference_fault
-from sma_bench.control.temperature import temperature_reference_fault
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import Freshness
 from sma_bench.live.run import OpenLoop
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import TUNING
-from sma_bench.protocols import Protocol, Segment
-from sma_bench.protocols.reading import DEFLECTION, TEMPERATURE, Quantity, load_reference
+from sma_bench.protocols import TEMPERATURE, Protocol, Quantity, Segment, load_protocol
 
 
-class ClosedLoop(OpenLoop, ABC):
-    """A controller on a reference; one from a topic goes on until it is stopped. SI units.
-
-    Attributes:
-        quantity: of the reference; controller: of a bench's parameters, a period and the tuning.
-        reference_fault: why levels cannot be followed on a bench, or "".
-    """
-
-    quantity: ClassVar[Quantity]
-    controller: ClassVar[Callable[..., Any]]
-    reference_fault: ClassVar["staticmethod[[Sequence[float], Parameters], str]"]
+class ClosedLoop(OpenLoop):
+    """Holds wires at temperatures (experiment E8), or bends a bench as wanted. A reference from a
+    topic goes on until it is stopped. SI units."""
 
     def __init__(
-        self, settings: dict[str, Any], parameters: Parameters,
-        follow: Callable[[Sequence[float]], None],
+        self, quantity: Quantity, settings: dict[str, Any], parameters: Parameters,
+        follow: Callable[[Sequence[float]], None], freshness: Freshness | None = None,
     ) -> None:
-        """`follow` gets each setpoint."""
-        self._follow = follow
+        """`follow` hears each level that is wanted; without fresh readings, where there is a
+        `freshness`, it does not drive."""
+        # Controllers load the linear model, which an experiment with volts does without.
+        from sma_bench.control import DeflectionController, TemperatureController
+
+        if quantity is TEMPERATURE and "temperature" not in settings["feedback"]:
+            raise InputError("feedback: temperature control cannot do without temperature")
+        self._quantity, self._follow, self._freshness = quantity, follow, freshness
+        self._controller: Any = DeflectionController if quantity.tip else TemperatureController
         self._period = 1.0 / settings["command_rate"]
         self._asked: Sequence[float] | None = None
+        self._readings = dict.fromkeys(quantity.targets(parameters), math.nan)
         # The first design also compiles the physics, which must not wait for the start.
         self.begin(settings, parameters)
 
-    @abstractmethod
-    def answer(self, wanted: Sequence[float], upcoming: Sequence[float]) -> list[float]:
-        """Volts for levels wanted now and one period later."""
-
     def plan(self, settings: dict[str, Any], parameters: Parameters) -> Protocol:
         """The reference, every level of it within the bench's reach."""
-        if not settings["reference"]:
-            names, _ = self.quantity.targets(parameters)
-            rest = self.quantity.rest(parameters)
+        if not settings["reference"]:  # at rest, until one comes from the topic
+            names, rest = self._quantity.targets(parameters), self._quantity.rest(parameters)
             level = (rest,) * len(names)
-            follow = Segment("follow", math.inf, level, level)
-            return Protocol("topic", names, (follow,), rest=rest)
-        reference = load_reference(settings["reference"], parameters, self.quantity)
+            return Protocol("topic", names, (Segment("follow", math.inf, level, level),), rest=rest)
+        reference = load_protocol(settings["reference"], parameters, self._quantity)
         for segment in reference.segments:
             for level in (segment.start, segment.stop):
-                if fault := self.reference_fault(level, parameters):
+                if fault := self._controller.reference_fault(level, parameters):
                     raise InputError(f"{reference.name}: {segment.step}: {fault}")
         return reference
 
     def begin(self, settings: dict[str, Any], parameters: Parameters) -> None:
         """Design the controller anew, for the parameters of the moment."""
         self._asked = None
-        tuning = {parameter.name: settings[parameter.name] for parameter in TUNING}
-        self._law = self.controller(parameters, self._period, **tuning)
+        tuning = {p.name: settings[p.name] for p in TUNING}
+        self._law = self._controller(parameters, self._period, **tuning)
 
     def volts(self, protocol: Protocol, elapsed: float) -> list[float]:
-        """One step of the controller."""
         wanted, upcoming = (
             protocol.level(moment).tolist() if self._asked is None else self._asked
             for moment in (elapsed, elapsed + self._period)
         )
         self._follow(wanted)
-        return self.answer(wanted, upcoming)
+        readings, period = list(self._readings.values()), self._period
+        if self._quantity.tip:
+            volts = self._law.step(wanted[0], readings[0], period, upcoming[0])
+        else:
+            volts = self._law.step(wanted, readings, period)
+        return list(volts.tolist())
+
+    def fault(self, now: float) -> str:
+        return self._freshness.fault(now) if self._freshness else ""
 
     def ask(
         self, levels: Sequence[float], followed: Protocol | None, parameters: Parameters
@@ -80,59 +76,15 @@ class ClosedLoop(OpenLoop, ABC):
         """Take a reference from the topic, where what is followed has no end; why not, or ""."""
         if followed is None or math.isfinite(followed.duration):
             return "the reference is not taken from the topic now"
-        fault = self.reference_fault(levels, parameters)
+        fault: str = self._controller.reference_fault(levels, parameters)
         if not fault:
             self._asked = levels
         return fault
 
-
-class TemperatureLoop(ClosedLoop):
-    """Holds wires at temperatures (experiment E8): one PI a wire."""
-
-    quantity = TEMPERATURE
-    controller = TemperatureController
-    reference_fault = staticmethod(temperature_reference_fault)
-
-    def __init__(self, settings: dict[str, Any], parameters: Parameters, *rest: Any) -> None:
-        if "temperature" not in settings["feedback"]:
-            raise InputError("feedback: temperature control cannot do without temperature")
-        self._kelvin = dict.fromkeys(parameters["bench.channels"], math.nan)
-        super().__init__(settings, parameters, *rest)
-
-    def answer(self, wanted: Sequence[float], _: Sequence[float]) -> list[float]:
-        """Volts for the wanted temperatures."""
-        return self._law.step(wanted, list(self._kelvin.values()), self._period).tolist()
-
-    def measured(self, channel: str, kelvin: float) -> None:
-        """A gap (the camera's shutter) is bridged by the last reading until that is stale."""
-        if not math.isnan(kelvin):
-            self._kelvin[channel] = kelvin
-
-
-class DeflectionLoop(ClosedLoop):
-    """Bends the composite as wanted; without fresh deflections it does not drive."""
-
-    quantity = DEFLECTION
-    controller = DeflectionController
-    reference_fault = staticmethod(deflection_reference_fault)
-
-    def __init__(
-        self, settings: dict[str, Any], parameters: Parameters, *rest: Any, freshness: Freshness
-    ) -> None:
-        self._deflection = math.nan
-        self._freshness = freshness
-        super().__init__(settings, parameters, *rest)
-
-    def fault(self, now: float) -> str:
-        """Why it cannot be followed now, or ""."""
-        return self._freshness.fault(now)
-
-    def answer(self, wanted: Sequence[float], upcoming: Sequence[float]) -> list[float]:
-        """Volts for the wanted deflection."""
-        return self._law.step(wanted[0], self._deflection, self._period, upcoming[0]).tolist()
-
-    def measured(self, deflection: float, stamp: float, now: float) -> None:
-        """A deflection in m, acquired at `stamp` s."""
-        if math.isfinite(deflection):
-            self._deflection = deflection
-            self._freshness.seen(stamp, now)
+    def measured(self, name: str, value: float, stamp: float, now: float) -> None:
+        """A channel's temperature, or the tip's position, acquired at `stamp` s; a gap (the
+        camera's shutter) is bridged by the last one until that is stale."""
+        if math.isfinite(value):
+            self._readings[name] = value
+            if self._freshness:
+                self._freshness.seen(stamp, now)

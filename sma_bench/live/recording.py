@@ -1,13 +1,11 @@
-"""What is recorded of a bench, and what a recorder and a bridge say of themselves. No ROS.
-
-A run that is not recorded, or whose volts reach no wire, heats for nothing.
-"""
+"""What is recorded of a bench, and what a recorder and a bridge say of themselves. No ROS."""
 
 import json
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Set
-from itertools import chain, count
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +19,8 @@ if TYPE_CHECKING:  # which most who ask how the recorder does are without
 RECORDER, BRIDGE = "recorder/state", "serial_bridge/state"
 FAILED, RECORDING = "failed", "recording"
 STATE = "/state"
-_RUNNING = "running"
-_ENABLED = "enabled"
-_RUN_STATES = {
-    name + STATE for name in ("experiment", "temperature_controller", "deflection_controller")
-}
+_RUNNING, _ENABLED = "running", "enabled"
+_RUN_STATES = {"experiment/state", "temperature_controller/state", "deflection_controller/state"}
 # s: the recorder speaks each second; a disk, or a loaded machine, may keep it for a while.
 _SILENT = 10.0
 _FIELDS = {"state": TEXT, "output": TEXT, "failure": TEXT, "messages": COUNTS}
@@ -54,12 +49,11 @@ class Recording:
         failed: Callable[[InputError], None], open_bag: "Callable[[str], BagWriter]",
     ) -> None:
         """`output`: the first bag, "" for one named after the time; `idle_margin` in s."""
-        self._open_bag = open_bag
-        self._first = output
+        self._open_bag, self._first, self._failed = open_bag, output, failed
         self._skip_idle, self._margin = skip_idle, round(idle_margin * 1e9)
-        self._failed = failed
         self._bag: BagWriter | None = None
         self._running: dict[str, bool] = {}
+        # Messages that wait for a run that begins; newest stamp of each topic, and of a run's, ns.
         self._kept: deque[tuple[str, int, bytes]] = deque()
         self._latest: dict[str, int] = {}
         self._closed_at = 0
@@ -70,7 +64,6 @@ class Recording:
 
     @property
     def open(self) -> bool:
-        """Whether a bag is being written."""
         return self._bag is not None
 
     @property
@@ -80,23 +73,21 @@ class Recording:
 
     def next_output(self) -> str:
         """The one asked for, then the same with a number; it must not exist."""
-        first = self._first or time.strftime("record_%Y%m%d_%H%M%S")
+        name = first = self._first or time.strftime("record_%Y%m%d_%H%M%S")
         if not self.output and self._first:
             return first
-        names = chain([first], (f"{first}_{k}" for k in count(2)))
-        return next(name for name in names if not Path(name).exists())
+        numbers = count(2)
+        while Path(name).exists():
+            name = f"{first}_{next(numbers)}"
+        return name
 
     def begin(self, output: str) -> None:
-        """A new bag with all topics known by now.
-
-        Raises:
-            InputError: it cannot be written.
-        """
+        """A new bag with all topics known by now; InputError: it cannot be written."""
         self._bag = self._open_bag(output)
         self.output = str(self._bag.path)
         self.messages, self._latest = {}, {}
         for topic, kind in self.topics.items():
-            self._add(topic, kind)
+            self.add(topic, kind)
 
     def finish(self) -> bool:
         """Give the bag its index; whether there was a bag, and it is whole."""
@@ -109,7 +100,10 @@ class Recording:
     def add(self, topic: str, kind: str) -> bool:
         """Record a topic from now on, in later bags too; whether the disk took it."""
         self.topics[topic] = kind
-        return self._add(topic, kind)
+        if self._bag is None:
+            return True
+        self.messages[topic] = 0
+        return self._guarded(self._bag.add_topic, topic, kind)
 
     def write(
         self, topic: str, stamp: int, data: bytes, text: Callable[[bytes], str]
@@ -135,7 +129,6 @@ class Recording:
                 self.messages[kept[0]] += 1
 
     def flush(self) -> None:
-        """What was written until now survives this process."""
         if self._bag is not None:
             self._guarded(self._bag.flush)
 
@@ -146,12 +139,6 @@ class Recording:
             "messages": self.messages,
         })  # fmt: skip
 
-    def _add(self, topic: str, kind: str) -> bool:
-        if self._bag is None:
-            return True
-        self.messages[topic] = 0
-        return self._guarded(self._bag.add_topic, topic, kind)
-
     def _guarded(self, action: Callable[..., None], *arguments: object) -> bool:
         """Whether the disk took it; if not, the recording has failed with the disk's line."""
         try:
@@ -161,21 +148,9 @@ class Recording:
         return self.failure is None
 
     def fail(self, error: InputError) -> None:
-        """Note the first reason."""
+        """End the recording: the first reason counts."""
         self.failure = self.failure or error
         self._failed(error)
-
-
-# --- What others read of it.
-
-
-def recorder_failure(text: str) -> str:
-    """Why it failed, from a message of its `~/state`; "" when it did not, or says nothing clear."""
-    try:
-        found = read_fields(text, {"state": TEXT, "failure": TEXT}, RECORDER)
-    except InputError:
-        return ""
-    return shown(found["failure"]) or FAILED if found["state"] == FAILED else ""
 
 
 def recorder_state(text: str) -> dict[str, Any] | None:
@@ -186,9 +161,19 @@ def recorder_state(text: str) -> dict[str, Any] | None:
         return None
 
 
-class Beside:
+def recorder_failure(text: str) -> str:
+    """Why it failed, from a message of its `~/state`; "" when it did not, or says nothing clear.
+    These two fields are enough for it: a run must not go on for want of the others."""
+    with suppress(InputError):
+        said = read_fields(text, {"state": TEXT, "failure": TEXT}, RECORDER)
+        return shown(said["failure"]) or FAILED if said["state"] == FAILED else ""
+    return ""
+
+
+class Readiness:
     """Whether the recorder, where one has to be there, and the bridge, where there is one, are
-    ready for a run, and go on in it. Answers with a line for people, or "" when all is well."""
+    ready for a run, and go on in it: else it would heat for nothing. Answers with a line for
+    people, or "" when all is well."""
 
     def __init__(self, recorder_required: bool) -> None:
         self.required = recorder_required
@@ -201,7 +186,6 @@ class Beside:
         self._recorder, self._heard = recorder_state(text), now
 
     def bridge(self, text: str) -> None:
-        """A message of the bridge's state."""
         self._bridge = shown(text)
 
     def obstacle(self, present: Set[str], now: float) -> str:
@@ -215,15 +199,19 @@ class Beside:
         return self._recorder_fault(now) if self.required else ""
 
     def fault(self, now: float) -> str:
-        """Why a run must not go on."""
         if self._bridge not in ("", _ENABLED):
             return f"serial_bridge: {self._bridge}"
         return self._recorder_fault(now) if self.required else ""
 
-    def unheard(self, published: Iterable[str]) -> list[str]:
-        """Those of the bench's topics that the recorder has not subscribed to."""
+    def not_recorded(self, published: Iterable[str], wanted: Iterable[str]) -> list[str]:
+        """Those of the bench's topics that the recorder has not subscribed to, or, where they are
+        `wanted` (`wire/power`), has no message of: a subscription may take a second to be known."""
         messages = self._recorder["messages"] if self._recorder else {}
-        return sorted(topic for topic in published if topic not in messages)
+        readings = tuple(f"/{name}" for name in wanted)
+        return sorted(
+            topic for topic in published
+            if topic not in messages or topic.endswith(readings) and not messages[topic]
+        )
 
     def _recorder_fault(self, now: float) -> str:
         if self._recorder is None:

@@ -1,5 +1,5 @@
-"""The bench in software: physics behind instruments, sampled at the hardware's rates, and how far
-its time may go: not faster than asked, not ahead of an active driver. No ROS.
+"""The bench in software: physics behind instruments, sampled at the hardware's rates; how far its
+time may go; and a protocol on it under every rule of a real run, as fast as it steps. No ROS.
 """
 
 import math
@@ -8,13 +8,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sma_bench.errors import InputError
 from sma_bench.hardware.bench_sensors import Instrument
-from sma_bench.hardware.safety import CELSIUS_ZERO
+from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
+from sma_bench.live.recording import Readiness
+from sma_bench.live.run import ABORTED, DONE, OpenLoop, Run, Surroundings
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
 from sma_bench.physics.boundary import moves_tip
-from sma_bench.physics.heat import direct_reading
+from sma_bench.physics.material import direct_reading
+from sma_bench.protocols import Protocol
+from sma_bench.records.record import Signal
 
 NANOSECONDS = 1_000_000_000
 RATES = ("power", "temperature", "mechanics", "ambient")
@@ -42,38 +48,34 @@ class VirtualBench:
     """
 
     def __init__(self, parameters: Parameters, settings: Mapping[str, Any]) -> None:
-        """`settings` are the simulator node's own parameters."""
         self.channels: tuple[str, ...] = parameters["bench.channels"]
         self.composite = moves_tip(parameters)
         self.moves = load_kind(parameters) != "clamped"
         # The first step may compile the physics for seconds: not between two readings.
         Bench(parameters).advance(np.zeros(len(self.channels)), 1e-3)
         self._bench = Bench(parameters)
+        self._settings = settings
         self._standoff = settings["sensor.range_standoff"]
-        self._rates = {kind: settings[f"rate.{kind}"] for kind in RATES}
         self._taken = dict.fromkeys(RATES, 0)
         self._due = dict.fromkeys(RATES, 0)
-        self._time = 0
-        self._settings = settings
-        self._pulses = 0
+        self._time = self._pulses = 0
         self._driven = False
         self._build_instruments()
 
     def advance(self, voltage: tuple[float, ...], until: int) -> Iterator[GroupReading]:
         """Readings in the order of time while `voltage` (one per channel) is held `until` ns."""
-        volts = np.array(voltage)
-        driven = any(voltage)
+        volts, driven = np.array(voltage), any(voltage)
         if driven and not self._driven:
             self._pulses += 1
             self._build_instruments()
         self._driven = driven
         while (due := min(self._due.values())) < until:
             self._step(volts, due)
-            for kind in RATES:
-                if self._due[kind] == due:
-                    yield GroupReading(kind, due, self._read(kind, voltage))
-                    self._taken[kind] += 1
-                    self._due[kind] = round(self._taken[kind] * NANOSECONDS / self._rates[kind])
+            for kind in (kind for kind in RATES if self._due[kind] == due):
+                yield GroupReading(kind, due, self._read(kind, voltage))
+                self._taken[kind] += 1
+                rate = self._settings[f"rate.{kind}"]
+                self._due[kind] = round(self._taken[kind] * NANOSECONDS / rate)
         self._step(volts, until)
 
     def _step(self, volts: np.ndarray, until: int) -> None:
@@ -84,49 +86,45 @@ class VirtualBench:
     def _build_instruments(self) -> None:
         sequence = np.random.SeedSequence([self._settings["seed"], self._pulses])
         wires = len(self.channels)
-        # The last thermometer is the air's.
-        counts = {
+        counts = {  # the last thermometer is the air's
             "voltage": wires, "current": wires, "temperature": wires + 1, "range": 2, "force": 1,
         }
         self._instruments = {
-            quantity: [
-                Instrument.of(self._settings, quantity, seed) for seed in sequence.spawn(count)
-            ]
+            quantity: [Instrument(self._settings, quantity, s) for s in sequence.spawn(count)]
             for quantity, count in counts.items()
         }
 
-    def _of(self, quantity: str, true: list[float]) -> list[float]:
-        """Readings of true values by the first instruments of a quantity."""
-        instruments = self._instruments[quantity][: len(true)]
-        return [one.read(value) for one, value in zip(instruments, true, strict=True)]
-
     def _read(self, kind: str, voltage: tuple[float, ...]) -> list[Any]:
+        """Readings of a group's true values."""
         bench = self._bench
+
+        def read(quantity: str, true: list[float]) -> list[float]:
+            instruments = self._instruments[quantity][: len(true)]
+            return [one.read(value) for one, value in zip(instruments, true, strict=True)]
+
         if kind == "power":
             volts, amperes = direct_reading(bench.parameters, voltage, bench.current(voltage))
-            read = self._of("voltage", volts.tolist()), self._of("current", amperes.tolist())
-            return list(zip(*read, strict=True))
+            both = read("voltage", volts.tolist()), read("current", amperes.tolist())
+            return list(zip(*both, strict=True))
         if kind == "temperature":
-            return self._of("temperature", (bench.temperature_reading - CELSIUS_ZERO).tolist())
+            return read("temperature", (bench.temperature_reading - CELSIUS_ZERO).tolist())
         if kind == "ambient":
             air = self._instruments["temperature"][-1]
             return [air.read(bench.ambient_temperature - CELSIUS_ZERO)]
+        position = bench.deflection_reading
         if self.composite:
             # Bending to the front brings the tip nearer to the front sensor.
-            deflection = bench.deflection_reading
-            return self._of("range", [self._standoff - deflection, self._standoff + deflection])
+            return read("range", [self._standoff - position, self._standoff + position])
         # Where the frame holds the clamps there is no elongation.
-        elongation = self._of("range", [bench.deflection_reading]) if self.moves else [0.0]
-        return elongation + self._of("force", [float(bench.force.sum())])
+        elongation = read("range", [position]) if self.moves else [0.0]
+        return elongation + read("force", [float(bench.force.sum())])
 
 
 # Of the command timeout: how far simulated time may run ahead of a driver that is slower than
 # declared.
 _SLOW_DRIVER_LEAD = 0.5
-# Wall seconds of delay that are caught up; longer ones (waiting for a driver) are not.
-_DEBT = 0.01
-# Wall seconds in which all that was sent before is surely heard.
-_SETTLE = 0.1
+_DEBT = 0.01  # wall s of delay that are caught up; longer ones (waiting for a driver) are not
+_SETTLE = 0.1  # wall s in which all that was sent before is surely heard
 REAL_TIME = 1.0
 
 
@@ -145,30 +143,23 @@ class Lockstep:
     def __init__(
         self, slice_length: float, speed: float, command_timeout: float, patience: float
     ) -> None:
-        self._slice = slice_length
-        self._pace = slice_length / speed
-        self._real_time = speed <= REAL_TIME
-        self._timeout = command_timeout
-        self._patience = patience
-        self._lead = slice_length
+        self._slice = self._lead = slice_length
+        self._pace, self._real_time = slice_length / speed, speed <= REAL_TIME
+        self._timeout, self._patience = command_timeout, patience
         self._commanded = -math.inf
         self._due: float | None = None
         self._waiting_since: float | None = None
         self._given_up = False
 
     def commanded(self, simulated: float, wall: float) -> None:
-        """A command was accepted at `simulated` s.
-
-        The first after a silence found time running freely: others are on their way, and had each
-        its slice, the driver would stay so many slices behind, sometimes one less.
-        """
+        """A command was accepted at `simulated` s."""
+        # The first after a silence found time running freely: others are on their way, and had each
+        # its slice, the driver would stay so many slices behind, sometimes one less.
         if simulated - self._commanded > self._timeout:
             self._lead = self._slice
             if not self._real_time:
                 self._due = max(self._due or wall, wall + _SETTLE)
-        self._commanded = simulated
-        self._waiting_since = None
-        self._given_up = False
+        self._commanded, self._waiting_since, self._given_up = simulated, None, False
 
     def may_advance(self, simulated: float, wall: float) -> bool:
         """True when the next slice, which starts at `simulated` s, may be run now."""
@@ -184,12 +175,79 @@ class Lockstep:
             return False
         if silence + self._slice <= self._lead * (1.0 + 1e-6):
             return False
-        if self._waiting_since is None:
-            self._waiting_since = wall
-        if wall - self._waiting_since <= self._patience:
+        since = self._waiting_since = wall if self._waiting_since is None else self._waiting_since
+        if wall - since <= self._patience:
             return True
         slow = max(self._slice, _SLOW_DRIVER_LEAD * self._timeout)
-        self._given_up = self._lead >= slow
-        self._lead = slow
-        self._waiting_since = None
+        self._given_up, self._lead, self._waiting_since = self._lead >= slow, slow, None
         return False
+
+
+_PERIOD_NS = 20_000_000  # of the commands
+_TIMEOUT = 1.0  # s without readings
+
+
+class SimulatedRun:
+    """A run of a bench that is what `hidden` says, watched by the limits of `believed`."""
+
+    def __init__(self, hidden: Parameters, believed: Parameters, seed: int) -> None:
+        self._bench = VirtualBench(hidden, {p.name: p.default for p in SIMULATOR} | {"seed": seed})
+        self._limits = Limits.from_parameters(believed)
+        channels = self._bench.channels
+        self._guard = Guard(channels, ("power", "temperature"), _TIMEOUT)
+        self._volts = (0.0,) * len(channels)
+        self._read: dict[tuple[str, str], list[tuple[float, float]]] = {}
+        self._markers: list[tuple[float, str]] = []
+        self._now = 0.0
+        self._run = Run(self, OpenLoop(), self._guard, Readiness(False), len(channels))
+
+    def follow(self, protocol: Protocol) -> tuple[list[Signal], list[tuple[float, str]]]:
+        """Signals as a recorder keeps them, and markers; InputError: the run was aborted."""
+        step = 0
+        while self._run.state not in (DONE, ABORTED):
+            step += 1
+            for reading in self._bench.advance(self._volts, step * _PERIOD_NS):
+                self._take(reading)
+            self._now = step * _PERIOD_NS / NANOSECONDS
+            if step == int(_TIMEOUT * NANOSECONDS / _PERIOD_NS) // 2:
+                started, said = self._run.start(self._now, lambda: protocol)
+                if not started:
+                    raise InputError(f"{protocol.name}: {said}")
+            self._run.tick(self._now, self._now)
+        if self._run.state == ABORTED:
+            raise InputError(f"{protocol.name}: {self._run.said}")
+        signals = [Signal(*name, *np.array(samples).T) for name, samples in self._read.items()]
+        return signals, self._markers
+
+    def _take(self, reading: GroupReading) -> None:
+        """A reading as the guard sees it and as signals have it."""
+        time, kept = reading.time / NANOSECONDS, {}
+        if reading.kind == "power":
+            for channel, (volt, ampere) in zip(self._bench.channels, reading.values, strict=True):
+                self._guard.power(channel, volt, ampere, time, time, self._limits)
+                kept[f"{channel}.voltage", "V"] = volt
+                kept[f"{channel}.current", "A"] = ampere
+        elif reading.kind == "temperature":
+            for channel, celsius in zip(self._bench.channels, reading.values, strict=True):
+                kelvin = kept[f"{channel}.temperature", "K"] = celsius + CELSIUS_ZERO
+                self._guard.temperature(channel, kelvin, time, time, self._limits)
+        elif reading.kind == "mechanics":
+            one, other = reading.values
+            if self._bench.composite:
+                kept["deflection", "m"] = 0.5 * (other - one)
+            else:
+                kept["elongation", "m"], kept["force", "N"] = one, other
+        for name, value in kept.items():
+            self._read.setdefault(name, []).append((time, value))
+
+    def surroundings(self) -> Surroundings:
+        return Surroundings()
+
+    def send(self, voltage: list[float]) -> None:
+        self._volts = tuple(voltage)
+
+    def mark(self, step: str) -> None:
+        self._markers.append((self._now, step))
+
+    def enter(self, state: str) -> None: ...
+    def show(self, progress: Mapping[str, Any]) -> None: ...

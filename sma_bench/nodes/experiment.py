@@ -6,37 +6,43 @@ to 0 V.
 
 import json
 import time
-from collections.abc import Set
+from collections.abc import Sequence, Set
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, JointState, Temperature
-from std_msgs.msg import Float64MultiArray, String
+from std_msgs.msg import Float64, Float64MultiArray, String
 
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
-from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
-from sma_bench.live.recording import BRIDGE, RECORDER, Beside
+from sma_bench.hardware.safety import CELSIUS_ZERO, Freshness, Guard, Limits
+from sma_bench.live.closed_loop import ClosedLoop
+from sma_bench.live.recording import BRIDGE, RECORDER, Readiness, recorder_failure
 from sma_bench.live.run import ABORTED, IDLE, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
-from sma_bench.nodes.bench_topics import follow_recorder
 from sma_bench.physics.boundary import moves_tip
-from sma_bench.protocols import Protocol
-from sma_bench.protocols.reading import TIP, is_path
-from sma_bench.records.contract import place_of
-from sma_bench.ros.node import COMMAND, LATCHED, MEASURED, NEWEST, signature, voltage_command
+from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, is_path
+from sma_bench.ros.node import (
+    COMMAND,
+    LATCHED,
+    NANOSECONDS,
+    READINGS,
+    recorded_topics,
+    signature,
+    stamp_of,
+    voltage_command,
+)
 
 _FILES = frozenset({"protocol", "reference"})
 _FEEDBACK = ("power", "temperature")
-_WATCH_EVERY = 0.05
+_WATCH_EVERY = 0.05  # s
 # Wall seconds for which readings of a simulation may stay away: a loaded machine may pause it, and
 # nothing is heated meanwhile.
 _SIMULATION_PAUSE = 10.0
-_LAST_WORD = 0.5
 
 
 class ExperimentNode(BenchNode):
@@ -44,50 +50,42 @@ class ExperimentNode(BenchNode):
 
     def __init__(self, name: str = "experiment") -> None:
         super().__init__(name)
-        for kind in self.settings["feedback"]:
+        settings, channels = self.settings, self.parameters["bench.channels"]
+        for kind in settings["feedback"]:
             if kind not in _FEEDBACK:
                 raise InputError(f"feedback: {kind!r}, expected {' or '.join(_FEEDBACK)}")
-        simulated = self.get_parameter("use_sim_time").value
-        if not simulated:
+        self._bench_clock, patience = self.get_clock(), _SIMULATION_PAUSE
+        if not self.simulated:
             be_punctual(DRIVER)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._bench_clock = self.get_clock() if simulated else steady
-        channels = self.parameters["bench.channels"]
+            self._bench_clock, patience = Clock(clock_type=ClockType.STEADY_TIME), 0.0
+        self._feedback_timeout = max(settings["feedback_timeout"], patience)
         self._labelled = partial(voltage_command, channels, signed=signature(self))
-        patience = _SIMULATION_PAUSE if simulated else 0.0
-        self._feedback_timeout = max(self.settings["feedback_timeout"], patience)
-        self._guard = Guard(channels, self.settings["feedback"], self._feedback_timeout)
-        self._beside = Beside(self.settings["require_recorder"])
+        self._guard = Guard(channels, settings["feedback"], self._feedback_timeout)
+        self._readiness = Readiness(settings["require_recorder"])
         self._loop = self.loop()
-        self.check_settings(self.settings)
+        self.check_settings(settings)
         self._run = Run(
-            self, self._loop, self._guard, self._beside, len(channels),
-            self.settings["autostart"], self._feedback_timeout,
+            self, self._loop, self._guard, self._readiness, len(channels), settings["autostart"],
+            self._feedback_timeout,
         )
-        self._command = self.create_publisher(Float64MultiArray, COMMAND, MEASURED)
-        self._marker = self.create_publisher(String, "experiment/marker", LATCHED)
-        self._state_publisher = self.create_publisher(String, "~/state", LATCHED)
-        self._progress = self.create_publisher(String, "~/progress", LATCHED)
-        self.listen(BatteryState, "power", self._on_power, NEWEST)
-        self.listen(Temperature, "temperature", self._on_temperature, NEWEST)
+        self._command = self.create_publisher(Float64MultiArray, COMMAND, READINGS)
+        self.mark = self.line("experiment/marker")
+        self._publish_state, self._publish_progress = self.line("~/state"), self.line("~/progress")
+        self.listen(BatteryState, "power", self.on_power, newest=True)
+        self.listen(Temperature, "temperature", self.on_temperature, newest=True)
         self._joint = TIP if moves_tip(self.parameters) else "wire"
-        self.create_subscription(JointState, "joint_states", self._on_joints, NEWEST)
-        follow_recorder(self, self._guard.recorder)
-        self.create_subscription(String, BRIDGE, self._on_bridge, LATCHED)
-        self.create_subscription(
-            String, RECORDER, lambda m: self._beside.recorder(m.data, time.monotonic()), LATCHED
-        )
+        self.create_subscription(JointState, "joint_states", self.on_joints, READINGS, newest=True)
+        self.create_subscription(String, BRIDGE, self.on_bridge, LATCHED)
+        self.create_subscription(String, RECORDER, self.on_recorder, LATCHED)
         self.serve(
             start=lambda: self._run.start(time.monotonic(), self._plan),
             stop=self._run.stop, reset=self._run.reset,
-        )  # fmt: skip
-        self._ticked = -1
-        self._ticks = self.create_timer(
-            1.0 / self.settings["command_rate"], self._tick, clock=self._bench_clock
         )
+        self._ticked, period = -1, 1.0 / settings["command_rate"]
+        self._ticks = self.create_timer(period, self._tick, clock=self._bench_clock)
         self.every(_WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan))
         self._run.enter(IDLE)
-        if not self.settings["autostart"]:
+        if not settings["autostart"]:
             name = self.get_fully_qualified_name()
             self.get_logger().info(f"starts with {name}/start, or by itself: -p autostart:=true")
 
@@ -113,12 +111,9 @@ class ExperimentNode(BenchNode):
         self._loop.plan(settings, self.parameters)
 
     def close(self) -> None:
-        if self._run.state == IDLE:
-            return
-        self._run.close()
-        end = time.monotonic() + _LAST_WORD
-        for publisher in (self._command, self._marker, self._state_publisher):
-            publisher.wait_for_all_acked(Duration(seconds=max(end - time.monotonic(), 0.0)))
+        if self._run.state != IDLE:
+            self._run.close()
+            self.wait_for_listeners()
 
     def health(self) -> list[DiagnosticStatus]:
         run = self._run
@@ -126,37 +121,36 @@ class ExperimentNode(BenchNode):
         return [self.status("run", level, run.said, {
             "protocol": run.protocol.name if run.protocol else "", "step": run.step,
             "obstacle": "" if run.running else run.obstacle(time.monotonic()),
-        })]  # fmt: skip
+        })]
 
     def on_time_went_back(self, reason: str) -> None:
         """No step and no volt would be that of its time."""
         if self._run.running:
             self._run.abort(reason)
 
-    # --- messages in --------------------------------------------------------------------------
-
-    def _on_bridge(self, message: String) -> None:
-        self._beside.bridge(message.data)
+    def on_bridge(self, message: String) -> None:
+        self._readiness.bridge(message.data)
         self._run.check(time.monotonic())
 
-    def _on_power(self, channel: str, message: BatteryState) -> None:
-        self._guard.power(
-            channel, message.voltage, message.current, seconds(message), time.monotonic(),
-            Limits.from_parameters(self.parameters),
-        )
+    def on_recorder(self, message: String) -> None:
+        self._guard.recorder(recorder_failure(message.data))
+        self._readiness.recorder(message.data, time.monotonic())
 
-    def _on_temperature(self, channel: str, message: Temperature) -> None:
-        kelvin, stamp, now = message.temperature + CELSIUS_ZERO, seconds(message), time.monotonic()
-        limits = Limits.from_parameters(self.parameters)
+    def on_power(self, channel: str, message: BatteryState) -> None:
+        now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
+        stamp = stamp_of(message) / NANOSECONDS
+        self._guard.power(channel, message.voltage, message.current, stamp, now, limits)
+
+    def on_temperature(self, channel: str, message: Temperature) -> None:
+        kelvin, stamp = message.temperature + CELSIUS_ZERO, stamp_of(message) / NANOSECONDS
+        now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
         self._guard.temperature(channel, kelvin, stamp, now, limits)
         self._run.heard("temperature", channel, kelvin, stamp, now)
 
-    def _on_joints(self, message: JointState) -> None:
-        if self._joint not in message.name:
-            return
-        index = message.name.index(self._joint)
-        if index < len(message.position):
-            self.measured(message.position[index], seconds(message), time.monotonic())
+    def on_joints(self, message: JointState) -> None:
+        position = dict(zip(message.name, message.position, strict=False)).get(self._joint)
+        if position is not None:
+            self.measured(position, stamp_of(message) / NANOSECONDS, time.monotonic())
 
     def measured(self, deflection: float, stamp: float, now: float) -> None:
         """A deflection or elongation in m, acquired at `stamp` s."""
@@ -174,46 +168,96 @@ class ExperimentNode(BenchNode):
         self._run.tick(time.monotonic(), moment / 1e9)
 
     def _plan(self) -> Protocol:
-        """What is followed, from the parameters of the moment."""
         protocol = self._loop.plan(self.settings, self.parameters)
         if protocol.pulls:
             self.get_logger().warning(f"{protocol.name}: the frame has to pull as its steps say")
         self._loop.begin(self.settings, self.parameters)
         return protocol
 
-    # --- messages out (live.run.Outputs) ------------------------------------------------------
-
     def surroundings(self) -> Surroundings:
         return Surroundings(
             self._command.get_subscription_count() > 0, self._bench_clock.now().nanoseconds > 0,
-            {name for name in (BRIDGE, RECORDER) if self.count_publishers(name)}, self._published,
+            {name for name in (BRIDGE, RECORDER) if self.count_publishers(name)},
+            lambda: list(recorded_topics(self)),
         )
 
     def send(self, voltage: list[float]) -> None:
         self._command.publish(self._labelled(voltage))
 
-    def mark(self, step: str) -> None:
-        self._marker.publish(String(data=step))
-
     def enter(self, state: str) -> None:
-        self._state_publisher.publish(String(data=state))
-        if state.startswith(ABORTED):
+        self._publish_state(state)
+        if state.startswith(ABORTED):  # two lines of code: rclpy pins the severity of each
             self.get_logger().error(state)
         else:
             self.get_logger().info(state)
 
     def show(self, progress: dict[str, Any]) -> None:
-        self._progress.publish(String(data=json.dumps(progress)))
-
-    def _published(self) -> list[str]:
-        inside = self.get_namespace().rstrip("/") + "/"
-        return [
-            topic for topic, types in self.get_topic_names_and_types()
-            if (place := place_of(topic)) and topic.startswith(inside) and place.type in types
-            and self.count_publishers(topic)
-        ]  # fmt: skip
+        self._publish_progress(json.dumps(progress))
 
 
-def seconds(message: BatteryState | Temperature | JointState) -> float:
-    """Acquisition stamp in s."""
-    return message.header.stamp.sec + message.header.stamp.nanosec / 1e9
+# --- Nodes that follow references of temperature or deflection, with the same states, services,
+# markers and safety rules. A run ends with its reference; one from the topic goes on until stopped.
+
+
+class Controller(ExperimentNode):
+    """`~/setpoint` says what is followed, `~/reference` asks for something else: one number a
+    channel, or a single one, in SI units less `zero`."""
+
+    kind: type[Float64 | Float64MultiArray]
+    zero = 0.0
+    _loop: ClosedLoop
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._setpoint = self.create_publisher(self.kind, "~/setpoint", READINGS)
+        # Asked for once, where readings come again: none may be lost.
+        self.create_subscription(self.kind, "~/reference", self.on_reference, QoSProfile(depth=10))
+
+    def follow(self, levels: Sequence[float]) -> None:
+        """Publish the setpoint, SI."""
+        numbers = [level - self.zero for level in levels]
+        data = numbers[0] if self.kind is Float64 else numbers
+        self._setpoint.publish(self.kind(data=data))
+
+    def on_reference(self, message: Any) -> None:
+        numbers = [message.data] if self.kind is Float64 else message.data
+        levels = [number + self.zero for number in numbers]
+        followed = self._run.protocol if self._run.running else None
+        if fault := self._loop.ask(levels, followed, self.parameters):
+            self.get_logger().warning(f"rejected: {fault}", throttle_duration_sec=1.0)
+
+
+class TemperatureControllerNode(Controller):
+    """Holds wires at temperatures (E8): one PI a wire; degrees Celsius on the topics."""
+
+    kind, zero = Float64MultiArray, CELSIUS_ZERO
+
+    def __init__(self) -> None:
+        super().__init__("temperature_controller")
+
+    def loop(self) -> ClosedLoop:
+        return ClosedLoop(TEMPERATURE, self.settings, self.parameters, self.follow)
+
+    def on_temperature(self, channel: str, message: Temperature) -> None:
+        super().on_temperature(channel, message)
+        kelvin = message.temperature + CELSIUS_ZERO
+        self._loop.measured(channel, kelvin, stamp_of(message) / NANOSECONDS, time.monotonic())
+
+
+class DeflectionControllerNode(Controller):
+    """Moves a bench as wanted: the position in joint_states to voltage_command. Without fresh
+    deflections it does not drive, as without fresh readings of the wires."""
+
+    kind = Float64
+
+    def __init__(self) -> None:
+        super().__init__("deflection_controller")
+
+    def loop(self) -> ClosedLoop:
+        joint = TIP if moves_tip(self.parameters) else "wire"
+        freshness = Freshness(f"joint_states {joint}", self._feedback_timeout)
+        return ClosedLoop(DEFLECTION, self.settings, self.parameters, self.follow, freshness)
+
+    def measured(self, deflection: float, stamp: float, now: float) -> None:
+        super().measured(deflection, stamp, now)
+        self._loop.measured(TIP, deflection, stamp, now)

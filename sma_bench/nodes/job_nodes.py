@@ -1,102 +1,106 @@
-"""Nodes that identify and diagnose recorded bags on request.
+"""Nodes that identify, diagnose and investigate recorded bags on request.
 
     ros2 param set /bench/identification record "['my_bag']"
     ros2 service call /bench/identification/identify std_srvs/srv/Trigger
 
-The work runs in a process of its own and the request waits in one of the executor's threads, so
-that parameters, a second request ("busy"), `~/cancel` and the end of the node are served meanwhile.
+The work runs in a process of its own and waits in a thread, so that parameters, a second request
+("busy"), a cancellation and the end of the node are served meanwhile.
 """
 
 import json
 import threading
+import time
+from collections.abc import Callable, Mapping
 from typing import Any, ClassVar
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.srv import SetParameters
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
-from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
 from sma_bench.errors import InputError
 from sma_bench.nodes.base import BenchNode
+from sma_bench.parameters import Parameters
 from sma_bench.ros.node import LATCHED
-from sma_bench.tasks.jobs import CANCELLED, Task, Worker, busy, diagnose, identify, output_inside
+from sma_bench.tasks import jobs
 
 
-class JobNode(BenchNode):
-    """Answers a service (std_srvs/Trigger) whose message is a result as JSON, or one line that says
-    why there is none.
-
-    Latched: `~/state` ("idle", "busy", "busy: 42 %, pairs") and `~/result` (the last JSON).
-    `~/cancel` ends the work, whose request is then answered so.
-    """
+class WorkNode(BenchNode):
+    """Latched: `~/state`, a line, and `~/result`, the last one as JSON."""
 
     with_uncertainty = True
-    # One request at work, one that is refused, and the node's other callbacks.
-    executor_type = staticmethod(lambda: MultiThreadedExecutor(4))
     outputs: ClassVar[dict[str, str]]
     """parameters that name what is written, and the end that such a name must have"""
 
-    def __init__(self, name: str, service: str, task: Task) -> None:
+    def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._task = task
         self.check_settings(self.settings)
-        self._busy = threading.Lock()
-        self._worker = Worker(name)
-        self._state = self.create_publisher(String, "~/state", LATCHED)
-        self._result = self.create_publisher(String, "~/result", LATCHED)
-        waiting = ReentrantCallbackGroup()
-        self.create_service(Trigger, service, self._on_request, callback_group=waiting)
-        self.serve(cancel=self._cancel)
-        self._requests, self._failure = 0, ""
-        self._tell_state("idle")
+        self._worker, self._state, self._failure = jobs.Worker(name), "", ""
+        self._publish_state, self._publish_result = self.line("~/state"), self.line("~/result")
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         for name, suffix in self.outputs.items():
-            output_inside(settings, name, suffix)
+            jobs.output_inside(settings, name, suffix)
+
+    def health(self) -> list[DiagnosticStatus]:
+        level = DiagnosticStatus.WARN if self._failure else DiagnosticStatus.OK
+        return [self.status("work", level, self._failure or self._state)]
+
+    def close(self) -> None:
+        self._worker.end("ended with its node")
+
+    def _enter(self, state: str, failure: str = "") -> None:
+        if failure:
+            self.get_logger().error(failure)
+        self._state, self._failure = state, failure
+        self._publish_state(state)
+
+
+class JobNode(WorkNode):
+    """Answers a service (std_srvs/Trigger) whose message is a result as JSON, or one line that says
+    why there is none. States: "idle", "busy", "busy: 42 %, pairs". `~/cancel` ends the work, whose
+    request is then answered so."""
+
+    # One request at work, one that is refused, and the node's other callbacks.
+    executor_type = staticmethod(lambda: MultiThreadedExecutor(4))
+
+    def __init__(self, name: str, service: str, task: jobs.Task) -> None:
+        super().__init__(name)
+        self._task, self._busy = task, threading.Lock()
+        waiting = ReentrantCallbackGroup()
+        self.create_service(Trigger, service, self.on_request, callback_group=waiting)
+        self.serve(cancel=lambda: (
+            (True, jobs.CANCELLED) if self._worker.end() else (False, "nothing is running")
+        ))
+        self._enter("idle")
 
     def on_result(self, result: str) -> None:
         """What else to do with a result."""
 
-    def health(self) -> list[DiagnosticStatus]:
-        level = DiagnosticStatus.WARN if self._failure else DiagnosticStatus.OK
-        message = self._failure or self._state_text
-        return [self.status("work", level, message, {"requests": self._requests})]
-
-    def close(self) -> None:
-        self._worker.kill()
-
-    def _on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         if not self._busy.acquire(blocking=False):
             response.success = False
             response.message = f"busy: another {self.get_name()} is running"
             return response
-        self._requests, self._failure = self._requests + 1, ""
-        self._tell_state("busy")
+        failure = ""
+        self._enter("busy")
         try:
             # What is set from here on is for the next request.
             response.message = self._worker.run(
                 self._task, self.settings, self.parameters,
-                lambda share, what: self._tell_state(busy(share, what)),
+                lambda share, what: self._enter(f"busy: {100.0 * share:.0f} %, {what}"),
             )
             response.success = True
-            self._result.publish(String(data=response.message))
+            self._publish_result(response.message)
             self.on_result(response.message)
         except InputError as error:
             response.success, response.message = False, str(error)
-            self._failure = response.message
-            self.get_logger().error(response.message)
+            failure = response.message
         finally:
-            self._tell_state("idle")
+            self._enter("idle", failure)
             self._busy.release()
         return response
-
-    def _cancel(self) -> tuple[bool, str]:
-        return (True, CANCELLED) if self._worker.cancel() else (False, "nothing is running")
-
-    def _tell_state(self, state: str) -> None:
-        self._state_text = state
-        self._state.publish(String(data=state))
 
 
 class IdentificationNode(JobNode):
@@ -105,7 +109,7 @@ class IdentificationNode(JobNode):
     outputs: ClassVar = {"output_directory": ""}
 
     def __init__(self) -> None:
-        super().__init__("identification", "~/identify", identify)
+        super().__init__("identification", "~/identify", jobs.identify)
 
 
 class DiagnosisNode(JobNode):
@@ -118,7 +122,7 @@ class DiagnosisNode(JobNode):
     outputs: ClassVar = {"improved": ".yaml", "report": ""}
 
     def __init__(self) -> None:
-        super().__init__("diagnosis", "~/diagnose", diagnose)
+        super().__init__("diagnosis", "~/diagnose", jobs.diagnose)
         self._gap = self.create_publisher(DiagnosticArray, "~/gap", LATCHED)
 
     def on_result(self, result: str) -> None:
@@ -128,8 +132,113 @@ class DiagnosisNode(JobNode):
             level = DiagnosticStatus.WARN if gap["is_gap"] else DiagnosticStatus.OK
             values = [KeyValue(key=key, value=value) for key, value in gap["values"].items()]
             message.status.append(DiagnosticStatus(
-                level=level, name=f"diagnosis: {gap['name']}", message=gap["message"],
-                values=values,
-            ))  # fmt: skip
+                level=level, name=f"diagnosis: {gap['name']}", message=gap["message"], values=values
+            ))
         self._gap.publish(message)
         self.get_logger().info(message.status[0].message)
+
+
+_WAITING, _RUNNING = "waiting for confirmation", "running"
+_LOOK_EVERY, _LAST_RUN = 0.05, 10.0  # s; the latter that a run may take to end with its node
+
+
+class InvestigationNode(WorkNode):
+    """Investigates the gap between bench and model, as `sma-bench investigate` does: set `folder`
+    (and `record`), call `~/start`, which goes on from what the folder holds; `~/confirm` runs what
+    is proposed, `~/stop` ends whatever goes on, at 0 V.
+
+    States: idle, diagnosing, waiting for confirmation: PROTOCOL, running: PROTOCOL, named: CAUSE,
+    inseparable, budget spent, a test is needed, stopped, failed: why. The result is the story, what
+    is proposed under `next`. A run is the experiment node's, under its rules.
+    """
+
+    outputs: ClassVar = {"folder": ""}
+
+    def __init__(self) -> None:
+        from sma_bench.ros.bench_client import NodeCalls  # which the other two start without
+
+        super().__init__("investigation")
+        self._stopping, self._confirmed = threading.Event(), threading.Event()
+        self._work: threading.Thread | None = None
+        self._calls = NodeCalls(self, lambda: time.sleep(_LOOK_EVERY))
+        for service in ("experiment/start", "experiment/stop"):
+            self._calls.know(service)
+        self._calls.know("experiment/set_parameters", SetParameters)
+        for node in ("experiment", "recorder"):
+            self._calls.follow(node)
+        self.serve(start=self.on_start, confirm=self.on_confirm, stop=self.on_stop)
+        self._enter("idle")
+
+    def drain(self, spin: Callable[[], None]) -> None:
+        """Stop the bench while the experiment node's answer can still be heard."""
+        self.on_stop()
+        end = time.monotonic() + _LAST_RUN
+        while self._is_busy() and time.monotonic() < end:
+            spin()
+
+    def close(self) -> None:
+        self._stopping.set()
+        super().close()
+
+    def on_start(self) -> str:
+        if self._is_busy():
+            raise InputError(f"busy: {self._state}")
+        folder = jobs.investigation_folder(self.settings)
+        self._stopping.clear()
+        given = self.settings, self.parameters  # what is set from here on is for the next one
+        self._work = threading.Thread(target=self._investigate, args=given, daemon=True)
+        self._work.start()
+        return f"in {folder}"
+
+    def on_confirm(self) -> str:
+        if not self._state.startswith(_WAITING) or self._stopping.is_set():
+            raise InputError(f"nothing to confirm: {self._state}")
+        self._confirmed.set()
+        return self._state
+
+    def on_stop(self) -> str:
+        said = f"stopping, was {self._state}" if self._is_busy() else "nothing is running"
+        self._stopping.set()
+        if self._state.startswith(_RUNNING):  # at once; the thread then waits for the answer
+            self._calls.know("experiment/stop").call_async(Trigger.Request())
+        self._worker.end()
+        return said
+
+    def _is_busy(self) -> bool:
+        return self._work is not None and self._work.is_alive()
+
+    def _investigate(self, settings: Mapping[str, Any], parameters: Parameters) -> None:
+        def heed(_: str = "") -> None:
+            if self._stopping.is_set():
+                raise InputError("stopped on request")
+
+        def report(share: float, what: str) -> None:
+            if self._stopping.is_set():  # it came before the process had begun
+                self._worker.end()
+            self._enter(f"diagnosing: {100.0 * share:.0f} %, {what}")
+
+        try:
+            while True:
+                self._enter("diagnosing")
+                heed()
+                result = self._worker.run(jobs.investigate, settings, parameters, report)
+                self._publish_result(result)
+                story = json.loads(result)
+                if (following := story["next"]) is None:
+                    self._enter(str(story["outcome"]))
+                    return
+                self._confirmed.clear()
+                if self.settings["confirm"]:
+                    self._enter(f"{_WAITING}: {following['protocol']}")
+                    while not self._confirmed.wait(_LOOK_EVERY):
+                        heed()
+                self._enter(f"{_RUNNING}: {following['protocol']}")
+                self._calls.run_recorded(
+                    following["file"], following["protocol"], 60.0 * following["minutes"],
+                    following["bag"], heed, self.simulated,
+                )
+        except InputError as error:
+            if self._stopping.is_set():
+                self._enter("stopped")
+            else:
+                self._enter(f"failed: {error}", str(error))

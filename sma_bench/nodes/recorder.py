@@ -1,6 +1,5 @@
 """Writes every contract topic under its namespace to a bag that can be read whenever it dies."""
 
-import importlib
 import shutil
 import time
 from collections.abc import Callable
@@ -10,28 +9,24 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from sma_bench.errors import InputError
-from sma_bench.live.recording import FAILED, RECORDING, Recording, recorded_type
+from sma_bench.live.recording import FAILED, RECORDING, Recording
 from sma_bench.nodes.base import BenchNode
 from sma_bench.records.bag_writer import BagWriter
 from sma_bench.records.contract import IMAGE
-from sma_bench.ros.node import LATCHED
+from sma_bench.ros.node import message_class, recorded_topics
 
-_LOOK_EVERY = 0.2
-_FLUSH_EVERY = 1.0
+_LOOK_EVERY, _FLUSH_EVERY = 0.2, 1.0  # s
 # What may wait while the disk is busy: seconds of readings, but not of images.
-_DEPTH = 5000
-_IMAGE_DEPTH = 100
+_DEPTH, _IMAGE_DEPTH = 5000, 100
 _EMPTY_SPINS = 10  # more than there are timers and clocks to be served between readings
-_LONGEST_DRAIN = 3.0
-_ON_ITS_WAY = 0.5  # more than twice what config/dds/this_machine.xml takes to send again
-_NAP = 0.001
-_LAST_WORD = 1.0
+_LONGEST_DRAIN = 3.0  # s
+_ON_ITS_WAY = 0.5  # s, more than twice what config/dds/this_machine.xml takes to send again
+_NAP = 0.001  # s
 _LITTLE = 1 << 30  # bytes
 
 
@@ -48,7 +43,7 @@ class Recorder(BenchNode):
             settings["output"], settings["skip_idle"], settings["idle_margin"], self.fail, BagWriter
         )
         self._said = "idle"
-        self._state = self.create_publisher(String, "~/state", LATCHED)
+        self._publish = self.line("~/state")
         self.every(_LOOK_EVERY, self._look)
         self.every(_FLUSH_EVERY, self._flush)
         self.serve(start=self._start, stop=self._stop, split=self._split)
@@ -82,15 +77,11 @@ class Recorder(BenchNode):
         self._finish()
         self._publish_state(FAILED if self.failure else "closed")
         self.diagnose()
-        # Listeners would otherwise miss how it ended.
-        for publisher in (self._state, self._diagnostics):
-            publisher.wait_for_all_acked(Duration(seconds=_LAST_WORD))
+        self.wait_for_listeners()
 
     def on_time_went_back(self, reason: str) -> None:
         """Later messages would have the stamps of those that are written already."""
         self._recording.fail(InputError(f"{self._recording.output or 'recorder'}: {reason}"))
-
-    # --- bags ---------------------------------------------------------------------------------
 
     def _begin(self, output: str) -> None:
         self._recording.begin(output)
@@ -128,16 +119,9 @@ class Recorder(BenchNode):
             raise
         return f"closed {closed}, recording {output}"
 
-    # --- topics -------------------------------------------------------------------------------
-
     def _look(self) -> None:
-        inside = self.get_namespace().rstrip("/") + "/"
-        for topic, types in self.get_topic_names_and_types():
-            kind = recorded_type(topic, inside)
-            known = topic in self._recording.topics
-            if kind not in types or known or not self.count_publishers(topic):
-                continue
-            if not self._recording.add(topic, kind):
+        for topic, kind in recorded_topics(self).items():
+            if topic in self._recording.topics or not self._recording.add(topic, kind):
                 continue
             # The most that every present publisher of the topic offers.
             offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
@@ -146,9 +130,8 @@ class Recorder(BenchNode):
                 qos.reliability = ReliabilityPolicy.BEST_EFFORT
             if all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in offered):
                 qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
-            package, _, name = kind.split("/")
-            message = getattr(importlib.import_module(f"{package}.msg"), name)
-            self.create_subscription(message, topic, partial(self._write, topic), qos, raw=True)
+            heard = partial(self._write, topic)
+            self.create_subscription(message_class(kind), topic, heard, qos, raw=True)
             self.get_logger().info(f"recording {topic}")
             self._publish_state()
 
@@ -167,7 +150,7 @@ class Recorder(BenchNode):
     def _publish_state(self, state: str = "") -> None:
         """Say a state, or once more the last one."""
         self._said = state or (FAILED if self.failure else self._said)
-        self._state.publish(String(data=self._recording.state(self._said)))
+        self._publish(self._recording.state(self._said))
 
 
 def _text(data: bytes) -> str:

@@ -16,23 +16,25 @@ from std_msgs.msg import Float64MultiArray, String
 from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import SIDES, BenchSensors
-from sma_bench.hardware.conversation import LinkError, find_port, open_port
-from sma_bench.hardware.device import Reading
-from sma_bench.hardware.node_reports import Tally, driver_values, link_values, tally_values
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
-from sma_bench.hardware.serial_link import LinkOptions, SerialLink
+from sma_bench.hardware.serial_link import LinkError, LinkOptions, SerialLink, find_port, open_port
+from sma_bench.hardware.serial_messages import Telemetry
+from sma_bench.live.recording import RECORDER, recorder_failure
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
-from sma_bench.nodes.bench_topics import PowerTopics, RangeTopics, follow_recorder
-from sma_bench.ros.node import COMMAND, COMMANDED, LATCHED, Commanders, layout_fault
+from sma_bench.ros.node import (
+    COMMAND,
+    LATCHED,
+    NANOSECONDS,
+    READINGS,
+    BenchTopics,
+    Commanders,
+    stamp_of,
+)
 
-_NANOSECONDS = 1e9
-_TICK = 0.005
-_REPORT = 1.0
-_SWITCH = 1e-4
-_AT_ONCE = 100_000
-"""ns"""
-_CLOCK_STEP = 1000
-"""Hz: telemetry windows are whole milliseconds"""
+_TICK = 0.005  # s
+_SWITCH = 1e-4  # s: the link's thread reads its clock when bytes arrive, and waits for no other
+_AT_ONCE = 100_000  # ns between two readings of a clock that nobody interrupted
+_CLOCK_STEP = 1000  # Hz: telemetry windows are whole milliseconds
 
 
 class SerialBridge(BenchNode):
@@ -42,60 +44,54 @@ class SerialBridge(BenchNode):
 
     def __init__(self) -> None:
         super().__init__("serial_bridge")
-        if self.get_parameter("use_sim_time").value:
+        settings, rate = self.settings, self.settings["telemetry_rate"]
+        if self.simulated:
             raise InputError("use_sim_time is set, but hardware runs in real time")
-        self._rate = self.settings["telemetry_rate"]
-        if _CLOCK_STEP % self._rate:
-            raise InputError(
-                f"telemetry_rate is {self._rate} Hz, expected a divisor of {_CLOCK_STEP}"
-            )
-        self._scheduling = be_punctual(BRIDGE)
-        # The link's thread reads its clock when bytes arrive: it must not wait for this one.
-        sys.setswitchinterval(_SWITCH)
-        self._arrived: deque[Reading] = deque()
-        self._events: deque[str] = deque()
-        self._tally = Tally()
-        self._last_state = ""
-        # ns from the monotonic clock to ROS time; the system's clock may be set meanwhile.
-        self._to_ros = 0
+        if _CLOCK_STEP % rate:
+            raise InputError(f"telemetry_rate is {rate} Hz, expected a divisor of {_CLOCK_STEP}")
         if self.parameters["bench.drive"] == "current":
-            raise InputError(
-                "serial_bridge: bench.drive is current, but the Uno switches a voltage, "
-                "expected voltage or duty"
-            )
+            raise InputError("bench.drive is current, expected voltage or duty, as the Uno drives")
+        self._scheduling = be_punctual(BRIDGE)
+        sys.setswitchinterval(_SWITCH)
+        self._arrived: deque[Telemetry] = deque()
+        self._events: deque[str] = deque()
+        self._last_state = ""
+        # Of one report's period: readings, the greatest age of one (s), newest temperatures (K).
+        self._readings, self._oldest = 0, 0.0
+        self._kelvin: dict[str, float] = {}
+        self._to_ros = 0  # ns from the monotonic clock to ROS time; the system's may be set
         self._channels = self.parameters["bench.channels"]
-        self._sensors = BenchSensors(self.parameters["bench.channel_sides"], self.settings)
+        sensors = BenchSensors(self.parameters["bench.channel_sides"], settings)
         self._link = SerialLink(
-            lambda: open_port(self.settings["port"] or find_port()),
-            LinkOptions(rate=self._rate), self._arrived.append, self._events.append,
-        )  # fmt: skip
-        settings = self.settings
-        guard = Guard(self._channels, settings["feedback"], settings["feedback_timeout"])
-        limits = Limits.from_parameters(self.parameters)
-        self._driver = BenchDriver(
-            self._link, self._sensors, guard, self._channels, limits, settings["self_test_waived"]
+            lambda: open_port(settings["port"] or find_port()), LinkOptions(rate=rate),
+            self._arrived.append, self._events.append,
         )
-        self._power = PowerTopics(self, self._channels)
-        sensors = self._sensors.range_sensors
-        self._ranges = RangeTopics(self, sensors) if sensors else None
-        self._state = self.create_publisher(String, "~/state", LATCHED)
-        self.create_subscription(Float64MultiArray, COMMAND, self._on_command, COMMANDED)
+        self._guard = Guard(self._channels, settings["feedback"], settings["feedback_timeout"])
+        self._limits = Limits.from_parameters(self.parameters)
+        self._driver = driver = BenchDriver(
+            self._link, sensors, self._guard, self._channels, self._limits,
+            settings["self_test_waived"],
+        )
+        self._sides = tuple(sensors.range_sensors)
+        joint = "tip" if self._sides else ""
+        self._topics = BenchTopics(self, self._channels, ranges=self._sides, joint=joint)
+        self._enter = self.line("~/state")
+        self.create_subscription(Float64MultiArray, COMMAND, self.on_command, READINGS)
         self._commanders = Commanders(self)
-        self.listen(Temperature, "temperature", self._on_temperature, 10)
-        follow_recorder(self, self._driver.recorder)
-        driver = self._driver
+        self.listen(Temperature, "temperature", self.on_temperature, newest=True)
+        self.create_subscription(
+            String, RECORDER, lambda m: self._guard.recorder(recorder_failure(m.data)), LATCHED
+        )
         self.serve(
             enable=lambda: self._ask(lambda: driver.enable(time.monotonic())),
             stop=lambda: self._ask(lambda: driver.stop("stopped on request")),
             reset=lambda: self._ask(driver.reset), self_test=lambda: self._ask(self._self_test),
-        )  # fmt: skip
+        )
         self.every(_TICK, self._tick)
         self._link.start()  # connects, again and again if need be
 
     def close(self) -> None:
         self._link.close()
-
-    # --- readings and commands ----------------------------------------------------------------
 
     def _tick(self) -> None:
         # Whoever was kept waiting between the two clocks would shift every stamp.
@@ -106,38 +102,35 @@ class SerialBridge(BenchNode):
             self._to_ros = ros - (before + after) // 2
         while self._arrived:
             reading = self._driver.take(self._arrived.popleft(), time.monotonic())
-            stamp = round(_NANOSECONDS * reading.time) + self._to_ros
-            self._power.publish([(p.voltage, p.current) for p in reading.powers], stamp)
-            if self._ranges is not None:
-                distances = dict(zip(SIDES, reading.distances, strict=True))
-                self._ranges.publish(distances, reading.deflection, stamp)
-            self._tally.note(time.monotonic() - reading.time)
+            stamp = round(NANOSECONDS * reading.time) + self._to_ros
+            for channel, power in zip(self._channels, reading.powers, strict=True):
+                self._topics.power(channel, power.voltage, power.current, stamp)
+            distances = dict(zip(SIDES, reading.distances, strict=True))
+            for side in self._sides:
+                self._topics.range(side, distances[side], stamp)
+            if self._sides and reading.deflection == reading.deflection:  # not NaN
+                self._topics.joint(stamp, reading.deflection)
+            self._readings += 1
+            self._oldest = max(self._oldest, time.monotonic() - reading.time)
         if reason := self._driver.tick(time.monotonic()):
             self.get_logger().error(f"0 V: {reason}")
-        self._tell_state()
+        self._publish_state()
         while self._events:
             if (event := self._events.popleft()) != self._last_state:
                 self.get_logger().info(event)
 
-    def _on_command(self, message: Float64MultiArray) -> None:
-        sender, obstacle = self._commanders.of(message)
-        fault = layout_fault(message, self._channels) or (obstacle if any(message.data) else "")
-        if fault:
-            reason = self._driver.gate.refuse(fault)
-        else:
-            reason = self._driver.command(message.data, time.monotonic(), sender)
+    def on_command(self, message: Float64MultiArray) -> None:
+        driver, now = self._driver, time.monotonic()
+        sender, fault = self._commanders.judge(message, self._channels)
+        reason = driver.gate.refuse(fault) if fault else driver.command(message.data, now, sender)
         if reason:
             self.get_logger().warning(f"rejected: {reason}", throttle_duration_sec=1.0)
 
-    def _on_temperature(self, channel: str, message: Temperature) -> None:
+    def on_temperature(self, channel: str, message: Temperature) -> None:
         kelvin = message.temperature + CELSIUS_ZERO
-        stamp = message.header.stamp.sec + message.header.stamp.nanosec / _NANOSECONDS
-        self._tally.temperatures[channel] = kelvin
-        self._driver.temperature(
-            channel, kelvin, stamp - self._to_ros / _NANOSECONDS, time.monotonic()
-        )
-
-    # --- requests -----------------------------------------------------------------------------
+        taken = (stamp_of(message) - self._to_ros) / NANOSECONDS
+        self._kelvin[channel] = kelvin
+        self._guard.temperature(channel, kelvin, taken, time.monotonic(), self._limits)
 
     def _ask(self, act: Callable[[], str | None]) -> tuple[bool, str]:
         """Have the driver do something; its line, or the bench's state after it."""
@@ -146,7 +139,7 @@ class SerialBridge(BenchNode):
         except LinkError as error:
             return False, str(error)
         finally:
-            self._tell_state()
+            self._publish_state()
 
     def _self_test(self) -> str:
         findings = self._driver.self_test()
@@ -155,27 +148,23 @@ class SerialBridge(BenchNode):
             raise LinkError(text)
         return text
 
-    # --- reports ------------------------------------------------------------------------------
-
-    def _tell_state(self) -> None:
-        state = self._driver.state
-        if state != self._last_state:
+    def _publish_state(self) -> None:
+        if (state := self._driver.state) != self._last_state:
             self._last_state = state
-            self._state.publish(String(data=state))
+            self._enter(state)
             self.get_logger().info(state)
 
     def health(self) -> list[DiagnosticStatus]:
-        status, state = self._link.status, self._driver.state
+        state = self._driver.state
         if self._driver.flowing:
             self.get_logger().fatal(state)
         values = {
-            **driver_values(self._driver, time.monotonic()),
-            **tally_values(self._tally, _REPORT),
-            **link_values(status),
-            "commanders": str(self.count_publishers(COMMAND)),
-            "scheduling": self._scheduling,
+            **self._driver.diagnostics(time.monotonic()), **self._link.status.diagnostics,
+            "power_rate": f"{self._readings:.1f}", "oldest_reading_ms": f"{1e3 * self._oldest:.1f}",
+            **{f"{c}_degC": f"{kelvin - CELSIUS_ZERO:.1f}" for c, kelvin in self._kelvin.items()},
+            "commanders": str(self.count_publishers(COMMAND)), "scheduling": self._scheduling,
         }
-        self._tally = Tally(temperatures=self._tally.temperatures)
+        self._readings, self._oldest = 0, 0.0
         level = DiagnosticStatus.WARN if self._driver.gate.rejected else DiagnosticStatus.OK
         if state not in ("idle", "enabled"):
             level = DiagnosticStatus.ERROR

@@ -8,12 +8,14 @@ import contextlib
 import os
 import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
+from itertools import pairwise
 from typing import Any
 
-from sma_bench.lifeline import ending_signals
+from sma_bench.lifeline import end_with_starter, ending_signals
 
 NODES = {  # by the executable's name: module and class
     "simulator": "simulator.Simulator",
@@ -24,35 +26,189 @@ NODES = {  # by the executable's name: module and class
     "recorder": "recorder.Recorder",
     "identification": "job_nodes.IdentificationNode",
     "diagnosis": "job_nodes.DiagnosisNode",
-    "investigation": "investigation.InvestigationNode",
+    "investigation": "job_nodes.InvestigationNode",
     "twin": "twin.TwinNode",
-    "temperature_controller": "controllers.TemperatureControllerNode",
-    "deflection_controller": "controllers.DeflectionControllerNode",
+    "temperature_controller": "experiment.TemperatureControllerNode",
+    "deflection_controller": "experiment.DeflectionControllerNode",
 }
+# These drive, and say at their start what holds them back, and where each limit is from.
+_DRIVERS = frozenset(
+    {"serial_bridge", "experiment", "temperature_controller", "deflection_controller"}
+)
+_LIMITS = ("maximum_voltage", "maximum_current", "maximum_temperature", "command_timeout")
+_SIGNAL_LATENCY = 0.1  # s: signals arrive at Python only between two waits of the executor
+# s for 0 V and a recorder's index, then for what is left. Fast DDS once spun for ever while a node
+# was taken to pieces, with Python's lock held: only the kernel ends that.
+_CLOSING, _LEAVING = 30.0, 2.5
 
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
-    """Run a node until its end; the exit status."""
-    for number in ending_signals():
-        signal.signal(number, lambda *_: os._exit(0))
-    given = sys.argv[1:] if argv is None else argv
-    if not {"-h", "--help"} & set(given):
+    """Run a node until SIGINT, SIGTERM or the end of its ROS context: 0 at a clean end, 2 after bad
+    input, of which one line goes to standard error.
+
+    The signals are handled here and not by rclpy, whose handler invalidates the context before a
+    node can send its last message.
+    """
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    asks_for_help = bool({"-h", "--help"} & set(arguments))
+    asked = threading.Event()
+    if not asks_for_help:
+        for number in ending_signals():
+            signal.signal(number, lambda *_: os._exit(0))
         print(f"starting {name}", flush=True)  # its libraries take a second, or many
-    status: int = run(name, argv)
-    for number in ending_signals():  # once more is no use, and would only make noise
-        signal.signal(number, signal.SIG_IGN)
-    return status
+    from sma_bench.errors import InputError
+
+    if asks_for_help:
+        print(node_help(name), end="")
+        return 0
+    kind: Any = node_class(name)
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+
+    from sma_bench.ros.node import start_ros
+
+    end_with_starter(signal.SIGINT)
+    for number in ending_signals():  # asked twice it is no more
+        signal.signal(number, lambda *_: asked.set())
+    node: Any = None
+    try:
+        sources = check_arguments(name, arguments)
+        start_ros(arguments)
+        # A node that simulates waits once after an installation; others have no compiler loaded.
+        if compiled := sys.modules.get("sma_bench.compiled"):
+            inform = rclpy.logging.get_logger(name).info
+            compiled.when_compiling(lambda: inform("waits for the compiler, once, some 20 s"))
+        node = kind()
+        executor = kind.executor_type()
+        executor.add_node(node)
+        if name in _DRIVERS:
+            limits = (
+                f"{limit} {node.parameters[f'bench.{limit}']:g} "
+                f"({sources.get(f'bench.{limit}', 'default')})"
+                for limit in _LIMITS
+            )
+            node.get_logger().info(f"limits: {', '.join(limits)}")
+        node.get_logger().info("ready")
+        try:
+            while rclpy.ok() and not asked.is_set() and node.failure is None:
+                # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
+                executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
+        finally:
+            _end_within(_CLOSING)
+            if rclpy.ok():
+                node.drain(lambda: executor.spin_once(timeout_sec=0.0))
+                node.close()
+            executor.shutdown(timeout_sec=1.0)
+        if node.failure is not None:
+            raise node.failure
+    except InputError as error:
+        with contextlib.suppress(OSError):  # nobody may be left to read it
+            print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except (ExternalShutdownException, KeyboardInterrupt):  # the latter of what it waited for
+        pass
+    finally:
+        _end_within(_LEAVING)
+        if node is not None:
+            node.destroy_node()
+        rclpy.try_shutdown()
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+    return 0
 
 
-def run(name: str, argv: Sequence[str] | None = None) -> int:
-    """As `start`, in a process that keeps its own signals until the node is there."""
-    kind = node_class(name)
-    status: int = import_module("sma_bench.nodes.base").run_node(name, kind, argv)
-    return status
+def _end_within(seconds: float) -> None:
+    """Have the kernel end this process, whatever holds it, unless it is over by then."""
+    signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+
+
+def node_help(node: str) -> str:
+    """What --help prints: usage and the node's own parameters."""
+    from sma_bench.parameters.node_tables import NODE_TABLES
+
+    lines = [
+        f"usage: {node} [--ros-args -r __ns:=/bench --params-file P.yaml -p NAME:=VALUE ...]",
+        "",
+        "parameters of this node, besides the contract's (sma-bench parameters):",
+    ]
+    for p in NODE_TABLES[node]:
+        unit, default = f" [{p.unit}]" if p.unit else "", str(p.default) or "none"
+        if isinstance(p.default, tuple):
+            default = f"[{', '.join(map(str, p.default))}]"
+        elif isinstance(p.default, bool):
+            default = default.lower()
+        lines.append(f"  {p.name:28} {p.description}{unit} (default {default})")
+    return "\n".join(lines) + "\n"
+
+
+def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
+    """Check every parameter file and `-p name:=value` of a command line without the program's name;
+    where the value of each name is from. `node` is the node's name unless argv renames it.
+
+    Raises InputError: unreadable file, or none of it for this node, unknown name, wrong type or out
+    of range; one line with the file and, for a name, the nearest known one.
+    """
+    # ROS passes over names that a node does not declare: a slip of the pen in a parameter file
+    # would leave a default in force, a safety limit's too.
+    from sma_bench.border import load_yaml
+    from sma_bench.errors import InputError
+    from sma_bench.parameters.node_tables import NODE_TABLES, refuse_unknown
+    from sma_bench.parameters.parameter import BY_NAME
+    from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
+    from sma_bench.parameters.yaml_file import flatten, read_parameter_names
+
+    inside, options, named, namespace = False, [], node, ""
+    for option, value in pairwise([*argv, ""]):
+        if option in ("--ros-args", "--"):
+            inside = option == "--ros-args"
+            continue
+        if not inside:
+            raise InputError(f"unknown argument {option!r}: what is ROS's stands after --ros-args")
+        options.append((option, value))
+        # The node's own section of a file is that of its name.
+        name, _, target = value.partition(":=")
+        if option in ("-r", "--remap") and target and name in ("__node", "__name"):
+            named = target
+        elif option in ("-r", "--remap") and name == "__ns":
+            namespace = f"/{target.strip('/')}" if target.strip("/") else ""
+
+    # Later sources win; what fits only together may come from several.
+    own = {parameter.name: parameter for parameter in NODE_TABLES[node]}
+    contract: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    for option, value in options:
+        where, (name, separator, text) = option, value.partition(":=")
+        if option == "--params-file":
+            where, values = value, read_parameter_names(value, f"{namespace}/{named}")
+        elif option not in ("-p", "--param"):
+            continue
+        elif not separator:
+            raise InputError(f"-p {value}: expected name:=value")
+        else:
+            try:
+                values = flatten({name.split(":")[-1]: load_yaml(text)})
+            except InputError as error:
+                raise InputError(f"-p {value:.80}: {error}") from None
+        refuse_unknown(
+            [n for n in values if n.removeprefix(UNCERTAINTY_PREFIX) not in BY_NAME], where
+        )
+        for name, given in values.items():
+            parameter = own.get(name) or BY_NAME.get(name)
+            if parameter is None and name.removeprefix(UNCERTAINTY_PREFIX) not in BY_NAME:
+                continue  # another node's, or ROS's own
+            whole = isinstance(given, int) and not isinstance(given, bool)
+            if whole and (parameter is None or parameter.kind == "double"):
+                raise InputError(f"{where}: {name} is the integer {given}, ROS expects {given}.0")
+            if name in own:
+                own[name].validated(given, where)
+            else:
+                contract[name] = given
+            sources[name] = where
+        Parameters(contract, where=where)
+    return sources
 
 
 def node_class(name: str) -> Any:
-    """The class of a node, its module imported."""
     module, _, kind = NODES[name].partition(".")
     return getattr(import_module(f"sma_bench.nodes.{module}"), kind)
 
@@ -67,6 +223,7 @@ def __getattr__(name: str) -> Callable[[], None]:
 def _run(name: str, argv: Sequence[str] | None = None) -> None:
     """Everything is closed by then: the interpreter takes a second to take itself to pieces."""
     status = start(name, argv)
+    _end_within(_LEAVING)
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # nobody may be left to read it
             stream.flush()

@@ -36,21 +36,17 @@ _UNIT_SLIPS = (1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
 
 @dataclass(frozen=True)
 class Parameter:
-    """Declaration of one parameter.
+    """Declaration of one parameter, under a dotted name that files, nodes and commands share.
 
     Attributes:
-        name: dotted name, the same in files, on nodes and on the command line.
         unit: SI unit, "" for none.
-        default: value when nothing else is given.
-        description: one sentence for people.
         provenance: paper table or equation, or "assumed: why".
         low, high: inclusive range of a number, in its unit.
-        uncertainty: standard deviation, absolute, in its unit, of a value that a file states
-            without one: what a careful lab knows such a number to.
+        uncertainty: standard deviation, in its unit, of a value that a file states without one:
+            what a careful lab knows such a number to.
         spread: of a value that nobody stated: how far such numbers lie apart between the wires and
             benches of the field, by spread_source. None: as uncertainty (a sensor's data sheet, an
             effect's number).
-        kind: type of the value.
         read_only: a running node cannot change it.
     """
 
@@ -73,59 +69,42 @@ class Parameter:
         return self.uncertainty if self.spread is None else self.spread
 
     def validated(self, value: Any, where: str = "") -> Value:
-        """The value in its own type.
-
-        Raises:
-            InputError: wrong type, not finite, or outside the range; `where` leads the line.
-        """
-        prefix = f"{where}: " if where else ""
-        converted = self._converted(value)
-        if converted is None:
-            unit = f" in {self.unit}" if self.unit else ""
-            expected = _EXPECTED[self.kind] + unit
+        """The value in its own type. Raises InputError: wrong type, not finite, or outside the
+        range; `where` leads the line."""
+        prefix, is_bool = f"{where}: " if where else "", isinstance(value, bool)
+        is_list = isinstance(value, (list, tuple)) and all(isinstance(i, str) for i in value)
+        fits = {
+            "double": isinstance(value, (int, float)) and not is_bool,
+            "integer": isinstance(value, int) and not is_bool,
+            "bool": is_bool, "string": isinstance(value, str), "strings": is_list,
+        }  # fmt: skip
+        if not fits[self.kind]:
+            expected = _EXPECTED[self.kind] + (f" in {self.unit}" if self.unit else "")
             raise InputError(f"{prefix}{self.name} is {value!r}, expected {expected}")
-        if isinstance(converted, (int, float)) and not isinstance(converted, bool):
-            self._check_range(converted, prefix)
-        return converted
-
-    def _converted(self, value: Any) -> Value | None:
-        if self.kind == "double":
-            number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            return float(value) if number else None
-        if self.kind == "integer":
-            return value if isinstance(value, int) and not isinstance(value, bool) else None
-        if self.kind == "bool":
-            return value if isinstance(value, bool) else None
-        if self.kind == "string":
-            return value if isinstance(value, str) else None
-        if isinstance(value, (list, tuple)) and all(isinstance(item, str) for item in value):
-            return tuple(value)
-        return None
-
-    def _check_range(self, value: float, prefix: str) -> None:
-        if not math.isfinite(value):
-            raise InputError(f"{prefix}{self.name} is {value}, expected a finite number")
-        if self._inside(value):
-            return
-        low = "-inf" if self.low is None else f"{self.low:g}"
-        high = "inf" if self.high is None else f"{self.high:g}"
-        unit = f" {self.unit}" if self.unit else ""
-        raise InputError(
-            f"{prefix}{self.name} is {value:g}{unit}, expected {low} to {high}{unit}"
-            + self._unit_hint(value)
-        )
+        if self.kind not in ("double", "integer"):
+            return tuple(value) if is_list else value  # type: ignore[no-any-return]
+        number: float | int = float(value) if self.kind == "double" else value
+        if not math.isfinite(number):
+            raise InputError(f"{prefix}{self.name} is {number}, expected a finite number")
+        if not self._inside(number):
+            low = "-inf" if self.low is None else f"{self.low:g}"
+            high = "inf" if self.high is None else f"{self.high:g}"
+            unit = f" {self.unit}" if self.unit else ""
+            hint = ""
+            if self.unit == "K" and _CELSIUS_RANGE[0] <= number <= _CELSIUS_RANGE[1]:
+                hint = " (is it in degrees Celsius?)" if self._inside(number + 273.15) else ""
+            elif self.low != 0.0:
+                factors = [factor for factor in _UNIT_SLIPS if self._inside(number * factor)]
+                for factor in factors[:1]:
+                    hint = f" (times {factor:g} it would fit: wrong unit prefix?)"
+            raise InputError(
+                f"{prefix}{self.name} is {number:g}{unit}, expected {low} to {high}{unit}{hint}"
+            )
+        return number
 
     def _inside(self, value: float) -> bool:
         above = self.low is None or value >= self.low
         return above and (self.high is None or value <= self.high)
-
-    def _unit_hint(self, value: float) -> str:
-        if self.unit == "K" and _CELSIUS_RANGE[0] <= value <= _CELSIUS_RANGE[1]:
-            return " (is it in degrees Celsius?)" if self._inside(value + 273.15) else ""
-        for factor in _UNIT_SLIPS:
-            if self._inside(value * factor) and self.low != 0.0:
-                return f" (times {factor:g} it would fit: wrong unit prefix?)"
-        return ""
 
 
 _KINDS: Mapping[str, Kind] = {
@@ -136,12 +115,8 @@ _KINDS: Mapping[str, Kind] = {
 
 def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]:
     """The parameters of a tree in the layout of generate_parameter_library, with unit, source,
-    uncertainty, spread and spread_source beside.
-
-    Raises:
-        KeyError, TypeError: a leaf that lacks its type, default, description or source, or with a
-            field that no parameter has.
-    """
+    uncertainty, spread and spread_source. Raises KeyError, TypeError: a leaf that lacks its type,
+    default, description or source, or with a field that no parameter has."""
     found: list[Parameter] = []
     for name, node in tree.items():
         if "type" not in node:
@@ -176,11 +151,9 @@ LOAD_KINDS = ("clamped", "force", "spring", "antagonist", "beam")
 
 @dataclass(frozen=True)
 class Effect:
-    """One departure from the paper's model; off with every default.
+    """One departure from the paper's model, called as its file; off with every default.
 
     Attributes:
-        name: of the contract, and of the file.
-        stage: where in the chain it acts.
         parameters: its numbers, `effect.<name>.<number>`, its size first.
         shows: what an engineer sees at the bench.
         acts_on: signals that it can change, in the order of the chain.
@@ -224,23 +197,12 @@ class Effect:
         """Numbers of which any one switches it on: those whose default is 0."""
         return tuple(p for p in self.parameters if p.default == 0.0)
 
-    @cached_property
-    def _switch_names(self) -> tuple[str, ...]:
-        return tuple(p.name for p in self.switches)
-
     def is_on(self, parameters: Mapping[str, object]) -> bool:
         """Whether these parameters switch it on."""
-        for name in self._switch_names:  # noqa: SIM110 (a generator takes twice as long)
-            if parameters[name] != 0.0:
-                return True
-        return False
+        return any(parameters[p.name] != 0.0 for p in self.switches)
 
     def named(self, number: str) -> Parameter:
-        """The table's entry of one of its numbers.
-
-        Raises:
-            InputError: the effect has no such number.
-        """
+        """The table's entry of one of its numbers. Raises InputError: it has no such number."""
         for parameter in self.parameters:
             if parameter.name == f"{EFFECT_PREFIX}{self.name}.{number}":
                 return parameter
@@ -255,43 +217,74 @@ class Effect:
 
 
 def declared_effects(folder: Path = EFFECT_FILES) -> dict[str, Effect]:
-    """Effects of the files in a folder by name, in the order of the chain's stages.
+    """Effects of the files in a folder by name, in the order of the chain's stages. Raises
+    ValueError: a file without docstring or declaration, or with one that does not fit its name."""
 
-    Raises:
-        ValueError: a file without docstring or declaration, or with one that does not fit its
-            name.
-    """
-    found = [_declared(path) for path in sorted(folder.glob("*.py")) if path.stem != "__init__"]
+    def value(node: ast.expr) -> Any:
+        """A literal, or a call of one of the two types."""
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
+            kind = {"Effect": Effect, "Parameter": Parameter}[node.func.id]
+            named = {keyword.arg or "": value(keyword.value) for keyword in node.keywords}
+            return kind(*map(value, node.args), **named)
+        if isinstance(node, ast.Tuple):
+            return tuple(map(value, node.elts))
+        return ast.literal_eval(node)
+
+    effects = []
+    for path in sorted(folder.glob("*.py")):
+        if path.stem == "__init__":
+            continue
+        text = path.read_text(encoding="utf-8")
+        _, found, rest = text.partition("\nEFFECT = ")
+        declaration, closed, _ = rest.partition("\n)\n")
+        if not (found and closed and '"""' in text):
+            raise ValueError(f"{path}: no docstring, or no EFFECT = Effect(...)")
+        effect = value(ast.parse(declaration + "\n)", path, "eval").body)
+        prefix = f"{EFFECT_PREFIX}{path.stem}."
+        if effect.name != path.stem:
+            raise ValueError(f"{path}: EFFECT is called {effect.name}, expected {path.stem}")
+        if not all(p.name.startswith(prefix) for p in effect.parameters):
+            raise ValueError(f"{path}: a parameter's name does not begin with {prefix}")
+        effects.append(replace(effect, text=inspect.cleandoc(text.split('"""')[1])))
     stages = get_args(Stage)
-    return {e.name: e for e in sorted(found, key=lambda effect: stages.index(effect.stage))}
-
-
-def _declared(path: Path) -> Effect:
-    """The declaration in a file: calls of the two types it names, and literals."""
-    text = path.read_text(encoding="utf-8")
-    _, found, rest = text.partition("\nEFFECT = ")
-    declaration, closed, _ = rest.partition("\n)\n")
-    if not (found and closed and '"""' in text):
-        raise ValueError(f"{path}: no docstring, or no EFFECT = Effect(...)")
-    effect = _value(ast.parse(declaration + "\n)", path, "eval").body)
-    prefix = f"{EFFECT_PREFIX}{path.stem}."
-    if effect.name != path.stem:
-        raise ValueError(f"{path}: EFFECT is called {effect.name}, expected {path.stem}")
-    if not all(p.name.startswith(prefix) for p in effect.parameters):
-        raise ValueError(f"{path}: a parameter's name does not begin with {prefix}")
-    return replace(effect, text=inspect.cleandoc(text.split('"""')[1]))
-
-
-def _value(node: ast.expr) -> Any:
-    if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-        kind = {"Effect": Effect, "Parameter": Parameter}[node.func.id]
-        named = {keyword.arg or "": _value(keyword.value) for keyword in node.keywords}
-        return kind(*map(_value, node.args), **named)
-    if isinstance(node, ast.Tuple):
-        return tuple(map(_value, node.elts))
-    return ast.literal_eval(node)
+    return {e.name: e for e in sorted(effects, key=lambda effect: stages.index(effect.stage))}
 
 
 EFFECTS = declared_effects()
-EFFECT_NAMES = tuple(EFFECTS)
 EFFECT_TABLE: tuple[Parameter, ...] = tuple(p for e in EFFECTS.values() for p in e.parameters)
+
+# --- every parameter of the bench contract: what parameters.yaml declares, and the effects' numbers
+
+TABLE: tuple[Parameter, ...] = (*declared(read_declarations("parameters.yaml")), *EFFECT_TABLE)
+BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in TABLE}
+# Uncertainties of sensors whose scales are known, as those of a simulated bench are.
+EXACT_SENSORS = {
+    p.name: 0.0 for p in TABLE if p.name.startswith("sensor.") and not p.name.endswith(".lag")
+}
+
+
+# --- Numbers that the paper prints besides those of the table.
+
+# Table II, heat cycles 1 and 2 [K]; the parameter table holds cycle 2.
+DSC_CYCLES = (
+    {"A_s": 351.29, "A_f": 371.05, "M_s": 355.49, "M_f": 324.93},
+    {"A_s": 331.81, "A_f": 353.61, "M_s": 353.39, "M_f": 325.09},
+)
+# Below Fig. 8, mean and deviation [K] under a holding force of 1 N.
+UPFR_START = (350.65, 1.06)
+UPFR_FINISH = (361.35, 1.49)
+HOLDING_FORCE = 1.0  # N
+# Section III.B.3, printed as "23.91 MPa" [Pa/K if "/K" is what is missing].
+THERMAL_EXPANSION = 23.91e6
+# Table III [K].
+MARTENSITE_TEST_TEMPERATURE = 293.15
+AUSTENITE_TEST_TEMPERATURE = 403.15
+# Section III.B.2: martensite detwins up to this strain.
+DETWINNED_AT = 0.04
+
+TRANSITIONS = {
+    "A_s": "wire.austenite_start_temperature",
+    "A_f": "wire.austenite_finish_temperature",
+    "M_s": "wire.martensite_start_temperature",
+    "M_f": "wire.martensite_finish_temperature",
+}

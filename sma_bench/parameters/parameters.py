@@ -1,13 +1,13 @@
 """An immutable, validated set of the contract's parameters with their uncertainties."""
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from copy import copy
 from typing import Any
 
 from sma_bench.errors import InputError, did_you_mean
-from sma_bench.parameters.parameter import LOAD_KINDS, Value
-from sma_bench.parameters.table import BY_NAME, TABLE
+from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS, TABLE, Value
 
 UNCERTAINTY_PREFIX = "uncertainty."
 SIDES = ("front", "back")
@@ -45,12 +45,9 @@ class Parameters(Mapping[str, Value]):
         self, values: Mapping[str, Any] | None = None,
         uncertainty: Mapping[str, float] | None = None, where: str = "",
     ) -> None:
-        """Defaults of the table, overridden by `values` and `uncertainty`.
-
-        Raises:
-            InputError: unknown name, wrong type, out of range or contradicting values; `where`
-                (a file, say) leads the line.
-        """
+        """Defaults of the table, overridden by `values` (names with `uncertainty.` among them) and
+        `uncertainty`. Raises InputError: unknown name, wrong type, out of range or contradicting
+        values; `where` (a file, say) leads the line."""
         self._values: dict[str, Value] = {p.name: p.default for p in TABLE}
         self._std: dict[str, float] = {}
         self.given: frozenset[str] = frozenset()
@@ -59,80 +56,76 @@ class Parameters(Mapping[str, Value]):
     def _put(
         self, values: Mapping[str, Any], uncertainty: Mapping[str, float], where: str
     ) -> None:
-        self._where = f"{where}: " if where else ""
-        for name, value in values.items():
-            self._require_known(name)
-            self._values[name] = BY_NAME[name].validated(value, where)
-        checked = {}
-        for name, std in uncertainty.items():
-            self._require_known(name)
+        lead = f"{where}: " if where else ""
+        stated = {UNCERTAINTY_PREFIX + name: std for name, std in uncertainty.items()}
+        given: set[str] = set()
+        for full, value in {**values, **stated}.items():
+            name = full.removeprefix(UNCERTAINTY_PREFIX)
+            if name not in BY_NAME:
+                raise InputError(lead + unknown_parameter_message(name, BY_NAME))
+            given.add(name)
+            if full == name:
+                self._values[name] = BY_NAME[name].validated(value, where)
+                continue
             if BY_NAME[name].uncertainty is None:
-                raise InputError(f"{self._where}{UNCERTAINTY_PREFIX}{name}: has no uncertainty")
-            number = isinstance(std, (int, float)) and not isinstance(std, bool)
-            if not number or not 0.0 <= std < float("inf"):
-                unit = BY_NAME[name].unit
+                raise InputError(f"{lead}{full}: has no uncertainty")
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not number or not 0.0 <= value < float("inf"):
                 raise InputError(
-                    f"{self._where}{UNCERTAINTY_PREFIX}{name} is {std!r}, "
-                    f"expected a standard deviation >= 0 in {unit}"
+                    f"{lead}{full} is {value!r}, "
+                    f"expected a standard deviation >= 0 in {BY_NAME[name].unit}"
                 )
-            checked[name] = float(std)
-        self._std |= checked
-        self.given |= frozenset(values) | frozenset(uncertainty)
-        for pair in ORDERED:
-            self._make_way(*pair)
+            self._std[name] = float(value)
+        self.given |= given
+
+        # A default that nobody stated keeps its distance from what was stated beyond it.
+        for lower, upper in ORDERED:
+            if self[lower] >= self[upper] and not {lower, upper} <= self.given:
+                width = float(str(BY_NAME[upper].default)) - float(str(BY_NAME[lower].default))
+                if upper in self.given:
+                    self._values[lower] = self[upper] - width
+                else:
+                    self._values[upper] = self[lower] + width
+        if fault := self._fault():
+            raise InputError(lead + fault)
+
+    def _fault(self) -> str:
+        """What does not fit together, or ""."""
         for lower, upper in ORDERED:
             if self[lower] >= self[upper]:
-                raise InputError(
-                    f"{self._where}{lower} {self[lower]:g} K must lie below "
-                    f"{upper} {self[upper]:g} K"
-                )
+                return f"{lower} {self[lower]:g} K must lie below {upper} {self[upper]:g} K"
         channels, sides = self["bench.channels"], self["bench.channel_sides"]
         if not channels:
-            raise InputError(f"{self._where}bench.channels is empty, expected one name or more")
+            return "bench.channels is empty, expected one name or more"
         for channel in channels:
             if not _CHANNEL_NAME.match(channel):
-                raise InputError(
-                    f"{self._where}bench.channels: {channel!r} is not a ROS name "
+                return (
+                    f"bench.channels: {channel!r} is not a ROS name "
                     "(a letter, then letters, digits, underscores)"
                 )
         if len(set(channels)) != len(channels):
-            raise InputError(f"{self._where}bench.channels: {list(channels)} has a name twice")
+            return f"bench.channels: {list(channels)} has a name twice"
         if len(sides) != len(channels):
-            raise InputError(
-                f"{self._where}bench.channel_sides has {len(sides)} entries, "
-                f"expected {len(channels)} as bench.channels"
-            )
+            expected = f"expected {len(channels)} as bench.channels"
+            return f"bench.channel_sides has {len(sides)} entries, {expected}"
         for side in sides:
             if side not in SIDES:
-                raise InputError(
-                    f"{self._where}bench.channel_sides: {side!r}, expected front or back"
-                )
-        self._check_choice("load.kind", ("", *LOAD_KINDS))
-        self._check_choice("bench.drive", DRIVES)
+                return f"bench.channel_sides: {side!r}, expected front or back"
+        for name, choices in (("load.kind", ("", *LOAD_KINDS)), ("bench.drive", DRIVES)):
+            if self[name] not in choices:
+                return f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
         kind, used = load_kind(self), len(set(sides))
         for name in LOAD_NEEDS.get(kind, ()):
             if self[name] <= 0.0:
-                raise InputError(
-                    f"{self._where}{name} is {self[name]:g} {BY_NAME[name].unit}, expected above 0 "
-                    f"with load.kind {kind}"
-                )
+                value = f"{self[name]:g} {BY_NAME[name].unit}"
+                return f"{name} is {value}, expected above 0 with load.kind {kind}"
         wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
         if used != wanted:
             expected = "front and back" if wanted == 2 else "one side"
-            raise InputError(
-                f"{self._where}bench.channel_sides: {list(sides)} with load.kind {kind}, "
-                f"expected {expected}"
+            return (
+                f"bench.channel_sides: {list(sides)} with load.kind {kind}, expected {expected}"
             )
-
-    def _make_way(self, lower: str, upper: str) -> None:
-        """A default that nobody stated keeps its distance from what was stated beyond it."""
-        if self[lower] < self[upper] or {lower, upper} <= self.given:
-            return
-        width = float(str(BY_NAME[upper].default)) - float(str(BY_NAME[lower].default))
-        if upper in self.given:
-            self._values[lower] = self[upper] - width
-        else:
-            self._values[upper] = self[lower] + width
+        return ""
 
     @classmethod
     def defaults(cls) -> "Parameters":
@@ -163,11 +156,8 @@ class Parameters(Mapping[str, Value]):
 
     def std(self, name: str) -> float:
         """One standard deviation of `name`, absolute, in its unit: the stated one, else the table's
-        uncertainty of a stated value, else the table's spread.
-
-        Raises:
-            InputError: the parameter is unknown or has no uncertainty (a name, a limit).
-        """
+        uncertainty of a stated value, else the table's spread. Raises InputError: the parameter is
+        unknown or has no uncertainty (a name, a limit)."""
         self[name]
         parameter = BY_NAME[name]
         std = parameter.uncertainty if name in self.given else parameter.default_std
@@ -191,14 +181,25 @@ class Parameters(Mapping[str, Value]):
         other._put(values or {}, uncertainty or {}, where)
         return other
 
-    def _require_known(self, name: str) -> None:
-        if name not in BY_NAME:
-            raise InputError(self._where + unknown_parameter_message(name, BY_NAME))
 
-    def _check_choice(self, name: str, choices: tuple[str, ...]) -> None:
-        if self[name] not in choices:
-            expected = ", ".join(choice for choice in choices if choice)
-            raise InputError(f"{self._where}{name} is {self[name]!r}, expected {expected}")
+NITI_DENSITY = 6450.0  # kg/m3
+NITI_EXPANSION = (6.6e-6, 11e-6)  # 1/K, martensite, austenite
+CONVECTION_FACTOR = 1.5  # that what correlations give of one wire may be off
+
+
+def wire_section(parameters: Mapping[str, Any]) -> float:
+    """Cross-section [m2] of one wire."""
+    return math.pi * float(parameters["wire.diameter"]) ** 2 / 4.0
+
+
+def wire_length(parameters: Mapping[str, Any]) -> float:
+    """Length [m] of the wires: given, or that of their mass."""
+    return float(parameters["wire.length"]) or wire_length_from_mass(parameters)
+
+
+def wire_length_from_mass(parameters: Mapping[str, Any]) -> float:
+    """Length [m] of NiTi wire of the given mass and diameter."""
+    return float(parameters["wire.mass"]) / (NITI_DENSITY * wire_section(parameters))
 
 
 def as_recorded(parameters: Parameters) -> Parameters:

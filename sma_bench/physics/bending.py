@@ -1,13 +1,14 @@
-"""Bending of the composite: eqs. (12) to (17), (22), (23), corrected, and as printed.
+"""Bending of the composite: eqs. (12) to (17), (22), (23), corrected
+(paper/printed.py has the printed forms).
 
 The active layer's modulus in EI and in the curvature is the martensite's: both describe the
 specimen as it lies at rest, and are constants of the model while E(xi) of eq. (7) is not.
 """
 
-import math
 from dataclasses import dataclass, replace
 
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import wire_section
 
 
 @dataclass(frozen=True)
@@ -47,11 +48,6 @@ class Beam:
         )
 
 
-def wire_section(parameters: Parameters) -> float:
-    """Cross-section [m2] of one wire."""
-    return math.pi * float(parameters["wire.diameter"]) ** 2 / 4.0
-
-
 def channel_section(parameters: Parameters) -> float:
     """Cross-section [m2] of the wires of one channel together."""
     return wire_section(parameters) * float(parameters["wire.count"])
@@ -66,33 +62,13 @@ def wire_layer_width(parameters: Parameters) -> float:
     return section / float(parameters["composite.wire_layer_thickness"])
 
 
-def as_printed(beam: Beam) -> Beam:
-    """The beam of eqs. (14) to (17) as printed: one width, so that its wires are a sheet."""
-    return replace(beam, layer_width=beam.width)
-
-
-def moment(force: float, beam: Beam) -> float:
-    """Bending moment M [N m] of the wires' force P [N], eq. (12)."""
-    return force * beam.offset
-
-
 def bending_stiffness(beam: Beam) -> float:
-    """EI [N m2] of eq. (14), corrected.
-
-    The two-layer beam about its neutral axis: the width multiplies every term, the whole of
-    12 (E_c h_c + E h) divides them; the dimensions of the printed form disagree. A layer of another
-    width is one of the matrix's width and a modulus that is E w_s/w_c.
-    """
+    """EI [N m2] of eq. (14), corrected: two layers about their neutral axis. The width multiplies
+    every term, the whole of 12 (E_c h_c + E h) divides them; a layer of another width is one of the
+    matrix's width and a modulus that is E w_s/w_c."""
     beam = _of_one_width(beam)
-    numerator = beam.width * _stiffness_terms(beam, 1.0)
-    return numerator / (12.0 * (_matrix_membrane(beam) + _layer_membrane(beam)))
-
-
-def bending_stiffness_as_printed(beam: Beam) -> float:
-    """EI as printed below eq. (14): the width at the first term only, 12 at E_c h_c only."""
-    return _stiffness_terms(beam, beam.width) / (
-        12.0 * _matrix_membrane(beam) + _layer_membrane(beam)
-    )
+    matrix, layer = beam.modulus * beam.thickness, beam.layer_modulus * beam.layer_thickness
+    return beam.width * stiffness_terms(beam, 1.0) / (12.0 * (matrix + layer))
 
 
 def curvature(strain: float, beam: Beam) -> float:
@@ -108,34 +84,22 @@ def deflection(strain: float, beam: Beam) -> float:
     return 0.5 * beam.length**2 * curvature(strain, beam)
 
 
-def deflection_as_printed(strain: float, beam: Beam) -> float:
-    """Deflection [m] as eq. (17) is printed: twice the integral of eq. (16), with one width."""
-    return beam.length**2 * curvature(strain, as_printed(beam))
-
-
 def deflection_per_strain(beam: Beam) -> float:
     """alpha [m] of eq. (22), corrected: l^2 kappa/(2 eps)."""
     return deflection(1.0, beam)
 
 
 def stress_per_deflection(beam: Beam) -> float:
-    """beta [Pa/m] of eq. (23) with the corrected EI: 2 EI/(a A l^2).
-
-    The stress is summed over the wires of a side: P = A sum(sigma) in eqs. (12), (13).
-    """
-    return (
-        2.0 * bending_stiffness(beam) / (beam.offset * beam.wire_section * beam.length**2)
-    )
+    """beta [Pa/m] of eq. (23) with the corrected EI: 2 EI/(a A l^2); the stress is summed over the
+    wires of a side, P = A sum(sigma) in eqs. (12), (13)."""
+    return 2.0 * bending_stiffness(beam) / (beam.offset * beam.wire_section * beam.length**2)
 
 
 def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
-    """alpha [m], beta of the front and of the back [Pa/m].
-
-    A given value (above 0) is used as it is, otherwise the geometry gives it.
-    """
-    alpha, front, back = (parameters[f"composite.{name}"] for name in (
-        "deflection_per_strain", "stress_per_deflection_front", "stress_per_deflection_back"
-    ))  # fmt: skip
+    """alpha [m], beta of the front and of the back [Pa/m]: as given, where 0 from the geometry."""
+    alpha = parameters["composite.deflection_per_strain"]
+    front = parameters["composite.stress_per_deflection_front"]
+    back = parameters["composite.stress_per_deflection_back"]
     if alpha and front and back:
         return alpha, front, back
     beam = Beam.of(parameters)
@@ -148,19 +112,12 @@ def _of_one_width(beam: Beam) -> Beam:
     return replace(beam, layer_modulus=modulus, layer_width=beam.width)
 
 
-def _matrix_membrane(beam: Beam) -> float:
-    return beam.modulus * beam.thickness
-
-
-def _layer_membrane(beam: Beam) -> float:
-    return beam.layer_modulus * beam.layer_thickness
-
-
-def _stiffness_terms(beam: Beam, factor: float) -> float:
+def stiffness_terms(beam: Beam, factor: float) -> float:
+    """The bracket of eq. (14), its first term times `factor` [Pa2 m4]."""
     passive, active = beam.thickness, beam.layer_thickness
     mixed = 4.0 * passive**2 + 6.0 * passive * active + 4.0 * active**2
     return (
         factor * beam.modulus**2 * passive**4
-        + _matrix_membrane(beam) * _layer_membrane(beam) * mixed
+        + beam.modulus * beam.thickness * (beam.layer_modulus * beam.layer_thickness) * mixed
         + beam.layer_modulus**2 * active**4
     )

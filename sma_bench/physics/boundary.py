@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length
-from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.parameters import load_kind, wire_length
 from sma_bench.physics.bending import bending_coefficients, channel_section
 
 SIDE_SIGNS = {"front": 1.0, "back": -1.0}  # of the deflection, contract section 4
@@ -51,72 +50,49 @@ class Boundary:
 
     @classmethod
     def held_stress(cls, stress: PerSide) -> Self:
-        """A weight or a force controller: sum of stresses of a side [Pa] (isobaric)."""
+        """A weight or a force controller: sum of stresses of a side [Pa]."""
         return cls(load=stress)
-
-    @classmethod
-    def bending(cls, parameters: Parameters) -> Self:
-        """The composite: sum sigma_i = beta delta, delta = alpha e (eqs. 22, 23), each side."""
-        alpha, front, back = bending_coefficients(parameters)
-        ratio = parameters["effect.side_asymmetry.ratio"]
-        betas = {"front": front * (1.0 + ratio), "back": back * (1.0 - ratio)}
-        names = side_names(parameters)
-        return cls(
-            stiffness=tuple(betas[name] * alpha for name in names),
-            lever=tuple(SIDE_SIGNS[name] * alpha for name in names),
-        )
-
-    @classmethod
-    def force(cls, parameters: Parameters) -> Self:
-        """A weight, or a frame that holds `load.force`: A sum sigma_i = F."""
-        return cls._at_rest(parameters, parameters["load.force"], 0.0)
-
-    @classmethod
-    def spring(cls, parameters: Parameters) -> Self:
-        """A spring, and a weight beside it: A sum sigma_i = F_0 + F + k l e."""
-        held = parameters["load.preload"] + parameters["load.force"]
-        return cls._at_rest(parameters, held, parameters["load.stiffness"])
-
-    @classmethod
-    def _at_rest(cls, parameters: Parameters, held: float, stiffness: float) -> Self:
-        """Elongation is counted from the bench at rest, where martensite already bears `held` N."""
-        section, length = channel_section(parameters), wire_length(parameters)
-        modulus = len(parameters["bench.channels"]) * parameters["wire.martensite_modulus"]
-        return cls(
-            stiffness=stiffness * length / section, load=held / section, lever=-length,
-            prestretch=held / section / modulus,
-        )
-
-    @classmethod
-    def antagonist(cls, parameters: Parameters) -> Self:
-        """Two sides on a slider: A (sum_front sigma_i - sum_back sigma_i) = F + k x, x = l e_front.
-
-        Mounted so that in the middle, at rest, each side pulls with `load.preload`; the slider's
-        own spring and force draw it to the back.
-        """
-        section, length = channel_section(parameters), wire_length(parameters)
-        wires = np.bincount(side_of_channels(parameters))
-        modulus = parameters["wire.martensite_modulus"]
-        pulled = parameters["load.preload"] / (section * wires * modulus)
-        return cls(
-            stiffness=parameters["load.stiffness"] * length / section,
-            load=parameters["load.force"] / section, lever=(0.5 * length, -0.5 * length),
-            coupled=True, prestretch=tuple(pulled.tolist()),
-        )
 
     @classmethod
     def of(cls, parameters: Parameters) -> Self:
         """The rig's own load, `load.kind`: by default one wire is clamped, several bend a beam."""
-        kinds = {
-            "clamped": lambda _: cls.clamped(), "force": cls.force, "spring": cls.spring,
-            "antagonist": cls.antagonist, "beam": cls.bending,
-        }  # fmt: skip
-        return kinds[load_kind(parameters)](parameters)
+        kind = load_kind(parameters)
+        if kind == "clamped":
+            return cls.clamped()
+        if kind == "beam":  # sum sigma_i = beta delta, delta = alpha e (eqs. 22, 23), each side
+            alpha, front, back = bending_coefficients(parameters)
+            ratio = parameters["effect.side_asymmetry.ratio"]
+            betas = {"front": front * (1.0 + ratio), "back": back * (1.0 - ratio)}
+            names = side_names(parameters)
+            return cls(
+                stiffness=tuple(betas[name] * alpha for name in names),
+                lever=tuple(SIDE_SIGNS[name] * alpha for name in names),
+            )
+        section, length = channel_section(parameters), wire_length(parameters)
+        preload, held = parameters["load.preload"], parameters["load.force"]
+        stiffness = parameters["load.stiffness"] * length / section
+        modulus = parameters["wire.martensite_modulus"]
 
-    @property
-    def idle(self) -> bool:
-        """Whether martensite at ambient temperature bears nothing."""
-        return self.load == 0.0 and self.prestretch == 0.0 and self.contraction in (None, 0.0)
+        # Two sides on a slider: A (sum_front sigma_i - sum_back sigma_i) = F + k x, x = l e_front.
+        # Mounted so that in the middle, at rest, each pulls with the preload; the slider's own
+        # spring and force draw it to the back.
+        if kind == "antagonist":
+            wires = np.bincount(side_of_channels(parameters))
+            pulled = preload / (section * wires * modulus)
+            return cls(
+                stiffness, held / section, lever=(0.5 * length, -0.5 * length), coupled=True,
+                prestretch=tuple(pulled.tolist()),
+            )
+
+        # A weight, or a frame that holds a force; with a spring A sum sigma_i = F_0 + F + k l e.
+        # Elongation is counted from the bench at rest, where martensite already bears the load.
+        held, stiffness = (preload + held, stiffness) if kind == "spring" else (held, 0.0)
+        stretch = held / section / (len(parameters["bench.channels"]) * modulus)
+        return cls(stiffness, held / section, lever=-length, prestretch=stretch)
+
+    def levers(self, parameters: Parameters) -> NDArray[np.float64]:
+        """(s,) m, deflection per contraction of each side."""
+        return per_side("lever", self.lever, len(side_names(parameters)))
 
     def stretch_of_wires(self, parameters: Parameters) -> NDArray[np.float64]:
         """(w,) prestretch of each wire."""
@@ -149,11 +125,7 @@ def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], NDArray[np.in
 
 
 def per_side(name: str, value: PerSide, sides: int) -> NDArray[np.float64]:
-    """(s,) array of a field of Boundary.
-
-    Raises:
-        InputError: wrong number of sides, or not finite.
-    """
+    """(s,) array of a field of Boundary; InputError: wrong number of sides, or not finite."""
     if isinstance(value, float) and math.isfinite(value):
         return np.full(sides, value)
     array = np.array(value, dtype=np.float64)

@@ -7,64 +7,58 @@ Columns are numbered here, from the core's own lists and from what the effects d
 first what a bench is, then its state, then what is noted within a step.
 """
 
-from itertools import chain
-from typing import Literal
-
 from sma_bench.parameters.parameter import EFFECTS
 
-_WIRE_CONSTANTS = (  # reciprocals spare the core divisions
-    "AMBIENT", "HEATING", "TIME_CONSTANT", "LATENT_RISE",  # K, K/V2, s, K
-    "AUSTENITE_FINISH", "AUSTENITE_SLOPE", "AUSTENITE_SHIFT",  # A_f, 1/(A_f - A_s), 1/C_A
-    "MARTENSITE_FINISH", "MARTENSITE_SLOPE", "MARTENSITE_SHIFT",  # M_f, 1/(M_s - M_f), 1/C_M
-    "AUSTENITE_MODULUS", "MODULUS_CHANGE", "RECOVERABLE_STRAIN", "EXPANSION", "SIDE",
-    "AUSTENITE_SPREAD", "MARTENSITE_SPREAD", "TAIL",  # of the ramps, which run from 0 to 1
-    "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
-    "CURRENT_DRIVEN", "PRESTRETCH",  # by a current source; strain at which an antagonist is mounted
-    "HEATED_OTHERWISE", "EVOLVES", "READ_OTHERWISE",  # marks of effects
-)  # fmt: skip
-_WIRE_STATE = (
-    "TEMPERATURE", "FRACTION", "STRESS", "TREND", "CHANGE",
-    "PHASE_REVERSED", "OWN_REVERSED", "OTHER_REVERSED", "OTHER_POSITION_REVERSED",
-    "CLOCK", "READING",
-)  # fmt: skip
-_WIRE_SCRATCH = (  # temperature = START + LAG xi; OFFSET is strain beyond the contract's
-    "DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET",
-)  # fmt: skip
-
-_SIDE_CONSTANTS = (
+_WIRE = {
+    "constants": (  # reciprocals spare the core divisions
+        "AMBIENT", "HEATING", "TIME_CONSTANT", "LATENT_RISE",  # K, K/V2, s, K
+        "AUSTENITE_FINISH", "AUSTENITE_SLOPE", "AUSTENITE_SHIFT",  # A_f, 1/(A_f - A_s), 1/C_A
+        "MARTENSITE_FINISH", "MARTENSITE_SLOPE", "MARTENSITE_SHIFT",  # M_f, 1/(M_s - M_f), 1/C_M
+        "AUSTENITE_MODULUS", "MODULUS_CHANGE", "RECOVERABLE_STRAIN", "EXPANSION", "SIDE",
+        "AUSTENITE_SPREAD", "MARTENSITE_SPREAD", "TAIL",  # of the ramps, which run from 0 to 1
+        "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
+        "CURRENT_DRIVEN", "PRESTRETCH",  # by a current source; strain at which it is mounted
+        "HEATED_OTHERWISE", "EVOLVES", "READ_OTHERWISE",  # marks of effects
+    ),
+    "state": (
+        "TEMPERATURE", "FRACTION", "STRESS", "TREND", "CHANGE", "PHASE_REVERSED", "OWN_REVERSED",
+        "OTHER_REVERSED", "OTHER_POSITION_REVERSED", "CLOCK", "READING",
+    ),
+    # temperature = START + LAG xi; OFFSET is strain beyond the contract's
+    "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET"),
+}
+_SIDE = {
     # sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED; if COUPLED, the sum less that
     # of the other side, which is stretched by e
-    "PRESCRIBED", "COUPLED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD", "PULLS_OTHERWISE",
-)  # fmt: skip
-_SIDE_STATE = (  # BENDING is the contraction that bends the beam
-    "CONTRACTION", "CONTRACTION_CHANGE", "BENDING",
-)  # fmt: skip
-_SIDE_SCRATCH = (  # the matrix with its relaxing part; and with the passive wires
-    "MATRIX_STIFFNESS", "MATRIX_LOAD", "BEAM_STIFFNESS", "BEAM_LOAD",
-)  # fmt: skip
+    "constants": (
+        "PRESCRIBED", "COUPLED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD",
+        "PULLS_OTHERWISE",
+    ),
+    "state": ("CONTRACTION", "CONTRACTION_CHANGE", "BENDING"),  # the last bends the beam
+    # the matrix with its relaxing part; and with the passive wires
+    "scratch": ("MATRIX_STIFFNESS", "MATRIX_LOAD", "BEAM_STIFFNESS", "BEAM_LOAD"),
+}
 
 
-def _declared(row: str, part: Literal["constants", "state", "scratch"]) -> list[str]:
+def _numbered(row: str, own: dict[str, tuple[str, ...]]) -> tuple[dict[str, int], int, int]:
+    """Column of every name, the first where it stands several times; where the state begins, and
+    the number of columns."""
     effects = [EFFECTS[name] for name in sorted(EFFECTS) if EFFECTS[name].row == row]
-    numbers = [(effect.columns or {}).values() if part == "constants" else () for effect in effects]
-    return list(chain(*numbers, *(getattr(effect, part) for effect in effects)))
+    names: list[str] = []
+    state = 0
+    for part, of_core in own.items():
+        if part == "state":
+            state = len(names)
+        names += of_core
+        for effect in effects:
+            if part == "constants":
+                names += effect.column_names.values()
+            names += getattr(effect, part)
+    return {name: names.index(name) for name in names}, state, len(names)
 
 
-def _numbered(*parts: list[str]) -> tuple[dict[str, int], list[int]]:
-    """Column of every name, the first where it stands several times; where each part begins."""
-    names = list(chain(*parts))
-    starts = [sum(map(len, parts[:k])) for k in range(len(parts) + 1)]
-    return {name: names.index(name) for name in names}, starts
-
-
-WIRE_NAMES, (_, WIRE_STATE, _, WIRE_COLUMNS) = _numbered(
-    [*_WIRE_CONSTANTS, *_declared("wire", "constants")],
-    [*_WIRE_STATE, *_declared("wire", "state")], [*_WIRE_SCRATCH, *_declared("wire", "scratch")],
-)
-SIDE_NAMES, (_, SIDE_STATE, _, SIDE_COLUMNS) = _numbered(
-    [*_SIDE_CONSTANTS, *_declared("side", "constants")],
-    [*_SIDE_STATE, *_declared("side", "state")], [*_SIDE_SCRATCH, *_declared("side", "scratch")],
-)
+WIRE_NAMES, WIRE_STATE, WIRE_COLUMNS = _numbered("wire", _WIRE)
+SIDE_NAMES, SIDE_STATE, SIDE_COLUMNS = _numbered("side", _SIDE)
 globals().update(WIRE_NAMES, **SIDE_NAMES)
 
 

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """The compiled kernel: heat, phase, stress and boundary of any number of wires, step by step.
 
 A step of length dt at held voltages, for every wire i of every side s:
@@ -13,66 +12,38 @@ back's, e_back = -e_front.
 
 A wire's temperature is monotone within the step, so reversals fall on samples.
 
-Everything lies in two plain arrays (columns.py) that all functions share: `wires` (w,
-WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS); `i` is a wire, `side` a side. Wires and sides that an
-effect marks go through otherwise.py before and after the common solution.
+All lies in two plain arrays (columns.py): `wires` (w, WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS);
+`i` is a wire, `side` a side. `run` allocates nothing, so no function counts references, and those
+of the innermost loops are compiled into it: together that halves its time.
 
-`run` allocates nothing, so no function here counts references, and those of the innermost loops
-are compiled into it: together that halves its time.
+Wires and sides that an effect marks take the longer way of a step. A side's regime (wires taut,
+hanging or pushing; passive wires elastic or yielding) and a wire's (at its most austenite so far or
+not) are tried as they were last, and changed where the solution contradicts.
 """
 
 import math
+from functools import reduce
+from importlib import import_module
 
 from sma_bench.compiled import borrowing, inlined
-from sma_bench.physics.columns import (
-    AMBIENT,
-    AUSTENITE_MODULUS,
-    BENDING,
-    CHANGE,
-    CLOCK,
-    CONTRACTION,
-    CONTRACTION_CHANGE,
-    COUPLED,
-    COUPLING,
-    DECAY,
-    EVOLVES,
-    EXPANSION,
-    FINAL_SHIFT,
-    FRACTION,
-    GUESS,
-    HEATED_OTHERWISE,
-    HEATING,
-    LAG,
-    LATENT_RISE,
-    LOAD,
-    MODULUS_CHANGE,
-    OFFSET,
-    PRESCRIBED,
-    PULLS_OTHERWISE,
-    READING,
-    RECOVERABLE_STRAIN,
-    SIDE,
-    START,
-    STEP,
-    STIFFNESS,
-    STRESS,
-    TEMPERATURE,
-    TIME_CONSTANT,
-    TREND,
-)
+from sma_bench.parameters.parameter import EFFECTS
+from sma_bench.physics import columns as at
+from sma_bench.physics.effects.ambient_drift import air_temperature
+from sma_bench.physics.effects.matrix_thermal_mass import warm_together
+from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, resist, yield_sign
+from sma_bench.physics.effects.phase_dependent_resistance import resistance
+from sma_bench.physics.effects.residual_strain import passes_most
 from sma_bench.physics.effects.side_heat_coupling import look_across
+from sma_bench.physics.effects.slack import contact
+from sma_bench.physics.effects.supply_drop import power
+from sma_bench.physics.effects.temperature_dependent_convection import loss
+from sma_bench.physics.effects.temperature_lag import follow
+from sma_bench.physics.effects.temperature_underfill import spot_temperature
 from sma_bench.physics.effects.transition_drift import shift_transition
-from sma_bench.physics.kinetics import fraction, reverse
-from sma_bench.physics.otherwise import (
-    change_regime,
-    finish_side,
-    finish_wire,
-    heat_balance,
-    prepare_side,
-    set_strain,
-)
+from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
+from sma_bench.physics.kinetics import close_loops, fraction, reverse
 
-NEWTON_STEP = 1e-10  # converges quadratically: the error left is of order 10 NEWTON_STEP^2
+NEWTON_STEP = 1e-10  # mostly quadratic; where it is slow, 1e-7 left 2.5e-9 of a fraction
 NEWTON_LIMIT = 15
 BISECTION_LIMIT = 200
 BRACKET = 1e-15
@@ -80,13 +51,163 @@ REGIME_LIMIT = 12
 LARGEST_STRAIN = 1e6
 
 
+# --- What effects change of a step; a new one's `added_strain` and `after_step` are found here.
+
+
+def of_effects(place, both):
+    """The functions called `place` of all effects as one, two by two: a compiled one cannot go
+    through a list of others."""
+    modules = [import_module(f"sma_bench.physics.effects.{name}") for name in sorted(EFFECTS)]
+    return reduce(both, [getattr(module, place) for module in modules if hasattr(module, place)])
+
+
+def sum_of(first, second):
+    return inlined(lambda wires, i: first(wires, i) + second(wires, i))
+
+
+def both_of(first, second):
+    @inlined
+    def one_after_the_other(wires, i, fraction_before, step):
+        first(wires, i, fraction_before, step)
+        second(wires, i, fraction_before, step)
+
+    return one_after_the_other
+
+
+added_strain = of_effects("added_strain", sum_of)
+after_step = of_effects("after_step", both_of)
+
+
+@borrowing
+def heat_balance(wires, i, voltage, step):
+    """Steady temperature [K] of wire i with its surroundings held; sets its decay and lag."""
+    air = air_temperature(wires, i)
+    heating = power(wires, i, voltage, resistance(wires, i))
+    if wires[i, at.MATRIX_CAPACITY] > 0.0:
+        surface = wires[i, at.MATRIX_RISE] + wires[i, at.AMBIENT]
+        return warm_together(wires, i, heating, loss(wires, i, surface - air), air, step)
+    conductance = loss(wires, i, wires[i, at.TEMPERATURE] - air)
+    total = conductance + wires[i, at.ACROSS]
+    exponent = -step * total / wires[i, at.CAPACITY]
+    wires[i, at.DECAY] = math.exp(exponent)
+    wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
+    return (heating + conductance * air + wires[i, at.ACROSS] * wires[i, at.OPPOSITE]) / total
+
+
+@borrowing
+def prepare_side(wires, sides, side, step):
+    """What a side pulls against in the step to come, in the regime that it was last in."""
+    sides[side, at.MATRIX_STIFFNESS] = sides[side, at.OWN_STIFFNESS]
+    sides[side, at.MATRIX_LOAD] = sides[side, at.OWN_LOAD]
+    if sides[side, at.RELAXATION] > 0.0:
+        relaxing(sides, side, step)
+        sides[side, at.MATRIX_STIFFNESS] += sides[side, at.RELAXING_STIFFNESS]
+        sides[side, at.MATRIX_LOAD] += sides[side, at.RELAXING_LOAD]
+    if sides[side, at.ENGAGEMENT] > 0.0:
+        look_at_passive(wires, sides, side)
+    set_regime(sides, side)
+
+
+@borrowing
+def set_regime(sides, side):
+    """Stiffness and load of the beam in this regime, and of what the wires feel of it."""
+    stiffness, load = sides[side, at.MATRIX_STIFFNESS], sides[side, at.MATRIX_LOAD]
+    if sides[side, at.ENGAGEMENT] > 0.0:
+        passive_stiffness, passive_load = resist(sides, side)
+        stiffness += passive_stiffness
+        load -= passive_load
+    sides[side, at.BEAM_STIFFNESS], sides[side, at.BEAM_LOAD] = stiffness, load
+    if sides[side, at.SLACK] > 0.0:
+        if sides[side, at.TAUT] == 0.0:
+            stiffness, load = 0.0, 0.0
+        elif sides[side, at.TAUT] > 0.0:
+            load -= stiffness * sides[side, at.SLACK]
+    sides[side, at.STIFFNESS], sides[side, at.LOAD] = stiffness, load
+
+
+@borrowing
+def bending(sides, side):
+    """Bending of a side's beam at its present contraction and regime."""
+    if sides[side, at.SLACK] > 0.0:
+        if sides[side, at.TAUT] == 0.0:
+            return -sides[side, at.BEAM_LOAD] / sides[side, at.BEAM_STIFFNESS]
+        if sides[side, at.TAUT] > 0.0:
+            return sides[side, at.CONTRACTION] - sides[side, at.SLACK]
+    return sides[side, at.CONTRACTION]
+
+
+@borrowing
+def change_regime(wires, sides, side):
+    """After a solution: take another regime where it contradicts this one; whether it did."""
+    changed = False
+    for i in range(wires.shape[0]):
+        mine = wires[i, at.SIDE] == side or sides[side, at.COUPLED] > 0.0
+        if mine and passes_most(wires, i):
+            changed = True
+    if changed or sides[side, at.PRESCRIBED] > 0.0:
+        return changed
+    if sides[side, at.ENGAGEMENT] > 0.0:
+        sign = yield_sign(sides, side, bending(sides, side))
+        if sign != sides[side, at.YIELDING]:
+            sides[side, at.YIELDING] = sign
+            set_regime(sides, side)
+            return True
+    if sides[side, at.SLACK] > 0.0:
+        taut = contact(sides, side)
+        if taut != sides[side, at.TAUT]:
+            sides[side, at.TAUT] = taut
+            set_regime(sides, side)
+            return True
+    return False
+
+
+@borrowing
+def finish_side(sides, side):
+    """Bending of a side after a step, and what relaxes and detwins with it."""
+    bent = bending(sides, side)
+    if sides[side, at.ENGAGEMENT] > 0.0:
+        sides[side, at.PASSIVE_BENDING] = give_way(sides, side, bent)
+        bent += sides[side, at.ENGAGEMENT] * sides[side, at.PASSIVE_BENDING]
+    if sides[side, at.RELAXATION] > 0.0:
+        relax(sides, side, bent)
+    sides[side, at.BENDING] = bent - sides[side, at.PASSIVE_BENDING]
+
+
+@borrowing
+def finish_wire(wires, i, fraction_before, step):
+    """Silicone, cycles and reading of wire i after a step."""
+    if wires[i, at.RETURN_POINT] != 0.0:
+        close_loops(wires, i)
+    after_step(wires, i, fraction_before, step)
+    if wires[i, at.READ_OTHERWISE] > 0.0:
+        seen = see(wires, i)
+        wires[i, at.READING] = follow(
+            wires[i, at.READING], wires[i, at.SEEN], seen, step, wires[i, at.READING_LAG]
+        )
+        wires[i, at.SEEN] = seen
+    else:
+        wires[i, at.READING] = wires[i, at.TEMPERATURE]
+
+
+@borrowing
+def see(wires, i):
+    """Temperature [K] of the spot on wire i, its background included."""
+    background = air_temperature(wires, i)
+    if wires[i, at.MATRIX_CAPACITY] > 0.0:
+        background = wires[i, at.MATRIX_RISE] + wires[i, at.AMBIENT]
+    return spot_temperature(wires, i, background)
+
+
+# --- The step that all wires and sides share.
+
+
 @inlined
 def constitutive(wires, i, contraction, xi):
     """T, sigma of eq. (6), E and sigma's elastic strain at the end of the step, given xi and e."""
-    temperature = wires[i, START] + wires[i, LAG] * xi
-    modulus = wires[i, AUSTENITE_MODULUS] + xi * wires[i, MODULUS_CHANGE]
-    stretch = wires[i, RECOVERABLE_STRAIN] * (1.0 - xi) + wires[i, OFFSET] - contraction
-    stress = modulus * stretch + wires[i, EXPANSION] * (temperature - wires[i, AMBIENT])
+    temperature = wires[i, at.START] + wires[i, at.LAG] * xi
+    modulus = wires[i, at.AUSTENITE_MODULUS] + xi * wires[i, at.MODULUS_CHANGE]
+    stretch = wires[i, at.RECOVERABLE_STRAIN] * (1.0 - xi) + wires[i, at.OFFSET] - contraction
+    stress = modulus * stretch + wires[i, at.EXPANSION] * (temperature - wires[i, at.AMBIENT])
     return temperature, stress, modulus, stretch
 
 
@@ -94,17 +215,17 @@ def constitutive(wires, i, contraction, xi):
 def residual(wires, i, contraction, xi):
     """How far xi is from the rule, its slopes in xi and e; sigma, its slope in xi; and E."""
     temperature, stress, modulus, stretch = constitutive(wires, i, contraction, xi)
-    stress_slope = wires[i, MODULUS_CHANGE] * stretch - wires[i, RECOVERABLE_STRAIN] * modulus
-    stress_slope += wires[i, EXPANSION] * wires[i, LAG]
+    stress_slope = wires[i, at.MODULUS_CHANGE] * stretch - wires[i, at.RECOVERABLE_STRAIN] * modulus
+    stress_slope += wires[i, at.EXPANSION] * wires[i, at.LAG]
     target, by_temperature, by_stress = fraction(wires, i, temperature, stress)
-    slope = 1.0 - by_temperature * wires[i, LAG] - by_stress * stress_slope
+    slope = 1.0 - by_temperature * wires[i, at.LAG] - by_stress * stress_slope
     return xi - target, slope, by_stress * modulus, stress, stress_slope, modulus
 
 
 @inlined
 def solve_wire(wires, i, contraction):
     """xi at a given contraction, from its guess: Newton within a shrinking bracket."""
-    xi = wires[i, GUESS]
+    xi = wires[i, at.GUESS]
     low, high = -1.0, 2.0  # beyond 0 and 1, so that a step onto these lies inside
     for iteration in range(BISECTION_LIMIT):
         error, slope = residual(wires, i, contraction, xi)[:2]
@@ -126,29 +247,29 @@ def solve_wire(wires, i, contraction):
 @inlined
 def pull_sign(wires, sides, i, side):
     """1 for a wire of the side, 0 for others, -1 for those that pull the same slider back."""
-    if wires[i, SIDE] == side:
+    if wires[i, at.SIDE] == side:
         return 1.0
-    return -sides[side, COUPLED]
+    return -sides[side, at.COUPLED]
 
 
 @borrowing
 def solve_jointly(wires, sides, side, contraction):
     """Newton on the fractions and the contraction of a side together; whether it converged."""
     for _ in range(NEWTON_LIMIT):
-        imbalance = -sides[side, LOAD] - sides[side, STIFFNESS] * contraction
-        stiffness = sides[side, STIFFNESS]
+        imbalance = -sides[side, at.LOAD] - sides[side, at.STIFFNESS] * contraction
+        stiffness = sides[side, at.STIFFNESS]
         for i in range(wires.shape[0]):
             sign = pull_sign(wires, sides, i, side)
             if sign == 0.0:
                 continue
             error, slope, coupling, stress, stress_slope, modulus = residual(
-                wires, i, sign * contraction, wires[i, GUESS]
+                wires, i, sign * contraction, wires[i, at.GUESS]
             )
             if slope <= 0.0:
                 return False, contraction
-            wires[i, STEP], wires[i, COUPLING] = error / slope, coupling / slope
-            imbalance += sign * (stress - stress_slope * wires[i, STEP])
-            stiffness += modulus + stress_slope * wires[i, COUPLING]
+            wires[i, at.STEP], wires[i, at.COUPLING] = error / slope, coupling / slope
+            imbalance += sign * (stress - stress_slope * wires[i, at.STEP])
+            stiffness += modulus + stress_slope * wires[i, at.COUPLING]
         if stiffness <= 0.0:
             return False, contraction
         change = imbalance / stiffness
@@ -158,8 +279,8 @@ def solve_jointly(wires, sides, side, contraction):
             sign = pull_sign(wires, sides, i, side)
             if sign == 0.0:
                 continue
-            step = wires[i, STEP] + wires[i, COUPLING] * sign * change
-            wires[i, GUESS] = min(max(wires[i, GUESS] - step, 0.0), 1.0)
+            step = wires[i, at.STEP] + wires[i, at.COUPLING] * sign * change
+            wires[i, at.GUESS] = min(max(wires[i, at.GUESS] - step, 0.0), 1.0)
             largest = max(largest, abs(step))
         if largest < NEWTON_STEP:
             return True, contraction
@@ -168,50 +289,34 @@ def solve_jointly(wires, sides, side, contraction):
 
 @borrowing
 def side_imbalance(wires, sides, side, contraction):
-    """Sum of stresses beyond what the boundary takes, fractions solved; and minus its slope."""
-    imbalance = -sides[side, LOAD] - sides[side, STIFFNESS] * contraction
-    total = sides[side, STIFFNESS]
+    """Sum of stresses beyond what the boundary takes, fractions solved; falls with contraction."""
+    imbalance = -sides[side, at.LOAD] - sides[side, at.STIFFNESS] * contraction
     for i in range(wires.shape[0]):
         sign = pull_sign(wires, sides, i, side)
-        if sign == 0.0:
-            continue
-        wires[i, GUESS] = solve_wire(wires, i, sign * contraction)
-        _, slope, coupling, stress, stress_slope, modulus = residual(
-            wires, i, sign * contraction, wires[i, GUESS]
-        )
-        imbalance += sign * stress
-        total += modulus
-        if slope > 0.0:
-            total += stress_slope * coupling / slope
-    return imbalance, total
+        if sign != 0.0:
+            wires[i, at.GUESS] = solve_wire(wires, i, sign * contraction)
+            imbalance += sign * constitutive(wires, i, sign * contraction, wires[i, at.GUESS])[1]
+    return imbalance
 
 
 @borrowing
 def solve_nested(wires, sides, side, contraction):
-    """Bracketed Newton on the contraction, the fractions solved within: slow and sure."""
-    imbalance, total = side_imbalance(wires, sides, side, contraction)
+    """Bisection on the contraction, the fractions solved within: slow, sure and seldom needed."""
     low, high, reach = contraction, contraction, 1e-3
-    outward = 1.0 if imbalance > 0.0 else -1.0
-    while imbalance * outward > 0.0 and reach < LARGEST_STRAIN:
-        contraction += outward * reach
+    while side_imbalance(wires, sides, side, low) < 0.0 and reach < LARGEST_STRAIN:
+        low -= reach
         reach *= 2.0
-        imbalance, total = side_imbalance(wires, sides, side, contraction)
-        low, high = min(low, contraction), max(high, contraction)
-    for iteration in range(BISECTION_LIMIT):
-        if imbalance > 0.0:
+    while side_imbalance(wires, sides, side, high) > 0.0 and reach < LARGEST_STRAIN:
+        high += reach
+        reach *= 2.0
+    for _ in range(BISECTION_LIMIT):
+        contraction = 0.5 * (low + high)
+        if side_imbalance(wires, sides, side, contraction) > 0.0:
             low = contraction
         else:
             high = contraction
-        step = imbalance / total if total > 0.0 else LARGEST_STRAIN
-        contraction += step
-        if abs(step) < BRACKET:
+        if high - low < BRACKET:
             break
-        if iteration > NEWTON_LIMIT or not low < contraction < high:
-            contraction = 0.5 * (low + high)
-            if high - low < BRACKET:
-                break
-        imbalance, total = side_imbalance(wires, sides, side, contraction)
-    side_imbalance(wires, sides, side, contraction)
     return contraction
 
 
@@ -219,44 +324,45 @@ def solve_nested(wires, sides, side, contraction):
 def set_step(wires, step):
     """Constants of a step of this length [s]."""
     for i in range(wires.shape[0]):
-        exponent = -step / wires[i, TIME_CONSTANT]
-        wires[i, DECAY] = math.exp(exponent)
-        wires[i, LAG] = wires[i, LATENT_RISE] * math.expm1(exponent) / exponent
+        exponent = -step / wires[i, at.TIME_CONSTANT]
+        wires[i, at.DECAY] = math.exp(exponent)
+        wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
 
 
 @inlined
 def heat(wires, voltage, k, step):
     """Temperatures at the end of the step, as far as they do not depend on xi; reversals."""
     for i in range(wires.shape[0]):
-        if wires[i, HEATED_OTHERWISE] > 0.0:
+        if wires[i, at.HEATED_OTHERWISE] > 0.0:
             steady = heat_balance(wires, i, voltage[k, i], step)
         else:
-            steady = wires[i, AMBIENT] + wires[i, HEATING] * voltage[k, i] * voltage[k, i]
-        excess = wires[i, TEMPERATURE] - steady
-        if excess * wires[i, TREND] > 0.0:
-            reverse(wires, i, -wires[i, TREND])
-        wires[i, START] = steady + excess * wires[i, DECAY] - wires[i, LAG] * wires[i, FRACTION]
-        if wires[i, EVOLVES] > 0.0:
-            set_strain(wires, i)
+            steady = wires[i, at.AMBIENT] + wires[i, at.HEATING] * voltage[k, i] * voltage[k, i]
+        excess = wires[i, at.TEMPERATURE] - steady
+        if excess * wires[i, at.TREND] > 0.0:
+            reverse(wires, i, -wires[i, at.TREND])
+        wires[i, at.START] = steady + excess * wires[i, at.DECAY]
+        wires[i, at.START] -= wires[i, at.LAG] * wires[i, at.FRACTION]
+        if wires[i, at.EVOLVES] > 0.0:
+            wires[i, at.OFFSET] = wires[i, at.PRESTRETCH] + added_strain(wires, i)
 
 
 @borrowing
 def solve_side(wires, sides, side):
     """Fractions and contraction of a side at the end of the step; how far it contracted."""
-    before = sides[side, CONTRACTION]
-    if sides[side, PRESCRIBED] > 0.0:
+    before = sides[side, at.CONTRACTION]
+    if sides[side, at.PRESCRIBED] > 0.0:
         for i in range(wires.shape[0]):
-            if wires[i, SIDE] == side:
-                wires[i, GUESS] = solve_wire(wires, i, before)
+            if wires[i, at.SIDE] == side:
+                wires[i, at.GUESS] = solve_wire(wires, i, before)
         return 0.0
-    guess = before + sides[side, CONTRACTION_CHANGE]
-    converged, after = solve_jointly(wires, sides, side, guess)
+    expected = before + sides[side, at.CONTRACTION_CHANGE]
+    converged, after = solve_jointly(wires, sides, side, expected)
     if not converged:
         for i in range(wires.shape[0]):
             if pull_sign(wires, sides, i, side) != 0.0:
-                wires[i, GUESS] = wires[i, FRACTION]
+                wires[i, at.GUESS] = wires[i, at.FRACTION]
         after = solve_nested(wires, sides, side, before)
-    sides[side, CONTRACTION] = after
+    sides[side, at.CONTRACTION] = after
     return after - before
 
 
@@ -264,80 +370,62 @@ def solve_side(wires, sides, side):
 def solve(wires, sides):
     """Fractions, stresses and contractions of all sides at the end of the step."""
     for i in range(wires.shape[0]):
-        guess = wires[i, FRACTION] + wires[i, CHANGE]
-        wires[i, GUESS] = min(max(guess, 0.0), 1.0)
+        guess = wires[i, at.FRACTION] + wires[i, at.CHANGE]
+        wires[i, at.GUESS] = min(max(guess, 0.0), 1.0)
     for side in range(sides.shape[0]):
-        if side > 0 and sides[0, COUPLED] > 0.0:
-            sides[side, CONTRACTION] = -sides[0, CONTRACTION]
+        if side > 0 and sides[0, at.COUPLED] > 0.0:
+            sides[side, at.CONTRACTION] = -sides[0, at.CONTRACTION]
             break
         change = solve_side(wires, sides, side)
-        if sides[side, PULLS_OTHERWISE] > 0.0:
+        if sides[side, at.PULLS_OTHERWISE] > 0.0:
             for _ in range(REGIME_LIMIT):
                 if not change_regime(wires, sides, side):
                     break
                 change += solve_side(wires, sides, side)
-        sides[side, CONTRACTION_CHANGE] = change
+        sides[side, at.CONTRACTION_CHANGE] = change
 
 
 @inlined
 def settle(wires, sides, step):
     """Write the solved step into the state of the wires and sides."""
     for side in range(sides.shape[0]):
-        if sides[side, PULLS_OTHERWISE] > 0.0:
+        if sides[side, at.PULLS_OTHERWISE] > 0.0:
             finish_side(sides, side)
         else:
-            sides[side, BENDING] = sides[side, CONTRACTION]
+            sides[side, at.BENDING] = sides[side, at.CONTRACTION]
     for i in range(wires.shape[0]):
-        xi, contraction = wires[i, GUESS], sides[int(wires[i, SIDE]), CONTRACTION]
+        xi, contraction = wires[i, at.GUESS], sides[int(wires[i, at.SIDE]), at.CONTRACTION]
         temperature, stress, _, _ = constitutive(wires, i, contraction, xi)
-        before = wires[i, FRACTION]
-        wires[i, TEMPERATURE], wires[i, STRESS] = temperature, stress
-        wires[i, CHANGE] = xi - before
-        wires[i, FRACTION] = xi
-        wires[i, CLOCK] += step
-        if wires[i, EVOLVES] > 0.0:
+        before = wires[i, at.FRACTION]
+        wires[i, at.TEMPERATURE], wires[i, at.STRESS] = temperature, stress
+        wires[i, at.CHANGE] = xi - before
+        wires[i, at.FRACTION] = xi
+        wires[i, at.CLOCK] += step
+        if wires[i, at.EVOLVES] > 0.0:
             finish_wire(wires, i, before, step)
         else:
-            wires[i, READING] = temperature
-
-
-@inlined
-def prepare(wires, sides, step):
-    """What effects change before a step."""
-    look_across(wires)
-    for side in range(sides.shape[0]):
-        if sides[side, PULLS_OTHERWISE] > 0.0:
-            prepare_side(wires, sides, side, step)
-
-
-@borrowing
-def any_effect(wires, sides):
-    """Whether any wire or side is to be prepared before a step."""
-    for i in range(wires.shape[0]):
-        if wires[i, HEATED_OTHERWISE] > 0.0:
-            return True
-    for side in range(sides.shape[0]):  # noqa: SIM110 (numba compiles no generators)
-        if sides[side, PULLS_OTHERWISE] > 0.0:
-            return True
-    return False
+            wires[i, at.READING] = temperature
 
 
 @borrowing
 def run(time, voltage, wires, sides, history, strain):
-    """Advance wires and sides over all samples, recording them at each.
+    """Advance a bench over all samples of one drive, recording it at each.
 
     Args:
         time: (n,) s; voltage: (n, w) V held from each sample to the next.
-        wires, sides: advanced in place; a TREND of 0 starts a history.
+        wires, sides: of the bench, advanced in place; a TREND of 0 starts a history.
         history: (4, n, w) temperature, fraction, stress, reading; strain: (2, n, s) contraction,
             and the part that bends; written.
     """
+    effects = False
     for i in range(wires.shape[0]):
-        if wires[i, TREND] == 0.0:
+        effects = effects or wires[i, at.HEATED_OTHERWISE] > 0.0
+        if wires[i, at.TREND] == 0.0:
             reverse(wires, i, 1.0)
-        elif wires[i, FINAL_SHIFT] != 0.0:
+        elif wires[i, at.FINAL_SHIFT] != 0.0:
             shift_transition(wires, i)
-    effects = any_effect(wires, sides)
+    for side in range(sides.shape[0]):
+        effects = effects or sides[side, at.PULLS_OTHERWISE] > 0.0
     last_step = 0.0
     for k in range(time.shape[0]):
         if k > 0:
@@ -346,22 +434,18 @@ def run(time, voltage, wires, sides, history, strain):
                 last_step = step
                 set_step(wires, step)
             if effects:
-                prepare(wires, sides, step)
+                look_across(wires)
+                for side in range(sides.shape[0]):
+                    if sides[side, at.PULLS_OTHERWISE] > 0.0:
+                        prepare_side(wires, sides, side, step)
             heat(wires, voltage, k - 1, step)
             solve(wires, sides)
             settle(wires, sides, step)
         for i in range(wires.shape[0]):
-            history[0, k, i] = wires[i, TEMPERATURE]
-            history[1, k, i] = wires[i, FRACTION]
-            history[2, k, i] = wires[i, STRESS]
-            history[3, k, i] = wires[i, READING]
+            history[0, k, i] = wires[i, at.TEMPERATURE]
+            history[1, k, i] = wires[i, at.FRACTION]
+            history[2, k, i] = wires[i, at.STRESS]
+            history[3, k, i] = wires[i, at.READING]
         for side in range(sides.shape[0]):
-            strain[0, k, side] = sides[side, CONTRACTION]
-            strain[1, k, side] = sides[side, BENDING]
-
-
-@borrowing
-def run_many(time, voltage, wires, sides, history, strain):
-    """`run` of p benches on one drive, each array but the drive with the benches first."""
-    for bench in range(wires.shape[0]):
-        run(time, voltage, wires[bench], sides[bench], history[bench], strain[bench])
+            strain[0, k, side] = sides[side, at.CONTRACTION]
+            strain[1, k, side] = sides[side, at.BENDING]

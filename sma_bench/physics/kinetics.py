@@ -1,34 +1,9 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """The rule of material.py, compiled: the martensite fraction of a wire since its last reversal."""
 
 import math
 
 from sma_bench.compiled import borrowing, inlined
-from sma_bench.physics.columns import (
-    AUSTENITE_FINISH,
-    AUSTENITE_SHIFT,
-    AUSTENITE_SLOPE,
-    AUSTENITE_SPREAD,
-    CHANGE,
-    CYCLES,
-    FINAL_SHIFT,
-    FRACTION,
-    MARTENSITE_FINISH,
-    MARTENSITE_SHIFT,
-    MARTENSITE_SLOPE,
-    MARTENSITE_SPREAD,
-    MEMORY,
-    OTHER_POSITION_REVERSED,
-    OTHER_REVERSED,
-    OWN_REVERSED,
-    PHASE_REVERSED,
-    RETURN_POINT,
-    STRESS,
-    TAIL,
-    TEMPERATURE,
-    TREND,
-    TURNED_CYCLES,
-)
+from sma_bench.physics import columns as at
 from sma_bench.physics.effects.partial_transformation import (
     forget_closed,
     left_of_grains,
@@ -88,36 +63,36 @@ def normal_ramp(position, spread):
 @inlined
 def positions(wires, i, temperature, stress):
     """Where T, sigma lie on the ramps f and g."""
-    of_f = wires[i, AUSTENITE_FINISH] - temperature + stress * wires[i, AUSTENITE_SHIFT]
-    of_g = temperature - stress * wires[i, MARTENSITE_SHIFT] - wires[i, MARTENSITE_FINISH]
-    return of_f * wires[i, AUSTENITE_SLOPE], of_g * wires[i, MARTENSITE_SLOPE]
+    of_f = wires[i, at.AUSTENITE_FINISH] - temperature + stress * wires[i, at.AUSTENITE_SHIFT]
+    of_g = temperature - stress * wires[i, at.MARTENSITE_SHIFT] - wires[i, at.MARTENSITE_FINISH]
+    return of_f * wires[i, at.AUSTENITE_SLOPE], of_g * wires[i, at.MARTENSITE_SLOPE]
 
 
 @inlined
 def phase_left(wires, i, own, other, own_spread, other_spread):
     """What is left of the vanishing phase (material.py), its slopes along both positions."""
-    phase, own_reversed = wires[i, PHASE_REVERSED], wires[i, OWN_REVERSED]
-    other_reversed = wires[i, OTHER_REVERSED]
-    share, share_slope = smooth_ramp(own, own_spread, wires[i, TAIL])
+    phase, own_reversed = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
+    other_reversed = wires[i, at.OTHER_REVERSED]
+    share, share_slope = smooth_ramp(own, own_spread, wires[i, at.TAIL])
     left, by_own, by_other = 0.0, 0.0, 0.0
     if own_reversed > 0.0:
         scale = phase / own_reversed
         left, by_own = share * scale, share_slope * scale
-        if wires[i, RETURN_POINT] != 0.0:
+        if wires[i, at.RETURN_POINT] != 0.0:
             left, by_own = towards_turn(wires, i, share, share_slope)
-        if wires[i, MEMORY] != 0.0:
-            of_grains, by_share = left_of_grains(phase, share, own_reversed, wires[i, MEMORY])
+        if wires[i, at.MEMORY] != 0.0:
+            of_grains, by_share = left_of_grains(phase, share, own_reversed, wires[i, at.MEMORY])
             left += of_grains - share * scale
             by_own += (by_share - scale) * share_slope
             if left > phase and share < own_reversed:  # with a return point beside it
                 left, by_own = phase, 0.0
     elif phase > 0.0 and other_reversed < 1.0:
         scale = phase / (1.0 - other_reversed)
-        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, TAIL])
+        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, at.TAIL])
         left, by_other = (1.0 - rest) * scale, -rest_slope * scale
     # The other ramp's sine is spared unless stress has moved that ramp back.
-    if other < wires[i, OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
-        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, TAIL])
+    if other < wires[i, at.OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
+        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, at.TAIL])
         bound = 1.0 - rest / other_reversed
         if bound >= share:
             left, by_own, by_other = share, share_slope, 0.0
@@ -132,43 +107,44 @@ def phase_left(wires, i, own, other, own_spread, other_spread):
 def fraction(wires, i, temperature, stress):
     """xi of wire i by the rule of material.py, d xi/dT and d xi/d sigma."""
     of_f, of_g = positions(wires, i, temperature, stress)
-    f_spread, g_spread = wires[i, AUSTENITE_SPREAD], wires[i, MARTENSITE_SPREAD]
-    if wires[i, TREND] > 0.0:
+    f_spread, g_spread = wires[i, at.AUSTENITE_SPREAD], wires[i, at.MARTENSITE_SPREAD]
+    if wires[i, at.TREND] > 0.0:
         xi, by_f, by_g = phase_left(wires, i, of_f, of_g, f_spread, g_spread)
     else:
         left, by_g, by_f = phase_left(wires, i, of_g, of_f, g_spread, f_spread)
         xi, by_f, by_g = 1.0 - left, -by_f, -by_g
-    by_f *= wires[i, AUSTENITE_SLOPE]
-    by_g *= wires[i, MARTENSITE_SLOPE]
-    return xi, by_g - by_f, by_f * wires[i, AUSTENITE_SHIFT] - by_g * wires[i, MARTENSITE_SHIFT]
+    by_f *= wires[i, at.AUSTENITE_SLOPE]
+    by_g *= wires[i, at.MARTENSITE_SLOPE]
+    by_stress = by_f * wires[i, at.AUSTENITE_SHIFT] - by_g * wires[i, at.MARTENSITE_SHIFT]
+    return xi, by_g - by_f, by_stress
 
 
 @borrowing
 def reverse(wires, i, trend):
     """Make the present state of wire i the state of the last reversal."""
-    if wires[i, FINAL_SHIFT] != 0.0:
-        wires[i, TURNED_CYCLES] = wires[i, CYCLES]
+    if wires[i, at.FINAL_SHIFT] != 0.0:
+        wires[i, at.TURNED_CYCLES] = wires[i, at.CYCLES]
         shift_transition(wires, i)
-    of_f, of_g = positions(wires, i, wires[i, TEMPERATURE], wires[i, STRESS])
-    f = smooth_ramp(of_f, wires[i, AUSTENITE_SPREAD], wires[i, TAIL])[0]
-    g = smooth_ramp(of_g, wires[i, MARTENSITE_SPREAD], wires[i, TAIL])[0]
+    of_f, of_g = positions(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
+    f = smooth_ramp(of_f, wires[i, at.AUSTENITE_SPREAD], wires[i, at.TAIL])[0]
+    g = smooth_ramp(of_g, wires[i, at.MARTENSITE_SPREAD], wires[i, at.TAIL])[0]
     rising = trend > 0.0
-    if wires[i, RETURN_POINT] != 0.0:
+    if wires[i, at.RETURN_POINT] != 0.0:
         remember_turn(wires, i, f, g)
-    wires[i, TREND] = trend
-    wires[i, CHANGE] = 0.0
-    wires[i, PHASE_REVERSED] = wires[i, FRACTION] if rising else 1.0 - wires[i, FRACTION]
-    wires[i, OWN_REVERSED] = f if rising else g
-    wires[i, OTHER_REVERSED] = g if rising else f
-    wires[i, OTHER_POSITION_REVERSED] = of_g if rising else of_f
+    wires[i, at.TREND] = trend
+    wires[i, at.CHANGE] = 0.0
+    wires[i, at.PHASE_REVERSED] = wires[i, at.FRACTION] if rising else 1.0 - wires[i, at.FRACTION]
+    wires[i, at.OWN_REVERSED] = f if rising else g
+    wires[i, at.OTHER_REVERSED] = g if rising else f
+    wires[i, at.OTHER_POSITION_REVERSED] = of_g if rising else of_f
 
 
 @borrowing
 def close_loops(wires, i):
     """After a step: forget the loops that wire i has run out of."""
-    of_f, of_g = positions(wires, i, wires[i, TEMPERATURE], wires[i, STRESS])
-    if wires[i, TREND] > 0.0:
-        share = smooth_ramp(of_f, wires[i, AUSTENITE_SPREAD], wires[i, TAIL])[0]
+    of_f, of_g = positions(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
+    if wires[i, at.TREND] > 0.0:
+        share = smooth_ramp(of_f, wires[i, at.AUSTENITE_SPREAD], wires[i, at.TAIL])[0]
     else:
-        share = smooth_ramp(of_g, wires[i, MARTENSITE_SPREAD], wires[i, TAIL])[0]
+        share = smooth_ramp(of_g, wires[i, at.MARTENSITE_SPREAD], wires[i, at.TAIL])[0]
     forget_closed(wires, i, share)

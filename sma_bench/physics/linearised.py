@@ -1,39 +1,273 @@
-"""The linearised model, eqs. (18) to (23) derived anew: a state-space model about any point.
+"""The linearised model, eqs. (18) to (23) as they are meant, about any steady state of a rig; and
+the model of one side turned round: the temperature at which its wires contract as wanted.
 
-With deviations from the operating point (T, v, sigma, ...), for the wires i of a side:
+The states are the wires' temperatures; everything else follows from them at once. What it changes
+by per kelvin, the simulated bench says itself, led through temperatures along the branch:
 
     m c_p dT_i/dt = -h A_c T_i + (2 V_i*/R) v_i + m Delta_h dxi_i/dt                      (1), (19)
-    sigma_i = -a_1 e + Theta_T T_i + c xi_i,    c = -eps_L E_A + a_2                      (18)
-    xi_i    = r (-T_i + sigma_i/C),    r = s b_1 with C_A, or s b_3 with C_M              (20), (21)
-    sum sigma_i = K e    (composite: K = alpha beta, deflection = +-alpha e)              (22), (23)
-    (a weight: K = 0; a spring: its own; antagonists: the front's sum less the back's, e_b = -e_f)
 
-where s, 1 on a full loop, is the share of the branch that a partial loop follows. Everything but T
-is algebraic, so the states are the wires' temperatures.
+The printed coefficients, and the corrected ones beside them, are in paper/printed.py.
 """
 
-from collections.abc import Sequence
+import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import brentq
 from scipy.signal import StateSpace
 
 from sma_bench.errors import InputError
-from sma_bench.parameters.parameters import load_kind
-from sma_bench.physics import linear_coefficients as linear
+from sma_bench.parameters import Parameters
 from sma_bench.physics import material
-from sma_bench.physics.boundary import per_side, side_names, side_of_channels
+from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names, side_of_channels
 from sma_bench.physics.effects import active_effects
-from sma_bench.physics.heat import heated_resistance, power_per_volt, time_constant
-from sma_bench.physics.operating_point import OperatingPoint
+from sma_bench.physics.kernel import State, initial_state
+from sma_bench.physics.material import (
+    commanded_voltage,
+    heat_loss,
+    heated_resistance,
+    heating_voltage,
+    power_per_volt,
+    steady_temperature,
+    time_constant,
+)
+from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 Array = NDArray[np.float64]
-Input = Literal["voltage", "power"]
+Branch = Literal["heating", "cooling"]
+
 SMOOTHER = ("wire.transition_spread", "wire.transition_tail")
-_Row = tuple[str, str, str, ArrayLike, ArrayLike, str]
+_AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
+# Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
+_RANGES: dict[Branch, tuple[str, str, str]] = {
+    "heating": ("wire.austenite_start_temperature", "wire.austenite_finish_temperature",
+                "wire.stress_influence_austenite"),
+    "cooling": ("wire.martensite_finish_temperature", "wire.martensite_start_temperature",
+                "wire.stress_influence_martensite"),
+}  # fmt: skip
+_STEP = 0.02  # K; of the two halvings that take the curvature out, too
+_NO_TANGENT = 0.3  # of a fraction's change: where half the step differs so much, there is a snap
+
+
+@dataclass(frozen=True)
+class SideModel:
+    """n equal wires that pull together against a boundary that gives.
+
+    Along a branch xi = s f (heating) or 1 - xi = s g (cooling), with the ramps f, g of material.py
+    and a share s that is constant between two reversals, 1 on a full loop.
+
+    Attributes:
+        parameters: of the wires; wires: n; stiffness: K [Pa]; load: [Pa]; lever: m, signed
+            deflection per contraction; prestretch: strain at zero contraction.
+    """
+
+    parameters: Parameters
+    wires: int
+    stiffness: float
+    load: float
+    lever: float
+    prestretch: float = 0.0
+
+    @classmethod
+    def of(cls, parameters: Parameters, side: str, state: State | None = None) -> Self:
+        """The wires of `side` against the rig's own load; of antagonists the other side pulls back
+        as in `state`, else as cold martensite. InputError: no wire on that side, or ends that do
+        not give."""
+        names = side_names(parameters)
+        if side not in names:
+            raise InputError(f"no wire on the {side}, expected {' or '.join(names)}")
+        boundary, number = Boundary.of(parameters), names.index(side)
+        if boundary.contraction is not None:
+            raise InputError(f"the wires of the {side} are clamped, they do not contract")
+        stiffness, load, lever, prestretch = (
+            float(per_side(name, getattr(boundary, name), len(names))[number])
+            for name in ("stiffness", "load", "lever", "prestretch")
+        )
+        if boundary.coupled:
+            # What it contracts stretches the antagonists: their stiffness and load are added.
+            others = side_of_channels(parameters) != number
+            xi, kelvin = np.ones(others.sum()), parameters["environment.ambient_temperature"]
+            if state is not None:
+                xi, kelvin = state.martensite_fraction[others], state.temperature[others]
+            stretch = boundary.stretch_of_wires(parameters)[others]
+            stiffness += float(material.modulus(xi, parameters).sum())
+            load = load if number == 0 else -load
+            load += float(np.sum(material.stress(kelvin, xi, -stretch, parameters)))
+            lever *= 2.0  # both sides move
+        wires = int((side_of_channels(parameters) == number).sum())
+        return cls(parameters, wires, stiffness, load, lever, prestretch)
+
+    def wire_stress(self, contraction: float) -> float:
+        """sigma [Pa] of one wire that the boundary asks for at a contraction."""
+        return (self.load + self.stiffness * contraction) / self.wires
+
+    def excess(self, contraction: float, temperature: float, xi: float) -> float:
+        """Stress [Pa] of a wire beyond what the boundary asks for."""
+        shorter = contraction - self.prestretch
+        pull = float(material.stress(temperature, xi, shorter, self.parameters))
+        return pull - self.wire_stress(contraction)
+
+    def share(self, temperature: float, sigma: float, xi: float, branch: Branch) -> float:
+        """s of the branch that leaves from a state; 1 where the ramp is 0 and any would do."""
+        law = material.austenite_ramp if branch == "heating" else material.martensite_ramp
+        ramp = float(law(temperature, sigma, self.parameters))
+        return (xi if branch == "heating" else 1.0 - xi) / ramp if ramp > 0.0 else 1.0
+
+    def at_contraction(
+        self, contraction: float, branch: Branch, share: float = 1.0
+    ) -> tuple[float, float]:
+        """T [K] and xi at a contraction along a branch; the end of the transformation beyond it,
+        and before it what the thermal stress alone does."""
+        start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
+        shift, heating = self.wire_stress(contraction) / influence, branch == "heating"
+
+        # The stress of a wire at each fraction, at the temperature that it has there.
+        def kelvin(xi: float) -> float:
+            left = xi if heating else 1.0 - xi
+            ramp = min(left / share, 1.0) if share > 0.0 else 0.0
+            position = (finish - start) * math.asin(math.sqrt(ramp)) / (0.5 * math.pi)
+            return float(shift + (finish - position if heating else start + position))
+
+        def excess(xi: float) -> float:
+            return self.excess(contraction, kelvin(xi), xi)
+
+        hot, cold = (0.0, min(share, 1.0)) if heating else (1.0 - min(share, 1.0), 1.0)
+        if excess(hot) < 0.0:
+            return finish + shift, hot
+        if excess(cold) <= 0.0:
+            xi = float(brentq(excess, hot, cold, xtol=1e-15)) if cold > hot else hot
+            return kelvin(xi), xi
+        ambient = self.parameters["environment.ambient_temperature"]
+        if expansion := self.parameters["wire.thermal_expansion_factor"]:
+            warm = ambient - self.excess(contraction, ambient, cold) / expansion
+            return float(min(max(warm, ambient), start + shift)), cold
+        return start + shift, cold
+
+    def largest_contraction(self) -> float:
+        """e at which the wires, heated, have just become austenite: T = A_f + sigma/C_A."""
+        _, finish, influence = (self.parameters[name] for name in _RANGES["heating"])
+        none, all_of_it = (  # a straight line
+            self.excess(e, finish + self.wire_stress(e) / influence, 0.0) for e in (0.0, 1.0)
+        )
+        return none / (none - all_of_it)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class OperatingPoint(State):
+    """A steady state, without history, and the direction of the change to come.
+
+    Attributes:
+        parameters, boundary: the rig.
+        branch: heating if temperatures are about to rise, cooling if they are about to fall.
+        voltage: (w,) V, commands that hold the temperatures.
+    """
+
+    parameters: Parameters
+    boundary: Boundary
+    branch: Branch
+    voltage: Array
+
+    @property
+    def deflection(self) -> float:
+        """Deflection [m], as `Simulation.deflection`."""
+        return float(self.contraction @ self.boundary.levers(self.parameters))
+
+    @classmethod
+    def of_state(
+        cls, parameters: Parameters, temperature: ArrayLike, martensite_fraction: ArrayLike,
+        branch: Branch, boundary: Boundary | None = None,
+    ) -> Self:
+        """Any state, within a partial loop too: one or (w,) K and fractions; InputError: as
+        `initial_state`, or a temperature that no voltage holds."""
+        boundary = boundary or Boundary.of(parameters)
+        state = initial_state(
+            parameters, temperature=temperature, martensite_fraction=martensite_fraction,
+            boundary=boundary,
+        )
+        ambient = parameters["environment.ambient_temperature"]
+        if np.any(state.temperature < ambient):
+            raise InputError(
+                f"operating point: temperature {state.temperature.min():g} K lies below ambient "
+                f"{ambient:g} K, no voltage holds it"
+            )
+        loss = heat_loss(parameters) * (state.temperature - ambient)
+        voltage = commanded_voltage(np.sqrt(loss * heated_resistance(parameters)), parameters)
+        return cls(
+            parameters=parameters, boundary=boundary, branch=branch, voltage=voltage, **vars(state)
+        )
+
+    @classmethod
+    def at_temperature(
+        cls, parameters: Parameters, temperature: ArrayLike, branch: Branch,
+        boundary: Boundary | None = None,
+    ) -> Self:
+        """On the full loop, eq. (10) or (11), at one or (w,) temperatures [K]; InputError: as
+        `of_state`."""
+        wires = len(parameters["bench.channels"])
+        kelvin = np.array(np.broadcast_to(np.asarray(temperature, dtype=float), (wires,)))
+        hot = _AUSTENITE if branch == "cooling" else None
+        state = warmed_from_rest(parameters, kelvin, boundary, hot)
+        return cls.of_state(parameters, kelvin, state.martensite_fraction, branch, boundary)
+
+    @classmethod
+    def at_voltage(
+        cls, parameters: Parameters, voltage: ArrayLike, branch: Branch,
+        boundary: Boundary | None = None,
+    ) -> Self:
+        """On the full loop where one or (w,) held voltages [V] lead to."""
+        kelvin = steady_temperature(heating_voltage(voltage, parameters), parameters)
+        return cls.at_temperature(parameters, kelvin, branch, boundary)
+
+    @classmethod
+    def at_deflection(
+        cls, parameters: Parameters, deflection: float | None, branch: Branch
+    ) -> Self:
+        """On the full loop at a deflection [m], half of the first side's largest when None: its
+        side driven evenly, the other at rest; InputError: the rig does not bend, has no wires on
+        that side, or not that far."""
+        first = side_names(parameters)[0]
+        name = first if deflection is None else side_toward(parameters, deflection)
+        side = SideModel.of(parameters, name)
+        largest = abs(side.lever) * side.largest_contraction()
+        if deflection is None:
+            deflection = math.copysign(0.5 * largest, side.lever)
+        if not abs(deflection) <= largest:
+            raise InputError(
+                f"operating point: deflection is {deflection:g} m, expected at most "
+                f"{largest:.4g} m to the {name}"
+            )
+        kelvin, xi = side.at_contraction(deflection / side.lever, branch)
+        driven = np.array(parameters["bench.channel_sides"]) == name
+        ambient = parameters["environment.ambient_temperature"]
+        return cls.of_state(
+            parameters, np.where(driven, kelvin, ambient), np.where(driven, xi, 1.0), branch
+        )
+
+
+def side_toward(parameters: Parameters, deflection: float) -> str:
+    """The side whose wires deflect the bench that way [m]; of a beam whether they are there or not;
+    InputError: a wire with a load was to become longer."""
+    names, boundary = side_names(parameters), Boundary.of(parameters)
+    levers = boundary.levers(parameters) * deflection
+    if np.any(levers > 0.0):
+        return names[int(np.argmax(levers > 0.0))]
+    if moves_tip(parameters):
+        return "front" if deflection >= 0.0 else "back"
+    if deflection != 0.0 and boundary.contraction is None:
+        raise InputError(
+            f"deflection is {deflection:g} m, expected 0 or less: a wire with a load only shortens"
+        )
+    return names[0]
+
+
+def maximum_deflection(parameters: Parameters, side: str = "front") -> float:
+    """Deflection [m] (positive) at which one side, heated, has just become austenite; InputError:
+    the rig does not bend or has no wires on that side."""
+    model = SideModel.of(parameters, side)
+    return abs(model.lever) * model.largest_contraction()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,214 +290,72 @@ class Linearised:
     @cached_property
     def deflection_per_kelvin(self) -> Array:
         """(w,) m/K."""
-        sides = self.contraction_per_kelvin.shape[0]
-        levers = per_side("lever", self.point.boundary.lever, sides)
+        levers = self.point.boundary.levers(self.point.parameters)
         return np.asarray(levers @ self.contraction_per_kelvin)
 
     @property
     def output_names(self) -> tuple[str, ...]:
         """Outputs of `state_space`, in their order."""
         channels = self.point.parameters["bench.channels"]
-        return (
-            "deflection",
-            *(f"{channel}.temperature" for channel in channels),
-            *(f"{channel}.stress" for channel in channels),
-        )
+        kinds = [f"{channel}.{kind}" for kind in ("temperature", "stress") for channel in channels]
+        return ("deflection", *kinds)
 
-    def state_space(self, inputs: Input = "voltage") -> StateSpace:
-        """Deviations of wire temperatures [K] driven by those of the wires' inputs.
-
-        Outputs, 1 + 2 w: deflection [m], temperatures [K], stresses [Pa].
-
-        Args:
-            inputs: "voltage" [V], eq. (19), or "power" [W], in which eq. (2) is linear as it is.
-        """
+    def state_space(self) -> StateSpace:
+        """Deviations of wire temperatures [K] driven by those of the wires' voltages [V], eq. (19).
+        Outputs, 1 + 2 w: deflection [m], temperatures [K], stresses [Pa]."""
         parameters, wires = self.point.parameters, self.point.temperature.size
         latent_rise = self.latent_heat / parameters["wire.specific_heat"]
         # Latent heat makes a transforming wire heavier: (1 - Delta_h/c_p dxi/dT) dT/dt = ...
         lightness = np.linalg.inv(np.eye(wires) - latent_rise * self.fraction_per_kelvin)
         capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
-        per_input = {
-            "voltage": power_per_volt(self.point.voltage, parameters), "power": np.ones(wires)
-        }[inputs]
+        b = lightness * power_per_volt(self.point.voltage, parameters) / capacity
         c = np.vstack([self.deflection_per_kelvin, np.eye(wires), self.stress_per_kelvin])
-        return StateSpace(
-            -lightness / time_constant(parameters), lightness * per_input / capacity, c,
-            np.zeros((c.shape[0], wires)),
-        )
+        d = np.zeros((c.shape[0], wires))
+        return StateSpace(-lightness / time_constant(parameters), b, c, d)
 
     def deflection_per_volt(self) -> Array:
         """(w,) m/V, steady: what a lasting change of each voltage leads to."""
         parameters = self.point.parameters
-        capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
         heating = power_per_volt(self.point.voltage, parameters)
-        return self.deflection_per_kelvin * heating * time_constant(parameters) / capacity
+        return self.deflection_per_kelvin * heating / heat_loss(parameters)
 
 
 def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
-    """The linearised model about an operating point, for changes along its branch.
-
-    Args:
-        latent_heat: Delta_h of eq. (1) [J/kg].
-
-    Raises:
-        InputError: the stresses do not determine the state (a vertical tangent), or an effect or
-            a smoother ramp than eqs. (10), (11) is on.
-    """
-    parameters = point.parameters
+    """The linearised model about an operating point, for changes along its branch, with Delta_h of
+    eq. (1) [J/kg]; InputError: the stresses do not determine the state (a vertical tangent), or an
+    effect or a smoother ramp than eqs. (10), (11) is on."""
+    parameters, start = point.parameters, point
     beyond = [*active_effects(parameters), *(n for n in SMOOTHER if parameters[n] != 0.0)]
     if beyond:
         raise InputError(f"linearisation: {beyond[0]} is on, expected eqs. (10), (11) as they are")
-    side = side_of_channels(parameters)
-    strain = point.boundary.stretch_of_wires(parameters) - point.contraction[side]
-    modulus = linear.a1(point.martensite_fraction, parameters)
-    pull = linear.a2(point.martensite_fraction, strain, parameters) - (
-        parameters["wire.maximum_recoverable_strain"] * parameters["wire.austenite_modulus"]
-    )
-    rate, influence = transformation_rate(point)
-    kept = 1.0 - pull * rate / influence
-    if np.any(kept <= 0.0):
+
+    # All wires move at once, each the way of the branch, lest one is taken to have turned; what
+    # has cooled to the air can only warm. A row a direction, one wire more than the others.
+    wires = start.temperature.size
+    rise = start.temperature - parameters["environment.ambient_temperature"]
+    way = np.where((point.branch == "cooling") & (rise > 2.0 * _STEP), -1.0, 1.0)
+    ways = (np.eye(wires) + 0.2) * way
+    bench = TemperatureDriven(parameters, start, point.boundary)
+
+    def change(step: float) -> Array:
+        """(w, 2 w + s) change of fractions, stresses and contractions over the step, by way."""
+        rows = []
+        for direction in ways:
+            bench.begin(start)
+            bench.run([0.0, 1.0], start.temperature[np.newaxis] + step * direction)
+            now = bench.state
+            rows.append([
+                *(now.martensite_fraction - start.martensite_fraction),
+                *(now.stress - start.stress), *(now.contraction - start.contraction),
+            ])
+        return np.array(rows) / step
+
+    coarse, middle, fine = (change(_STEP / k) for k in (1.0, 2.0, 4.0))
+    if np.any(np.abs(fine - middle)[:, :wires] > _NO_TANGENT * np.abs(fine[:, :wires]) + 1e-6):
         raise InputError(
             f"linearisation: at {point.temperature} K stress drives the transformation by itself, "
             "expected a stable state"
         )
-    # Of one wire, its transformation included: dsigma = push dT - softness de.
-    push = (parameters["wire.thermal_expansion_factor"] - pull * rate) / kept
-    softness = modulus / kept
-    contraction = _contraction_per_kelvin(point, softness, push)
-    sigma = np.diag(push) - softness[:, np.newaxis] * contraction[side]
-    xi = -np.diag(rate) + (rate / influence)[:, np.newaxis] * sigma
-    return Linearised(point, latent_heat, xi, sigma, contraction)
-
-
-def transformation_rate(point: OperatingPoint) -> tuple[Array, float]:
-    """-dxi/dT [1/K] of each wire at constant stress on its branch, and C_A or C_M [Pa/K]."""
-    parameters, xi = point.parameters, point.martensite_fraction
-    if point.branch == "heating":
-        slope = linear.b1(point.temperature, point.stress, parameters)
-        ramp = material.austenite_ramp(point.temperature, point.stress, parameters)
-        vanishing, influence = xi, parameters["wire.stress_influence_austenite"]
-    else:
-        slope = linear.b3(point.temperature, point.stress, parameters)
-        ramp = material.martensite_ramp(point.temperature, point.stress, parameters)
-        vanishing, influence = 1.0 - xi, parameters["wire.stress_influence_martensite"]
-    share = np.divide(vanishing, ramp, out=np.ones_like(ramp), where=ramp > 0.0)
-    return share * slope, float(influence)
-
-
-def _contraction_per_kelvin(point: OperatingPoint, softness: Array, push: Array) -> Array:
-    """(s, w): sum over a side of (push dT - softness de) = K de."""
-    parameters = point.parameters
-    sides = len(side_names(parameters))
-    change = np.zeros((sides, point.temperature.size))
-    if point.boundary.contraction is not None:
-        return change
-    side = side_of_channels(parameters)
-    stiffness = per_side("stiffness", point.boundary.stiffness, sides)
-    if point.boundary.coupled:  # sum_front (push dT - softness de) - sum_back (...) = K de
-        change[0] = np.where(side == 0, push, -push) / (stiffness[0] + softness.sum())
-        change[1] = -change[0]
-        return change
-    stiffness = stiffness + np.bincount(side, softness, sides)
-    change[side, np.arange(side.size)] = push / stiffness[side]
-    return change
-
-
-def printed_deflection_per_kelvin(point: OperatingPoint, wire: int = 0) -> float:
-    """d deflection/dT [m/K] that eqs. (18), (20) to (23) give as they are printed, for one wire."""
-    parameters = point.parameters
-    xi, strain = point.martensite_fraction[wire], _strain(point, wire)
-    a, b = linear.alpha_as_printed(parameters), linear.beta_as_printed(parameters)
-    pull = float(linear.a2_as_printed(xi, strain, parameters)) - (
-        parameters["wire.maximum_recoverable_strain"] * parameters["wire.austenite_modulus"]
-    )
-    printed = linear.b1_as_printed if point.branch == "heating" else linear.b3_as_printed
-    rate = float(printed(point.temperature[wire], point.stress[wire], parameters))
-    # beta delta = a_1 delta/alpha + Theta T + pull xi,  xi = rate (-T + beta delta)
-    stiffness = b - float(linear.a1(xi, parameters)) / a - pull * rate * b
-    return (parameters["wire.thermal_expansion_factor"] - pull * rate) / stiffness
-
-
-@dataclass(frozen=True)
-class Coefficient:
-    """A row of `coefficient_table`: printed and corrected values, NaN where there is none."""
-
-    name: str
-    equation: str
-    unit: str
-    printed: float
-    corrected: float
-    remark: str
-
-
-def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]:
-    """Every coefficient of eqs. (18) to (23), printed beside corrected, for one wire at a point.
-
-    Raises:
-        InputError: no such wire.
-    """
-    if not 0 <= wire < point.temperature.size:
-        raise InputError(f"wire {wire}, expected 0 to {point.temperature.size - 1}")
-    parameters = point.parameters
-    xi, strain = point.martensite_fraction[wire], _strain(point, wire)
-    at = (point.temperature[wire], point.stress[wire], parameters)
-    volt, ohm = point.voltage[wire], heated_resistance(parameters)
-    rows: list[_Row] = [
-        ("a_1", "(18)", "Pa", linear.a1(xi, parameters), linear.a1(xi, parameters), "right"),
-        ("a_2", "(18)", "Pa", linear.a2_as_printed(xi, strain, parameters),
-         linear.a2(xi, strain, parameters), "sign of eps* - eps_0"),
-        ("a_3", "(18)", "Pa", linear.a3_as_printed(xi, strain, parameters),
-         linear.a3(xi, strain, parameters), "sign of eps* - eps_0"),
-        ("heating at V*", "(19)", "W", linear.linear_heating_as_printed(volt, volt, ohm),
-         linear.linear_heating(volt, volt, ohm), "+(V*/R)(2V - V*), not -(V*/R)(1 + 2V)"),
-        ("heating per volt", "(19)", "W/V", -2.0 * volt / ohm, 2.0 * volt / ohm, "sign"),
-        ("b_1", "(20)", "1/K", linear.b1_as_printed(*at), linear.b1(*at), "factor pi/(A_f - A_s)"),
-        ("b_1 of stress", "(20)", "1/Pa", linear.b1_as_printed(*at), linear.b1_of_stress(*at),
-         "sigma needs 1/C_A"),
-        ("b_2", "(20)", "1", linear.b2(*at), linear.b2(*at), "right"),
-        ("b_3", "(21)", "1/K", linear.b3_as_printed(*at), linear.b3(*at), "factor pi/(M_s - M_f)"),
-        ("b_3 of stress", "(21)", "1/Pa", linear.b3_as_printed(*at), linear.b3_of_stress(*at),
-         "sigma needs 1/C_M"),
-        ("b_4", "(21)", "1", linear.b4(*at), linear.b4(*at), "right"),
-        *_bending_rows(point, wire),
-    ]
-    return [
-        Coefficient(name, equation, unit, _number(printed), _number(corrected), remark)
-        for name, equation, unit, printed, corrected, remark in rows
-    ]
-
-
-def _bending_rows(
-    point: OperatingPoint, wire: int
-) -> Sequence[_Row]:
-    parameters = point.parameters
-    if point.boundary.contraction is not None or load_kind(parameters) != "beam":
-        return ()
-    a, side = linear.alpha(parameters), parameters["bench.channel_sides"][wire]
-    a_printed, b_printed = linear.alpha_as_printed(parameters), linear.beta_as_printed(parameters)
-    b, modulus = linear.beta(parameters, side), _number(
-        linear.a1(point.martensite_fraction[wire], parameters)
-    )
-    together = np.count_nonzero(np.array(parameters["bench.channel_sides"]) == side)
-    gain = abs(float(linearise(point).deflection_per_kelvin[wire]))
-    return (
-        ("alpha", "(22)", "m", a_printed, a, "3 l^2/h_c, not 6: eq. (16) integrated twice"),
-        ("strain per deflection", "(22)", "1/m", 1.0 / a_printed, -1.0 / a,
-         "the strain is a contraction"),
-        ("beta", "(23)", "Pa/m", b_printed, b, "EI of eq. (14): width and brackets"),
-        ("stiffness", "(22), (23)", "Pa/m", b_printed - modulus / a_printed,
-         b + together * modulus / a, "beta + sum E/alpha, not beta - E/alpha"),
-        ("deflection per kelvin", "(18)-(23)", "m/K", printed_deflection_per_kelvin(point, wire),
-         gain, "all of the above; magnitude, one wire"),
-    )
-
-
-def _strain(point: OperatingPoint, wire: int) -> float:
-    side = side_of_channels(point.parameters)
-    stretch = point.boundary.stretch_of_wires(point.parameters)
-    return float((stretch - point.contraction[side])[wire])
-
-
-def _number(value: ArrayLike) -> float:
-    return float(np.asarray(value))
-
+    per_kelvin = np.linalg.solve(ways, (8.0 * fine - 6.0 * middle + coarse) / 3.0).T
+    fraction, stress, contraction = np.split(per_kelvin, [wires, 2 * wires])
+    return Linearised(point, latent_heat, fraction, stress, contraction)

@@ -1,5 +1,5 @@
-"""One wire: its phase (eqs. 10, 11 and the contract's kinetics of incomplete loops), its stress by
-the constitutive law of Liang and Rogers (eqs. 6 to 9), and the current through it (eq. 3).
+"""One wire: its heat (eqs. 1 to 5), its phase (eqs. 10, 11 and the contract's kinetics of
+incomplete loops), its stress by the constitutive law of Liang and Rogers (eqs. 6 to 9).
 
 The rule of the phase, between reversals of the temperature. The two ramps of the contract are
 
@@ -41,11 +41,7 @@ GRAIN, OUTER = float(np.sqrt(3.0)), 1.0 / 6.0
 
 
 def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
-    """f(T, sigma): 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq. (10) between.
-
-    Args:
-        temperature: T [K]; stress: sigma [Pa]; broadcast against each other.
-    """
+    """f(T [K], sigma [Pa]): 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq. (10) between."""
     start = parameters["wire.austenite_start_temperature"]
     finish = parameters["wire.austenite_finish_temperature"]
     shift = np.asarray(stress, float) / parameters["wire.stress_influence_austenite"]
@@ -54,11 +50,7 @@ def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parame
 
 
 def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
-    """g(T, sigma): 0 below M_f + sigma/C_M, 1 above M_s + sigma/C_M, 1 - eq. (11) between.
-
-    Args:
-        temperature: T [K]; stress: sigma [Pa]; broadcast against each other.
-    """
+    """g(T [K], sigma [Pa]): 0 below M_f + sigma/C_M, 1 above M_s + sigma/C_M, 1 less eq. (11)."""
     start = parameters["wire.martensite_start_temperature"]
     finish = parameters["wire.martensite_finish_temperature"]
     shift = np.asarray(stress, float) / parameters["wire.stress_influence_martensite"]
@@ -66,47 +58,12 @@ def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Param
     return _smooth_ramp(above, start - finish, parameters)
 
 
-def heated_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
-    """Martensite fraction on heating from martensite, eq. (10)."""
-    return austenite_ramp(temperature, stress, parameters)
+heated_fraction = austenite_ramp  # from martensite, eq. (10)
 
 
 def cooled_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
     """Martensite fraction on cooling from austenite, eq. (11)."""
     return 1.0 - martensite_ramp(temperature, stress, parameters)
-
-
-def fraction_since_reversal(
-    rising: bool, fraction_reversed: float, ramps_reversed: tuple[float, float],
-    ramps: tuple[float, float],
-) -> float:
-    """Martensite fraction from the state at the last reversal: the rule of this module.
-
-    Args:
-        rising: the temperature rises since the reversal.
-        fraction_reversed: xi_r.
-        ramps_reversed, ramps: (f, g) at the reversal and now.
-    """
-    f, g = ramps
-    f_reversed, g_reversed = ramps_reversed
-    if rising:
-        return _left(fraction_reversed, f, f_reversed, g, g_reversed)
-    return 1.0 - _left(1.0 - fraction_reversed, g, g_reversed, f, f_reversed)
-
-
-def _left(
-    phase: float, own: float, own_reversed: float, other: float, other_reversed: float
-) -> float:
-    """What is left of the phase that vanishes, given its own ramp and the other's."""
-    if own_reversed > 0.0:
-        left = phase * own / own_reversed
-    elif phase > 0.0 and other_reversed < 1.0:
-        left = phase * (1.0 - other) / (1.0 - other_reversed)
-    else:
-        left = 0.0
-    if other < other_reversed:
-        left = max(left, min(1.0 - other / other_reversed, own))
-    return min(left, 1.0)
 
 
 def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array:
@@ -132,9 +89,6 @@ def _ramp(position: Array) -> Array:
     return np.square(np.sin(0.5 * np.pi * np.clip(position, 0.0, 1.0)))
 
 
-# --- stress
-
-
 def modulus(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
     """E(xi) [Pa], eq. (7)."""
     austenite = parameters["wire.austenite_modulus"]
@@ -157,45 +111,94 @@ def stress(
     temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: ArrayLike,
     parameters: Parameters,
 ) -> Array:
-    """sigma [Pa], eq. (6) from sigma = 0, xi = 1 and ambient temperature at rest.
-
-    Args:
-        temperature: T [K]; martensite_fraction: xi; broadcast against each other.
-        contraction: -(eps - eps_0), positive when the wire is shorter than at rest.
-    """
+    """sigma [Pa], eq. (6) from sigma = 0, xi = 1 and ambient temperature at rest; T [K], xi and the
+    contraction -(eps - eps_0) broadcast against each other."""
     xi = np.asarray(martensite_fraction, float)
     elastic = -modulus(xi, parameters) * np.asarray(contraction, float)
     transformed = transformation_coefficient(xi, parameters) * (xi - 1.0)
     return np.asarray(elastic + clamped_stress(temperature, parameters) + transformed)
 
 
-# --- current
-
-_CHANGE = "effect.phase_dependent_resistance.austenite_change"
-_SLOPE = "effect.phase_dependent_resistance.temperature_coefficient"
-
+# --- Heat, and what drives it.
 
 def current(
     parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike
 ) -> NDArray[np.float64]:
     """I = n V/(R(xi, T) + n R_s) through the n wires of a channel; with all effects off eq. (3).
 
-    A current source holds it whatever the resistance; of a duty it is the mean.
-
-    Args:
-        voltage: V, as the driver reads it or is commanded (`heat.heating_voltage`); temperature: K;
-            fraction: of martensite; any shape.
+    The voltage is as the driver reads it or is commanded (`heating_voltage`); any shape. A
+    current source holds it whatever the resistance; of a duty it is the mean.
     """
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
-    count = parameters["wire.count"]
-    resistance = parameters["wire.resistance"]
-    if parameters[_CHANGE] or parameters[_SLOPE]:
-        of_phase = 1.0 + parameters[_CHANGE] * (1.0 - xi)
-        rise = kelvin - parameters["environment.ambient_temperature"]
-        resistance = resistance * of_phase * np.maximum(1.0 + parameters[_SLOPE] * rise, LEAST)
-    else:
-        volts = np.broadcast_to(volts, np.broadcast_shapes(volts.shape, kelvin.shape, xi.shape))
+    count, effect = parameters["wire.count"], "effect.phase_dependent_resistance."
+    of_phase = 1.0 + parameters[effect + "austenite_change"] * (1.0 - xi)
+    rise = kelvin - parameters["environment.ambient_temperature"]
+    of_heat = np.maximum(1.0 + parameters[effect + "temperature_coefficient"] * rise, LEAST)
+    resistance = parameters["wire.resistance"] * of_phase * of_heat
     if parameters["bench.drive"] == "current":
-        return np.asarray(count * volts / parameters["wire.resistance"])
+        resistance = np.full_like(resistance, parameters["wire.resistance"])
+        return np.asarray(count * volts / resistance)
     leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
     return np.asarray(count * volts / (resistance + count * leads))
+
+
+def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
+    """Volts whose square heats as the drive does, of commanded V, any shape: of a duty the mean,
+    duty times `bench.supply_voltage`; of a current source the current times `wire.resistance /
+    wire.count`."""
+    volts = np.asarray(voltage, dtype=np.float64)
+    if parameters["bench.drive"] == "duty":
+        return np.sqrt(np.maximum(volts, 0.0) * parameters["bench.supply_voltage"])
+    return volts
+
+
+def commanded_voltage(volts: ArrayLike, parameters: Parameters) -> Array:
+    """Inverse of `heating_voltage`: the command that heats as direct `volts` do."""
+    direct = np.asarray(volts, dtype=np.float64)
+    if parameters["bench.drive"] == "duty":
+        return np.square(direct) / parameters["bench.supply_voltage"]
+    return direct
+
+
+def power_per_volt(voltage: ArrayLike, parameters: Parameters) -> Array:
+    """Change of a wire's heat [W] per volt of the command, at a command [V]."""
+    volts = np.asarray(voltage, dtype=np.float64)
+    if parameters["bench.drive"] == "duty":
+        volts = np.full_like(volts, 0.5 * parameters["bench.supply_voltage"])
+    return 2.0 * volts / heated_resistance(parameters)
+
+
+def direct_reading(
+    parameters: Parameters, voltage: ArrayLike, current: ArrayLike
+) -> tuple[Array, Array]:
+    """What a record holds of a drive of V and A (of a duty the means; any shape): the direct
+    voltage and current of the same heat, whose quotient is the resistance."""
+    mean, amperes = (np.asarray(a, dtype=np.float64) for a in (voltage, current))
+    volts = heating_voltage(mean, parameters)
+    return volts, amperes * np.divide(volts, mean, out=np.ones_like(mean), where=mean > 0.0)
+
+
+def heated_resistance(parameters: Parameters) -> float:
+    """V^2 over the heat of one wire [ohm], where the voltage is that before the leads."""
+    wire = float(parameters["wire.resistance"])
+    leads = float(parameters["wire.count"] * parameters["bench.lead_resistance"])
+    if leads == 0.0 or parameters["bench.drive"] == "current":
+        return wire
+    return (wire + leads) ** 2 / wire
+
+
+def heat_loss(parameters: Parameters) -> float:
+    """h A_c [W/K]."""
+    return float(parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"])
+
+
+def time_constant(parameters: Parameters) -> float:
+    """m c_p/(h A_c) [s]."""
+    capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
+    return float(capacity / heat_loss(parameters))
+
+
+def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
+    """T [K] that a held direct voltage [V] leads to, eq. (4) solved for T."""
+    rise = np.square(voltage) / (heated_resistance(parameters) * heat_loss(parameters))
+    return np.asarray(parameters["environment.ambient_temperature"] + rise)

@@ -1,27 +1,65 @@
-"""Reads a bag into a record."""
+"""Reads a bag into a record: its topics decoded, on one clock, in SI units."""
 
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sma_bench.border import OverBudget, reading_budget
-from sma_bench.errors import InputError
-from sma_bench.findings import Finding
+from sma_bench.border import Budget, OverBudget
 from sma_bench.records import contract
-from sma_bench.records.bag_files import find_bag_files, read_files
 from sma_bench.records.record import FloatArray, IntArray, Record, Signal, Topic
-from sma_bench.records.samples import Samples, read_samples, sort_by_stamp
-from sma_bench.records.storage import RawTopics
+from sma_bench.records.storage import RawTopic, RawTopics, decompress_messages, read_storage
 
+_DAY_NS = 86_400 * 10**9  # a clock that shows less since 1970 is a simulation's
+_TEXT_BYTES = 400  # of a marker, from its message to what `describe` says of it
 # Further apart than this, receive times and stamps come from two clocks, not from a slow network.
 _TWO_CLOCKS_NS = 10**9
 _FEW_STAMPS = 15  # messages in a row, of which fewer than half wrong stamps move no other topic
 # A record may pause for a day, and for ten times as long as it was recorded. Beyond, a clock was
 # set while it was: nothing says what lies between, and an even grid over it would fill any memory.
-_PAUSE_NS, _PAUSES_OF_RECORDED = 86_400 * 10**9, 10
+_PAUSE_NS, _PAUSES_OF_RECORDED = _DAY_NS, 10
 _RECORDED_NS = 10 * 10**9
 _GAPS_S = (86_400, 3600, 600, 60, 10)
 _MOST_MARKERS = 100_000
+
+# Of each type of message: the columns made of it, and the field and joint that each is from.
+_COLUMNS: dict[str, list[tuple[str, str, str]]] = {
+    contract.BATTERY_STATE: [(name, name, "") for name in ("voltage", "current")],
+    contract.TEMPERATURE: [(name, name, "") for name in ("temperature", "variance")],
+    contract.RANGE: [(name, name, "") for name in ("range", "min_range", "max_range")],
+    contract.JOINT_STATE: [
+        (signal, source, joint)
+        for joint, fields in contract.JOINT_SIGNALS.items() for signal, source in fields.items()
+    ],
+}
+
+
+@dataclass
+class _Samples:
+    """Decoded messages of one topic, in the order of the bag until sorted.
+
+    Attributes:
+        stamp: (n,) ns, header.stamp; the receive time for header-less types.
+        received: (n,) ns.
+        is_stamped: whether the stamps are not the receive times.
+        columns: (n,) or (n, k) by name, NaN where not measured; strings of a String topic.
+    """
+
+    topic: str
+    type: str
+    stamp: IntArray
+    received: IntArray
+    is_stamped: bool
+    columns: dict[str, NDArray[np.generic]] = field(default_factory=dict)
+
+    def keep(self, rows: NDArray[np.bool_] | IntArray) -> None:
+        """Reduce to, or reorder by, the given rows."""
+        self.stamp, self.received = self.stamp[rows], self.received[rows]
+        self.columns = {name: values[rows] for name, values in self.columns.items()}
 
 
 def read_record(path: str | Path, namespace: str | None = None) -> Record:
@@ -33,53 +71,30 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     with one stamp the first is kept. Whatever was lost, left out or put in order is in
     `Record.findings`.
 
-    Args:
-        path: folder with metadata.yaml, or an .mcap or .db3 file, zstd-compressed or not.
-        namespace: look only at topics below this namespace.
-
-    Raises:
-        InputError: no bag, nothing readable in it, two topics for one meaning, or a topic of the
-            bench with another type than the contract's.
+    `path`: folder with metadata.yaml, or an .mcap or .db3 file, zstd-compressed or not;
+    `namespace`: look only at topics below this namespace. Raises InputError: no bag, nothing
+    readable in it, two topics for one meaning, or a topic of the bench with another type than the
+    contract's.
     """
     path = Path(path)
-    topics = RawTopics(lambda n, t: contract.inside(n, namespace) and contract.is_decoded(n, t))
-    files, promised = find_bag_files(path, topics)
-    topics.budget = reading_budget(sum(file.stat().st_size for file in files))
-    read_files(files, topics)
-    found = list(topics.topics.values())
-    if not any(topic.count for topic in found):
-        why = "the bag holds no messages (did its recorder die?)"
-        for finding in topics.findings[:1]:
-            why = f"nothing can be read: {finding.subject}: {finding.text}"
-        raise InputError(f"{path}: {why}")
+    bag = read_storage(
+        path, lambda n, t: contract.inside(n, namespace) and contract.is_decoded(n, t)
+    )
+    found = list(bag.topics.values())
 
-    # The metadata of a finished bag says how many messages there should be.
-    for name, count in promised.items():
-        missing = count - sum(topic.count for topic in found if topic.name == name)
-        if missing > 0:
-            text = f"{missing} of {count} messages ({missing / count:.1%}) announced by "
-            text += "metadata.yaml cannot be read"
-            topics.lost(name, text, missing=missing, announced=count)
-
-    # Topics that carry a meaning of the contract become columns, each on its own stamps.
+    # Topics that carry a meaning of the contract become columns, on one clock.
     counts = {(t.name, t.type): t.count for t in found if contract.inside(t.name, namespace)}
     chosen, remarks = contract.choose_topics(str(path), counts)
-    decoded: dict[str, Samples] = {}
+    bag.findings += remarks
+    decoded: dict[str, _Samples] = {}
     for meaning, name in chosen.items():
         for raw in (raw for raw in found if raw.name == name and raw.wanted):
             try:
-                decoded[meaning] = read_samples(raw, topics.budget)
+                decoded[meaning] = _decode(raw, bag)
             except OverBudget as error:
-                topics.lost(name, f"{error}; this topic is left out")
-    findings = [*topics.findings, *remarks]
-
-    # All stamps on one clock, in order.
-    decoded = _with_messages(decoded, findings)
-    findings += _align_receive_times(decoded)
-    for samples in decoded.values():
-        sort_by_stamp(samples)
-    findings += _leave_out_other_times(decoded)
-    decoded = _with_messages(decoded, findings)
+                bag.remark(name, f"{error}; this topic is left out")
+    _put_on_one_clock([s for s in decoded.values() if len(s.stamp)], bag)
+    decoded = {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
     stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     start = min((int(s.stamp[0]) for s in stamped or decoded.values()), default=0)
 
@@ -88,160 +103,347 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     markers: tuple[tuple[float, str], ...] = ()
     made: dict[str, list[str]] = {}
     for meaning, samples in decoded.items():
-        if samples.texts is not None:
-            if len(samples.stamp) > _MOST_MARKERS:
-                text = f"{len(samples.stamp)} markers, the first {_MOST_MARKERS} are kept"
-                samples.remark("warning", text)
-                samples.keep(np.arange(_MOST_MARKERS))
-            times = _seconds(samples.stamp, start).tolist()
-            markers = tuple(zip(times, samples.texts.tolist(), strict=True))
-        for signal in _signals(meaning, samples, start):
+        if samples.type == contract.STRING:
+            texts = samples.columns["data"].tolist()
+            if len(texts) > _MOST_MARKERS:
+                text = f"{len(texts)} markers, the first {_MOST_MARKERS} are kept"
+                bag.remark(samples.topic, text)
+            times = ((samples.stamp - start) / 1e9).tolist()
+            markers = tuple(zip(times, texts, strict=True))[:_MOST_MARKERS]
+            continue
+        for signal in _signals(meaning, samples, start, bag):
             signals[signal.name] = signal
             made.setdefault(samples.topic, []).append(signal.name)
-        findings += samples.findings
 
     # What is absent is said; of one name with two types the one that was decoded is shown.
-    for raw in found:
-        if raw.wanted and not raw.count:
-            text = "declared, but without a message; absent"
-            findings.append(Finding("info", raw.name, text))
-    if not signals and not markers:
-        names = ", ".join(sorted(raw.name for raw in found)) or "no topics"
-        text = f"no signal of the bench contract; the bag has {names}"
-        findings.append(Finding("error", "record", text))
     listed: dict[str, Topic] = {}
     for raw in sorted(found, key=lambda raw: raw.name):
+        if raw.wanted and not raw.count:
+            bag.remark(raw.name, "declared, but without a message; absent", "info")
         if raw.name not in listed or raw.wanted:
             listed[raw.name] = Topic(raw.type, raw.count, tuple(made.get(raw.name, ())))
-    return Record(path, start, signals, markers, listed, tuple(findings))
+    if not signals and not markers:
+        names = ", ".join(listed) or "no topics"
+        bag.remark("record", f"no signal of the bench contract; the bag has {names}", "error")
+    return Record(path, start, signals, markers, listed, tuple(bag.findings))
 
 
-def _with_messages(decoded: dict[str, Samples], findings: list[Finding]) -> dict[str, Samples]:
-    """Topics that have some left; what was said of the others goes to the findings."""
-    for samples in decoded.values():
-        if not len(samples.stamp):
-            findings += samples.findings
-    return {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
+def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
+    """All messages of one topic; those that cannot be decoded are counted in a finding. Raises
+    OverBudget: they ask for more than such a topic may."""
+    budget, is_stamped = bag.budget, raw.type not in contract.HEADERLESS
+    decompress_messages(raw, budget)
+    n, received = len(raw.times), np.array(raw.times, dtype=np.int64)
+    samples = _Samples(raw.name, raw.type, received.copy(), received, is_stamped)
+    lengths = np.array(raw.lengths, dtype=np.int64)
+    batches = list(decode(raw.data, lengths, raw.type, budget))
+
+    # The numbers or texts of the messages, NaN or empty where one has none.
+    if raw.type == contract.STRING:
+        budget.take(_TEXT_BYTES * n)
+        texts = samples.columns["data"] = np.full(n, "", dtype=object)
+        for batch in batches:
+            texts[batch.rows] = batch.texts["data"][0]
+    elif raw.type == contract.MULTI_ARRAY:  # rows of the most common length
+        sizes = [(b.columns["data"].size > 0, b.columns["data"].shape) for b in batches]
+        width = max(sizes, default=(False, (0, 0)))[1][1] or 1
+        budget.take(8 * n * width)
+        values = samples.columns["data"] = np.full((n, width), np.nan)
+        for batch in batches:
+            if batch.columns["data"].shape[1] == width:
+                values[batch.rows] = batch.columns["data"]
+    for name, source, joint in _COLUMNS.get(raw.type, ()):
+        for batch in batches:
+            # Joints by name: their order may change from one message to the next.
+            joints, found = batch.texts.get("name", ("",)), batch.columns[source]
+            if joint not in joints:
+                continue
+            if name not in samples.columns:
+                budget.take(8 * n)
+                samples.columns[name] = np.full(n, np.nan)
+            if joints.index(joint) < found.shape[1]:
+                with np.errstate(invalid="ignore"):  # a NaN of another kind than Python's
+                    samples.columns[name][batch.rows] = found[:, joints.index(joint)]
+
+    # What was decoded, has a possible stamp, and is whole where it is a command.
+    def keep(rows: NDArray[np.bool_], what: str) -> None:
+        if dropped := int(np.count_nonzero(~rows)):
+            text = f"{dropped} of {len(rows)} messages {what}"
+            bag.remark(raw.name, text, messages=dropped)
+            samples.keep(rows)
+
+    valid = np.zeros(n, dtype=bool)
+    for batch in batches:
+        valid[batch.rows] = True
+        if is_stamped:
+            seconds, nanoseconds = (
+                batch.columns[f"stamp.{part}"][:, 0].astype(np.int64) for part in ("sec", "nanosec")
+            )
+            samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
+            valid[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
+    keep(valid, "cannot be decoded and are left out")
+    if raw.type == contract.MULTI_ARRAY:
+        unusable = np.count_nonzero(~np.isfinite(samples.columns["data"]), axis=1)
+        keep(unusable == 0, "have the wrong length, NaN or Inf; left out")
+
+    # Messages whose header was never stamped.
+    unset = (samples.stamp == 0) & (samples.received > _DAY_NS)
+    if is_stamped and len(unset) and unset.all():
+        text = "header.stamp is never set; the receive time is used in its place"
+        bag.remark(raw.name, text, messages=len(unset))
+        samples.stamp, samples.is_stamped = samples.received.copy(), False
+    elif is_stamped and unset.any() and np.median(samples.stamp) > _DAY_NS:
+        keep(~unset, "have no header.stamp and are left out")
+    return samples
 
 
-def _align_receive_times(decoded: dict[str, Samples]) -> list[Finding]:
-    """Bring receive times onto the stamps' clock where the two differ by more than a delay.
+def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
+    """The stamps of all topics on one clock, in order, each once, of one time."""
+    # Receive times move onto the stamps' clock where the two differ by more than a delay: a bench
+    # on simulated time, recorded with the wall's clock, has nothing else in common.
+    stamped = [s for s in decoded if s.is_stamped]
+    reference = max(stamped, key=lambda s: len(s.stamp), default=None)
+    offset = float(np.median(reference.received - reference.stamp)) if reference else 0.0
+    if reference and abs(offset) >= _TWO_CLOCKS_NS and len(stamped) < len(decoded):
+        from scipy.ndimage import median_filter
 
-    A bench on simulated time, recorded with the wall's clock, has nothing else in common.
-    """
-    stamped = [s for s in decoded.values() if s.is_stamped]
-    if not stamped:
-        return []
-    reference = max(stamped, key=lambda samples: len(samples.stamp))
-    offset = float(np.median(reference.received - reference.stamp))
-    if abs(offset) < _TWO_CLOCKS_NS:
-        return []
-    from scipy.ndimage import median_filter
-
-    order = np.argsort(reference.received, kind="stable")
-    received = reference.received[order]
-    zero = int(received[0])
-    ahead = (received - reference.stamp[order]).astype(np.float64)
-    ahead = median_filter(ahead, _FEW_STAMPS, mode="mirror")
-    findings = []
-    for samples in decoded.values():
-        if not samples.is_stamped:
+        order = np.argsort(reference.received, kind="stable")
+        received = reference.received[order]
+        zero = int(received[0])
+        ahead = (received - reference.stamp[order]).astype(np.float64)
+        ahead = median_filter(ahead, _FEW_STAMPS, mode="mirror")
+        known = (received - zero).astype(np.float64)
+        for samples in (s for s in decoded if not s.is_stamped):
             at = (samples.received - zero).astype(np.float64)
-            correction = np.interp(at, (received - zero).astype(np.float64), ahead)
-            samples.stamp = samples.received - correction.astype(np.int64)
+            samples.stamp = samples.received - np.interp(at, known, ahead).astype(np.int64)
             text = (
                 f"receive times are {offset * 1e-9:.3f} s off the stamps of {reference.topic}; "
                 "this topic without stamps was moved onto their clock"
             )
-            findings.append(Finding("warning", samples.topic, text, {"offset": offset * 1e-9}))
-    return findings
+            bag.remark(samples.topic, text, offset=offset * 1e-9)
+    for samples in decoded:
+        if backward := int(np.count_nonzero(np.diff(samples.stamp) < 0)):
+            text = f"{backward} stamps lie before the stamp received earlier; sorted"
+            bag.remark(samples.topic, text, backward=backward)
+            samples.keep(np.argsort(samples.stamp, kind="stable"))
+        repeated = np.diff(samples.stamp) == 0
+        if samples.type != contract.STRING and (count := int(np.count_nonzero(repeated))):
+            text = f"{count} messages repeat the stamp of another; the first one received is kept"
+            bag.remark(samples.topic, text, duplicates=count)
+            samples.keep(np.concatenate(([True], ~repeated)))
 
-
-def _leave_out_other_times(decoded: dict[str, Samples]) -> list[Finding]:
-    """Keep the stretch with most stamps where a clock was set in the middle of the record."""
-    ends = [end for s in decoded.values() for end in (int(s.stamp.min()), int(s.stamp.max()))]
+    # The stretch with most stamps is kept where a clock was set in the middle of the record.
+    ends = [int(end) for s in decoded for end in (s.stamp[0], s.stamp[-1])]
     if not ends or max(ends) - min(ends) <= _PAUSE_NS:
-        return []  # without sorting the stamps of all topics into one another
-    stamps = np.sort(np.concatenate([np.empty(0, np.int64), *(s.stamp for s in decoded.values())]))
-    whole = stamps
+        return  # without sorting the stamps of all topics into one another
+    stamps = whole = np.sort(np.concatenate([s.stamp for s in decoded]))
     for gap in _GAPS_S:
         steps = np.diff(stamps)
         recorded = int(steps[steps <= _RECORDED_NS].sum())
         if steps.sum() <= _PAUSE_NS + _PAUSES_OF_RECORDED * recorded:
             break
-        stretches = np.split(stamps, np.flatnonzero(steps > gap * 10**9) + 1)
-        stamps = max(stretches, key=len)
-    if len(stamps) == len(whole):
-        return []
-    first, last = int(stamps[0]), int(stamps[-1])
-    for samples in decoded.values():
-        samples.keep((samples.stamp >= first) & (samples.stamp <= last))
-    left_out = len(whole) - len(stamps)
-    apart = {"before": first - int(whole[0]), "after": int(whole[-1]) - last}
-    far = " and ".join(f"up to {ns * 1e-9:.3g} s {way}" for way, ns in apart.items() if ns > 0)
-    text = (
-        f"{left_out} of {len(whole)} messages are stamped {far} the others (was a clock set "
-        "meanwhile?) and are left out"
-    )
-    return [Finding("warning", "record", text, {"messages": float(left_out)})]
+        stamps = max(np.split(stamps, np.flatnonzero(steps > gap * 10**9) + 1), key=len)
+    if len(stamps) < len(whole):
+        first, last = int(stamps[0]), int(stamps[-1])
+        for samples in decoded:
+            samples.keep((samples.stamp >= first) & (samples.stamp <= last))
+        apart = {"before": first - int(whole[0]), "after": int(whole[-1]) - last}
+        far = " and ".join(f"up to {ns * 1e-9:.3g} s {way}" for way, ns in apart.items() if ns > 0)
+        left_out = len(whole) - len(stamps)
+        text = f"{left_out} of {len(whole)} messages are stamped {far} the others (was a clock set "
+        bag.remark("record", text + "meanwhile?) and are left out", messages=float(left_out))
 
 
-def _seconds(nanoseconds: IntArray, start: int) -> FloatArray:
-    return (nanoseconds - start).astype(np.float64) / 1e9
-
-
-def _signals(meaning: str, samples: Samples, start: int) -> list[Signal]:
-    """The signals of one topic; what was never measured is only remarked upon."""
+def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> list[Signal]:
+    """The signals of one topic; one that is all NaN was not measured, and is only remarked upon."""
     place, _, kind = meaning.rpartition("/")
-    if kind == "joint_states":
-        named = [(n, contract.JOINT_UNITS[n], values) for n, values in samples.columns.items()]
-        if not named:
-            samples.remark("warning", "no joint is called tip or wire; absent")
-    elif kind == "voltage_command":
-        named = [(kind, "V", samples.columns["data"])]
-    else:
-        named = [
-            (f"{place}.{n}", contract.FIELD_UNITS[n], values)
-            for n, values in samples.columns.items()
-            if n in contract.FIELD_UNITS
-        ]
-    if kind == "temperature":
-        named = [(n, unit, values + contract.CELSIUS_ZERO) for n, unit, values in named]
-    if kind == "range":
-        _remark_on_ranges(samples)
-    taken = (_measured(name, unit, values, samples, start) for name, unit, values in named)
-    return [signal for signal in taken if signal is not None]
-
-
-def _measured(
-    name: str, unit: str, values: FloatArray, samples: Samples, start: int
-) -> Signal | None:
-    missing = np.isnan(values if values.ndim == 1 else values[:, 0])
-    count = int(np.count_nonzero(missing))
-    if count == len(values):
-        samples.remark("info", f"{name} is NaN throughout, that is not measured; absent")
-        return None
-    if count:
-        text = f"{name} is NaN in {count} of {len(values)} messages; these are left out"
-        samples.remark("info", text, nan=count)
-    keep = ~missing if count else slice(None)
-    time, received = _seconds(samples.stamp, start), _seconds(samples.received, start)
-    stated = samples.columns.get("variance", np.zeros(0))
-    std = np.sqrt(np.maximum(stated[keep], 0.0)) if np.nanmax(stated, initial=0.0) > 0.0 else None
-    return Signal(name, unit, time[keep], values[keep], received[keep], samples.topic, std)
-
-
-def _remark_on_ranges(samples: Samples) -> None:
-    """REP-117: -Inf is too close, +Inf too far; both are kept, being what the sensor said."""
-    values = samples.columns["range"]
-    outside = {
-        "-Inf (too close)": np.isneginf(values),
-        "+Inf (no target)": np.isposinf(values),
-        "outside min_range..max_range": np.isfinite(values)
-        & ((values < samples.columns["min_range"]) | (values > samples.columns["max_range"])),
-    }
-    for what, rows in outside.items():
-        count = int(np.count_nonzero(rows))
+    columns: dict[str, FloatArray] = dict(samples.columns)  # type: ignore[arg-type]
+    if kind == "joint_states" and not columns:
+        bag.remark(samples.topic, "no joint is called tip or wire; absent")
+    if kind == "range":  # REP-117; all are kept, being what the sensor said
+        found, low, high = (columns[name] for name in ("range", "min_range", "max_range"))
+        outside = np.isfinite(found) & ((found < low) | (found > high))
+        for what, rows in (
+            ("-Inf (too close)", np.isneginf(found)), ("+Inf (no target)", np.isposinf(found)),
+            ("outside min_range..max_range", outside),
+        ):
+            if count := int(np.count_nonzero(rows)):
+                text = f"{count} of {len(found)} distances are {what}; kept"
+                bag.remark(samples.topic, text, count=count)
+    stated, signals = columns.pop("variance", np.zeros(0)), []
+    for column, values in columns.items():
+        name = {"joint_states": column, "voltage_command": kind}.get(kind, f"{place}.{column}")
+        unit = contract.unit_of(name)
+        if unit is None:  # the limits of a range
+            continue
+        missing = np.isnan(values if values.ndim == 1 else values[:, 0])
+        count = int(np.count_nonzero(missing))
+        if count == len(values):
+            text = f"{name} is NaN throughout, that is not measured; absent"
+            bag.remark(samples.topic, text, "info")
+            continue
         if count:
-            text = f"{count} of {len(values)} distances are {what}; kept"
-            samples.remark("warning", text, count=count)
+            text = f"{name} is NaN in {count} of {len(values)} messages; these are left out"
+            bag.remark(samples.topic, text, "info", nan=count)
+        keep = ~missing if count else slice(None)
+        values = values[keep] + contract.CELSIUS_ZERO if unit == "K" else values[keep]
+        time, received = (((ns - start) / 1e9)[keep] for ns in (samples.stamp, samples.received))
+        has_std = np.nanmax(stated, initial=0.0) > 0.0
+        std = np.sqrt(np.maximum(stated[keep], 0.0)) if has_std else None
+        signals.append(Signal(name, unit, time, values, received, samples.topic, std))
+    return signals
+
+
+# --- serialised messages: whole topics into arrays
+#
+# Messages of one topic mostly have one length, so a topic is a matrix of bytes. The layout is found
+# by walking one message; every count in it (strings, sequences) is a guard that must be equal in
+# all rows decoded with that layout. Rows that differ get a layout of their own, in the end one by
+# one, so the outcome is that of decoding each message by itself. The encoding is plain CDR (XCDR1)
+# of either byte order; bytes after the last field are ignored: a middleware may append a few.
+
+_Field = tuple[str, str]
+
+_HEADER: tuple[_Field, ...] = (("stamp.sec", "i4"), ("stamp.nanosec", "u4"), ("frame_id", "string"))
+
+# Fields in order, up to the last one used. "x[]" is a sequence; "text" is a string whose content
+# matters, "string" one that is passed over; "dim[]" is std_msgs/MultiArrayDimension[].
+FIELDS: dict[str, tuple[_Field, ...]] = {
+    contract.TEMPERATURE: (*_HEADER, ("temperature", "f8"), ("variance", "f8")),
+    contract.BATTERY_STATE: (*_HEADER, ("voltage", "f4"), ("temperature", "f4"), ("current", "f4")),
+    contract.RANGE: (
+        *_HEADER, ("radiation_type", "u1"), ("field_of_view", "f4"), ("min_range", "f4"),
+        ("max_range", "f4"), ("range", "f4"),
+    ),
+    contract.JOINT_STATE: (
+        *_HEADER, ("name", "text[]"), ("position", "f8[]"), ("velocity", "f8[]"), ("effort", "f8[]")
+    ),
+    contract.MULTI_ARRAY: (("layout.dim", "dim[]"), ("layout.data_offset", "u4"), ("data", "f8[]")),
+    contract.STRING: (("data", "text"),),
+}
+
+_ENCAPSULATION = 4
+_BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
+_LAYOUTS_PER_LENGTH = 32
+# More than any message of a bench has: elements of texts and dimensions are walked one by one.
+_MOST_TEXTS, _MOST_NUMBERS, _LONGEST_TEXT = 256, 1024, 4096
+
+
+class CdrError(Exception):
+    """A message that does not follow its type's layout."""
+
+
+class _Layout(NamedTuple):
+    """Where the fields of one message lie: `columns` by field (offset, numpy type, number of
+    elements), `texts` by field, and (offset, bytes) that another message must share to have this
+    layout."""
+
+    columns: dict[str, tuple[int, str, int]]
+    texts: dict[str, tuple[str, ...]]
+    guards: list[tuple[int, bytes]]
+
+
+class Batch(NamedTuple):
+    """Messages decoded together: `columns[field]` is (len(rows), elements)."""
+
+    rows: IntArray
+    columns: dict[str, NDArray[np.generic]]
+    texts: dict[str, tuple[str, ...]]
+
+
+def _find_layout(blob: bytes, msgtype: str) -> _Layout:
+    """Layout of one serialised message. Raises CdrError: the bytes do not follow the type."""
+    order = _BYTE_ORDERS.get(blob[:2])
+    if order is None or len(blob) < _ENCAPSULATION:
+        raise CdrError("not plain CDR")
+    layout, position = _Layout({}, {}, [(0, blob[:2])]), _ENCAPSULATION
+
+    def step(size: int, count: int = 1) -> int:
+        """Offset of so many elements, aligned, which are passed over."""
+        nonlocal position
+        if count:  # an empty sequence is not followed by the padding of its elements
+            position += -(position - _ENCAPSULATION) % size
+        start, position = position, position + size * count
+        if position > len(blob):
+            raise CdrError("the message ends inside a field")
+        return start
+
+    def guarded_count(most: int) -> int:
+        start = step(4)
+        layout.guards.append((start, blob[start:position]))
+        (count,) = struct.unpack_from(order + "I", blob, start)
+        if count > most:
+            raise CdrError(f"{count} elements, expected at most {most}")
+        return int(count)
+
+    for name, kind in FIELDS[msgtype]:
+        many, kind = kind.endswith("[]"), kind.removesuffix("[]")
+        if kind in ("string", "text", "dim"):
+            found = []
+            for _ in range(guarded_count(_MOST_TEXTS) if many else 1):
+                length = guarded_count(_LONGEST_TEXT)
+                start = step(1, length)
+                if kind == "text":
+                    content = blob[start:position]
+                    layout.guards.append((start, content))
+                    found.append(content.rstrip(b"\0").decode(errors="replace"))
+                elif kind == "dim":
+                    step(4, 2)
+            layout.texts[name] = tuple(found)
+        else:
+            count = guarded_count(_MOST_NUMBERS) if many else 1
+            layout.columns[name] = (step(int(kind[1]), count), order + kind, count)
+    return layout
+
+
+def decode(
+    data: bytes | bytearray, lengths: IntArray, msgtype: str, budget: Budget
+) -> Iterator[Batch]:
+    """Messages that lie one after the other, lengths (n,) bytes each; those that cannot be decoded
+    are in no batch. Raises OverBudget: it takes too long."""
+    ends = np.cumsum(lengths)
+    for length in np.unique(lengths[lengths >= _ENCAPSULATION]).tolist():
+        rows = np.flatnonzero(lengths == length)
+        content: bytes | bytearray = data
+        if len(rows) < len(lengths):
+            content = b"".join([data[end - length : end] for end in ends[rows].tolist()])
+        matrix = np.frombuffer(content, dtype=np.uint8).reshape(len(rows), length)
+        remaining, layouts = np.arange(len(rows)), 0
+        while len(remaining):
+            budget.check()
+            layouts += 1
+            try:
+                layout = _find_layout(matrix[remaining[0]].tobytes(), msgtype)
+            except CdrError:
+                remaining = remaining[1:]
+                continue
+            # From some layouts on one message at a time: comparing all with each would take n^2.
+            some = remaining if layouts <= _LAYOUTS_PER_LENGTH else remaining[:1]
+            alike = np.ones(len(some), dtype=bool)
+            for offset, guard in layout.guards:
+                found = matrix[some, offset : offset + len(guard)]
+                alike &= (found == np.frombuffer(guard, np.uint8)).all(axis=1)
+            columns: dict[str, NDArray[np.generic]] = {}
+            for name, (offset, kind, count) in layout.columns.items():
+                part = matrix[some[alike], offset : offset + count * int(kind[2])]
+                numbers = np.ascontiguousarray(part).view(kind)
+                columns[name] = numbers.reshape(len(part), count)
+            yield Batch(rows[some[alike]], columns, layout.texts)
+            remaining = remaining[1:] if len(some) == 1 else remaining[~alike]
+
+
+def encode(template: bytes, msgtype: str, columns: dict[str, FloatArray]) -> list[bytes]:
+    """Copies of one serialised message with other numbers in it. `template`: a message whose
+    strings and sequences have the wanted content and length; `columns`: field -> (n,) or (n,
+    elements)."""
+    layout = _find_layout(template, msgtype)
+    n = len(next(iter(columns.values())))
+    matrix = np.tile(np.frombuffer(template, dtype=np.uint8), (n, 1))
+    for name, values in columns.items():
+        offset, kind, count = layout.columns[name]
+        if np.size(values) != n * count:
+            raise CdrError(f"{name}: {np.size(values)} elements, expected {n} times {count}")
+        block = np.ascontiguousarray(np.reshape(values, (n, count)).astype(kind))
+        matrix[:, offset : offset + count * int(kind[2])] = block.view(np.uint8).reshape(n, -1)
+    length, joined = len(template), matrix.tobytes()
+    return [joined[start : start + length] for start in range(0, n * length, length)]

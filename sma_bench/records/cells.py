@@ -1,20 +1,175 @@
-"""What a cell says: a number with decimal and thousand signs of any country, or a moment in the
-orders that loggers write."""
+"""What cells and titles of tables say: units, meanings, numbers and moments of any country; the
+words that are known lie in words.yaml."""
 
 import contextlib
 import math
 import re
+import unicodedata
 from collections.abc import Iterable, Sequence
-from datetime import UTC, date, datetime, time, timedelta
-from functools import lru_cache
+from datetime import date
+from functools import cache, lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import yaml
+from numpy.typing import NDArray
 
-from sma_bench.records.units import WORDS, FloatArray, parse_unit, plain_title
+from sma_bench.errors import InputError
 
-_MISSING = frozenset(WORDS["missing"])
-_MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
+FloatArray = NDArray[np.float64]
+
+WORDS: dict[str, Any] = yaml.load(  # noqa: S506
+    (Path(__file__).parent / "words.yaml").read_text(encoding="utf-8"), yaml.CSafeLoader
+)
+QUANTITIES: dict[str, Any] = WORDS["quantities"]
+_SPELLINGS = {text: name for name, texts in WORDS["units"].items() for text in texts}
+# pint evaluates what it is given: 9**9**9 would never end.
+_HARMLESS = re.compile(r"[A-Za-zµμΩ][A-Za-zµμΩ_]{0,24}(?:[*/][A-Za-zµμΩ_]{1,12}(?:\^?[23])?)?\Z")
+
+
+class Unit(NamedTuple):
+    """What a unit measures, and value in SI = factor * value + offset."""
+
+    quantity: str
+    factor: float
+    offset: float = 0.0
+
+    def si(self, values: FloatArray) -> FloatArray:
+        """Values in SI."""
+        return values * self.factor + self.offset
+
+
+def said(sentence: str, **values: Any) -> str:
+    """One of the `sentences` of words.yaml with its values."""
+    return str(WORDS["sentences"][sentence]).format(**values)
+
+
+@cache
+def _registry() -> Any:
+    import pint
+
+    return pint.UnitRegistry()
+
+
+@cache
+def parse_unit(text: str) -> Unit | None:
+    """The unit that a text names (`grad`: degree, `C`: Celsius), None if no bench measures it."""
+    plain = re.sub(r"[\s()\[\]{}]", "", text)
+    lower = plain.lower().replace("µ", "u").replace("μ", "u")
+    if not plain or len(plain) > 30:
+        return None
+    for quantity, factors in WORDS["factors"].items():
+        if lower in factors:
+            return Unit(quantity, factors[lower])
+    name = WORDS["cased"].get(plain) or _SPELLINGS.get(lower)
+    words = (name,) if name else (plain, lower) if _HARMLESS.match(plain) else ()
+    for word in words:
+        with contextlib.suppress(Exception):  # pint raises its parser's and Python's own errors
+            zero, one = (_registry().Quantity(value, word) for value in (0.0, 1.0))
+            for quantity, base in WORDS["si"].items():
+                if zero.check(_registry().Unit(base).dimensionality):
+                    offset = float(zero.to(base).magnitude)
+                    return Unit(quantity, float(one.to(base).magnitude) - offset, offset)
+    return None
+
+
+def number_with_unit(text: str, quantity: str) -> float | None:
+    """The value in SI of the first number in a text with a unit of that quantity behind it."""
+    number = r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*([^\s\d,;:=]{1,12}\d?)"
+    for found in re.finditer(number, text):
+        unit = parse_unit(found[2].strip(".\"'"))
+        if unit is not None and unit.quantity == quantity:
+            return float(found[1].replace(",", ".")) * unit.factor + unit.offset
+    return None
+
+
+_DESCRIPTION = re.compile(WORDS["description"], re.IGNORECASE)
+_LONE_T = re.compile(r"[tT](?:[cCsSrR]?\d*|[\s_]?(?:[a-zA-Z]{1,9})?\d*)\Z")
+
+
+def plain_title(title: str) -> str:
+    """A title in lower case without accents."""
+    folded = unicodedata.normalize("NFKD", title.replace("ß", "ss"))
+    return "".join(c for c in folded if not unicodedata.combining(c)).lower()
+
+
+def words_of(title: str) -> list[str]:
+    """The words of a title, plain."""
+    return re.findall(r"[^\W\d_]+", plain_title(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", title)))
+
+
+@lru_cache(maxsize=4096)
+def title_meanings(title: str) -> tuple[str, ...]:
+    """Quantities that a title without its unit may mean; () where it says nothing known."""
+    whole = re.sub(r"\s+run\s?#?\d+\Z", "", title.strip(), flags=re.IGNORECASE)
+    room = set(WORDS["room"]) & set(words_of(whole))
+    last = whole if room else re.split(r"[/.](?=\D)", whole)[-1].strip()
+    for text in (last, whole):
+        words = words_of(text)
+        if text == "t" or words in (["t", "rel"], ["t", "abs"]):
+            return ("time",)
+        if set(text) == {"#"} or (words and set(words) <= set(WORDS["counters"])):
+            return ("counter",)
+        joined = " ".join(["", *words])
+        for row in WORDS["titles"]:
+            is_part = any(part in joined for part in row.get("parts", ()))
+            if is_part or set(words) & set(row.get("words", ())):
+                return tuple(row["means"])
+        if _LONE_T.match(text):
+            return ("ambient",) if room else ("temperature",)
+    return ()
+
+
+def fits(meaning: str, quantity: str) -> bool:
+    """Whether a column of that meaning may be measured in units of that quantity."""
+    return quantity in QUANTITIES[meaning].get("units", [quantity])
+
+
+@lru_cache(maxsize=4096)
+def meanings(title: str, unit: str) -> tuple[str, ...]:
+    """What a column may be by title and unit, the most telling first; () where nothing is known."""
+    meant, known = title_meanings(title), parse_unit(unit)
+    if known is None:
+        return meant
+    fitting = tuple(m for m in meant if fits(m, known.quantity))
+    is_open = not meant or len(title) == 1 or meant[0] in ("ambient", "supply")
+    told = (q for q, row in QUANTITIES.items() if row.get("by_unit") and fits(q, known.quantity))
+    return fitting or (tuple(told) if is_open else ())
+
+
+@lru_cache(maxsize=4096)
+def split_title(title: str) -> tuple[str, str]:
+    """Title and unit: in brackets, after a slash or comma, or after an underscore or blank if it
+    fits what the title says or is no single letter (LVDT_A is no current)."""
+    text = " ".join(title.split())
+    found = list(re.finditer(r"[\[({]((?:[^\[\](){}]|\([^()]*\))*)[\])}]", text))
+    for match in reversed(found):
+        if parse_unit(match[1]):
+            rest = f"{text[: match.start()]} {text[match.end() :]}"
+            return " ".join(rest.replace("( )", "").split()).rstrip(" ,_/"), match[1].strip()
+    if both := re.search(r"[_ ](([^_ /]+)/[^_ /]+)\Z", text):  # Strain_mm/mm, Speed m/s
+        first = parse_unit(both[2])
+        if first is not None and first.quantity in ("length", "force", "power"):
+            return text[: both.start()].strip("_ "), both[1]
+    for mark in (" / ", "/", ",", "_", " in ", " "):
+        name, cut, unit = text.partition(mark) if mark == " / " else text.rpartition(mark)
+        name, unit = name.strip(), unit.strip()
+        known = parse_unit(unit) if cut and name else None
+        if known is None or name.count("(") != name.count(")"):
+            continue
+        meant = title_meanings(name)
+        sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)
+        if sure or (not meant and unit.lower() not in WORDS["no_units"] and mark != " "):
+            return name, unit
+    if found and not _DESCRIPTION.match(found[-1][1].strip()) and not text.startswith(("(", "[")):
+        return text[: found[-1].start()].rstrip(" ,_/"), found[-1][1].strip()
+    return text, ""
+
+
+# --- numbers and moments
+
+MISSING = frozenset(WORDS["missing"])
 _GROUPING = r"[ \u00a0\u202f'’]"  # signs of thousands that are no decimal signs
 _NUMBER = re.compile(
     r"(?P<sign>[+\-−–]?)\s?(?P<body>\d{1,3}(?:(?P<t>[ \u00a0\u202f'’.,])\d{3})(?:(?P=t)\d{3})*+"
@@ -22,38 +177,27 @@ _NUMBER = re.compile(
     r"(?:\s*(?P<unit>[^\W\d_%°µμ]{1,12}[^\s\d]{0,6}|[%°µμ][^\s\d]{0,4}))?\Z"
 )
 _SHAPE = str.maketrans("23456789", "11111111")
-_PREFIXES = dict(
-    zip("pnuµμmkMG", (1e-12, 1e-9, 1e-6, 1e-6, 1e-6, 1e-3, 1e3, 1e6, 1e9), strict=True)
-)
 
 
 @lru_cache(maxsize=65536)
 def _parts(cell: Any) -> tuple[str, str, str] | None:
     """Number with its marks, power and unit; None for other text."""
     found = _NUMBER.match(cell) if isinstance(cell, str) else None
-    if found is None:
+    unit = found["unit"] or "" if found else ""
+    if found is None or (unit and unit not in WORDS["prefixes"] and parse_unit(unit) is None):
         return None
-    power, unit = (found["power"] or "").lower().replace("d", "e"), found["unit"] or ""
-    if unit and unit not in _PREFIXES and parse_unit(unit) is None:
-        return None
+    power = (found["power"] or "").lower().replace("d", "e")
     return "-" * (found["sign"] in ("-", "−", "–")) + found["body"], power, unit
 
 
+@lru_cache(maxsize=65536, typed=True)
 def cell_kind(cell: Any) -> str:
     """ "n" for a number, "d" a moment, "t" text, "" nothing or what stands for it."""
-    if not isinstance(cell, str):
-        is_number = isinstance(cell, (int, float)) and not isinstance(cell, bool)
-        return "" if cell is None else "n" if is_number else "t" if cell in (True, False) else "d"
     try:
         return "n" if math.isfinite(float(cell)) else ""
     except ValueError:
-        return _text_kind(cell)
-
-
-@lru_cache(maxsize=65536)
-def _text_kind(cell: str) -> str:
-    is_missing = cell.lower() in _MISSING
-    return "" if is_missing else "n" if _parts(cell) else "d" if moment_of(cell) else "t"
+        kind = "n" if _parts(cell) else "d" if moment_of(cell) else "t"
+        return "" if cell.lower() in MISSING else kind
 
 
 def is_number_row(cells: Sequence[Any]) -> bool:
@@ -63,24 +207,36 @@ def is_number_row(cells: Sequence[Any]) -> bool:
 
 
 def decimal_signs(cells: Iterable[Any]) -> set[str]:
-    """What cells show to be their decimal sign: "." or ","; "?." or "?," where a mark may be of
-    thousands."""
+    """Decimal signs of cells, "." and ","; "?." and "?," where a mark may be of thousands."""
     shown: set[str] = set()
     for shape in {cell.translate(_SHAPE) for cell in cells if isinstance(cell, str)}:
         body = (_parts(shape) or ("",))[0].lstrip("-")
         marks = re.findall("[.,]", body)
-        if not marks:
-            continue
-        whole, _, digits = body.rpartition(marks[-1])
+        whole, _, digits = body.rpartition(marks[-1]) if marks else ("", "", "")
         if len(set(marks)) == 2 or re.search(_GROUPING, whole):
             shown.add(marks[-1])
         elif len(marks) > 1:
             shown.add("," if marks[-1] == "." else ".")
-        elif len(digits) != 3 or len(whole) > 3 or whole.startswith("0") or not whole:
-            shown.add(marks[-1])
-        else:
-            shown.add("?" + marks[-1])
+        elif marks:
+            is_open = len(digits) == 3 and 0 < len(whole) <= 3 and not whole.startswith("0")
+            shown.add("?" * is_open + marks[-1])
     return shown
+
+
+def decimal_of(label: str, shown: set[str], everywhere: set[str], cells: Sequence[Any]) -> str:
+    """The decimal sign of a column, by its own cells or by the others' where those say one."""
+    own, open_ = ({sign[-1] for sign in shown if len(sign) == size} for size in (1, 2))
+    if len(own) == 2:
+        raise InputError(f"{label} has decimal points and decimal commas, expected one of them")
+    if own or not open_ or (open_ == {"."} and everywhere <= {"."}):
+        return own.pop() if own else "."
+    if open_ == {","} and len(everywhere) == 1:
+        return next(iter(everywhere))
+    marked = {cell for cell in set(cells) if decimal_signs([cell])}
+    bare = {str(c).lstrip("-") for c in set(cells) - marked if cell_kind(c) == "n"}
+    if bare - {"0"} and max(map(len, bare)) < 4 and len(open_) == 1 and not everywhere & open_:
+        return "." if open_ == {","} else ","  # 980 and 1,069: thousands
+    raise InputError(said("open_sign", label=label, cell=min(marked)))
 
 
 def plain_numbers(cells: Sequence[Any]) -> FloatArray | None:
@@ -93,145 +249,115 @@ def plain_numbers(cells: Sequence[Any]) -> FloatArray | None:
 
 
 def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[FloatArray, str, int]:
-    """Values (n,), NaN where a cell is missing; the unit, of the title or else of the cells; and
-    the index of a cell that is no number in it, -1 where there is none."""
+    """Values (n,), NaN where missing; their unit, else the cells'; index of no number, else -1."""
     if decimal == "," and not any("." in str(cell) for cell in cells):
         values = plain_numbers([str(cell).replace(",", ".") for cell in cells])
         if values is not None:
             return values, unit, -1
     parts = {cell: found for cell in set(cells) if (found := _parts(cell))}
-    written = sorted({found[2] for found in parts.values() if found[2]})
+    written = sorted({found[2] for found in parts.values()} - {""})
     own = unit or next((text for text in written if parse_unit(text)), "")
-    wanted = parse_unit(own)
-    factors = {"": 1.0}
+    wanted, factors = parse_unit(own), {"": 1.0}
     for text in written:
         known = parse_unit(text)
-        if known and wanted and known.quantity == wanted.quantity:
-            if known.offset == wanted.offset:
-                factors[text] = known.factor / wanted.factor
-        elif unit and text in _PREFIXES:
-            factors[text] = _PREFIXES[text]
+        if known and wanted and known._replace(factor=wanted.factor) == wanted:
+            factors[text] = known.factor / wanted.factor
+        elif unit and text in WORDS["prefixes"]:
+            factors[text] = WORDS["prefixes"][text]
     thousand = "," if decimal == "." else "."
     read: dict[Any, float] = {}
     for cell in set(cells):
-        if cell in parts and parts[cell][2] in factors:
-            body, power, text = parts[cell]
+        body, power, text = parts.get(cell, ("", "", "none"))
+        if text in factors:
             body = re.sub(_GROUPING, "", body).replace(thousand, "").replace(",", ".")
             with contextlib.suppress(ValueError):
                 read[cell] = float(body + power) * factors[text]
-        elif not isinstance(cell, str) and cell_kind(cell) == "n":
-            read[cell] = float(cell)
-        elif cell_kind(cell) == "":
-            read[cell] = np.nan
+        elif cell not in parts and (kind := cell_kind(cell)) in ("", "n"):
+            read[cell] = float(cell) if kind and not isinstance(cell, str) else np.nan
     bad = next((k for k, cell in enumerate(cells) if cell not in read), -1)
     values = np.array([read.get(cell, np.nan) for cell in cells])
     return np.where(np.isfinite(values), values, np.nan), own, bad
 
 
-# --- Moments --------------------------------------------------------------------------------------
-
-_DATE = re.compile(
-    r"(\d{1,4}|[^\W\d_]{3,10})\.?([-/. ]+)(\d{1,2}|[^\W\d_]{3,10})\.?[-/., ]+(\d{1,4})(?=[T,\s]|\Z)"
-)
-_CLOCK = re.compile(
-    r"(\d{1,4}):(\d{2})(?::(\d{2}))?(?:[.,:](\d{1,9}))?\s*([AaPp]\.?[Mm]\.?)?"
-    r"\s*(Z|UTC|GMT|[+-]\d{2}:?\d{2})?\Z"
+_MOMENT = re.compile(
+    r"(?:(?P<date>(?P<a>\d{1,4}|[^\W\d_]{3,10})\.?(?P<mark>[-/. ]+)(?P<b>\d{1,2}|[^\W\d_]{3,10})\.?"
+    r"[-/., ]+(?P<c>\d{2}|\d{4}))(?:[T,\s]+|\Z))?"
+    r"(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d)(?::(?P<s>[0-5]\d))?(?:[.,:](?P<broken>\d{1,9}))?"
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?)?\Z"
 )
 _ISO = re.compile(r"(?:19[7-9]|20|21)\d\d?-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d+)?\Z")
+_MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
 _DAY = 86_400.0
+_EPOCH, _LAST_DAY = date(1970, 1, 1).toordinal(), date(2199, 12, 31).toordinal()
 
 
 class Moment(NamedTuple):
-    """A cell's time: `days` since 1970 (None without a date; also those where the month comes
-    first, if it may), `seconds` of the day (None without a clock), `fields` of its clock."""
+    """The time that a cell writes."""
 
-    days: float | None
-    seconds: float | None
-    fields: int = 3
-    month_first: float | None = None
+    days: tuple[float, float]  # since 1970: the day first, the month first; NaN where it cannot be
+    seconds: float | None  # of the day, None without a clock
+    fields: int = 3  # of its clock
     am_pm: bool = False
 
 
 @lru_cache(maxsize=65536)
 def moment_of(cell: Any) -> Moment | None:
     """The moment that a cell writes, None for other text."""
-    if isinstance(cell, timedelta):
-        return Moment(None, cell.total_seconds())
-    if isinstance(cell, (time, date)):
-        cell = cell.isoformat()
-    if not isinstance(cell, str) or len(cell) > 40 or not re.search(r"\d[:./\-\s][\d\w]", cell):
+    found = _MOMENT.match(cell.strip()) if isinstance(cell, str) and 4 <= len(cell) <= 40 else None
+    if found is None or not found[0]:
         return None
-    rest, days, month_first = cell.strip(), None, None
-    if (found := _DATE.match(rest)) and ":" not in found[0]:
-        first, mark, second, last = found.groups()
-        names = [part for part in (first, second) if not part.isdigit()]
-        if len(names) == 1:
-            number = second if names[0] == first else first
-            days = _days(last, _MONTHS.get(plain_title(names[0])[:3], 0), number)
-        elif found[0] == mark.join((first, second, last)) and mark in "-/." and not names:
-            if len(first) == 4:
-                days = _days(first, second, last)
-            elif len(last) in (2, 4):
-                year = last if len(last) == 4 else f"20{last}"
-                days = _days(year, second, first)
-                month_first = None if mark == "." else _days(year, first, second)
-        if days is None and month_first is None:
-            return None
-        days, month_first = (month_first, None) if days is None else (days, month_first)
-        rest = rest[found.end() :].lstrip("T, ").strip()
-        if not rest:
-            return Moment(days, None, 3, month_first)
-    clock = _CLOCK.match(rest)
-    if clock is None:
-        return None
-    hours, minutes, seconds = int(clock[1]), int(clock[2]), int(clock[3] or 0)
-    broken, half, zone = clock[4], clock[5], clock[6]
-    if minutes > 59 or seconds > 59 or (half and not 1 <= hours <= 12):
-        return None
-    hours = hours % 12 + 12 * (half[0] in "pP") if half else hours
-    is_short = not clock[3] and days is None and not half  # mm:ss or hh:mm
-    total = hours * 60.0 + minutes if is_short else hours * 3600.0 + minutes * 60.0 + seconds
-    total += float(f"0.{broken}") if broken else 0.0
+    written, a, mark, b, c, h, m, s, broken, half, zone = found.groups()
+
+    # Year, month and day in the orders that may be meant.
+    orders: list[tuple[str, Any, str]] = []
+    year = f"20{c}"[-4:] if written else ""
+    if written and a.isdigit() != b.isdigit():  # a month by its name
+        name, number = (b, a) if a.isdigit() else (a, b)
+        orders = [(year, _MONTHS.get(plain_title(name)[:3], 0), number)]
+    elif written and written == mark.join((a, b, c)) and len(mark.strip()) == 1:
+        orders = [(a, b, c)] if len(a) == 4 else [(year, b, a), (year, a, b)]
+    days = [math.nan, math.nan]
+    for k, order in enumerate(orders[:1] if mark == "." else orders):
+        with contextlib.suppress(ValueError):
+            day = date(*map(int, order)).toordinal()
+            days[k] = float(day - _EPOCH) if _EPOCH <= day <= _LAST_DAY else math.nan
+    if written and (h is None or np.isnan(days).all()):
+        return None if np.isnan(days).all() else Moment((days[0], days[1]), None)
+
+    hours = int(h) % 12 + 12 * (half[0] in "pP") if half else int(h)
+    is_short = not s and not written and not half  # mm:ss or hh:mm
+    total = (hours * 60.0 + int(m)) * (1.0 if is_short else 60.0) + float(f"{s or 0}.{broken or 0}")
     if zone and zone[0] in "+-":
         total -= float(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
     fields = 3 if not is_short else 1 if broken else 2  # mm:ss.s leaves no doubt
-    return Moment(days, total, fields, month_first, bool(half))
-
-
-def _days(year: str, month: int | str, day: str) -> float | None:
-    try:
-        moment = datetime(int(year), int(month), int(day), tzinfo=UTC)
-    except ValueError:
-        return None
-    return moment.timestamp() / _DAY if 1970 <= moment.year < 2200 else None
+    return Moment((days[0], days[1]), total, fields, bool(half))
 
 
 def moments_of(
     cells: Sequence[Any], dates: Sequence[Any] | None = None
 ) -> tuple[FloatArray, float | None, int, str] | None:
-    """Seconds since the first cell (n,), NaN where one is missing; the epoch of it where the cells
-    have dates; how many fields their clocks have (2: hh:mm or mm:ss, asked); and a remark. None
-    where a cell is no moment. `dates`: cells of the column of dates that goes with a clock."""
+    """Seconds (n,) since the first cell, NaN where missing; its epoch if the cells or `dates` say
+    one; the fewest fields of a clock; and a remark. None where a cell is no moment."""
     if dates is None and _ISO.match(str(cells[0])):
         with contextlib.suppress(ValueError):  # of what is written otherwise
             stamps = np.array(cells, dtype="datetime64[ns]").astype(np.int64)
             seconds = np.where(stamps == stamps.min(initial=0), np.nan, (stamps - stamps[0]) / 1e9)
             return seconds, float(stamps[0]) / 1e9, 3, ""
-    there = [k for k, cell in enumerate(cells) if str(cell or "").lower() not in _MISSING]
+    there = [k for k, cell in enumerate(cells) if str(cell).lower() not in MISSING]
     found = [m for k in there if (m := moment_of(cells[k]))]
     dated = [m for k in there if (m := moment_of(dates[k]))] if dates else found
     if not found or not len(found) == len(dated) == len(there):
         return None
     # 03/10/2026 is October 3rd or March 10th: AM and PM, or an order that goes back, tell.
-    day = np.array([np.nan if m.days is None else m.days for m in dated])
-    other = np.array([np.nan if m.month_first is None else m.month_first for m in dated])
-    remark = ""
-    if np.isfinite(other).all():
-        forward = [bool(np.all(np.diff(order) >= 0.0)) for order in (day, other)]
-        day = other if found[0].am_pm or forward == [False, True] else day
-        if forward[0] == forward[1]:
-            taken = datetime.fromtimestamp(day[0] * _DAY, UTC).date()
-            remark = f"{str((dates or cells)[there[0]])[:10]} is taken as {taken}"
+    first, second = np.array([m.days for m in dated]).T  # the day first, the month first
+    day, remark = np.where(np.isnan(first), second, first), ""
+    can_be = [bool(np.isfinite(order).all()) for order in (first, second)]
+    forward = [bool(np.all(np.diff(order) >= 0.0)) for order in (first, second)]
+    if can_be[1] and (not can_be[0] or found[0].am_pm or forward == [False, True]):
+        day = second
+    if all(can_be) and forward[0] == forward[1]:
+        taken = date.fromordinal(int(day[0]) + _EPOCH)
+        remark = f"{str((dates or cells)[there[0]])[:10]} is taken as {taken}"
     is_absolute = bool(np.isfinite(day).all())
     total = (_DAY * day if is_absolute else 0.0) + np.array([m.seconds or 0.0 for m in found])
     if not is_absolute:  # past midnight
@@ -239,3 +365,22 @@ def moments_of(
     seconds = np.full(len(cells), np.nan)
     seconds[there] = total - total[0]
     return seconds, float(total[0]) if is_absolute else None, min(m.fields for m in found), remark
+
+
+def spread_stamps(time: FloatArray, where: str) -> tuple[FloatArray, str]:
+    """Increasing times (n,) in s of stamps coarser than rows, a remark; InputError if all equal."""
+    stamps, first, count = np.unique(time, return_index=True, return_counts=True)
+    rows = len(time)
+    if len(stamps) < 2:
+        raise InputError(f"{where}: all {rows} rows are at one time, expected a running clock")
+    step = float(np.diff(stamps).min())
+    remark = said("spread", repeated=rows - len(stamps), rows=rows, step=step)
+    if np.median(count) > 1.0 and len(stamps) > 2:  # a line through all, if rows came evenly
+        period = float(stamps[-1] - stamps[1]) / float(first[-1] - first[1])
+        even = period * np.arange(rows)
+        even += float(np.max(time - even))
+        if np.max(even - time) < step + 0.5 * period:
+            return np.asarray(even), f"{remark}, {1.0 / period:.4g} Hz"
+    gaps = np.minimum(np.append(np.diff(stamps), step), step)
+    within = np.arange(rows) - np.repeat(first, count)
+    return np.asarray(time + within * np.repeat(gaps / count, count)), remark

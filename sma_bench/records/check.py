@@ -1,19 +1,16 @@
-"""What a record holds, and can it be trusted? Order, gaps, clocks, units, saturation, absences."""
+"""What a record holds, and can it be trusted? Order, gaps, clocks, units, saturation, absences; and
+what of it is mended before a model is fitted to it."""
 
 from collections.abc import Iterator
 from dataclasses import replace
-from datetime import UTC, datetime
 from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from sma_bench.findings import Finding, Severity
-from sma_bench.records import contract
-from sma_bench.records.dsc import DscRecord
-from sma_bench.records.isobaric import Cycle, IsobaricRecord
-from sma_bench.records.open import AnyRecord
+from sma_bench.border import read_yaml
+from sma_bench.findings import Finding
 from sma_bench.records.record import (
     FloatArray,
     IntArray,
@@ -23,7 +20,6 @@ from sma_bench.records.record import (
     has_samples,
     samples,
 )
-from sma_bench.records.tensile import TensileRecord
 
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
 _GAP_PERIODS = 10
@@ -41,23 +37,8 @@ _FEW_STEPS = 3  # of the reading's last digit
 _FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
-# Kind of signal, between what its lowest and its highest value lie in SI units, and what is the
-# matter where one does not. A wire at rest is at room temperature: 296 on a Celsius topic is 569 K.
-_ANY = (-inf, inf)
-_SENSE: tuple[tuple[str, tuple[float, float], tuple[float, float], Severity, str], ...] = (
-    ("voltage", (-60.0, inf), (-inf, 60.0), "warning", "millivolts?"),
-    ("voltage_command", (-60.0, inf), (-inf, 60.0), "warning", "millivolts?"),
-    ("current", (-30.0, inf), (-inf, 30.0), "warning", "milliamperes?"),
-    ("range", (0.0, inf), (-inf, 5.0), "warning", "millimetres?"),
-    ("deflection", (-1.0, inf), (-inf, 1.0), "warning", "millimetres?"),
-    ("elongation", (-1.0, inf), (-inf, 1.0), "warning", "millimetres?"),
-    ("force", (-5000.0, inf), (-inf, 5000.0), "warning", "millinewtons?"),
-    ("temperature", (-inf, 473.15), _ANY, "error", "the topic seems to carry kelvin, the contract "
-     "(and sensor_msgs/Temperature) says Celsius"),
-    ("temperature", (0.0, inf), _ANY, "error", "below absolute zero"),
-    ("temperature", _ANY, (contract.COLDEST_BENCH, inf), "error", "colder than any bench; Celsius "
-     "taken for kelvin, or converted twice?"),
-)  # fmt: skip
+_TEXTS: dict[str, Any] = read_yaml(Path(__file__).with_suffix(".yaml"))
+_SENSE = _TEXTS.pop("sense")
 _MECHANICS = ("deflection", "elongation", "force", "front.range", "back.range")
 _EVENTS = ("voltage_command",)
 _READ = ("temperature", "elongation", "deflection", "force")
@@ -67,69 +48,68 @@ _FEWEST_LEVELS, _MOST_LEVELS, _SAMPLES_A_LEVEL = 3, 100, 5  # of a coarse readin
 def check_record(record: Record) -> list[Finding]:
     """Everything to know before using a record, what the reader noticed included."""
     found = list(record.findings)
-    checks = (_absent, _values, _rate, _coarse, _clocks, _two_times, _saturation, check_response)
-    for check in checks:
+    for channel in record.channels:
+        for kind in ("voltage", "current", "temperature"):
+            if f"{channel}.{kind}" not in record.signals:
+                found.append(Finding("info", f"{channel}.{kind}", "absent from the record"))
+    if record.signals and not record.channels:
+        text = "no channel: neither voltages nor temperatures"
+        found.append(Finding("warning", "record", text))
+    if record.signals and not any(name in record.signals for name in _MECHANICS):
+        text = f"no mechanical signal ({', '.join(_MECHANICS)})"
+        found.append(Finding("info", "record", text))
+    for check in (_values, _rate, _clocks, _saturation, check_response):
         found += check(record)
     return found
+
+
+def _said(key: str, subject: str, **facts: Any) -> Finding:
+    """A finding of check.yaml about a subject, with its facts."""
+    severity, text, *numbers = _TEXTS[key]
+    kept = {name: float(facts[name]) for name in numbers}
+    return Finding(severity, subject, text.format(**facts), kept)
 
 
 def _kind(name: str) -> str:
     return name.rpartition(".")[2]
 
 
-def _absent(record: Record) -> Iterator[Finding]:
-    if not record.signals:
-        return
-    for channel in record.channels:
-        for kind in ("voltage", "current", "temperature"):
-            if f"{channel}.{kind}" not in record.signals:
-                yield Finding("info", f"{channel}.{kind}", "absent from the record")
-    if not record.channels:
-        yield Finding("warning", "record", "no channel: neither voltages nor temperatures")
-    if not any(name in record.signals for name in _MECHANICS):
-        yield Finding("info", "record", f"no mechanical signal ({', '.join(_MECHANICS)})")
-
-
 def _values(record: Record) -> Iterator[Finding]:
     """Order and missing values, of records made in memory (a bag's are sorted out when they get
-    here), and values that no bench has."""
+    here), values that no bench has, a reversed current sensor, and coarse steps."""
     for name, signal in record.signals.items():
+        kind, unit, off = _kind(name), signal.unit, _outliers(signal)
         steps = np.diff(signal.time)
         backward, repeated = int(np.sum(steps < 0)), int(np.sum(steps == 0))
         if backward or repeated:
-            text = f"{backward} stamps go backward, {repeated} repeat the one before"
-            numbers = {"backward": float(backward), "duplicates": float(repeated)}
-            yield Finding("warning", name, text, numbers)
+            yield _said("order", name, backward=backward, duplicates=repeated)
         finite = signal.values[np.isfinite(signal.values)]
+        levels = np.unique(finite)
         if missing := signal.values.size - len(finite):
-            text = f"{missing} of {signal.values.size} values are NaN or Inf"
-            yield Finding("warning", name, text, {"count": missing})
-        if not missing:  # a single reading is named below, and decides nothing
-            finite = np.delete(finite, outliers(signal))
+            yield _said("holes", name, count=missing, of=signal.values.size)
+        if kind == "current" and (share := _against_voltage(record, signal)):
+            yield _said("against", name, share=share)
+        if len(off):  # they decide nothing
+            finite = np.delete(finite, off)
+            values = ", ".join(f"{signal.values[i]:.4g}" for i in off.tolist())
+            yield _said("single", name, outliers=len(off), values=values, unit=unit)
         if not len(finite):
             continue
         low, high = float(finite.min()), float(finite.max())
-        for kind, (low_from, low_to), (high_from, high_to), severity, hint in _SENSE:
-            sensible = low_from <= low <= low_to and high_from <= high <= high_to
-            if kind == _kind(name) and not sensible:
-                text = f"{low:.4g} to {high:.4g} {signal.unit} is beyond belief: {hint}"
-                yield Finding(severity, name, text, {"low": low, "high": high})
+        for key, least, most, hint in _SENSE.get(kind, ()):
+            if not (least[0] <= low <= least[1] and most[0] <= high <= most[1]):
+                yield _said(key, name, low=low, high=high, unit=unit, hint=hint)
                 break
+        if kind in _READ and _FEWEST_LEVELS < len(levels) < _MOST_LEVELS:
+            step = float(np.diff(levels).min())
+            apart = np.diff(levels) / step
+            is_even = np.abs(apart - np.rint(apart)).max() < _IRREGULAR
+            if is_even and len(signal) > _SAMPLES_A_LEVEL * len(levels):
+                facts = {"unit": unit, "levels": len(levels), "of": len(signal)}
+                yield _said("coarse", name, resolution=step, **facts)
 
 
-def _mishaps(record: Record) -> Iterator[Finding]:
-    """Currents of a reversed sensor, and single readings that no neighbour agrees with."""
-    for name, signal in record.signals.items():
-        if _kind(name) == "current" and (share := against_voltage(record, signal)):
-            text = f"runs against its voltage in {share:.0%} of its readings: sensor leads swapped?"
-            yield Finding("warning", name, text, {"share": share})
-        if len(off := outliers(signal)):
-            values = ", ".join(f"{signal.values[i]:.4g}" for i in off.tolist())
-            text = f"{len(off)} single readings far off those beside them: {values} {signal.unit}"
-            yield Finding("warning", name, text, {"outliers": float(len(off))})
-
-
-def against_voltage(record: Record, current: Signal) -> float:
+def _against_voltage(record: Record, current: Signal) -> float:
     """Share of a current's readings, of those worth the name, that have not its voltage's sign; 0
     where that is not nearly all."""
     name = current.name.removesuffix("current") + "voltage"
@@ -144,30 +124,37 @@ def against_voltage(record: Record, current: Signal) -> float:
     return share if share > _AGAINST else 0.0
 
 
-def outliers(signal: Signal) -> IntArray:
+def _outliers(signal: Signal) -> IntArray:
     """Where single readings of a sensor lie far off both beside them, which agree; none where there
     are more of them than a mishap makes. A command, a voltage and its current may pulse."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
     pulses = signal.name.endswith(("voltage", "voltage_command", "current"))
     if values.ndim != 1 or len(values) < _FEWEST or pulses or not np.isfinite(values).all():
         return none
-    beside = 0.5 * (values[:-2] + values[2:])
-    off, apart = np.abs(values[1:-1] - beside), np.abs(values[2:] - values[:-2])
-    scatter = float(np.median(off)) / 0.6745
+    off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    apart = np.abs(values[2:] - values[:-2])
     low, high = np.quantile(values, [0.01, 0.99])
     # A reading of few digits flickers by a step.
-    steps = _FEW_STEPS * _resolution(values)
-    least = max(_OUTLYING * scatter, _OUT_OF_RANGE * float(high - low), steps)
+    least = max(
+        _OUTLYING * float(np.median(off)) / 0.6745, _OUT_OF_RANGE * float(high - low),
+        _FEW_STEPS * _resolution(values),
+    )
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
     return found if len(found) <= _MOST_OUTLIERS else none
+
+
+def _resolution(values: FloatArray) -> float:
+    """The step of a reading of few digits; 0 where it has none."""
+    levels = np.unique(values)
+    return float(np.diff(levels).min()) if 1 < len(levels) < 0.2 * len(values) else 0.0
 
 
 def _rate(record: Record) -> Iterator[Finding]:
     """Gaps and losses; signals of one clock have them in common and share a remark."""
     shared: dict[str, tuple[Finding, list[str]]] = {}
-    for signal in record.signals.values():
+    for name, signal in record.signals.items():
         period = signal.period
-        if len(signal) < 10 or signal.name in _EVENTS or not period > 0:
+        if len(signal) < 10 or name in _EVENTS or not period > 0:
             continue
         steps = np.diff(signal.time)
         # An irregular clock has no period that samples could be missing at.
@@ -176,92 +163,57 @@ def _rate(record: Record) -> Iterator[Finding]:
         gaps = steps > _GAP_PERIODS * (np.percentile(steps, 95) if is_irregular else period)
         found = []
         if gaps.any():
-            longest = int(np.argmax(steps))
-            text = (
-                f"{int(gaps.sum())} gaps of more than {_GAP_PERIODS} periods, the longest "
-                f"{steps[longest]:.3g} s at t = {signal.time[longest]:.3f} s"
-            )
-            numbers = {"gaps": float(gaps.sum()), "longest": float(steps[longest])}
-            found.append(Finding("warning", signal.name, text, numbers))
-        if is_irregular:
-            mean = (len(steps) - gaps.sum()) / steps[~gaps].sum()
-            text = f"irregular: {mean:.3g} Hz in the mean"
-            found.append(Finding("info", signal.name, text, {"rate": float(mean)}))
+            k = int(np.argmax(steps))
+            longest = {"longest": steps[k], "at": signal.time[k], "periods": _GAP_PERIODS}
+            found.append(_said("gaps", name, gaps=int(gaps.sum()), **longest))
         lost = float(np.sum(np.maximum(np.rint(steps[~gaps] / period) - 1, 0)))
-        fraction = lost / (lost + len(signal))
-        if fraction > _LOSS_TOLD and not is_irregular:
-            severity: Severity = "warning" if fraction > _LOSS_WARNED else "info"
-            text = f"about {100 * fraction:.1f} % of the samples are missing at {1 / period:.4g} Hz"
-            found.append(Finding(severity, signal.name, text, {"fraction": fraction}))
+        share = lost / (lost + len(signal))
+        if is_irregular:
+            rate = (len(steps) - gaps.sum()) / steps[~gaps].sum()
+            found.append(_said("irregular", name, rate=rate))
+        elif share > _LOSS_TOLD:
+            key = "many_lost" if share > _LOSS_WARNED else "few_lost"
+            found.append(_said(key, name, fraction=share, percent=100 * share, hertz=1 / period))
         for finding in found:
-            shared.setdefault(finding.text, (finding, []))[1].append(signal.name)
+            shared.setdefault(finding.text, (finding, []))[1].append(name)
     for finding, names in shared.values():
         beside = f"; of {', '.join(names[1:])} too" if names[1:] else ""
         yield replace(finding, text=finding.text + beside)
 
 
-def _coarse(record: Record) -> Iterator[Finding]:
-    """Readings that come in steps coarse for what they show."""
-    for name, signal in record.signals.items():
-        levels = np.unique(signal.values[np.isfinite(signal.values)])
-        if _kind(name) not in _READ or not _FEWEST_LEVELS < len(levels) < _MOST_LEVELS:
-            continue
-        step = float(np.diff(levels).min())
-        multiples = np.diff(levels) / step
-        if len(signal) > _SAMPLES_A_LEVEL * len(levels) and (
-            np.abs(multiples - np.rint(multiples)).max() < _IRREGULAR
-        ):
-            text = f"resolution {step:.3g} {signal.unit}: {len(levels)} values of {len(signal)}"
-            yield Finding("info", name, text, {"resolution": step})
-
-
-def receive_delays(record: Record) -> dict[str, FloatArray]:
-    """Receive time minus stamp (n,) s by signal; none where the recorder's clock was a simulated
-    one, whose ticks come again and again and tell how busy the computer was."""
-    delays = {
-        name: signal.received - signal.time
-        for name, signal in record.signals.items()
-        if signal.received is not None and len(signal.received) == len(signal) > 0
-    }
-    ticks = [
-        float(np.mean(np.diff(record[name].time + delay) < 1e-9))
-        for name, delay in delays.items() if len(delay) >= _FEWEST
-    ]
-    return {} if max(ticks, default=0.0) > _TICKS else delays
+def _delays(record: Record) -> dict[str, tuple[float, float]]:
+    """Median of receive time minus stamp, and its growth from the first tenth to the last, in s by
+    signal; none where the recorder's clock was a simulated one, whose ticks come again and again
+    and tell how busy the computer was."""
+    received = {n: s.received for n, s in record.signals.items()
+                if s.received is not None and len(s.received) == len(s) > 0}
+    ticks = [np.mean(np.diff(r) < 1e-9) for r in received.values() if len(r) >= _FEWEST]
+    found = {}
+    for name, times in received.items() if max(ticks, default=0.0) <= _TICKS else ():
+        delay, tenth = times - record[name].time, max(1, len(times) // 10)
+        growth = float(np.median(delay[-tenth:]) - np.median(delay[:tenth]))
+        found[name] = float(np.median(delay)), growth
+    return found
 
 
 def _clocks(record: Record) -> Iterator[Finding]:
-    """Topics whose receive times minus stamps differ from the others', or drift against them."""
-    delays: dict[str, tuple[float, float]] = {}  # median, growth from first to last tenth
-    for name, delay in receive_delays(record).items():
-        if name not in _EVENTS:
-            tenth = max(1, len(delay) // 10)
-            growth = float(np.median(delay[-tenth:]) - np.median(delay[:tenth]))
-            delays[record[name].topic or name] = float(np.median(delay)), growth
-    if not delays:
-        return
-    common, common_drift = (float(np.median(c)) for c in zip(*delays.values(), strict=True))
+    """Topics whose receive times minus stamps differ from the others', or drift against them; and
+    what a second publisher of /clock leaves behind: a run or a recorder in two times."""
+    delays = {
+        record[name].topic or name: delay
+        for name, delay in _delays(record).items() if name not in _EVENTS
+    }
+    common, common_drift = np.median([*delays.values()] or [(0.0, 0.0)], axis=0).tolist()
     if abs(common_drift) > _DRIFT_TOLERANCE:
-        text = f"stamps and receive times drift apart by {common_drift:.3f} s over the record"
-        yield Finding("info", "record", text, {"drift": common_drift})
+        yield _said("drifts", "record", drift=common_drift)
     for topic, (median, growth) in delays.items():
         offset, drift = median - common, growth - common_drift
         if abs(offset) > _CLOCK_TOLERANCE:
-            text = (
-                f"its clock is {offset:+.3f} s off the other topics' (receive time minus stamp is "
-                f"{median:.3f} s, elsewhere {common:.3f} s)"
-            )
-            yield Finding("warning", topic, text, {"offset": offset})
+            yield _said("clock_off", topic, offset=offset, own=median, common=common)
         elif abs(drift) > _DRIFT_TOLERANCE:
-            text = f"its clock drifts by {drift:+.3f} s against the other topics' over the record"
-            yield Finding("warning", topic, text, {"drift": drift})
+            yield _said("clock_drifts", topic, drift=drift)
         elif -1.0 < median < -_FUTURE_TOLERANCE:
-            text = f"stamps lie {-median:.3f} s after the messages were received"
-            yield Finding("warning", topic, text, {"offset": median})
-
-
-def _two_times(record: Record) -> Iterator[Finding]:
-    """What a second publisher of /clock leaves behind: a run or a recorder in two times."""
+            yield _said("future", topic, ahead=-median, offset=median)
     for signal in record.signals.values():
         if signal.received is None:
             continue
@@ -269,19 +221,13 @@ def _two_times(record: Record) -> Iterator[Finding]:
         jumps = np.abs(steps[np.abs(steps) > _JUMP])
         turns = min(int(np.sum(steps > _JUMP)), int(np.sum(steps < -_JUMP)))
         if turns > _FEW_TURNS:
-            text = (
-                f"receive times jump to and fro {turns} times, by about {np.median(jumps):.3g} s: "
-                "two publishers of /clock?"
-            )
-            yield Finding("warning", signal.topic or signal.name, text, {"turns": float(turns)})
+            topic = signal.topic or signal.name
+            yield _said("two_clocks", topic, turns=turns, jump=np.median(jumps))
     between = zip(record.markers, record.markers[1:], record.markers[2:], strict=False)
     turns = sum(a[1] == c[1] != b[1] and c[0] - a[0] < _TURN for a, b, c in between)
     if turns > _FEW_TURNS:
-        text = (
-            f"{len(record.markers)} steps, {turns} times back in the one before the last within "
-            f"{_TURN:g} s: a run on two publishers of /clock?"
-        )
-        yield Finding("warning", "experiment/marker", text, {"turns": float(turns)})
+        facts = {"steps": len(record.markers), "within": _TURN}
+        yield _said("two_runs", "experiment/marker", turns=turns, **facts)
 
 
 def _saturation(record: Record) -> Iterator[Finding]:
@@ -292,26 +238,22 @@ def _saturation(record: Record) -> Iterator[Finding]:
     force = record.get("force")
     if force is not None and len(force) and np.ptp(force.values) > 0:
         still.add("elongation")  # clamped
-    for signal in record.signals.values():
-        values, kind = signal.values, _kind(signal.name)
+    for name, signal in record.signals.items():
+        values, kind = signal.values, _kind(name)
         if kind in ("voltage", "voltage_command") or len(values) < _FLAT_SAMPLES * 2:
             continue
         if not np.isfinite(values).all():
             continue
         if np.ptp(values) == 0:
-            if driven and kind != "current" and signal.name not in still:
-                text = f"stays at {values[0]:.6g} {signal.unit} while the voltage changes"
-                yield Finding("warning", signal.name, text, {"value": float(values[0])})
+            if driven and kind != "current" and name not in still:
+                yield _said("dead", name, value=values[0], unit=signal.unit)
             continue
         for extreme, word in ((float(values.max()), "highest"), (float(values.min()), "lowest")):
-            if extreme == values[0] and signal.name in _MECHANICS:
+            if extreme == values[0] and name in _MECHANICS:
                 continue  # at rest, where it began
             if clipped := _clipped_samples(record, signal, extreme):
-                text = (
-                    f"{clipped} samples are clipped at the {word} value {extreme:.6g} {signal.unit}"
-                )
-                numbers = {"samples": float(clipped), "value": extreme}
-                yield Finding("warning", signal.name, text, numbers)
+                facts = {"value": extreme, "word": word, "unit": signal.unit}
+                yield _said("clipped", name, samples=clipped, **facts)
 
 
 def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
@@ -340,12 +282,6 @@ def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
             clipped = len(before) == _ENTRY_SAMPLES and before.max() > fast
         total += (stop - start) * bool(clipped)
     return total
-
-
-def _resolution(values: FloatArray) -> float:
-    """The step of a reading of few digits; 0 where it has none."""
-    levels = np.unique(values)
-    return float(np.diff(levels).min()) if 1 < len(levels) < 0.2 * len(values) else 0.0
 
 
 # --- Do command and response belong together?
@@ -384,11 +320,7 @@ def check_response(record: Record) -> Iterator[Finding]:
         time, volts = samples(record, name)
         missing = last - float(time[-1])
         if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
-            text = (
-                f"ends {missing:.3g} s before the last temperature or deflection, at "
-                f"{volts[-1]:.3g} V: was its sensor or the recording ended early?"
-            )
-            yield Finding("warning", name, text, {"missing": missing, "volts": float(volts[-1])})
+            yield _said("ends_early", name, missing=missing, volts=volts[-1])
 
     # Readings that do not follow.
     for name in responses:
@@ -398,12 +330,8 @@ def check_response(record: Record) -> Iterator[Finding]:
         causes = [channel] if kind == "temperature" else driven
         share = _explained(record, [f"{cause}.voltage" for cause in causes], name)
         if share is not None and share < _EXPLAINED[kind]:
-            text = (
-                f"follows the heat of its voltage for {max(share, 0.0):.0%} of its variance only, "
-                f"expected {_EXPLAINED[kind]:.0%} or more: do command and response belong to one "
-                "run (stored runs or channels swapped, clocks apart)?"
-            )
-            yield Finding("warning", name, text, {"explained": share})
+            facts = {"share": max(share, 0.0), "expected": _EXPLAINED[kind]}
+            yield _said("unexplained", name, explained=share, **facts)
 
 
 def _explained(record: Record, voltages: list[str], response: str) -> float | None:
@@ -424,8 +352,7 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
         stamps, volts = samples(record, name)
         heat = volts[np.clip(np.searchsorted(stamps, grid, side="right") - 1, 0, None)] ** 2
         for lag in _LAGS:
-            left = float(np.exp(-(grid[1] - grid[0]) / lag))
-            columns.append(first_order_lag(heat, left))
+            columns.append(first_order_lag(heat, float(np.exp(-(grid[1] - grid[0]) / lag))))
     design = np.column_stack([c / max(float(np.abs(c).max()), 1e-12) for c in columns])
     if not np.isfinite(design).all() or not np.isfinite(np.var(wanted)):
         return None  # readings that no bench has; LAPACK would write on the terminal
@@ -434,129 +361,81 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
     return 1.0 - unexplained / (float(np.var(wanted)) - noise)
 
 
-# --- Everything `sma-bench info` shows
+# --- Before a model is fitted: what can be mended, and signals under suspicion.
+
+# s. A camera's picture takes up to a second on its way, with a right stamp: no reason to move it.
+_MOVED = 1.0
+_BELIEVED = 0.1  # of the scatter, least of a stated deviation
+# Share of readings that lie this near, of the range, to one of two values; jumps between these;
+# samples that the briefer of two levels is held.
+_SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
+_SUSPECT = {"value", "drift", "turns"}  # of the numbers of a finding
 
 
-def describe(record: AnyRecord) -> dict[str, Any]:
-    """What a record holds, as JSON-able data in SI units."""
-    found = check_record(record) if isinstance(record, Record) else record.findings
-    about: dict[str, Any] = {"kind": "bag", "path": str(record.path)}
-    if isinstance(record, DscRecord):
-        about |= {
-            "kind": "dsc",
-            "instrument": record.instrument,
-            "sample": record.sample,
-            "mass": record.mass,
-            "endothermic_up": record.endothermic_up,
-            "segments": [
-                {
-                    "number": segment.number,
-                    "kind": segment.kind,
-                    "rate": segment.rate,
-                    "samples": len(segment.time),
-                    "start": float(segment.time[0]),
-                    "end": float(segment.time[-1]),
-                    "from": float(segment.temperature[0]),
-                    "to": float(segment.temperature[-1]),
-                }
-                for segment in record.segments
-            ],
-        }
-    elif isinstance(record, IsobaricRecord):
-        about |= {
-            "kind": "isobaric",
-            "stress": record.stress,
-            "strain_unit": record.strain_unit,
-            "branches": [
-                {
-                    "cycle": cycle.number,
-                    "kind": branch.direction,
-                    "samples": len(branch.temperature),
-                    "from": float(branch.temperature[0]),
-                    "to": float(branch.temperature[-1]),
-                    "strain_from": float(branch.strain[0]),
-                    "strain_to": float(branch.strain[-1]),
-                }
-                for cycle in record.cycles
-                for branch in cycle.branches
-            ],
-            "cycles": [_standard(cycle) for cycle in record.cycles if len(cycle.branches) == 2],
-        }
-    elif isinstance(record, TensileRecord):
-        about |= {
-            "kind": "tensile",
-            "temperature": record.temperature,
-            "samples": len(record.strain),
-            "largest_strain": float(record.strain.max()),
-            "largest_stress": float(record.stress.max()),
-            "is_extension": record.is_extension,
-            "is_force": record.is_force,
-        }
-    else:
-        about |= {
-            "start": datetime.fromtimestamp(record.start_ns / 1e9, UTC).isoformat(),
-            "start_ns": record.start_ns,
-            "duration": record.duration,
-            "channels": list(record.channels),
-            "topics": [
-                {"name": name, "type": t.type, "count": t.count, "signals": list(t.signals)}
-                for name, t in record.topics.items()
-            ],
-            "signals": [_describe_signal(signal) for signal in record.signals.values()],
-            "markers": [{"time": time, "text": text} for time, text in record.markers],
-        }
-    return about | {
-        "findings": [finding.to_json() for finding in found], "account": account_line(record),
-    }
+def mended(record: Record) -> tuple[Record, list[Finding]]:
+    """The record without what is known to be wrong of it, and what that was: clocks that lie a
+    constant time, over a second, off the drive's are moved onto it, by when the recorder got the
+    messages, currents that run against their voltage are turned, and single readings far off those
+    beside them, and deviations far below a reading's own scatter, which no sensor can state, are
+    left out."""
+    moved: dict[str, Signal] = {}
+    found: list[Finding] = []
+    for name, signal in record.signals.items():
+        if name.endswith(".current") and (share := _against_voltage(record, signal)):
+            moved[name] = signal = replace(signal, values=-signal.values)
+            found.append(_said("turned", name, share=share))
+        if len(off := _outliers(signal)):
+            shown = ", ".join(f"{signal.values[i]:.4g}" for i in off.tolist())
+            left: dict[str, Any] = {
+                field: np.delete(values, off) for field in ("time", "values", "received", "std")
+                if (values := getattr(signal, field)) is not None
+            }
+            moved[name] = signal = replace(signal, **left)
+            facts = {"values": shown, "unit": signal.unit}
+            found.append(_said("left_out", name, outliers=len(off), **facts))
+        if signal.std is None or len(signal) < _FEWEST:
+            continue
+        stated = float(np.median(signal.std))
+        scatter = float(np.median(np.abs(np.diff(signal.values, 2)))) / 0.6745 / np.sqrt(6.0)
+        if 0.0 < stated < _BELIEVED * scatter:
+            moved[name] = replace(signal, std=None)
+            facts = {"scatter": scatter, "unit": signal.unit}
+            found.append(_said("understated", name, stated=stated, **facts))
+    delays = _delays(record)
+    drive = next((n for n in delays if n.endswith(".voltage")), None)
+    for name, (delay, growth) in delays.items() if drive else ():
+        late = delay - delays[str(drive)][0]
+        if abs(late) > _MOVED and abs(growth) < _DRIFT_TOLERANCE:
+            own = moved.get(name, record.signals[name])
+            moved[name] = replace(own, time=own.time + late)
+            found.append(_said("clock_moved", name, offset=late, drive=drive))
+    return replace(record, signals=record.signals | moved), found
 
 
-def _standard(cycle: Cycle) -> dict[str, float]:
-    """Quantities of a cycle by their names in ASTM E3097: lower and upper cycle temperature (K),
-    actuation strain (what heating recovers) and residual strain (end less begin of the cycle)."""
-    heating = next(b for b in cycle.branches if b.direction == "heating")
-    temperatures = np.concatenate([branch.temperature for branch in cycle.branches])
-    first, last = cycle.branches
-    return {
-        "cycle": cycle.number,
-        "lower_cycle_temperature": float(temperatures.min()),
-        "upper_cycle_temperature": float(temperatures.max()),
-        "actuation_strain": float(heating.strain[0] - heating.strain[-1]),
-        "residual_strain": float(last.strain[-1] - first.strain[0]),
-    }
+def under_suspicion(record: Record) -> Iterator[Finding]:
+    """Signals whose readings are not what they seem: clipped, of two values, on a clock that
+    drifts or jumps. The subject is the signal's name."""
+    by_topic = {s.topic: n for n, s in record.signals.items() if s.topic}
+    for finding in check_record(record):
+        if finding.severity != "info" and _SUSPECT & set(finding.numbers):
+            name = by_topic.get(finding.subject, finding.subject)
+            if name in record.signals:
+                yield replace(finding, subject=name)
 
-
-def account_line(record: AnyRecord) -> str:
-    """What became of the rows and columns of a file, or of the messages and topics of a bag."""
-    name = Path(record.path).name
-    if not isinstance(record, Record):
-        return f"{name}: {record.account}" if record.account else ""
-    used = {n: ", ".join(t.signals) for n, t in record.topics.items() if t.signals}
-    rest = ", ".join(f"{n} ({t.type}, none of the bench's)" for n, t in record.topics.items()
-                     if not t.signals)  # fmt: skip
-    read = sum(topic.count for topic in record.topics.values())
-    taken = sum(record.topics[topic].count for topic in used)
-    shown = ", ".join(f"{topic} ({signals})" for topic, signals in used.items()) or "none"
-    return (
-        f"{name}: {read} messages read, {taken} used; topics used: {shown}; ignored: "
-        f"{rest or 'none'}"
-    )
-
-
-def _describe_signal(signal: Signal) -> dict[str, Any]:
-    steps, finite = np.diff(signal.time), signal.values[np.isfinite(signal.values)]
-    period, received = signal.period, signal.received
-    about: dict[str, Any] = {
-        "name": signal.name,
-        "unit": signal.unit,
-        "topic": signal.topic,
-        "samples": len(signal),
-        "rate": 1 / period if period > 0 else None,
-        "jitter": float(np.subtract(*np.percentile(steps, [95, 5]))) if len(steps) else None,
-        "longest_gap": float(steps.max()) if len(steps) else None,
-        "delay": None if received is None else float(np.median(received - signal.time)),
-        "start": float(signal.time[0]) if len(signal) else None,
-        "end": float(signal.time[-1]) if len(signal) else None,
-    }
-    for name in ("min", "max", "mean"):
-        about[name] = float(getattr(finite, name)()) if len(finite) else None
-    return about
+    # Readings that jump between two values; a drive that is switched on purpose holds its level for
+    # many samples.
+    for name, signal in record.signals.items():
+        values = signal.values
+        if not name.endswith((".voltage", ".current")) or len(values) < _FEWEST:
+            continue
+        span = float(np.ptp(values))
+        if not span > 0.0 or not np.isfinite(values).all():
+            continue
+        up = values > values.min() + 0.5 * span
+        near = np.abs(values - np.where(up, values.max(), values.min())) < _NEAR * span
+        turns = np.flatnonzero(up[1:] != up[:-1])
+        held = np.diff(turns)  # samples, of the two levels in turn
+        if near.mean() >= _SHARE and len(turns) >= _TURNS and (
+            min(np.median(held[::2]), np.median(held[1::2])) < _BRIEF
+        ):
+            yield _said("two_valued", name, turns=len(turns), levels=2.0)

@@ -1,7 +1,7 @@
 """The topics of the bench contract: which path and type carry which meaning."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
@@ -30,23 +30,25 @@ CONTRACT: tuple[tuple[tuple[str, ...], str], ...] = (
     (("experiment", "marker"), STRING),
 )
 
-# Turned into temperatures by a node of its own: a record lists images and leaves them alone.
-NOT_DECODED = frozenset({IMAGE})
-
 CELSIUS_ZERO = 273.15
-# Carbon dioxide's ice has 195 K: "kelvin" that are always below it were written in Celsius.
-COLDEST_BENCH = 190.0
 
 # What lies below it is predicted, not measured: neither recorded nor read.
 TWIN = "twin"
 
-# SI units of signals, by the last part of `<channel>.<field>` and by joint.
-FIELD_UNITS = {"voltage": "V", "current": "A", "temperature": "K", "range": "m"}
-JOINT_UNITS = {"deflection": "m", "elongation": "m", "force": "N"}
+# SI units of signals, by the last part of `<channel>.<field>`, by joint, and of the command.
+_UNITS = {
+    "voltage": "V", "current": "A", "temperature": "K", "range": "m",
+    "deflection": "m", "elongation": "m", "force": "N", "voltage_command": "V",
+}  # fmt: skip
+# Of each joint: its signals, and the field of joint_states that carries each.
+JOINT_SIGNALS: dict[str, dict[str, str]] = {
+    "tip": {"deflection": "position"}, "wire": {"elongation": "position", "force": "effort"}
+}
+JOINT_OF = {signal: joint for joint, signals in JOINT_SIGNALS.items() for signal in signals}
+_TOPICS = {"voltage": "power", "current": "power", "temperature": "temperature", "range": "range"}
 
 
-@dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """Where in the contract a topic's name belongs: `wire/power` under `/lab/rig`, say."""
 
     meaning: str
@@ -58,30 +60,36 @@ def place_of(topic: str) -> Place | None:
     """The contract's place for a topic's name, None for other traffic."""
     parts = [part for part in topic.split("/") if part]
     for suffix, msgtype in CONTRACT:
-        tail = parts[len(parts) - len(suffix) :]
+        above, tail = parts[: -len(suffix)], parts[-len(suffix) :]
         if len(tail) == len(suffix) and all(
             wanted in (ANY_CHANNEL, part) for wanted, part in zip(suffix, tail, strict=True)
         ):
-            if TWIN in parts[: len(parts) - len(suffix)]:
-                return None
-            namespace = "/" + "/".join(parts[: len(parts) - len(suffix)])
-            return Place("/".join(tail), namespace, msgtype)
+            is_measured = TWIN not in above
+            return Place("/".join(tail), "/" + "/".join(above), msgtype) if is_measured else None
     return None
 
 
-def unit_of(signal: str) -> str | None:
-    """SI unit of a signal by its name (`wire.voltage`), None for a name outside the contract."""
+def topic_of(signal: str) -> tuple[str, str] | None:
+    """Topic and column that carry a signal (`wire.voltage`), None for a name outside the
+    contract."""
     channel, _, field = signal.rpartition(".")
-    if not channel:
-        return "V" if signal == "voltage_command" else JOINT_UNITS.get(signal)
-    carried = place_of(f"{channel}/{'power' if field in ('voltage', 'current') else field}")
-    return FIELD_UNITS.get(field) if carried is not None else None
+    topic = f"{channel}/{_TOPICS.get(field, '')}"
+    if channel and (place := place_of(topic)) and place.meaning == topic:
+        return topic, field
+    if signal in JOINT_OF:
+        return "joint_states", signal
+    return (signal, "data") if signal == "voltage_command" else None
+
+
+def unit_of(signal: str) -> str | None:
+    """SI unit of a signal by its name, None for a name outside the contract."""
+    return _UNITS[signal.rpartition(".")[2]] if topic_of(signal) else None
 
 
 def is_decoded(topic: str, msgtype: str) -> bool:
-    """Whether messages of this topic become signals."""
+    """Whether messages of this topic become signals; images do so in a node of their own."""
     place = place_of(topic)
-    return place is not None and place.type == msgtype and msgtype not in NOT_DECODED
+    return place is not None and place.type == msgtype != IMAGE
 
 
 def inside(topic: str, namespace: str | None) -> bool:
@@ -92,20 +100,12 @@ def inside(topic: str, namespace: str | None) -> bool:
 def choose_topics(
     where: str, counts: Mapping[tuple[str, str], int]
 ) -> tuple[dict[str, str], list[Finding]]:
-    """Decide which topic carries which meaning.
-
-    Args:
-        where: the bag's name for messages.
-        counts: number of messages by (topic, type).
-
-    Returns:
-        Topic by meaning (`wire/power`), among those of the expected type, and remarks.
-
-    Raises:
-        InputError: two topics carry the same meaning, or one of the bench's topics has another
-            type than the contract's.
-    """
+    """Decide which topic carries which meaning. `where`: the bag's name for messages; `counts`:
+    number of messages by (topic, type). Returns topic by meaning (`wire/power`), among those of the
+    expected type, and remarks. Raises InputError: two topics carry the same meaning, or one of the
+    bench's topics has another type than the contract's."""
     chosen: dict[str, str] = {}
+    namespaces: dict[str, str] = {}
     strangers: list[tuple[str, str, Place]] = []
     for (topic, msgtype), count in counts.items():
         place = place_of(topic)
@@ -123,10 +123,10 @@ def choose_topics(
             )
         if other is None or count:
             chosen[place.meaning] = topic
+            namespaces[place.meaning] = place.namespace
 
     # A wrong type is an error inside the bench's own namespace, other traffic elsewhere.
-    own = {place.namespace for topic in chosen.values() if (place := place_of(topic))}
-    findings = []
+    findings, own = [], set(namespaces.values())
     for topic, msgtype, place in strangers:
         if place.meaning not in chosen and (not own or place.namespace in own):
             raise InputError(

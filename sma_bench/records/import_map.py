@@ -1,41 +1,44 @@
-"""From columns of another logger to signals of the contract: the map, written, read and applied.
+"""From columns of another logger to signals of the contract: a map says for each signal which
+column it is, in which unit, on which clock, and how its zero and sign are to be read. `propose`
+makes one, with a question wherever titles, units and ranges leave room; `convert` follows it."""
 
-A map says for each signal which column it is, in which unit, on which clock, and how its zero and
-sign are to be read. `propose` makes one from titles, units and ranges, with a question wherever
-these leave room; `convert` follows it.
-"""
-
-import json
+import contextlib
+import os
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal, NamedTuple
 
+import msgspec
 import numpy as np
+import yaml
 
 from sma_bench.border import printable, read_yaml
 from sma_bench.errors import InputError
-from sma_bench.records import contract
-from sma_bench.records.record import FloatArray, Signal
-from sma_bench.records.tables import Account, TableFile
-from sma_bench.records.units import Unit, in_si, parse_unit
+from sma_bench.findings import Finding
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
+from sma_bench.records import cells, contract
+from sma_bench.records.cells import QUANTITIES, WORDS, Unit, parse_unit, said
+from sma_bench.records.record import FloatArray, Record, Signal
+from sma_bench.records.tables import Account, Column, TableFile, read_table_file
 
 ASK = "ask"
 ROWS = "row number"  # the clock of a table without one; its unit is the period, "0.1 s"
-REST, NONE = "rest", "none"
-POSITIONS = ("elongation", "deflection")
-NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-z]+)?\Z")
-DUTY_SLACK = 0.02  # beyond 0 to 1 that a duty may be read
-_FORMS = {"voltage": ("rms", "duty", "mean"), "current": ("rms", "mean", "peak")}
-_OF_UNIT = {"V": "voltage", "A": "current", "K": "temperature", "m": "length", "N": "force"}
-DRIVEN = 0.02  # of the largest voltage: below it nothing is driven
+_MOVES, _DRIVES = {"elongation", "deflection", "force"}, {"voltage", "current"}
+_LITTLE = 0.02  # beyond 0 to 1 that a duty may be read; of the largest drive that drives nothing
+_FORMS = {"voltage": ("rms", "mean", "duty"), "current": ("rms", "mean", "peak")}
+_SIGNAL = re.compile(r"(?!ask\b|voltage_command)[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-z]+)?\Z")
+_CLEAR = 3.0  # times as far one way as the other
+_AT_REST = 0.1  # of all its way, what a position scatters before the first drive
+Proposed = tuple["ImportMap", list[str], dict[str, str]]  # a map, questions, remarks by column
+_UNKNOWN = "its title and unit say nothing of a bench"
 
 
-@dataclass(frozen=True)
-class Entry:
-    """How one signal comes from a column: sign * (scale * column in its unit + offset) - reference.
-    Any text but the names of signal and column may be "ask"."""
+class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """How one signal comes from a column: sign * (scale * column in its unit + offset) - reference,
+    which is in SI or "rest" before the first drive. What a proposal asks is "ask"."""
 
     signal: str  # of the contract
     column: str  # as the file has it
@@ -43,307 +46,423 @@ class Entry:
     clock: str  # the column of its time
     scale: float = 1.0
     offset: float = 0.0  # in SI
-    sign: int | str = 1  # or -1
-    reference: str | float = NONE  # "rest": 0 before the first drive; "none"; or a number in SI
-    form: str = "rms"  # or direct; of a switched supply "mean", volts "duty", amperes "peak"
+    sign: Literal[1, -1, "ask"] = 1
+    reference: Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)] | Literal["rest", "none"] = "none"
+    form: Literal["rms", "mean", "duty", "peak"] = "rms"  # or direct; else of a switched supply
 
     @property
     def kind(self) -> str:
         """What the signal is of its channel: voltage, current, temperature."""
         return self.signal.rpartition(".")[2]
 
+    @property
+    def measured(self) -> Unit:
+        """The unit of its column; one that is not known yet counts as SI."""
+        return parse_unit(self.unit) or Unit("", 1.0)
 
-@dataclass(frozen=True)
-class ImportMap:
+
+class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
     """Clocks (column -> unit), signals, and what the bench supplies."""
 
-    clocks: dict[str, str]
-    entries: tuple[Entry, ...]
-    supply_voltage: float | str | None = None
-    lever: float | str | None = None
+    time: dict[str, str]
+    signals: Annotated[tuple[Entry, ...], msgspec.Meta(min_length=1)]
+    supply_voltage: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    lever: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
     ignored: tuple[str, ...] = ()
+
+    def tick(self, clock: str) -> float:
+        """s in one of a clock, or of rows the period between them; 0 where it is not known."""
+        unit = parse_unit(self.time[clock])
+        if clock == ROWS:
+            return cells.number_with_unit(self.time[clock], "time") or 0.0
+        return unit.factor if unit and unit.quantity == "time" else 0.0
 
 
 def map_text(made: ImportMap, table: TableFile, remarks: Mapping[str, str]) -> str:
     """The map as commented YAML."""
-
-    def shown(value: Any, subject: str = "") -> str:
-        text = json.dumps(value, ensure_ascii=False) if isinstance(value, str) else repr(value)
-        return f"{text}  # {printable(remarks[subject])}" if subject in remarks else text
-
-    source = f"{printable(table.path.name)} ({table.format})"
-    lines = [
-        f"# Map of {source}, for sma-bench import --map; `ask` is to be filled in.",
-        "# SI value = sign * (scale * column in its unit + offset) - reference",
-        "# reference: rest (0 before the first drive), none, or a number; form of a voltage: rms",
-        "# (or direct), duty or mean of the switched supply; of a current: rms, mean or peak.",
-        f"# A table without a clock has one called {ROWS!r}, whose unit is the period: 0.1 s.",
-        "time:",
-    ]
-    lines += [f"  {shown(name)}: {shown(unit, name)}" for name, unit in made.clocks.items()]
-    for key in ("supply_voltage", "lever"):
-        if (value := getattr(made, key)) is not None:
-            lines.append(f"{key}: {shown(value, key)}")
-    remark = printable(remarks.get("signals", ""))
-    lines.append(f"signals:  # {remark}" if remark else "signals:")
-    columns = {column.name: column.values for column in table.columns}
-    for entry in made.entries:
-        values = columns[entry.column]
-        span = f"{np.nanmin(values):.6g} to {np.nanmax(values):.6g}"
-        more = f"; {printable(remarks[entry.column])}" if entry.column in remarks else ""
-        lines += [f"  - signal: {shown(entry.signal)}", f"    # {span}{more}"]
-        for name, value in list(vars(entry).items())[1:]:
-            if name != "form" or entry.kind in (*_FORMS, ASK):
-                lines.append(f"    {name}: {shown(value)}")
-    lines.append("ignored:" if made.ignored else "ignored: []")
-    lines += [f"  - {shown(name, name)}" for name in made.ignored]
-    return "\n".join(lines) + "\n"
+    used = {entry.column for entry in made.signals}
+    about = {c.name: [c.span if c.name in used else "not used"] for c in table.columns}
+    for name, remark in remarks.items():
+        about.setdefault(name, []).append(remark)
+    lines = [said("map", source=f"{printable(table.path.name)} ({table.format})")]
+    lines += [printable(f"# {name}: {'; '.join(texts)}") for name, texts in about.items()]
+    keys = yaml.safe_dump(msgspec.to_builtins(made), sort_keys=False, allow_unicode=True, width=999)
+    return "\n".join([*lines, keys])
 
 
 def read_map(path: str | Path) -> ImportMap:
-    """The map of a file; raises InputError where it is unreadable, or has a key or value that a map
-    does not have. What is still to be filled in is named."""
-    document = read_yaml(path)
-    known = {"time", "supply_voltage", "lever", "signals", "ignored"}
-    if not isinstance(document, dict) or set(document) - known:
-        raise InputError(f"{path}: not a map: expected {', '.join(sorted(known))}")
-    clocks, rows = document.get("time"), document.get("signals")
-    texts = [*clocks, *clocks.values()] if isinstance(clocks, dict) else [None]
-    if not isinstance(clocks, dict) or not all(isinstance(text, str) for text in texts):
-        raise InputError(f"{path}: time: expected columns and their units")
-    if not isinstance(rows, list) or not rows:
-        raise InputError(f"{path}: signals: expected a list with one or more")
-    for column, unit in clocks.items():
-        if tick_of(column, unit) is None:
-            wanted = "a period such as 0.1 s" if column == ROWS else "a unit of time"
-            said = f"time: {column}: unit is {printable(unit)!r}"
-            raise InputError(f"{path}: {said}, expected {wanted}")
-    supply, lever = document.get("supply_voltage"), document.get("lever")
-    for key, value in (("supply_voltage", supply), ("lever", lever)):
-        if value is not None and not (_is_number(value) and value > 0):
-            found = printable(str(value))[:40]
-            raise InputError(f"{path}: {key} is {found!r}, expected a number > 0")
-    entries = tuple(_read_entry(row, f"{path}: signals: {k}") for k, row in enumerate(rows, 1))
-    for entry in entries:
-        if entry.clock not in clocks:
-            raise InputError(f"{path}: {entry.signal}: clock {entry.clock!r} is not under time")
-        if entry.form != "rms" and entry.kind == "voltage" and supply is None:
-            raise InputError(f"{path}: supply_voltage is missing, {entry.signal} is a {entry.form}")
-    return ImportMap(clocks, entries, supply and float(supply), lever and float(lever))
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and np.isfinite(value)
-
-
-def _read_entry(row: Any, where: str) -> Entry:
-    names = [key.name for key in fields(Entry)]
-    if not isinstance(row, dict) or set(row) - set(names) or not set(names[:4]) <= set(row):
-        raise InputError(f"{where}: expected {', '.join(names[:4])} and of {', '.join(names[4:])}")
-    for key in names[:4]:
-        if not isinstance(row[key], str):
-            raise InputError(f"{where}: {key}: expected a text")
-    entry = Entry(**row)
-    unit = contract.unit_of(entry.signal) if NAME.match(entry.signal) else None
-    forms = _FORMS.get(entry.kind, ("rms",))
-    quantity = "ratio" if entry.form == "duty" else _OF_UNIT.get(unit or "", "")
-    known = parse_unit(entry.unit)
-    is_named = quantity and entry.signal != "voltage_command"
-    is_sign = entry.sign in (1, -1) and not isinstance(entry.sign, bool)
-    is_reference = entry.reference in (REST, NONE) or _is_number(entry.reference)
-    units = (quantity, "angle") if quantity == "length" else (quantity,)
-    for key, is_right, expected in (
-        ("signal", is_named, "a name such as wire.voltage"),
-        ("scale", _is_number(entry.scale), "a number"),
-        ("offset", _is_number(entry.offset), "a number"),
-        ("sign", is_sign, "1 or -1"),
-        ("form", entry.form in forms, f"one of {', '.join(forms)}"),
-        ("reference", is_reference, "rest, none or a number"),
-        ("unit", known is not None and known.quantity in units, f"a unit of {quantity}"),
-    ):
-        if not is_right:
-            found = printable(str(getattr(entry, key)))[:40]
-            name = printable(entry.signal)
-            raise InputError(f"{where} ({name}): {key} is {found!r}, expected {expected}")
-    return entry
-
-
-def tick_of(column: str, text: str) -> Unit | None:
-    """The unit of a clock: one of time, or of rows the period between them."""
-    number, _, unit = text.strip().partition(" ") if column == ROWS else ("1", "", text)
-    known = parse_unit(unit)
+    """The map of a file; raises InputError for what is no map, or still to be filled in."""
     try:
-        period = known.factor * float(number) if known and known.quantity == "time" else 0.0
-    except ValueError:
-        return None
-    return Unit("time", period) if period > 0.0 else None
+        made = msgspec.convert(read_yaml(path), ImportMap)
+    except msgspec.ValidationError as error:
+        raise InputError(f"{path}: not a map: {printable(str(error))}") from None
+    period = "a unit of time, or of rows a period such as 0.1 s"
+    rules: Any = [(f"time: {c}: unit", t, made.tick(c) > 0.0, period) for c, t in made.time.items()]
+    names = [entry.signal for entry in made.signals]
+    for k, entry in enumerate(made.signals, 1):
+        where = f"signals: {k} ({printable(entry.signal)}): "
+        in_si = contract.unit_of(entry.signal) if _SIGNAL.match(entry.signal) else None
+        known, forms = parse_unit(in_si or ""), _FORMS.get(entry.kind, ("rms",))
+        quantity = "ratio" if entry.form == "duty" else known.quantity if known else ""
+        is_angle = (quantity, entry.measured.quantity) == ("length", "angle")
+        is_unit = is_angle or entry.measured.quantity == quantity
+        rules += [
+            (f"{where}signal", entry.signal, in_si, "a name such as wire.voltage"),
+            (f"{where}signal", entry.signal, names.count(entry.signal) == 1, "one column"),
+            (f"{where}sign", entry.sign, entry.sign != ASK, "1 or -1"),
+            (f"{where}form", entry.form, entry.form in forms, f"one of {', '.join(forms)}"),
+            (f"{where}unit", entry.unit, is_unit, f"a unit of {quantity}"),
+            (f"{where}clock", entry.clock, entry.clock in made.time, "one of those under time"),
+            ("supply_voltage", None, made.supply_voltage or entry.form == "rms", "volts"),
+            ("lever", None, made.lever or not is_angle, "m/rad"),
+        ]
+    for place, value, is_right, expected in rules:
+        if not is_right:
+            raise InputError(f"{path}: {place} is {str(value)[:40]!r}, expected {expected}")
+    return made
 
 
-def convert(table: TableFile, made: ImportMap) -> tuple[list[Signal], list[str], int]:
-    """Signals in SI from a table by its map, a sentence on each, and the epoch time of 0 in ns.
+class _Samples(NamedTuple):
+    time: FloatArray  # (n,) s
+    values: FloatArray  # (n,) in SI, without what is missing
+    how: str = ""  # they came about
 
-    Clocks keep their offsets to each other; the first sample of all is at 0. Rows that share a
-    stamp are spread over it, all signals of the clock alike. Raises InputError for a column that
-    the file does not have, a clock that goes back or stands still, a duty that is none, no values.
-    """
+
+def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list[str]]:
+    """The record at a path, from a table by its map, and a sentence on each signal. Clocks keep
+    their offsets to each other, rows that share a stamp are spread over it. Raises InputError for a
+    column that is not there, a clock that goes back or stands still, a duty beyond 1, no values."""
+    read, base = _read(table, made)
+    first = min(float(samples.time[0]) for samples in read.values())
+    # Of a switched supply: the direct volts, then amperes of the same heat, duty * supply^2.
+    supply = made.supply_voltage or 1.0
+    roots: dict[str, tuple[FloatArray, FloatArray]] = {}  # of the duty, by channel
+    for entry in sorted((e for e in read if e.form != "rms"), key=lambda e: e.kind == "current"):
+        (time, values, spread), where = read[entry], f"{table.path}: {entry.column}"
+        channel, sign = entry.signal.partition(".")[0], float(entry.sign)
+        if entry.kind == "voltage":
+            duty = sign * values / (supply if entry.form == "mean" else 1.0)
+            low, high = float(duty.min()), float(duty.max())
+            if low < -_LITTLE or high > 1.0 + _LITTLE:
+                raise InputError(f"{where}: duty of {low:.4g} to {high:.4g}, expected 0 to 1")
+            root = np.sqrt(np.clip(duty, 0.0, 1.0))
+            roots[channel] = time, root
+            how = said("as_duty" if entry.form == "duty" else "as_mean", supply=supply)
+            values = sign * supply * root
+        elif channel in roots:
+            root, how = np.interp(time, *roots[channel]), said("as_current", form=entry.form)
+            factor = root if entry.form == "peak" else 1.0 / np.where(root > _LITTLE, root, 1.0)
+            values = values * factor
+        else:
+            raise InputError(f"{where}: {said('no_duty', form=entry.form)}")
+        read[entry] = _Samples(time, values, how + spread)
+    signals, sentences = {}, []
+    for entry, samples in read.items():
+        zero, sentence = 0.0, f"{entry.signal} from {entry.column!r} in {entry.unit!r}"
+        sentence += ", counted the other way" if entry.sign == -1 else ""
+        if (entry.scale, entry.offset) != (1.0, 0.0):
+            sentence += f", x {entry.scale:g} + {entry.offset:g}"
+        if entry.reference != "none":
+            is_rest = entry.reference == "rest"
+            zero = float(np.median(_at_rest(read, samples)) if is_rest else entry.reference)
+            sentence += f", zero at rest ({zero:.6g})" if is_rest else f", zero at {zero:.6g}"
+        unit, time = contract.unit_of(entry.signal) or "", samples.time - first
+        signals[entry.signal] = Signal(entry.signal, unit, time, samples.values - zero)
+        sentences.append(sentence + samples.how)
+    start_ns = round((base + first) * 1e9) if base or 1e9 < first < 4e9 else 0  # s since 1970
+    return Record(path, start_ns, signals), sentences
+
+
+def require_columns(table: TableFile, names: Iterable[str]) -> None:
+    """InputError where a file has no column of such a name."""
+    held = [column.name for column in table.columns]
+    if wrong := next((name for name in names if name not in (*held, ROWS)), None):
+        raise InputError(f"{table.path}: no column {wrong!r}, it has {', '.join(held[:12])}")
+
+
+def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], float]:
+    """What each entry reads, its sign in it, and the epoch that times count from, 0 without."""
+    require_columns(table, [*made.time, *(entry.column for entry in made.signals)])
     columns = {column.name: column for column in table.columns}
-    for name in (*made.clocks, *(entry.column for entry in made.entries)):
-        if name not in columns and name != ROWS:
-            have = ", ".join(list(columns)[:12])
-            raise InputError(f"{table.path}: no column {name!r}, it has {have}")
-    read = {entry: _samples(table, made, entry) for entry in made.entries}
-    starts = [columns[e.clock].start if e.clock in columns else None for e in made.entries]
-    dated = [start for start in starts if start is not None]
-    offsets = dict.fromkeys(made.entries, 0.0)
-    if len(dated) == len(starts):  # moments count from their own first one
-        offsets = {e: s - min(dated) for e, s in zip(made.entries, dated, strict=True)}
-    times = {entry: time + offsets[entry] for entry, (time, _, _) in read.items()}
-    first = min(float(time[0]) for time in times.values())
-
-    # When the first voltage or current sets in; inf where none does.
-    drive = np.inf
-    for entry, (_, values, _) in read.items():
-        driven = np.abs(values) > DRIVEN * np.abs(values).max()
-        if entry.signal.endswith((".voltage", ".current")) and driven.any():
-            drive = min(drive, float(times[entry][int(np.argmax(driven))]))
-
-    signals, sentences = [], []
-    for entry, (_, values, spread) in read.items():
-        zero, said = 0.0, ""
-        if entry.reference == REST:
-            before = values[times[entry] <= drive] if np.isfinite(drive) else values[:1]
-            zero = float(np.median(before)) if len(before) else float(values[0])
-            said = f", zero at rest ({zero:.6g})"
-        elif entry.reference != NONE:
-            zero = float(entry.reference)
-            said = f", zero at {zero:.6g}"
-        if entry.form != "rms" and entry.kind == "current":
-            duty = next(
-                (
-                    e
-                    for e in made.entries
-                    if e.signal == f"{entry.signal[:-8]}.voltage" and e.form in ("duty", "mean")
-                ),
-                None,
-            )
-            if duty is None:
-                raise InputError(
-                    f"{table.path}: {entry.column}: the {entry.form} of a switched current needs "
-                    f"the duty of {entry.signal[:-8]} in the table"
-                )
-            # The current of the same heat, by the share of time that the voltage is on.
-            supply = float(made.supply_voltage or 1.0)
-            root = np.interp(times[entry], times[duty], read[duty][1]) / supply
-            share = np.where(root > 0.02, root, 1.0)  # below it nothing flows
-            values = values / share if entry.form == "mean" else values * np.clip(root, 0.0, 1.0)
-        unit = contract.unit_of(entry.signal) or ""
-        signals.append(Signal(entry.signal, unit, times[entry] - first, values - zero))
-        sentences.append(_sentence(entry, made) + said + spread)
-    # Seconds since 1970, as PlotJuggler writes them, are an epoch too.
-    epoch = min(dated) if dated else first if 1e9 < first < 4e9 else 0.0
-    return signals, sentences, round(epoch * 1e9)
+    starts = {name: columns[name].start for name in made.time if name in columns}  # of moments
+    base = min((start for start in starts.values() if start is not None), default=0.0)
+    read = {}
+    for entry in (entry for entry in made.signals if entry.clock != ASK):
+        raw, where = columns[entry.column].values, f"{table.path}: {entry.column}"
+        clock, start = columns.get(entry.clock), starts.get(entry.clock)
+        ticks = clock.values if clock else np.arange(float(len(raw)))
+        if len(ticks) != len(raw):
+            raise InputError(f"{where}: {len(raw)} rows, its clock has {len(ticks)}")
+        timed = np.isfinite(ticks)
+        time = (made.tick(entry.clock) or 1.0) * ticks[timed]
+        values = entry.measured.si(entry.scale * raw[timed]) + entry.offset
+        kept = np.isfinite(values)
+        if not kept.any():
+            raise InputError(f"{where}: no values, expected a column of numbers")
+        steps, spread = np.diff(time[kept]), ""
+        if np.any(steps < 0):
+            row = int(np.argmax(steps < 0)) + 1
+            back = time[kept][row - 1 : row + 1]
+            raise InputError(f"{where}: {said('goes_back', a=back[0], b=back[1], row=row + 1)}")
+        if np.any(steps == 0.0):
+            # Columns with few gaps share the stamps of all rows: none lags behind another.
+            is_full = kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0)
+            rows = np.ones_like(kept) if is_full else kept
+            time[rows], spread = cells.spread_stamps(time[rows], where)
+        time = time[kept] + (0.0 if start is None else start - base)
+        lever = made.lever if entry.measured.quantity == "angle" else None
+        values = values[kept] * float(entry.sign) * (lever if isinstance(lever, float) else 1.0)
+        read[entry] = _Samples(time, values, spread)
+    return read, base
 
 
-def _samples(table: TableFile, made: ImportMap, entry: Entry) -> tuple[FloatArray, FloatArray, str]:
-    """Times in s and values in SI of one entry, without what is missing; the sign is in them. And
-    what was done to its stamps."""
-    columns = {column.name: column.values for column in table.columns}
-    raw = columns[entry.column]
-    ticked = columns.get(entry.clock, np.arange(float(len(raw))))
-    where = f"{table.path}: {entry.column}"
-    if len(ticked) != len(raw):
-        raise InputError(f"{where}: {len(raw)} rows, its clock {entry.clock!r} has {len(ticked)}")
-    ticks, unit = tick_of(entry.clock, made.clocks[entry.clock]), parse_unit(entry.unit)
-    assert ticks and unit
-    timed = np.isfinite(ticked)
-    time = in_si(ticked[timed], ticks)
-    values = in_si(entry.scale * raw[timed], unit) + entry.offset
-    kept = np.isfinite(values)
-    if not kept.any():
-        raise InputError(f"{where}: no values, expected a column of numbers")
-    steps, said = np.diff(time[kept]), ""
-    if np.any(steps < 0):
-        row = int(np.argmax(steps < 0)) + 1
-        back = time[kept][row - 1 : row + 1]
-        said = f"its time goes back from {back[0]:.9g} to {back[1]:.9g} s in row {row + 1}"
-        raise InputError(f"{where}: {said} of the numbers, expected one run")
-    if np.all(steps > 0.0):
-        time = time[kept]
-    elif kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0):
-        # Columns with few gaps share the stamps of all rows, so that none lags behind another.
-        time, said = spread_stamps(time, where)
-        time = time[kept]
-    else:
-        time, said = spread_stamps(time[kept], where)
-    values = values[kept]
-    if entry.kind == "voltage" and entry.form in ("duty", "mean"):
-        # The direct voltage of the same heat: heat goes with duty * supply^2.
-        if not isinstance(made.supply_voltage, float):
-            raise InputError(f"{where}: a {entry.form} needs supply_voltage in the map")
-        duty = values / made.supply_voltage if entry.form == "mean" else values
-        low, high = float(duty.min()), float(duty.max())
-        if low < -DUTY_SLACK or high > 1.0 + DUTY_SLACK:
-            raise InputError(f"{where}: duty of {low:.4g} to {high:.4g}, expected 0 to 1")
-        values = np.sqrt(np.clip(duty, 0.0, 1.0)) * made.supply_voltage
-    if unit.quantity == "angle":
-        if not isinstance(made.lever, float):
-            raise InputError(f"{where}: an angle needs lever (load.lever, m/rad) in the map")
-        values = values * made.lever
-    return time, values * float(entry.sign), said
-
-
-def spread_stamps(time: FloatArray, where: str) -> tuple[FloatArray, str]:
-    """(n,) s that increase, of stamps (n,) coarser than the rows, and a remark: a line through all
-    where rows came evenly, else even steps within each stamp; raises InputError where all rows have
-    one stamp."""
-    stamps, first, count = np.unique(time, return_index=True, return_counts=True)
-    if len(stamps) < 2:
-        raise InputError(f"{where}: all {len(time)} rows are at one time, expected a running clock")
-    step = float(np.diff(stamps).min())
-    said = (
-        f"; {len(time) - len(stamps)} of {len(time)} rows repeat the stamp before: spread evenly "
-        f"over its {step:.4g} s"
-    )
-    if np.median(count) > 1.0 and len(stamps) > 2:
-        period = float(stamps[-1] - stamps[1]) / float(first[-1] - first[1])
-        even = period * np.arange(len(time))
-        even += float(np.max(time - even))
-        if np.max(even - time) < step + 0.5 * period:
-            return np.asarray(even), f"{said}, {1.0 / period:.4g} Hz"
-    gaps = np.minimum(np.append(np.diff(stamps), step), step)
-    within = np.arange(len(time)) - np.repeat(first, count)
-    return np.asarray(time + within * np.repeat(gaps / count, count)), said
+def _at_rest(read: Mapping[Entry, _Samples], samples: _Samples) -> FloatArray:
+    """Of the values those before the first voltage or current sets in; one at least."""
+    begins = []
+    for entry, drive in read.items():
+        driven = np.abs(drive.values) > _LITTLE * np.abs(drive.values).max()
+        if entry.kind in _DRIVES and driven.any():
+            begins.append(float(drive.time[int(np.argmax(driven))]))
+    rows = np.searchsorted(samples.time, min(begins, default=-np.inf), side="right")
+    return samples.values[: max(int(rows), 1)]
 
 
 def account_of(
-    table: TableFile,
-    made: ImportMap,
-    remarks: Mapping[str, str] | None = None,
-    asked: Sequence[str] = (),
+    table: TableFile, made: ImportMap, remarks: Mapping[str, str], asked: Sequence[str] = ()
 ) -> Account:
     """What became of the rows and columns of a table."""
     columns = {column.name: column for column in table.columns}
-    used = {name: "clock" for name in made.clocks if name in columns}
+    used = {name: "clock" for name in made.time if name in columns}
     kept = [np.zeros(max(len(t.lines), 1), dtype=bool) for t in table.tables]
-    for entry in made.entries:
-        if (column := columns.get(entry.column)) is not None:
-            used[column.name] = entry.signal
-            clock = columns.get(entry.clock, column)
-            kept[column.table] |= np.isfinite(column.values) & np.isfinite(clock.values)
-    reasons = remarks or {}
-    rest = {name: reasons.get(name, "not in the map") for name in columns if name not in used}
-    outside = (*table.outside, *(note for t in table.tables for note in t.unused_lines))
-    rows, rows_used = sum(t.rows for t in table.tables), int(sum(k.sum() for k in kept))
-    return Account(rows, rows_used, used, rest | table.ignored, tuple(asked), outside)
+    for entry in (entry for entry in made.signals if entry.column in columns):
+        column, clock = columns[entry.column], columns.get(entry.clock)
+        used[entry.column] = entry.signal
+        kept[column.table] |= np.isfinite(column.values + (clock.values if clock else 0.0))
+    count, reasons = int(sum(k.sum() for k in kept)), {"": "no signal uses it", **remarks}
+    return table.account(table.tables, count, used, reasons, asked)
 
 
-def _sentence(entry: Entry, made: ImportMap) -> str:
-    how = f"{entry.signal} from {entry.column!r} in {entry.unit!r}"
-    if entry.kind == "current" and entry.form != "rms":
-        how += f", the {entry.form} of a switched current, as that of the same heat"
-    elif entry.form != "rms":
-        root = "sqrt(duty) x {:g} V" if entry.form == "duty" else "sqrt(mean x {:g} V)"
-        how += f" as {root.format(made.supply_voltage)}, the direct voltage of the same heat"
-    how += ", counted the other way" if entry.sign == -1 else ""
-    scaled = (entry.scale, entry.offset) != (1.0, 0.0)
-    return how + f", x {entry.scale:g} + {entry.offset:g}" * scaled
+def record_of_table(path: str | Path, bench: Parameters, stated: Mapping[str, str]) -> Record:
+    """The record of a logger's table; raises InputError for no table, or one with a question."""
+    table = read_table_file(path)
+    made, questions, remarks = propose(table, bench, stated)
+    if questions:
+        raise InputError(f"{path}: unsure of {questions[0]}; units= or params= may tell")
+    account = Finding("info", "account", str(account_of(table, made, remarks)))
+    return replace(convert(table, made, Path(path))[0], findings=(account,))
+
+
+def propose(table: TableFile, bench: Parameters, stated: Mapping[str, str]) -> Proposed:
+    """A map of a table, what is unsure about it, and remarks by column. Units that are `stated` of
+    columns go before what titles say; raises InputError for a column that is not there."""
+    require_columns(table, stated)
+    columns = [replace(c, unit=stated[c.name], fields=0) if stated.get(c.name) else c
+               for c in table.columns]  # fmt: skip
+    proposal = _Proposal(bench)
+    ask, remarks = proposal.ask, proposal.remarks
+    meant = {column.name: proposal.meaning(column) for column in columns}
+    clocks = [column for column in columns if meant[column.name] == "time"]
+    # One column a signal; that there are two is asked.
+    entries: dict[str, Entry] = {}
+    for column in columns:
+        name, meaning = column.name, meant[column.name]
+        if meaning and meaning != "time":
+            entry = proposal.entry(column, meaning, proposal.clock_of(column, clocks, columns))
+            other = entries.setdefault(entry.signal + name * (ASK in entry.signal), entry)
+            if other is not entry:
+                ask(name, "which_one", other=other.column, signal=entry.signal)
+    found = tuple(entries.values())
+    kinds, ticking = {entry.kind for entry in found}, {entry.clock for entry in found}
+    # Clocks, volts of a switched supply, and how an angle moves the wire.
+    time = {c.name: proposal.unit(c, "time") for c in clocks if c.name in ticking}
+    if ROWS in ticking:
+        time[ROWS] = ask(ROWS, "no_clock", titles=", ".join(c.name for c in columns[:12]))
+    if len({c.start is None for c in clocks if c.name in ticking}) > 1:
+        ask("time", "dates")
+    supply, lever = None, None
+    if any(entry.kind == "voltage" and entry.form != "rms" for entry in found):
+        volts = "bench.supply_voltage"
+        supply = bench[volts] if volts in bench.given else ask("supply_voltage", "which_supply")
+    if any(entry.measured.quantity == "angle" for entry in found):
+        lever = bench["load.lever"] or ask("lever", "which_lever")
+    # What is missing. A clamped wire moves nothing, and shows its heat and its resistance.
+    taken = {*time, *(entry.column for entry in found)}
+    ignored = tuple(column.name for column in columns if column.name not in taken)
+    unknown = [name for name in ignored if remarks.get(name) == _UNKNOWN]
+    rest = ", ".join(map(repr, unknown[:8])) or "no others"
+    is_clamped = "temperature" in kinds or kinds >= _DRIVES
+    if not kinds & _MOVES and (unknown or not is_clamped):
+        ask("signals", "no_position", rest=rest)
+    if not kinds & _DRIVES and not kinds >= {"elongation", "force"}:
+        ask("signals", "no_drive", rest=rest)
+    # Signs, the same whatever is answered to the questions so far.
+    made = ImportMap(time, found, supply, lever, ignored)
+    read: dict[Entry, _Samples] = {}
+    with contextlib.suppress(*([InputError] if proposal.questions else [])):
+        read = _read(table, made)[0]
+    signed = [msgspec.structs.replace(e, **proposal.sign_and_zero(e, read)) for e in found]
+    return msgspec.structs.replace(made, signals=tuple(signed)), proposal.questions, remarks
+
+
+def _count_alike(one: Column, other: Column) -> bool:
+    """Whether two clocks count the same time, each in its unit; of one without unit, any."""
+    values = np.stack([one.values, other.values])
+    is_there = np.isfinite(values)
+    if not np.array_equal(*is_there):
+        return False
+    values, known = values[:, is_there[0]], [parse_unit(c.unit) for c in (one, other)]
+    if None in known or one.fields or other.fields:  # one of the day, the other from its start
+        values -= values[:, :1]
+    scales = [unit.factor for unit in known if unit]
+    if None in known:
+        scales = [1.0 / (span or 1.0) for span in np.ptp(values, axis=1)]
+    a, b = values * np.reshape(scales, (2, 1))
+    coarse = max(float(np.diff(np.unique(v)).min(initial=np.inf)) for v in (a, b))
+    return bool(np.max(np.abs(a - b)) <= 1.01 * coarse + 1e-3 * abs(a[-1]))
+
+
+@dataclass
+class _Proposal:
+    """Questions and remarks (by column, or by key of the map) on a map in the making."""
+
+    bench: Parameters
+    questions: list[str] = field(default_factory=list)
+    remarks: dict[str, str] = field(default_factory=dict)
+
+    def ask(self, where: str, sentence: str, **values: Any) -> Any:
+        """What stands in the map for an answer."""
+        question = said(sentence, **values)
+        self.questions.append(f"{where!r}: {question}")
+        self.remarks[where] = f"{self.remarks.get(where, '')} ASK: {question}".strip()
+        return ASK
+
+    def meaning(self, column: Column) -> str:
+        """What a column is, "" where it makes no signal."""
+        name, title = column.name, column.title
+        if column.fields:
+            return "time"
+        meant = cells.title_meanings(title) or cells.title_meanings(name)
+        found = cells.meanings(title, column.unit) or cells.meanings(name, column.unit) or meant
+        named, words = found[0] if found else "", set(cells.words_of(title))
+        unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
+        is_wire = any(c.lower() in name.lower() for c in self.bench["bench.channels"])
+        if not (meant or unused or is_wire or named == "time" or words & set(WORDS["wire"])):
+            self.ask(name, "is_it", named=named)
+        if named in _DRIVES and words & set(WORDS["supplies"]):
+            self.ask(name, "which_reading")
+        if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?0*([2-9]|1\d)", title):
+            self.ask(name, "whose_temperature")
+        if unused or not np.isfinite(column.values).any():
+            self.remarks[name] = unused or "empty"
+            return ""
+        return named
+
+    def clock_of(self, column: Column, clocks: list[Column], columns: list[Column]) -> str:
+        """The nearest clock by path, the finest of several that agree, the one to the left."""
+        fitting = [c for c in clocks if c.table == column.table]
+        if len({c.group for c in fitting}) > 1:
+            near = {c: (c.group == column.group, len(os.path.commonprefix([c.name, column.name])))
+                    for c in fitting}  # fmt: skip
+            fitting = [c for c in fitting if near[c] == max(near.values())]
+        if not fitting:
+            return ROWS
+        finest = max(fitting, key=lambda c: (c.unit != "", len(set(c.values)), c.start or 0.0))
+        if all(c is finest or _count_alike(finest, c) for c in fitting):
+            return finest.name
+        # A clock a column: each speaks for the columns to its right.
+        order = [c.name for c in columns if c.table == column.table]
+        names = [c.name for c in fitting]
+        places = [order.index(name) for name in names]
+        left = [place for place in places if place < order.index(column.name)]
+        is_alike = len({re.sub(r"[\d\s()]+", "", c.title.lower()) for c in fitting}) == 1
+        if is_alike and left and min(np.diff(places)) > 1:
+            return order[left[-1]]
+        return self.ask(column.name, "which_clock", names=" or ".join(map(repr, names)))
+
+    def entry(self, column: Column, meaning: str, clock: str) -> Entry:
+        """The signal that a column is: its name, unit, form and reference."""
+        name, channels = column.name, self.bench["bench.channels"]
+        unit, signal = self.unit(column, meaning), QUANTITIES[meaning].get("signal", "")
+        if signal == "elongation":
+            is_pulled = load_kind(self.bench) in ("beam", "antagonist")  # by two sides
+            return Entry("deflection" if is_pulled else signal, name, unit, clock, reference="rest")
+        if signal:
+            return Entry(signal, name, unit, clock)
+        plain = re.sub(r"\W+", "_", name.lower())
+        fitting = [c for c in channels if len(channels) == 1 or c.lower() in plain]
+        if len(fitting) != 1:
+            fitting = [self.ask(name, "which_channel", channels=", ".join(channels))]
+        kind, form = ("voltage", "duty") if meaning == "duty" else (meaning, "rms")
+        if meaning in _DRIVES:
+            # Of a switched supply a meter may show the mean, an oscilloscope the peak.
+            text = " ".join(cells.words_of(f"{name} {column.title} {column.unit}"))
+            forms = [f for f in _FORMS[meaning] if f != "duty"]
+            named = [f for f in forms if any(word in text for word in WORDS["forms"][f])]
+            if named or self.bench["bench.drive"] == "duty":
+                form = named[0] if named else self.ask(name, "which_form", what=" or ".join(forms))
+        return Entry(f"{fitting[0]}.{kind}", name, unit, clock, form=form)  # type: ignore[arg-type]
+
+    def unit(self, column: Column, meaning: str) -> str:
+        """The column's unit if its values are believable, without one that in which they are."""
+        row, length = QUANTITIES[meaning], self.bench["wire.length"]
+        name, unit, span, known = column.name, column.unit, column.span, parse_unit(column.unit)
+        if column.fields == 2:
+            return self.ask(name, "fields")
+        if known and known.quantity not in row["units"]:
+            return self.ask(name, "other_unit", unit=unit, quantity=known.quantity, meaning=meaning)
+        # What tells the unit: of an epoch its first moment, of degrees those at rest, of a movement
+        # its share of the wire's length, of all others the largest.
+        finite = column.values[np.isfinite(column.values)]
+        low, high = float(finite.min()), float(finite.max())
+        rest = float(np.median(finite[: max(3, len(finite) // 100)]))
+        share = (high - low) / length if length else np.nan
+        seen = {"time": low, "temperature": rest, "ambient": rest, "length": share}.get(
+            meaning, max(abs(low), abs(high)))  # fmt: skip
+        guess = next((str(u) for u, (a, b) in row.get("guess", {}).items() if a <= seen <= b), "")
+        if known is None and (unit or not guess):
+            return self.ask(name, "unknown_unit" if unit else "no_unit", span=span, unit=unit)
+        if known is None:
+            self.remarks[name] = f"no unit is given; {span} is taken as {guess!r}"
+            return guess
+        least, most = row["believable"]
+        low, high = known.si(np.array([low, high]))
+        if known.quantity in ("time", "length"):  # that goes by, of a movement
+            low, high = 0.0, high - low
+        if meaning == "length" and length:
+            most = 0.2 * length
+        if least <= low and high <= most:
+            return unit
+        hint = f", or in {guess}" if guess else ""
+        return self.ask(name, "beyond_belief", span=span, unit=unit, hint=hint)
+
+    def sign_and_zero(self, entry: Entry, read: Mapping[Entry, _Samples]) -> dict[str, Any]:
+        """Sign and reference from what is known of a wire: heat shortens it, and it cannot push."""
+        of = {other.signal: samples for other, samples in read.items()}
+        name, signal, nothing = entry.column, entry.signal, _Samples(np.zeros(0), np.zeros(0))
+        own, force = of.get(signal, nothing), of.get("force", nothing)
+        if signal == "deflection":
+            return {"sign": self.ask(name, "which_side")}
+        volts = of.get(signal.replace(".current", ".voltage"), nothing)
+        if entry.kind == "current" and own.values.sum() * volts.values.sum() < 0.0:
+            return {"sign": self.ask(name, "against")}
+        if signal == "force" and len(own.values) and np.median(own.values) < 0.0:
+            self.remarks[name] = "mostly negative: counted as compression"
+            return {"sign": -1}
+        if signal != "elongation":
+            return {}
+        found: dict[str, Any] = {}
+        if len(own.values) and any(other.kind in _DRIVES for other in read):
+            before = _at_rest(read, own)
+            if np.subtract(*np.percentile(before, (90, 10))) > _AT_REST * np.ptp(own.values):
+                found["reference"] = self.ask(name, "moves_early")
+            up, down = own.values.max() - np.median(before), np.median(before) - own.values.min()
+            if max(up, down) > _CLEAR * min(up, down):
+                self.remarks.setdefault(name, said("moves", way="up" if up > down else "down"))
+                return {**found, "sign": -1 if up > down else 1}
+        elif len(own.values) and len(force.values):
+            with np.errstate(invalid="ignore"):
+                pull = np.interp(own.time, force.time, force.values)
+                along = np.sign(np.median(pull)) * float(np.corrcoef(own.values, pull)[0, 1])
+            if abs(along) > 0.3:
+                return {"sign": 1 if along > 0.0 else -1}
+        return {**found, "sign": self.ask(name, "which_sign")}

@@ -1,62 +1,76 @@
-"""Opens records whatever they are: a bag or an instrument's file."""
+"""Opens records whatever they are, a bag or an instrument's file, and says what they hold."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.bag import read_record
-from sma_bench.records.bag_files import is_bag
-from sma_bench.records.dsc import DscRecord, dsc_of, is_dsc
-from sma_bench.records.isobaric import IsobaricRecord, is_isobaric, isobaric_of
-from sma_bench.records.record import Record
-from sma_bench.records.roles import Sheet
-from sma_bench.records.tables import TableFile, read_table_file
-from sma_bench.records.tensile import TensileRecord, is_tensile, tensile_of
-from sma_bench.records.units import QUANTITIES, WORDS
+from sma_bench.records.check import check_record
+from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
+from sma_bench.records.record import FloatArray, Record
+from sma_bench.records.storage import is_bag
+
+if TYPE_CHECKING:
+    from sma_bench.records.tables import TableFile
 
 AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
-
-_INSTRUMENTS = ((is_dsc, dsc_of), (is_isobaric, isobaric_of), (is_tensile, tensile_of))
 
 
 def open_records(
     path: str | Path, namespace: str | None = None, stated: Mapping[str, float] | None = None
 ) -> list[AnyRecord]:
     """Read a bag or an instrument's file, of whose sheets each may be a record; which one it is, is
-    decided by its content.
-
-    Args:
-        path: of the record.
-        namespace: where two benches are in one bag, the one to take.
-        stated: what an instrument's file does not hold, in SI units: `stress`, `mass`,
-            `gauge_length`, `area`, `diameter`, `temperature`.
-
-    Raises:
-        InputError: neither, or nothing readable in it, with the reader's own reason.
-    """
+    decided by its content. `path`: of the record; `namespace`: where two benches are in one bag,
+    the one to take; `stated`: what an instrument's file does not hold, in SI units: `stress`,
+    `mass`, `gauge_length`, `area`, `diameter`, `temperature`. Raises InputError: neither, or
+    nothing readable in it, with the reader's own reason."""
     path = Path(path)
     if is_bag(path):
         return [read_record(path, namespace)]
-    try:
-        file = read_table_file(path)
-    except InputError as error:
-        if "no columns of numbers" not in str(error):
-            raise
-        raise InputError(
-            f"{path}: neither a bag (folder, .mcap, .db3) nor an instrument file known here (DSC "
-            "export, isobaric test, tensile test): no columns of numbers"
-        ) from None
+    # The readers of tables are loaded for tables only.
+    from sma_bench.records import instrument_files as files
+    from sma_bench.records.tables import read_table_file
+
+    kinds = (
+        (files.is_dsc, files.dsc_of), (files.is_isobaric, files.isobaric_of),
+        (files.is_tensile, files.tensile_of),
+    )  # fmt: skip
+    file = read_table_file(path)
     records: list[AnyRecord] = []
     for table in file.tables:
-        sheet = Sheet(file, table, stated or {})
-        made = next((make for is_it, make in _INSTRUMENTS if is_it(sheet)), None)
+        sheet = files.Sheet(file, table, stated or {})
+        made = next((make for is_it, make in kinds if is_it(sheet)), None)
         if made is not None:
             records.append(made(sheet))
     if records:
         return records
     raise InputError(f"{path}: {_what_it_lacks(file, stated or {})}")
+
+
+def parse_stated(texts: Iterable[str]) -> dict[str, float]:
+    """`stress=200 MPa` and the like in SI units; raises InputError for nothing that can be stated,
+    or no number with its unit."""
+    from sma_bench.records.cells import WORDS, number_with_unit
+
+    known: dict[str, Any] = WORDS["stated"]
+    found: dict[str, float] = {}
+    for text in texts:
+        name, _, rest = text.partition("=")
+        name = name.strip().replace("-", "_")
+        if name not in known:
+            raise InputError(f"{text!r}: expected one of {', '.join(known)}, e.g. mass=12 mg")
+        quantity = known[name]["quantity"]
+        value = number_with_unit(rest, quantity)
+        if value is None or not 0.0 < value < np.inf:
+            raise InputError(f"{text!r}: expected a number with a unit of {quantity}")
+        found[name] = value
+    return found
 
 
 def open_record(
@@ -73,8 +87,11 @@ def open_record(
     return first
 
 
-def _what_it_lacks(file: TableFile, stated: Mapping[str, float]) -> str:
+def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
     """What keeps a table from being an instrument's, or how a logger's becomes a record."""
+    from sma_bench.records.cells import QUANTITIES, WORDS
+    from sma_bench.records.instrument_files import Sheet
+
     sheet = Sheet(file, max(file.tables, key=lambda table: len(table.lines)), stated)
     if not sheet.titles:
         return (
@@ -83,8 +100,7 @@ def _what_it_lacks(file: TableFile, stated: Mapping[str, float]) -> str:
             "--state 'stress=200 MPa' or a first line 'Stress: 200 MPa'"
         )
     kinds = WORDS["instruments"]
-    lacks = {kind: [what for what, roles in needs.items() if not sheet.find(*roles)]
-             for kind, needs in kinds.items()}  # fmt: skip
+    lacks = {kind: sheet.lacks(kind) for kind in kinds}
     kind = min(lacks, key=lambda one: len(lacks[one]))
     is_named = kind == "isobaric" or any(map(sheet.find, ("heat flow", "strain", "stress")))
     if len(lacks[kind]) == 1 and is_named and not sheet.is_driven():
@@ -97,4 +113,102 @@ def _what_it_lacks(file: TableFile, stated: Mapping[str, float]) -> str:
     return (
         f"a table of another logger ({file.format}): write titles with units, or make a record of "
         f"it: sma-bench import {name} --out {file.path.stem}"
+    )
+
+
+# --- Everything `sma-bench info` shows.
+
+
+def describe(record: AnyRecord) -> dict[str, Any]:
+    """What a record holds, as JSON-able data in SI units."""
+
+    def ends(first: str, last: str, values: FloatArray) -> dict[str, float]:
+        return {first: float(values[0]), last: float(values[-1])}
+
+    about: dict[str, Any] = {"path": str(record.path)}
+    if isinstance(record, DscRecord):
+        about |= {
+            "kind": "dsc", "instrument": record.instrument, "sample": record.sample,
+            "mass": record.mass, "endothermic_up": record.endothermic_up,
+            "segments": [
+                {"number": s.number, "kind": s.kind, "rate": s.rate, "samples": len(s.time),
+                 **ends("start", "end", s.time), **ends("from", "to", s.temperature)}
+                for s in record.segments
+            ],
+        }
+    elif isinstance(record, IsobaricRecord):
+        # Quantities of a cycle by their names in ASTM E3097: actuation strain is what heating
+        # recovers, residual strain the end less the begin of the cycle.
+        standard = []
+        for cycle in (cycle for cycle in record.cycles if len(cycle.branches) == 2):
+            heating = next(b for b in cycle.branches if b.direction == "heating")
+            kelvin = np.concatenate([branch.temperature for branch in cycle.branches])
+            first, last = cycle.branches
+            standard.append({
+                "cycle": cycle.number,
+                "lower_cycle_temperature": float(kelvin.min()),
+                "upper_cycle_temperature": float(kelvin.max()),
+                "actuation_strain": float(heating.strain[0] - heating.strain[-1]),
+                "residual_strain": float(last.strain[-1] - first.strain[0]),
+            })
+        about |= {
+            "kind": "isobaric", "stress": record.stress, "strain_unit": record.strain_unit,
+            "branches": [
+                {"cycle": cycle.number, "kind": b.direction, "samples": len(b.temperature),
+                 **ends("from", "to", b.temperature), **ends("strain_from", "strain_to", b.strain)}
+                for cycle in record.cycles for b in cycle.branches
+            ],
+            "cycles": standard,
+        }
+    elif isinstance(record, TensileRecord):
+        about |= {
+            "kind": "tensile", "temperature": record.temperature,
+            "is_extension": record.is_extension, "is_force": record.is_force,
+            "samples": len(record.strain), "largest_strain": float(record.strain.max()),
+            "largest_stress": float(record.stress.max()),
+        }
+    else:
+        signals = []
+        for signal in record.signals.values():
+            steps, finite = np.diff(signal.time), signal.values[np.isfinite(signal.values)]
+            period, received = signal.period, signal.received
+            jitter = float(np.subtract(*np.percentile(steps, [95, 5]))) if len(steps) else None
+            signals.append({
+                "name": signal.name, "unit": signal.unit, "topic": signal.topic,
+                "samples": len(signal), "rate": 1 / period if period > 0 else None,
+                "jitter": jitter, "longest_gap": float(steps.max()) if len(steps) else None,
+                "delay": None if received is None else float(np.median(received - signal.time)),
+                "start": float(signal.time[0]) if len(signal) else None,
+                "end": float(signal.time[-1]) if len(signal) else None,
+                **{name: float(getattr(finite, name)()) if len(finite) else None
+                   for name in ("min", "max", "mean")},
+            })
+        about |= {
+            "kind": "bag", "start_ns": record.start_ns, "duration": record.duration,
+            "start": datetime.fromtimestamp(record.start_ns / 1e9, UTC).isoformat(),
+            "channels": list(record.channels),
+            "topics": [
+                {"name": name, "type": t.type, "count": t.count, "signals": list(t.signals)}
+                for name, t in record.topics.items()
+            ],
+            "signals": signals,
+            "markers": [{"time": time, "text": text} for time, text in record.markers],
+        }
+    found = check_record(record) if isinstance(record, Record) else record.findings
+    findings = [finding.to_json() for finding in found]
+    return about | {"findings": findings, "account": account_line(record)}
+
+
+def account_line(record: AnyRecord) -> str:
+    """What became of the rows and columns of a file, or of the messages and topics of a bag."""
+    name = Path(record.path).name
+    if not isinstance(record, Record):
+        return f"{name}: {record.account}" if record.account else ""
+    topics = record.topics
+    taken = sum(topic.count for topic in topics.values() if topic.signals)
+    used = ", ".join(f"{n} ({', '.join(t.signals)})" for n, t in topics.items() if t.signals)
+    rest = (f"{n} ({t.type}, none of the bench's)" for n, t in topics.items() if not t.signals)
+    return (
+        f"{name}: {sum(topic.count for topic in topics.values())} messages read, {taken} used; "
+        f"topics used: {used or 'none'}; ignored: {', '.join(rest) or 'none'}"
     )

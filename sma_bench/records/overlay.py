@@ -8,7 +8,7 @@ import numpy as np
 
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
-from sma_bench.records.record import Record, Signal, samples
+from sma_bench.records.record import Record, samples
 
 _STEP = 0.02  # s, of the voltages that are aligned; longer in long records
 _MOST_STEPS = 100_000
@@ -61,7 +61,6 @@ class Overlay(Drawn):
         return "\n".join([*lines, *self.remarks])
 
     def to_json(self) -> dict[str, Any]:
-        """Plain data."""
         return {
             "records": {name: str(record.path) for name, record in self.records.items()},
             "shifts": self.shifts, "differences": [asdict(d) for d in self.differences],
@@ -75,17 +74,16 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
     Their clocks are shifted so that the voltages coincide; those named in `aligned` are on the
     first one's clock already, and those whose drive is another stay as they are.
 
-    Raises:
-        InputError: fewer than two records, or no signal that two of them share.
+    Raises InputError: fewer than two records, or no signal that two of them share.
     """
     if len(records) < 2:
         raise InputError(f"compare: {len(records)} record or model given, expected two or more")
     first, *others = records
     shifts, remarks = {first: 0.0}, []
     for name in others:
-        shift = None if name in aligned else _shift(records[first], records[name])
+        shift = 0.0 if name in aligned else _shift(records[first], records[name])
         shifts[name] = shift or 0.0
-        if shift is None and name not in aligned:
+        if shift is None:
             remarks.append(
                 f"{name}: no drive in common with {first}; both clocks count from their start"
             )
@@ -101,12 +99,13 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
     # Differences at the first record's samples, where the other has values at the same time.
     found = []
     for where in others:
-        for name in shifted[where].signals:
-            mine, theirs = shifted[first].get(name), shifted[where][name]
-            if mine is None or not _is_number(mine) or not _is_number(theirs):
+        pair = shifted[first], shifted[where]
+        for name in pair[1].signals:
+            own = [record.get(name) for record in pair]
+            if not all(s and s.values.ndim == 1 and np.isfinite(s.values).any() for s in own):
                 continue
-            time, values = samples(shifted[first], name)
-            their_time, their_values = samples(shifted[where], name)
+            time, values = samples(pair[0], name)
+            their_time, their_values = samples(pair[1], name)
             inside = (time >= their_time[0]) & (time <= their_time[-1])
             if not inside.any():
                 continue
@@ -115,28 +114,22 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
             rms, span = float(np.sqrt(np.mean(left**2))), float(np.ptp(values))
             share = rms / span if span > 0.0 else float(rms > 0.0)
             largest, at = float(left[worst]), float(time[inside][worst])
-            found.append(Difference(name, mine.unit, where, rms, largest, at, share))
+            unit = pair[0][name].unit
+            found.append(Difference(name, unit, where, rms, largest, at, share))
     if not found:
         raise InputError(f"compare: {', '.join(records)} share no signal at any time")
     ranked = sorted(found, key=lambda d: d.share, reverse=True)
     return Overlay(shifted, shifts, tuple(ranked), tuple(remarks))
 
 
-def _is_number(signal: Signal) -> bool:
-    return signal.values.ndim == 1 and bool(np.isfinite(signal.values).any())
-
-
 def _shift(first: Record, other: Record) -> float | None:
     """s to add to the other's times, by which its voltages lie on those of the first; None where
     they are not the same drive."""
+    pair = (first, other)
+    names = [f"{channel}.voltage" for channel in first.channels]
     names = [
-        name
-        for name in (f"{channel}.voltage" for channel in first.channels)
-        if all(
-            name in record.signals
-            and np.nanmax(np.abs(record[name].values), initial=0.0) > 0.0
-            for record in (first, other)
-        )
+        name for name in names
+        if all(name in r.signals and np.nanmax(np.abs(r[name].values), initial=0.0) for r in pair)
     ]
     if not names:
         return None
@@ -145,7 +138,7 @@ def _shift(first: Record, other: Record) -> float | None:
     grid = np.arange(0.0, longest + step, step)
     one, two = (
         np.stack([np.interp(grid, *samples(record, name), left=0.0, right=0.0) for name in names])
-        for record in (first, other)
+        for record in pair
     )
     size = 2 * len(grid)
     spectrum = np.fft.rfft(one, size) * np.conj(np.fft.rfft(two, size))

@@ -1,8 +1,12 @@
-"""The record of one experiment: named signals with units, each on its own clock."""
+"""The record of one experiment: named signals with units, each on its own clock; and the drive in
+it, which a simulation takes as its input."""
 
-from dataclasses import dataclass, field
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +14,9 @@ from numpy.typing import NDArray
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import as_recorded
+from sma_bench.records.contract import unit_of
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -90,24 +97,17 @@ class Record(Drawn):
     findings: tuple[Finding, ...] = ()
 
     def __repr__(self) -> str:
-        ends = [s.time[-1] for s in self.signals.values() if len(s)]
         names = ", ".join(sorted(self.signals)) or "no signals"
-        return f"<Record {self.path}: {max(ends, default=0.0):.4g} s; {names[:_LONGEST_LIST]}>"
+        return f"<Record {self.path}: {self.duration:.4g} s; {names[:_LONGEST_LIST]}>"
 
     def __getitem__(self, name: str) -> Signal:
-        """The signal called `name`.
-
-        Raises:
-            InputError: the record has no such signal.
-        """
-        try:
-            return self.signals[name]
-        except KeyError:
+        """The signal called `name`. Raises InputError: the record has no such signal."""
+        if name not in self.signals:
             held = ", ".join(sorted(self.signals)) or "no signals"
-            raise InputError(f"{self.path}: no signal {name!r}, the record has {held}") from None
+            raise InputError(f"{self.path}: no signal {name!r}, the record has {held}")
+        return self.signals[name]
 
     def get(self, name: str) -> Signal | None:
-        """The signal called `name`, or None."""
         return self.signals.get(name)
 
     @property
@@ -134,11 +134,8 @@ def fingerprint(record: Record) -> bytes:
 
 
 def samples(record: Record, name: str) -> tuple[FloatArray, FloatArray]:
-    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say.
-
-    Raises:
-        InputError: the signal is absent or holds no finite value.
-    """
+    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say. Raises
+    InputError: the signal is absent or holds no finite value."""
     signal = record.get(name)
     if signal is None:
         raise InputError(f"{record.path}: no signal {name}")
@@ -166,3 +163,184 @@ def first_order_lag(course: FloatArray, left: float, start: float = 0.0) -> Floa
     coming[0] += left * start
     bands = np.vstack([np.ones_like(course), np.full_like(course, -left)])
     return np.asarray(solve_banded((1, 0), bands, coming))
+
+
+# --- Records from arrays and tables in memory, and tables of records, for notebooks.
+
+TIME = "time"
+_COMMAND = "voltage_command"
+_COMMAND_COLUMN = re.compile(rf"{_COMMAND}\.(\d+)\Z")
+_NAMES = (
+    "<channel>.voltage, .current, .temperature, ambient.temperature, front.range, back.range, "
+    "deflection, elongation, force or voltage_command"
+)
+_COLDEST_FRAME = 253.0  # K; what never gets warmer is no bench of SMA wires
+_FARTHEST = 1.0  # m that one moves
+
+
+def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Record:
+    """A record of signals that are arrays in memory. `columns`: contract name (`wire.voltage`) to
+    values in SI units: (n,) on the shared clock `time`, (n,) s, or a pair (time, values) on a clock
+    of its own. NaN is what was not measured and is left out, as from a bag. `voltage_command` is
+    (n, k); `where`: the record's name in messages. Raises InputError: a name that is none of the
+    contract's, arrays that do not fit each other, times that do not increase, or nothing at all."""
+
+    def floats(name: str, values: Any) -> Any:
+        try:
+            return np.array(values, dtype=np.float64)
+        except (TypeError, ValueError):
+            raise InputError(f"{where}: {name} does not hold numbers only") from None
+
+    # The numbered columns of the command, put side by side.
+    named = {name: given for name, given in columns.items() if name != TIME}
+    found = [(int(n[1]), name) for name in named if (n := _COMMAND_COLUMN.match(str(name)))]
+    if found:
+        parts = [floats(name, named.pop(name)) for _, name in sorted(found)]
+        named[_COMMAND] = np.column_stack(parts)
+
+    signals: dict[str, Signal] = {}
+    findings = []
+    for name, given in named.items():
+        unit = unit_of(name)
+        if unit is None:
+            raise InputError(f"{where}: no signal is called {name!r}, expected {_NAMES}")
+        own = isinstance(given, tuple) and len(given) == 2
+        if not own and columns.get(TIME) is None:
+            raise InputError(f"{where}: {name} without times, expected {TIME!r} or a pair")
+        time, values = given if own else (columns[TIME], given)
+        seconds, numbers = floats(TIME, time), floats(name, values)
+        flat = 1 if name != _COMMAND else numbers.ndim
+        if seconds.ndim != 1 or numbers.ndim != flat or len(numbers) != len(seconds):
+            raise InputError(
+                f"{where}: {name} has shape {numbers.shape} on times of shape {seconds.shape}, "
+                "expected one value for each time"
+            )
+        missing = np.isnan(numbers if numbers.ndim == 1 else numbers[:, 0])
+        seconds, numbers = seconds[~missing], numbers[~missing]
+        backward = np.flatnonzero(~(np.diff(seconds) > 0.0))
+        if backward.size or not np.isfinite(seconds).all():
+            k = int(backward[0]) if backward.size else 0
+            around = ", ".join(f"{t:g}" for t in seconds[k : k + 2])
+            raise InputError(f"{where}: {name}: times {around} s, expected finite and increasing")
+        if not len(numbers):
+            findings.append(Finding("info", name, "NaN throughout, that is not measured; absent"))
+            continue
+        span = f"{where}: {name} is {numbers.min():.4g} to {numbers.max():.4g}"
+        if unit == "K" and numbers.max() < _COLDEST_FRAME:
+            raise InputError(f"{span}, expected kelvin; of Celsius add 273.15")
+        if unit == "m" and numbers.ndim == 1 and np.ptp(numbers) > _FARTHEST:
+            raise InputError(f"{span}, expected m; of mm divide by 1000")
+        signals[name] = Signal(name, unit, seconds, numbers)
+    if not signals:
+        raise InputError(f"{where}: no signals, expected {_NAMES}")
+    return Record(Path(where), 0, signals, findings=tuple(findings))
+
+
+def record_from_frame(frame: Any, where: str = "frame") -> Record:
+    """A record of the columns of a pandas DataFrame, named as in `record_from_arrays`. Times are
+    its column `time`, else its index: seconds, time spans, or dates (the record then starts at the
+    first of them). Raises InputError: as `record_from_arrays`."""
+    given = frame[TIME] if TIME in frame.columns else frame.index
+    times, start_ns = given.to_numpy(), 0
+    if times.dtype == object:  # dates of a time zone
+        times = given.array.to_numpy(dtype="datetime64[ns]")
+    if times.dtype.kind in "mM" and len(times):
+        nanoseconds = times.astype(f"{times.dtype.kind}8[ns]").astype(np.int64)
+        if times.dtype.kind == "M":
+            start_ns = int(nanoseconds.min())
+        times = (nanoseconds - start_ns) / 1e9
+    columns = {str(name): frame[name].to_numpy() for name in frame.columns if name != TIME}
+    return replace(record_from_arrays({**columns, TIME: times}, where), start_ns=start_ns)
+
+
+def frame_from_record(record: Record) -> Any:
+    """The signals as columns of a pandas DataFrame; `attrs["units"]` has their units. The index is
+    the union of all clocks, s since the record's start; where a signal has no sample there is NaN,
+    so `record_from_frame` gives the same signals back. The columns of `voltage_command` are
+    numbered. Raises InputError: pandas is not installed."""
+    pandas = require_pandas()
+    columns: dict[str, Any] = {}
+    units = {}
+    for name, signal in record.signals.items():
+        is_wide = signal.values.ndim > 1
+        for k, column in enumerate(signal.values.T if is_wide else [signal.values]):
+            title = f"{name}.{k}" if is_wide else name
+            columns[title] = pandas.Series(column, index=signal.time)
+            units[title] = signal.unit
+    frame = pandas.DataFrame(columns)
+    frame.index.name = TIME
+    frame.attrs["units"] = units
+    return frame
+
+
+def require_pandas() -> Any:
+    """The module pandas, which is optional. Raises InputError: it is not installed."""
+    try:
+        import pandas
+    except ModuleNotFoundError:
+        raise InputError(
+            "pandas is not installed: pip install pandas (Ubuntu: apt install python3-pandas)"
+        ) from None
+    return pandas
+
+
+# --- The voltages that a bench applied, on one clock.
+
+
+def drive_of(record: Record, parameters: Parameters) -> tuple[Parameters, FloatArray, FloatArray]:
+    """The bench as a record shows it, time (n,) s and volts (n, w) that drive it: of a current
+    source whose current alone was measured the command that stands for it. Raises InputError: the
+    record lacks what drives a channel."""
+    record, ohms = with_commands(record, parameters)
+    bench = parameters if ohms else as_recorded(parameters)
+    return bench, *held_voltages(record, parameters["bench.channels"])
+
+
+def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float]:
+    """The record as it is and 0, or with commands in place of a current source's currents where
+    nobody measured voltages, and their volts for an ampere."""
+    is_measured = any(has_samples(record, f"{c}.voltage") for c in record.channels)
+    if is_measured or parameters["bench.drive"] != "current":
+        return record, 0.0
+    signals, ohms = dict(record.signals), ohms_of_source(parameters)
+    for name in [f"{c}.current" for c in record.channels if f"{c}.current" in signals]:
+        own, volts = signals.pop(name), name.replace(".current", ".voltage")
+        signals[volts] = replace(own, name=volts, unit="V", values=ohms * own.values)
+    return replace(record, signals=signals), ohms
+
+
+def ohms_of_source(parameters: Parameters) -> float:
+    """Volts that stand for an ampere in commands to a current source."""
+    return float(parameters["wire.resistance"]) / float(parameters["wire.count"])
+
+
+def held_voltages(record: Record, channels: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+    """Measured voltages of all channels, each held until its next sample. `channels`: in the order
+    of bench.channels. Returns time (n,) s, the union of the channels' stamps, and voltage (n, w) V.
+    Raises InputError: the record lacks the voltage of a channel."""
+    require_channels(
+        record, channels, [c for c in record.channels if f"{c}.voltage" in record.signals]
+    )
+    signals = [record[f"{channel}.voltage"] for channel in channels]
+    time = np.unique(np.concatenate([signal.time for signal in signals]))
+    held = [
+        signal.values[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
+        for signal in signals
+    ]
+    return time, np.stack(held, axis=1)
+
+
+def require_channels(record: Record, channels: Sequence[str], driven: Sequence[str]) -> None:
+    """InputError where a channel of the parameters is none of the record's that have voltages; the
+    line says which rig either is of."""
+    missing = [channel for channel in channels if channel not in driven]
+    if not missing:
+        return
+    text = (
+        f"{record.path}: no voltage of channel {missing[0]}: the parameters are of a bench of "
+        f"{', '.join(channels)}, the record of one of {', '.join(driven) or 'no channel'}"
+    )
+    fitting = {1: "wire", 4: "composite"}.get(len(driven))
+    if fitting and len(driven) != len(channels):
+        text += f"; expected parameters as those of config/{fitting}_rig.yaml"
+    raise InputError(text)

@@ -1,13 +1,12 @@
-"""Reads the serialised messages of a bag's storage files.
+"""The storage files of a bag, and the serialised messages in them.
 
 An mcap file is walked from its beginning, so one whose recorder died is read like any other, up to
 its first damage; what lies behind that is given up, and said. An sqlite3 file is read whole or
 refused. Both spend a Budget, so that no file takes more memory or time than its size allows.
 """
 
-import fcntl
 import mmap
-import os
+import re
 import sqlite3
 import struct
 import sys
@@ -16,19 +15,31 @@ from array import array
 from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
+from itertools import pairwise
+from pathlib import Path, PurePath
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
 
-from sma_bench.border import Budget, OverBudget, printable, reading_budget
+from sma_bench import border
+from sma_bench.border import Budget, OverBudget, printable
 from sma_bench.errors import InputError
-from sma_bench.findings import Finding
+from sma_bench.findings import Finding, Severity
 
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:  # rosbags brings it along
     from backports import zstd
 
-MCAP_MAGIC, SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
-ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+T = TypeVar("T")
+
+METADATA = "metadata.yaml"
+PROVENANCE = "sma_bench_provenance"  # key of custom_data in it
+_MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".mat", ".h5", ".hdf5", ".parquet")
+_LONGEST_NAME = 255  # characters, on every file system
+_LONGEST_PROVENANCE, _MOST_SENTENCES = 2000, 50  # characters, signals
 _MOST_TOPICS = 4096
 _LARGEST_MESSAGE = 1 << 24
 _PIECE = 1 << 16
@@ -54,12 +65,12 @@ class RawTopic:
 
 @dataclass
 class RawTopics:
-    """The topics of all files of a bag by name and type, and what of them could not be read."""
+    """The topics of all files of a bag by name and type, and what is to be said of it."""
 
     wanted: Callable[[str, str], bool]
     topics: dict[tuple[str, str], RawTopic] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
-    budget: Budget = field(default_factory=lambda: reading_budget(0))
+    budget: Budget = field(default_factory=lambda: border.reading_budget(0))
 
     def topic(self, name: str, msgtype: str, encoding: str) -> RawTopic:
         """The topic to add messages to, created when it is new."""
@@ -71,112 +82,234 @@ class RawTopics:
             wanted = self.wanted(*key)
             if wanted and encoding != "cdr":
                 text = f"messages are encoded as {encoding[:40]!r}, expected 'cdr'; not decoded"
-                self.findings.append(Finding("error", key[0], text))
+                self.remark(key[0], text, "error")
                 wanted = False
             self.topics[key] = RawTopic(*key, wanted)
         return self.topics[key]
 
-    def lost(self, subject: str, text: str, **numbers: float) -> None:
-        """Note that something of the bag could not be read."""
-        self.findings.append(Finding("warning", printable(subject), printable(text), dict(numbers)))
+    def remark(
+        self, subject: str, text: str, severity: Severity = "warning", **numbers: float
+    ) -> None:
+        self.findings.append(Finding(severity, printable(subject), printable(text), numbers))
+
+
+# --- files of a bag -----------------------------------------------------------------------------
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is meant to be a bag: a folder, or a file with a storage's content or name.
+    Raises InputError: there is neither a folder nor a regular file that can be read."""
+    border.require_there(path)
+    if path.is_dir():
+        return True
+    try:
+        with path.open("rb") as file:
+            head = file.read(len(_SQLITE_MAGIC))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    magic = (_MCAP_MAGIC, _SQLITE_MAGIC, _ZSTD_MAGIC)
+    return path.name.endswith(_SUFFIXES) or head.startswith(magic)
+
+
+def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
+    """All messages of a bag's folder or storage file whose topic and type are `wanted`; what cannot
+    be read becomes a finding. Raises InputError: no bag, no message in it, or a damaged sqlite3
+    file."""
+    topics = RawTopics(wanted)
+    files, promised = _files_of(path, topics)
+    topics.budget = border.reading_budget(sum(file.stat().st_size for file in files))
+    for file in files:
+        try:
+            with TemporaryDirectory() as folder, file.open("rb") as opened:
+                plain = file
+                if opened.read(4) == _ZSTD_MAGIC or file.name.endswith(".zstd"):
+                    plain = Path(folder, file.name.removesuffix(".zstd"))
+                    if ended := _decompress_file(file, plain, topics.budget):
+                        topics.remark(file.name, f"{ended}; read up to there")
+                # By content; by name where the beginning is damaged.
+                with plain.open("rb") as unpacked:
+                    head = unpacked.read(len(_SQLITE_MAGIC))
+                is_mcap = head.startswith(_MCAP_MAGIC)
+                if head == _SQLITE_MAGIC or (plain.suffix == ".db3" and not is_mcap):
+                    _read_sqlite(plain, topics, file)
+                else:
+                    _read_mcap(plain, topics, file.name)
+        except OverBudget as error:
+            topics.remark(file.name, f"{error}; read up to there")
+        except OSError as error:
+            topics.remark(file.name, f"cannot be read: {error.strerror or error}")
+    found = topics.topics.values()
+    if not any(topic.count for topic in found):
+        why = "the bag holds no messages (did its recorder die?)"
+        for finding in topics.findings[:1]:
+            why = f"nothing can be read: {finding.subject}: {finding.text}"
+        raise InputError(f"{path}: {why}")
+    for name, count in promised.items():
+        missing = count - sum(topic.count for topic in found if topic.name == name)
+        if missing > 0:
+            share = f"{missing} of {count} messages ({missing / count:.1%})"
+            text = f"{share} announced by {METADATA} cannot be read"
+            topics.remark(name, text, missing=missing, announced=count)
+    return topics
+
+
+def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]]:
+    """The storage files in order, and the number of messages by topic that the metadata promises.
+    Raises InputError: nothing there, not a bag, or a folder of several bags."""
+    if not is_bag(path):
+        how = ""
+        if path.suffix.lower() in _TABLES:
+            how = f"; make a record of a table: sma-bench import {path.name} --out {path.stem}"
+        raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}")
+    if not path.is_dir():
+        return [path], {}
+
+    # Storage files of the folder in order of their numbers; links out of it are not followed.
+    try:
+        names = {file.name for file in path.iterdir() if file.is_file()}
+        own = {name for name in names if border.is_inside(path / name, path)}
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    for name in sorted(names - own):
+        if name == METADATA or name.endswith(_SUFFIXES):
+            topics.remark(name, "a link out of the bag's folder; not followed")
+    numbered = {re.sub(r"\d+", lambda m: m[0].zfill(9), n): n for n in own if n.endswith(_SUFFIXES)}
+    present = [path / numbered[key] for key in sorted(numbered)]
+
+    # What the metadata says, from a file that may be anybody's.
+    listed: list[str] = []
+    promised: dict[str, int] = {}
+    try:
+        if METADATA in own:
+            about = border.read_yaml(path / METADATA, aliases=True)["rosbag2_bagfile_information"]
+            for entry in about.get("topics_with_message_count") or ():
+                topic = _of(str, entry["topic_metadata"]["name"])
+                promised[topic] = promised.get(topic, 0) + _of(int, entry["message_count"])
+            listed = [PurePath(_of(str, name)).name for name in about["relative_file_paths"]]
+            _remark_provenance(about.get("custom_data"), topics)
+    except (InputError, KeyError, TypeError, ValueError, AttributeError):
+        promised = {}
+        topics.remark(METADATA, "cannot be understood; the storage files next to it are read")
+    if METADATA not in names:
+        if not present:
+            raise InputError(
+                f"{path}: not a bag: the folder holds no {METADATA} and no .mcap or .db3 file"
+            )
+        if len({re.sub(r"_\d+$", "", f.name.partition(".")[0]) for f in present}) > 1:
+            some = ", ".join(file.name for file in present[:3])
+            raise InputError(
+                f"{path}: no {METADATA} in the folder, and files of several bags: {some}; expected "
+                "one bag, or the path of a file"
+            )
+        read = f"{len(present)} storage file{'s' * (len(present) > 1)} next to it read"
+        topics.remark(METADATA, f"is missing; {read}", "info")
+
+    # The files that it lists, then the others: a recorder that died right after a split has not
+    # listed its newest one.
+    listed = [name for name in dict.fromkeys(listed) if len(name) <= _LONGEST_NAME]
+    for name in listed:
+        if name not in names:
+            topics.remark(name, f"the storage file {name} is missing; the others are read")
+    extra = [file for file in present if file.name not in listed]
+    for file in extra if listed else ():
+        topics.remark(file.name, f"not listed in {METADATA}; read all the same")
+    numbers = [(re.search(r"_(\d+)\.", file.name), file.name) for file in extra]
+    known = [(int(number[1]), name) for number, name in numbers if number and not listed]
+    for (before, _), (after, name) in pairwise(known):
+        if after > before + 1:
+            text = f"files {before + 1} to {after - 1} in front of it are missing"
+            topics.remark(name, text)
+    return [path / name for name in listed if name in own] + extra, promised
+
+
+def _of(kind: type[T], value: Any) -> T:
+    """A value of its type; of any other the text alone may be gigabytes, by YAML's aliases."""
+    if not isinstance(value, kind):
+        raise TypeError(kind.__name__)
+    return value
+
+
+def _remark_provenance(custom: Any, topics: RawTopics) -> None:
+    """Where an imported bag comes from."""
+    text = custom.get(PROVENANCE) if isinstance(custom, dict) else None
+    if not isinstance(text, str):
+        return
+    try:
+        said = border.read_json_object(text, PROVENANCE)
+    except InputError as error:
+        topics.remark(METADATA, str(error))
+        return
+    how, repeated = said.get("how"), said.get("repeated")
+    parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]
+    parts += [str(part) for part in how[:_MOST_SENTENCES]] if isinstance(how, list) else []
+    topics.remark("record", border.shown("; ".join(parts), _LONGEST_PROVENANCE), "info")
+    if isinstance(repeated, int) and repeated > 0:
+        text = f"{repeated} rows had the stamp of the row before and were spread evenly at import"
+        topics.remark("record", text, repeated=float(repeated))
 
 
 # --- mcap (https://mcap.dev/spec) ---------------------------------------------------------------
 
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
-_DATA_END_SIZE = 4
 _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 _CHECK_TIME_EVERY = 1 << 17  # bytes
 _BLOCK = 512  # bytes, the smallest that disks have
-_NO_SCHEMA = 0
 
 
 class _Damage(Exception):
     """Bytes that are no record."""
 
 
-def read_mcap(path: Path, topics: RawTopics, name: str) -> None:
-    """Add the messages of one mcap file, called `name` in findings.
-
-    Raises:
-        OSError: the file cannot be opened.
-        OverBudget: it asks for more than such a file may; what was found until then is there.
+def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
+    """Add the messages of one mcap file, called `name` in findings, up to its first damage. Raises
+    OSError; OverBudget: it asks for more than such a file may; what was found until then is there.
     """
-    size = path.stat().st_size
-    if not size:
-        topics.lost(name, "the file is empty")
+    if not (size := path.stat().st_size):
+        topics.remark(name, "the file is empty")
         return
-    walk = _McapWalk(topics)
-    damage = ""
-    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as buffer:
-        try:
-            if buffer[: len(MCAP_MAGIC)] != MCAP_MAGIC:
-                raise _Damage("it does not begin like an mcap file")
-            walk.position = len(MCAP_MAGIC)
-            walk.take(buffer, walk.position, inside_chunk=False)
-        except (_Damage, struct.error) as error:
-            damage = str(error) if isinstance(error, _Damage) else "a record is broken"
-        growing = not walk.ended and _is_being_written(file.fileno(), path)
-    if walk.orphans:
-        text = f"{walk.orphans} messages belong to no known topic and are lost"
-        topics.lost(name, text, messages=walk.orphans)
-    if growing:
-        text = "is still being recorded: what was written until now is read"
-        topics.findings.append(Finding("info", name, text))
-    elif damage:
-        lost = size - walk.position
-        text = f"damaged at byte {walk.position}: {damage}; what comes after, {lost} bytes at most "
-        topics.lost(name, text + f"({lost / size:.1%}), is lost", bytes=lost)
-    elif not walk.ended:
-        text = "the file was never finished (its writer died); all whole messages are read"
-        topics.lost(name, text)
+    schemas = {0: ""}  # of a channel without one
+    channels: dict[int, RawTopic] = {}
+    reached, orphans, ended, damage = len(_MCAP_MAGIC), 0, False, ""
 
-
-class _McapWalk:
-    """Takes one record after the other; `position` is the first in the file not taken whole."""
-
-    def __init__(self, topics: RawTopics) -> None:
-        self.topics = topics
-        self.schemas = {_NO_SCHEMA: ""}
-        self.channels: dict[int, RawTopic] = {}
-        self.position = self.orphans = 0
-        self.ended = False
-
-    def take(
-        self, buffer: bytes | mmap.mmap, position: int, inside_chunk: bool, at: int = 0
-    ) -> None:
-        """Take the records from `position` to the end, of the file or of a chunk, that begins at
-        byte `at` of the file.
-
-        Raises:
-            _Damage, struct.error: what comes next is no record.
-        """
-        end, unpack, channels = len(buffer), _RECORD.unpack_from, self.channels
-        checked, topic = position, None
-        while position < end and not self.ended:
+    def take(buffer: bytes | mmap.mmap, position: int, inside: int | None = None) -> None:
+        """Take the records from `position` to the end of the file, or of a chunk that begins
+        `inside` it at that byte. Raises _Damage, struct.error: what comes next is no record."""
+        nonlocal reached, orphans, ended
+        end, unpack, checked = len(buffer), _RECORD.unpack_from, position
+        topic: RawTopic | None = None
+        while position < end and not ended:
             if position - checked > _CHECK_TIME_EVERY:
-                self.topics.budget.check()
+                topics.budget.check()
                 checked = position
-            if position + _RECORD.size > end:
-                raise _Damage("it ends inside a record")
-            opcode, length = unpack(buffer, position)
             start = position + _RECORD.size
+            opcode, length = unpack(buffer, position) if start <= end else (_DATA_END, end)
             stop = start + length
             if not 0 < opcode < 0x80:
                 if topic is not None and topic.wanted:
-                    _forget_half_zeroed(topic, buffer, position, at)
+                    # A message in front of zeros may have begun inside them: a computer that lost
+                    # its power leaves them from the beginning of a block.
+                    before = _RECORD.size + _MESSAGE_HEAD.size + topic.lengths[-1]
+                    block = position - ((inside or 0) + position) % _BLOCK
+                    is_zeroed = not any(buffer[block : position + 1])
+                    if position - before < block < position and is_zeroed:
+                        del topic.data[-topic.lengths.pop() :], topic.times[-1]
+                        topic.count -= 1
                 raise _Damage("the bytes make no sense")
-            if stop > end and opcode == _CHUNK and not inside_chunk:
-                self.take(_begun_chunk(buffer[start:], self.topics.budget), 0, True)
-                raise _Damage("it ends inside a chunk, of which the whole messages are read")
+            if stop > end and inside is not None:
+                raise _Damage("a chunk ends inside a record")
             if stop > end:
-                raise _Damage("it ends inside a record")
+                # The whole records of a chunk that the file ends in; no checksum speaks for them.
+                with suppress(_Damage, struct.error):
+                    if opcode == _CHUNK:
+                        begun = _unpacked(buffer[start:], topics.budget.left, topics.budget)
+                        take(begun, 0, end - len(begun))
+                return
             if opcode == _MESSAGE:
                 channel, _, time, _ = _MESSAGE_HEAD.unpack_from(buffer, start)
                 topic = channels.get(channel)
                 if topic is None or time >> 63 or length < _MESSAGE_HEAD.size:
-                    self.orphans += 1
+                    orphans += 1
                 else:
                     topic.count += 1
                     if topic.wanted:
@@ -184,73 +317,58 @@ class _McapWalk:
                         topic.lengths.append(length - _MESSAGE_HEAD.size)
                         topic.data += buffer[start + _MESSAGE_HEAD.size : stop]
             elif opcode == _CHUNK:
-                if inside_chunk:  # thousands in each other would end the stack
+                if inside is not None:  # thousands in each other would end the stack
                     raise _Damage("a chunk inside a chunk")
-                data = _plain_chunk(buffer[start:stop], self.topics.budget)
-                self.take(data, 0, True, stop - len(data))
+                _, _, plain, checksum, _ = _CHUNK_HEAD.unpack_from(buffer[start:stop])
+                data = _unpacked(buffer[start:stop], plain, topics.budget)
+                if len(data) != plain or (checksum and zlib.crc32(data) != checksum):
+                    raise _Damage("a chunk with a wrong checksum or size")
+                take(data, 0, stop - len(data))
             elif opcode == _SCHEMA:
-                content = buffer[start:stop]
-                (number,) = struct.unpack_from("<H", content)
-                self.schemas.setdefault(number, _string(content, 2)[0])
+                (number,) = struct.unpack_from("<H", buffer[start:stop])
+                schemas.setdefault(number, _string(buffer[start:stop], 2)[0])
             elif opcode == _CHANNEL:
-                self._channel(buffer[start:stop])
-            elif opcode == _DATA_END and not inside_chunk:
-                if length != _DATA_END_SIZE:
+                content = buffer[start:stop]
+                number, schema = struct.unpack_from("<HH", content)
+                called, after = _string(content, 4)
+                if schema not in schemas:
+                    raise _Damage(f"the topic {printable(called)} has an unknown type")
+                kind = schemas[schema]  # none is no damage, but no ROS topic either
+                if number not in channels and kind:
+                    channels[number] = topics.topic(called, kind, _string(content, after)[0])
+                elif number not in channels:
+                    channels[number] = RawTopic(called, "", False)
+            elif opcode == _DATA_END and inside is None:
+                if length != 4:  # of a checksum
                     raise _Damage("the bytes make no sense")
-                self.ended = True
+                ended = True
             position = stop
-            if not inside_chunk:
-                self.position = stop
+            if inside is None:
+                reached = stop
 
-    def _channel(self, content: bytes) -> None:
-        number, schema = struct.unpack_from("<HH", content)
-        name, at = _string(content, 4)
-        encoding, _ = _string(content, at)
-        if schema not in self.schemas:
-            raise _Damage(f"the topic {printable(name)} has an unknown type")
-        if number not in self.channels:
-            kind = self.schemas[schema]  # none is no damage, but no ROS topic either
-            topic = self.topics.topic(name, kind, encoding) if kind else RawTopic(name, "", False)
-            self.channels[number] = topic
-
-
-def _forget_half_zeroed(
-    topic: RawTopic, buffer: bytes | mmap.mmap, position: int, at: int
-) -> None:
-    """Take back a message in front of zeros that may have begun inside it: a computer that lost its
-    power leaves them from the beginning of a block."""
-    size = _RECORD.size + _MESSAGE_HEAD.size + topic.lengths[-1]
-    block = (at + position) // _BLOCK * _BLOCK - at
-    if position - size < block < position and not any(buffer[block : position + 1]):
-        del topic.data[-topic.lengths.pop() :], topic.times[-1]
-        topic.count -= 1
-
-
-def _plain_chunk(content: bytes, budget: Budget) -> bytes:
-    """The records of a chunk, decompressed and compared with its checksum."""
-    _, _, size, checksum, _ = _CHUNK_HEAD.unpack_from(content)
-    data = _unpacked(content, size, budget)
-    if len(data) != size or (checksum and zlib.crc32(data) != checksum):
-        raise _Damage("a chunk with a wrong checksum or size")
-    return data
-
-
-def _begun_chunk(content: bytes, budget: Budget) -> bytes:
-    """The whole records of a chunk that the file ends in; no checksum speaks for them."""
-    data = _unpacked(content, budget.left, budget)
-    position = 0
-    while position + _RECORD.size <= len(data):
-        length = _RECORD.unpack_from(data, position)[1]
-        if position + _RECORD.size + length > len(data):
-            break
-        position += _RECORD.size + length
-    return data[:position]
+    with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        try:
+            if content[: len(_MCAP_MAGIC)] != _MCAP_MAGIC:
+                raise _Damage("it does not begin like an mcap file")
+            take(content, len(_MCAP_MAGIC))
+        except (_Damage, struct.error) as error:
+            damage = str(error) if isinstance(error, _Damage) else "a record is broken"
+    if orphans:
+        text = f"{orphans} messages belong to no known topic and are lost"
+        topics.remark(name, text, messages=orphans)
+    lost = size - reached
+    share = f"{lost} bytes at most ({lost / size:.1%})"
+    if damage:
+        text = f"damaged at byte {reached}: {damage}; what comes after, {share}, is lost"
+        topics.remark(name, text, bytes=lost)
+    elif not ended:
+        text = "has no end: it is still being recorded, or its writer died; what is whole is read"
+        topics.remark(name, text + f", {share} are not" * bool(lost), bytes=lost)
 
 
 def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
     """The records in a chunk, one byte more than `size` at most."""
-    codec_length = _CHUNK_HEAD.unpack_from(content)[-1]
-    begin = _CHUNK_HEAD.size + codec_length + 8
+    begin = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1] + 8
     codec, data = content[_CHUNK_HEAD.size : begin - 8], content[begin:]
     most = min(size, budget.left) + 1
     try:
@@ -276,62 +394,79 @@ def _string(buffer: bytes, position: int) -> tuple[str, int]:
     return buffer[position + 4 : end].decode(errors="replace"), end
 
 
-def _is_being_written(handle: int, path: Path) -> bool:
-    """Whether a recorder has the file: BagWriter's by its lock, which is gone with it however it
-    went, another one (`ros2 bag record`) by /proc, where it may be asked."""
-    try:
-        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:  # a file system without locks
-        pass
-    wanted = str(path.resolve())
-    for link in Path("/proc").glob("[0-9]*/fd/*"):
-        with suppress(OSError, IndexError, ValueError):  # gone, or not ours to see
-            if os.readlink(link) == wanted:
-                info = (link.parents[1] / "fdinfo" / link.name).read_text()
-                flags = int(info.partition("flags:")[2].split()[0], 8)
-                if flags & os.O_ACCMODE != os.O_RDONLY:
-                    return True
-    return False
-
-
 # --- sqlite3 ------------------------------------------------------------------------------------
 
 _STEPS = 10_000  # of SQLite's machine, between two looks at the clock
 # A damaged schema can make sqlite3 fail to decode its own error message.
 _READ_ERRORS = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
+_TOPICS = "SELECT id, name, type, serialization_format FROM topics"
 _MESSAGES = (
     "SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN ({}) "
     "AND typeof(data) = 'blob' AND typeof(timestamp) = 'integer' AND timestamp >= 0 ORDER BY rowid"
 )
+_COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP BY topic_id"
 
 
-def read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
+def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
     """Add the messages of one sqlite3 file, of which `origin` is the compressed one, or itself.
 
     It is opened as one that nobody changes: what a writer that died left in a journal beside it is
-    not read, and said.
-
-    Raises:
-        InputError: the file is damaged.
-        OverBudget: it asks for more than such a file may; what was found until then is there.
+    not read, and said. Raises InputError: the file is damaged; OverBudget: it asks for more than
+    such a file may; what was found until then is there.
     """
     for suffix in ("-wal", "-journal"):
         beside = path.with_name(path.name + suffix)
         if beside.is_file() and not beside.is_symlink() and beside.stat().st_size:
             text = f"its writer died: what {beside.name} holds is not read; sqlite3 takes it up: "
-            topics.lost(path.name, text + f"sqlite3 {path.name} .tables")
+            topics.remark(path.name, text + f"sqlite3 {path.name} .tables")
     budget = topics.budget
     try:
+        # SQLite reads what a cut has taken from the last page as zeros, and finds fewer rows there.
+        with path.open("rb") as file:
+            head = file.read(100)
+        page, pages = (int.from_bytes(head[a:b]) for a, b in ((16, 18), (28, 32)))
+        page = 65536 if page == 1 else page
+        if head[24:28] == head[92:96] and path.stat().st_size < page * pages:
+            raise sqlite3.DatabaseError("the end of the file is missing")
         uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(uri, uri=True)) as database:
             database.text_factory = bytes
             database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LARGEST_MESSAGE)
             database.set_progress_handler(budget.is_over, _STEPS)
-            database.execute("PRAGMA trusted_schema = OFF")
-            _require_tables(database)
-            _take_rows(database, topics)
+            query = database.execute
+            query("PRAGMA trusted_schema = OFF")
+
+            # Tables with columns of their own: what a view says may be any program, one without
+            # end too.
+            tables = query("PRAGMA main.table_list").fetchall()
+            kinds = {row[1].decode(errors="replace").lower(): row[2] for row in tables}
+            for name in ("messages", "topics"):
+                if kinds.get(name) != b"table":
+                    raise sqlite3.DatabaseError(f"{name} is no table")
+                if any(c[6] for c in query(f"PRAGMA main.table_xinfo({name})").fetchall()):
+                    raise sqlite3.DatabaseError(f"{name} has columns that are computed")
+            found = {
+                number: topics.topic(*(text.decode(errors="replace") for text in texts))
+                for number, *texts in query(_TOPICS)
+                if isinstance(number, int) and all(isinstance(text, bytes) for text in texts)
+            }
+            wanted = [number for number, topic in found.items() if topic.wanted]
+            last = -1
+            for row, number, time, data in query(
+                _MESSAGES.format(",".join("?" * len(wanted))), wanted
+            ):
+                if not isinstance(row, int) or row <= last:
+                    raise sqlite3.DatabaseError("rows lead back into the table")
+                last = row
+                budget.take(len(data) + 1)
+                topic = found[number]
+                topic.count += 1
+                topic.times.append(time)
+                topic.lengths.append(len(data))
+                topic.data += data
+            others = [number for number in found if number not in wanted]
+            for number, count in query(_COUNTS.format(",".join("?" * len(others))), others):
+                found[number].count += count
     except _READ_ERRORS as error:
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
             budget.check()
@@ -343,50 +478,10 @@ def read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
         ) from None
 
 
-def _require_tables(database: sqlite3.Connection) -> None:
-    """DatabaseError unless topics and messages are tables with columns of their own: what a view
-    says may be any program, one that never ends too."""
-    tables = database.execute("PRAGMA main.table_list").fetchall()
-    kinds = {row[1].decode(errors="replace").lower(): row[2] for row in tables}
-    for name in ("messages", "topics"):
-        if kinds.get(name) != b"table":
-            raise sqlite3.DatabaseError(f"{name} is no table")
-        columns = database.execute(f"PRAGMA main.table_xinfo({name})").fetchall()
-        if any(column[6] for column in columns):
-            raise sqlite3.DatabaseError(f"{name} has columns that are computed")
-
-
-def _take_rows(database: sqlite3.Connection, topics: RawTopics) -> None:
-    found = {
-        number: topics.topic(*(text.decode(errors="replace") for text in texts))
-        for number, *texts in database.execute(
-            "SELECT id, name, type, serialization_format FROM topics"
-        )
-        if isinstance(number, int) and all(isinstance(text, bytes) for text in texts)
-    }
-    wanted = [number for number, topic in found.items() if topic.wanted]
-    last, take = -1, topics.budget.take
-    rows = database.execute(_MESSAGES.format(",".join("?" * len(wanted))), wanted)
-    for row, number, time, data in rows:
-        if not isinstance(row, int) or row <= last:
-            raise sqlite3.DatabaseError("rows lead back into the table")
-        last = row
-        take(len(data) + 1)
-        topic = found[number]
-        topic.count += 1
-        topic.times.append(time)
-        topic.lengths.append(len(data))
-        topic.data += data
-    others = [number for number in found if number not in wanted]
-    query = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP BY topic_id"
-    for number, count in database.execute(query.format(",".join("?" * len(others))), others):
-        found[number].count += count
-
-
 # --- compression --------------------------------------------------------------------------------
 
 
-def decompress_file(source: Path, target: Path, budget: Budget) -> str:
+def _decompress_file(source: Path, target: Path, budget: Budget) -> str:
     """Decompress a zstd file as far as it goes, and the budget does; what ended that too early."""
     with zstd.open(source) as compressed, target.open("wb") as output:
         try:
@@ -401,12 +496,11 @@ def decompress_file(source: Path, target: Path, budget: Budget) -> str:
 
 
 def decompress_messages(topic: RawTopic, budget: Budget) -> None:
-    """Replace a topic's messages, where they are compressed one by one, by what they unfold to;
-    nothing where one cannot be.
-
-    Raises:
-        OverBudget: they are larger, all together, than they may be.
-    """
+    """Replace a topic's messages, where the first is compressed by itself, by what they unfold
+    to; nothing where one cannot be. Raises OverBudget: they are larger, all together, than they may
+    be."""
+    if not topic.data.startswith(_ZSTD_MAGIC):
+        return
     plain, lengths, position = bytearray(), array("q"), 0
     for length in topic.lengths:
         message = bytes(topic.data[position : position + length])

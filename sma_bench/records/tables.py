@@ -1,72 +1,101 @@
 """Tables of loggers and instruments: text, Excel, MATLAB, HDF5 and Parquet files as named columns.
-
-Cells are taken as they are written and understood here, once for all: no library infers anything.
+Cells are taken as they are written; what unfolds is read in a process of its own (`unfold.py`).
 """
 
+import contextlib
+import csv
 import hashlib
+import math
 import re
+import signal
+import subprocess
+import sys
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from io import BytesIO
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from sma_bench.border import MEGABYTE, Budget, printable, read_bytes, reading_budget
+from sma_bench.border import MEGABYTE, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError
-from sma_bench.records.arrays_in_files import read_hdf5, read_matlab
-from sma_bench.records.sheets import decoded_lines, excel_sheets, missing_package, text_rows, why
-from sma_bench.records.structure import LONGEST_NAME, MOST_COLUMNS, Column, Table, tables_of
-from sma_bench.records.units import split_title
+from sma_bench.records.cells import (
+    MISSING,
+    WORDS,
+    FloatArray,
+    cell_kind,
+    decimal_of,
+    decimal_signs,
+    is_number_row,
+    moment_of,
+    moments_of,
+    numbers_of,
+    parse_unit,
+    plain_numbers,
+    said,
+    split_title,
+)
 
+Row = tuple[int, list[Any]]  # line number from 1, cells
+MOST_COLUMNS = 1000
+LONGEST_NAME = 120
+_FEWEST = 3  # rows of a table beside a larger one
+_SHORT = 0.05  # of the rows: as many without their last cells are sparse, not damaged
+_SAMPLE = 1000  # cells, for what a column holds
+_PLAIN = re.compile(r"[+-]?\d[\d.,:/T +-]*(?:e[+-]\d+)?\Z", re.IGNORECASE)
+_COMMENT = re.compile(r"(?:#+|%+|//+|!+)\s*")
+_RULE = "-/|:=,"  # signs that part titles and are none
 LARGEST_FILE = 200 * MEGABYTE
-_Found = tuple[list[Table], list[str]]  # tables, and lines that are in none
+_LIBRARIES = 512 * MEGABYTE  # of addresses: what the reader of a format needs for itself
+_LOOK_AT = 400  # rows, for the separator
+_LONGEST_CELL = 4  # lines that a quoted cell may run over
+_TELLING = (  # signs of units and letters that an encoding makes out of bytes
+    r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
+    r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])"
+)
+_MEANS = {text: key for key, texts in WORDS["attributes"].items() for text in texts}
+_FORMATS = {  # what a file begins with, and its reader in unfold.py
+    b"PK\x03\x04": "Excel", b"\x89HDF\r\n\x1a\n": "HDF5", b"MATLAB 7.3": "HDF5",
+    b"MATLAB 5": "MATLAB", b"PAR1": "Parquet", b"": "text",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Column:
+    """One column of a file."""
+
+    name: str  # unique in the file: its title, or its path (`log/u`)
+    title: str  # without unit
+    unit: str  # as written, "" where none is
+    values: FloatArray  # (n,), NaN where a cell is empty
+    group: str = ""  # sheet or folder it lies in
+    start: float | None = None  # epoch s of 0 where the column holds dates
+    fields: int = 0  # of its clock times: 0 for numbers, 2 where hh:mm and mm:ss look alike
+    table: int = 0  # of the file, whose rows it shares
+
+    @property
+    def span(self) -> str:
+        """Its lowest and highest value."""
+        return f"{np.nanmin(self.values):.6g} to {np.nanmax(self.values):.6g}"
 
 
 @dataclass(frozen=True)
-class TableFile:
-    """A file's tables, whose columns have names that are unique in the file, and the lines that are
-    in none of them."""
+class Table:
+    """Rows of numbers under one set of titles."""
 
-    path: Path
-    format: str
-    sha256: str
-    tables: tuple[Table, ...]
-    outside: tuple[str, ...] = ()
-
-    @property
-    def columns(self) -> tuple[Column, ...]:
-        """Of all tables."""
-        return tuple(column for table in self.tables for column in table.columns)
-
-    @property
-    def ignored(self) -> dict[str, str]:
-        """Columns of all tables that hold no numbers, with the reason."""
-        return {name: reason for table in self.tables for name, reason in table.ignored.items()}
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """What was decided or left out while reading."""
-        return tuple(note for t in self.tables for note in (*t.notes, *t.left_out))
-
-    def with_tables(self, tables: Sequence[Table], outside: Sequence[str]) -> "TableFile":
-        """The same file with tables whose columns are named and counted anew."""
-        seen: Counter[str] = Counter()
-        named = []
-        for k, table in enumerate(tables):
-            columns = []
-            for column in table.columns:
-                name = printable(column.name)[:LONGEST_NAME]
-                seen[name] += 1
-                name += f" ({seen[name]})" if seen[name] > 1 else ""
-                title, unit = printable(column.title)[:LONGEST_NAME], printable(column.unit)[:40]
-                columns.append(replace(column, table=k, name=name, title=title, unit=unit))
-            ignored = {printable(n)[:LONGEST_NAME]: reason for n, reason in table.ignored.items()}
-            named.append(replace(table, columns=tuple(columns), ignored=ignored))
-        return replace(self, tables=tuple(named), outside=tuple(outside))
+    name: str  # of its sheet
+    columns: tuple[Column, ...]  # of numbers or moments
+    lines: NDArray[np.int64]  # (n,) line of each row in the file, from 1
+    rows: int  # of numbers in the file, left out or not
+    ignored: dict[str, str] = field(default_factory=dict)  # columns of no numbers, each with why
+    above: tuple[tuple[str, ...], ...] = ()  # lines above the titles, cells of each
+    marks: tuple[tuple[int, str], ...] = ()  # (row, text) of lines between the rows
+    left_out: tuple[str, ...] = ()  # of the rows, and why
+    notes: tuple[str, ...] = ()  # what was decided
 
 
 @dataclass(frozen=True)
@@ -82,8 +111,10 @@ class Account:
     sheet: str = ""
 
     def __str__(self) -> str:
-        used = ", ".join(f"{name} ({what})" for name, what in self.used.items()) or "none"
-        ignored = ", ".join(f"{name} ({reason})" for name, reason in self.ignored.items()) or "none"
+        used, ignored = (
+            ", ".join(f"{name} ({what})" for name, what in columns.items()) or "none"
+            for columns in (self.used, self.ignored)
+        )
         where = f"sheet {self.sheet}: " if self.sheet else ""
         more = f" and {len(self.left_out) - 8} more" if len(self.left_out) > 8 else ""
         rest = f"; outside the table: {', '.join(self.left_out[:8])}{more}" * bool(self.left_out)
@@ -92,60 +123,83 @@ class Account:
             f"ignored: {ignored}; asked about: {', '.join(self.asked) or 'none'}{rest}"
         )
 
-    def to_json(self) -> dict[str, Any]:
-        """Plain data."""
-        return {key: value for key, value in asdict(self).items() if key != "sheet"}
 
+@dataclass(frozen=True)
+class TableFile:
+    """A file's tables, whose columns have unique names, and the lines that are in none of them."""
 
-@lru_cache(maxsize=2)  # several readers look at one file in turn
-def _read(kind: str, content: bytes) -> TableFile:
-    tables, outside = _READERS[kind](content, reading_budget(len(content)))
-    digest = hashlib.sha256(content).hexdigest()
-    return TableFile(Path(), kind, digest, ()).with_tables(tables, outside)
+    path: Path
+    format: str
+    sha256: str
+    tables: tuple[Table, ...]
+    outside: tuple[str, ...] = ()
 
+    @property
+    def columns(self) -> tuple[Column, ...]:
+        """Of all tables."""
+        return tuple(column for table in self.tables for column in table.columns)
 
-def read_table_file(path: str | Path) -> TableFile:
-    """Read a table whatever its format, which its content decides; raises InputError where it is
-    unreadable, too large to unfold, damaged, no table, or the package that reads it is absent."""
-    path = Path(path)
-    content = read_bytes(path, LARGEST_FILE)
-    kind = format_of(content[:512])
-    try:
-        file = _read(kind, content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (MemoryError, RecursionError):
-        raise InputError(f"{path}: asks for more memory than there is") from None
-    if not file.columns:
-        raise InputError(f"{path}: no columns of numbers found in this {kind} file")
-    return replace(file, path=path)
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was decided or left out while reading."""
+        return tuple(note for t in self.tables for note in (*t.notes, *t.left_out))
+
+    def with_tables(self, tables: Sequence[Table], outside: Sequence[str]) -> "TableFile":
+        """The same file with tables whose columns are named and counted anew."""
+
+        def label(text: str) -> str:
+            return printable(text)[:LONGEST_NAME]
+
+        seen: Counter[str] = Counter()
+        named = []
+        for k, table in enumerate(tables):
+            columns = []
+            for column in table.columns:
+                name = label(column.name)
+                seen[name] += 1
+                name += f" ({seen[name]})" if seen[name] > 1 else ""
+                title, unit = label(column.title), label(column.unit)
+                columns.append(replace(column, table=k, name=name, title=title, unit=unit))
+            ignored = {label(name): reason for name, reason in table.ignored.items()}
+            named.append(replace(table, columns=tuple(columns), ignored=ignored))
+        return replace(self, tables=tuple(named), outside=tuple(outside))
+
+    def account(
+        self, tables: Sequence[Table], rows_used: int, used: dict[str, str],
+        reasons: Mapping[str, str], asked: Sequence[str] = (),
+    ) -> Account:  # fmt: skip
+        """What became of some tables; `reasons` of columns that are not used, "" of all others."""
+        held = [column.name for table in tables for column in table.columns]
+        ignored = {name: reasons.get(name, reasons[""]) for name in held if name not in used}
+        left_out: list[str] = []
+        for table in tables:
+            ignored |= table.ignored
+            left_out += table.left_out
+            if table.marks:
+                first, count = table.marks[0][1][:40], len(table.marks)
+                left_out.append(f"{count} lines of text between the rows, the first {first!r}")
+        left_out += self.outside
+        sheet = tables[0].name if len(tables) < len(self.tables) else ""
+        rows = sum(table.rows for table in tables)
+        return Account(rows, rows_used, used, ignored, tuple(asked), tuple(left_out), sheet)
 
 
 def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:
-    """Name and tables of the runs in a file: sheets of the same titles are a run each, all others
-    belong together."""
+    """Runs of a file and their names: sheets of the same titles are one each, else all are one."""
     shapes = [tuple((c.title, c.unit) for c in table.columns) for table in file.tables]
-    alike = [
-        table for table, shape in zip(file.tables, shapes, strict=True) if shapes.count(shape) > 1
-    ]
-    if not alike:
-        return [("", file)]
-    rest = [f"sheet {table.name}" for table in file.tables if table not in alike]
+    alike = [t for t, shape in zip(file.tables, shapes, strict=True) if shapes.count(shape) > 1]
+    outside = [*file.outside, *(f"sheet {t.name}" for t in file.tables if t not in alike)]
     runs = []
-    for place, table in enumerate(alike):
-        own = tuple(
-            replace(c, name=re.sub(r" \(\d+\)\Z", "", c.name) if place else c.name)
-            for c in table.columns
-        )
-        outside = (*file.outside, *rest) if not place else ()
-        alone = file.with_tables([replace(table, columns=own)], outside)
-        runs.append((table.name or str(place + 1), alone))
-    return runs
+    for k, table in enumerate(alike):
+        if k:  # names that differ in the file only are the same again
+            own = (replace(c, name=re.sub(r" \(\d+\)\Z", "", c.name)) for c in table.columns)
+            table = replace(table, columns=tuple(own))
+        runs.append((table.name or f"{k + 1}", file.with_tables([table], () if k else outside)))
+    return runs or [("", file)]
 
 
 def together(files: Sequence[TableFile]) -> TableFile:
-    """Files that are one run as one, the columns of each under its stem; numbers on their clocks
-    count from one zero."""
+    """Files of one run as one file, whose columns are named after them."""
     tables = []
     for file in files:
         stem = file.path.stem
@@ -158,85 +212,373 @@ def together(files: Sequence[TableFile]) -> TableFile:
     return replace(files[0], sha256=digest).with_tables(tables, outside)
 
 
-def format_of(head: bytes) -> str:
-    """The format of a file by its first bytes; text where nothing else is known."""
-    return next((kind for start, kind in _MAGIC.items() if head.startswith(start)), "text")
+def read_table_file(path: str | Path) -> TableFile:
+    """Read a table whose format its content decides; raises InputError where it cannot be read."""
+    path = Path(path)
+    content = read_bytes(path, LARGEST_FILE)
+    try:
+        file = _read(content)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if not file.columns:
+        raise InputError(f"{path}: neither a bag nor a table: no columns of numbers in this file")
+    return replace(file, path=path)
 
 
-_MAGIC = {
-    b"PK\x03\x04": "Excel",
-    b"\xd0\xcf\x11\xe0": "old Excel",
-    b"\x89HDF\r\n\x1a\n": "HDF5",
-    b"MATLAB 7.3": "MATLAB 7.3",
-    b"MATLAB 5": "MATLAB",
-    b"PAR1": "Parquet",
-}
-
-
-def _read_text(content: bytes, budget: Budget) -> _Found:
-    lines = decoded_lines(content)
-    budget.take(len(content) * 4)
-    rows, separator = text_rows(lines)
-    return tables_of(rows, separator, "", budget, lines)
-
-
-def _read_excel(content: bytes, budget: Budget) -> _Found:
+@lru_cache(maxsize=2)  # several readers look at one file in turn
+def _read(content: bytes) -> TableFile:
+    if content.startswith(b"\xd0\xcf\x11\xe0"):
+        raise InputError("an Excel file of before 2007 (.xls), expected .xlsx: save it as that")
+    reader = next(name for begin, name in _FORMATS.items() if content.startswith(begin))
     tables: list[Table] = []
     outside: list[str] = []
-    for name, rows in excel_sheets(content, budget):
-        try:
-            found, lost = tables_of(rows, "", name, budget)
-        except InputError as error:
-            raise InputError(f"sheet {name}: {error}") from None
-        tables += found
-        outside += [f"sheet {name}, {line}" for line in lost]
-        if not found and rows:
-            outside.append(f"sheet {name} (no table of numbers)")
-    return tables, outside
+    if reader == "text":
+        # The separator is the one by which most rows are rows of numbers; None stands for blanks.
+        lines = decoded_lines(content)
+        sample = [line for line in lines if line.strip()][:_LOOK_AT]
+        counts = {s: sum(is_number_row(cells) for _, cells in _split(sample, s))
+                  for s in ("\t", *";|,", None)}  # fmt: skip
+        separator = next(s for s, n in counts.items() if n >= 0.98 * max(counts.values()))
+        tables, outside = tables_of(_split(lines, separator), separator, "", lines)
+    elif reader == "Excel":
+        for (title,), rows, _ in _unfolded(content, reader):
+            name = printable(title)
+            try:
+                found, lost = tables_of(list(enumerate(rows, 1)), "", name)
+            except InputError as error:
+                raise InputError(f"sheet {name}: {error}") from None
+            tables += found
+            outside += [f"sheet {name}, {line}" for line in lost]
+            outside += [f"sheet {name} (no table of numbers)"] if rows and not found else []
+    else:
+        tables, outside = _read_leaves(_unfolded(content, reader), "/" if reader == "HDF5" else ".")
+    digest = hashlib.sha256(content).hexdigest()
+    return TableFile(Path(), reader, digest, ()).with_tables(tables, outside)
 
 
-def _refuse_old_excel(content: bytes, budget: Budget) -> _Found:
-    raise InputError("an Excel file of before 2007 (.xls), expected .xlsx: save it as that")
+def _unfolded(content: bytes, reader: str) -> list[Any]:
+    """Sheets or leaves of a file, of the process that reads its format (`unfold.py`)."""
+    import msgspec  # which a robot has not, and its nodes import the records
+
+    budget = reading_budget(len(content))
+    seconds, script = math.ceil(budget.seconds), Path(__file__).with_name("unfold.py")
+    limits = str(_LIBRARIES + budget.size), str(seconds)
+    words = [sys.executable, "-P", str(script), reader, *limits]
+    child = subprocess.run(words, input=content, capture_output=True, check=False)
+    if child.returncode == -signal.SIGXCPU:
+        raise InputError(f"takes more than {seconds} s to read")
+    if child.returncode:
+        raise InputError(f"not a readable {reader} file: it ends its reader ({child.returncode})")
+    error, found = msgspec.msgpack.decode(child.stdout, type=tuple[str, list[Any]])
+    if error:
+        raise InputError(printable(error))
+    return found
 
 
-def _read_parquet(content: bytes, budget: Budget) -> _Found:
+def decoded_lines(content: bytes) -> list[str]:
+    """Lines of a text, whose accents and degree signs tell its encoding; InputError if binary."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", "replace").splitlines()
+    if b"\0" in content:
+        raise InputError("holds zero bytes, expected a text file in UTF-8, or UTF-16 with its mark")
+    with contextlib.suppress(UnicodeDecodeError):
+        return content.decode("utf-8-sig").splitlines()
+
+    texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman")]
+    return max(texts, key=lambda text: len(re.findall(_TELLING, text[:400_000]))).splitlines()
+
+
+def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
+    """Stripped cells of lines, quoted as in RFC 4180; a line quoted as a whole is unwrapped."""
+    if separator is None:  # a date and its clock are one cell, as are a clock and its AM or PM
+        joined = (re.sub(r"(?<=\d) (?=\d+:\d\d|[AaPp]\.?[Mm]\b)", "\1", s) for s in lines)
+        parted = (line.replace('"', " ").split() for line in joined)
+        return [(n, [c.replace("\1", " ") for c in row]) for n, row in enumerate(parted, 1)]
+    if not any('"' in line for line in lines):
+        return [(n, [c.strip() for c in s.split(separator)]) for n, s in enumerate(lines, 1)]
+    rows: list[Row] = []
+    # A comment's sign before a quote would end the quoting.
+    plain = (re.sub(r'^\s*[#%]+\s*(?=")', "", f"{line.rstrip()} ") for line in lines)
+    reader = csv.reader(plain, delimiter=separator, skipinitialspace=True)
+    before = 0
     try:
-        from pyarrow import parquet
-    except ImportError:
-        raise missing_package("pyarrow") from None
-    columns: list[Column] = []
-    ignored: dict[str, str] = {}
-    try:
-        file = parquet.ParquetFile(BytesIO(content))
-        budget.take(file.metadata.num_rows * file.metadata.num_columns * 8)
-        if file.metadata.num_columns > MOST_COLUMNS:
-            raise InputError(f"{file.metadata.num_columns} columns, at most {MOST_COLUMNS}")
-        table = file.read(use_threads=False)
-        for name, column in zip(table.column_names, table.columns, strict=True):
-            kind = str(column.type)
-            if len(column) and kind.startswith("timestamp"):
-                ticks = np.asarray(column.cast("timestamp[ns]").to_numpy(), dtype=np.int64)
-                seconds, start = (ticks - ticks[0]) / 1e9, float(ticks[0]) / 1e9
-                columns.append(Column(name, name, "s", seconds, start=start, fields=3))
-            elif len(column) and re.match("u?int|float|double|half|decimal", kind):
-                values = np.asarray(column.cast("double").to_numpy(), dtype=np.float64)
-                columns.append(Column(name, *split_title(name), values))
+        for cells in reader:
+            if reader.line_num > before + _LONGEST_CELL:
+                raise csv.Error("a quote without end")
+            if len(cells) == 1 and separator in cells[0]:
+                cells = next(csv.reader(cells, delimiter=separator, skipinitialspace=True), [])
+            rows.append((before + 1, [cell.strip().strip('"').strip() for cell in cells]))
+            before = reader.line_num
+    except csv.Error:
+        return _split([line.replace('"', "") for line in lines], separator)
+    return rows
+
+
+def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
+    """Tables of the arrays of numbers, those of one length together, and what else there is."""
+    # Texts called unit, label or name speak for the arrays in their folder.
+    beside: dict[tuple[str, ...], dict[str, Any]] = {}
+    leaves = [(tuple(path), value, about) for path, value, about in leaves]
+    for path, value, _ in leaves:
+        key = _MEANS.get(path[-1].lower())
+        if key in ("unit", "title") and isinstance(value, str):
+            beside.setdefault(path[:-1], {})[key] = value
+    columns: dict[int, list[Column]] = {}
+    outside: list[str] = []
+    for path, value, about in leaves:
+        folder, last, label = path[:-1], path[-1], mark.join(path)
+        group = mark.join(folder)
+        if value is None:
+            outside.append(printable(f"{label} ({about['unread']})"))
+        if not isinstance(value, list) or not isinstance(value[-1], bytes):
+            continue
+        array = np.frombuffer(value[2], value[0]).reshape(value[1])
+        if value[0] == "<i8":  # moments in ns since 1970
+            seconds, start = (array[:, 0] - array[0, 0]) / 1e9, array[0, 0] / 1e9
+            clock = Column(label, last, "s", seconds, group, float(start), 3)
+            columns.setdefault(len(array), []).append(clock)
+            continue
+
+        # Attributes that scale, and what stands for a missing value.
+        known = {_MEANS[key]: v for key, v in about.items() if key in _MEANS}
+        scale = {key: v for key, v in known.items() if isinstance(v, float)}
+        array = np.where(array == scale.get("fill"), np.nan, array)
+        array = array * scale.get("scale", 1.0) + scale.get("offset", 0.0)
+
+        # Titles and units, of a matrix of lists of as many texts.
+        is_time, many = last.lower() in ("time", "t", "tout"), array.shape[1]
+        named = {} if is_time else dict(beside.get(folder, {}))
+        named |= {key: known[key] for key in ("unit", "title") if isinstance(known.get(key), str)}
+        if is_time and any(p[-1] == "values" and p[: len(folder)] == folder for p, _, _ in leaves):
+            named.setdefault("unit", "s")  # of a Simulink structure with time
+        title, unit = split_title(named.get("title") or last)
+        ends = [f" {k + 1}" for k in range(many)] if many > 1 else [""]
+        found = [(label + end, title + end, named.get("unit", unit)) for end in ends]
+        for where, texts, _ in leaves if many > 1 else ():
+            is_list = isinstance(texts, list) and isinstance(texts[-1], str)
+            if not is_list or where[:-1] != folder or len(texts) != many:
+                continue
+            if where[-1].lower() in WORDS["lists"] or not all(map(parse_unit, texts)):
+                titles = [(f"{label}{mark}{text}", *split_title(text)) for text in texts]
+                found = [(*t[:2], t[2] or old[2]) for t, old in zip(titles, found, strict=True)]
             else:
-                ignored[name] = f"holds {kind}, no numbers"
-    except InputError:
-        raise
-    except Exception as error:  # pyarrow's own errors, which only it can name
-        raise InputError(f"not a readable Parquet file: {why(error)}") from None
-    lines = np.arange(1, table.num_rows + 1)
-    return [Table("", tuple(columns), lines, len(lines), ignored)], []
+                found = [(*old[:2], text) for old, text in zip(found, texts, strict=True)]
+        columns.setdefault(len(array), []).extend(
+            Column(*texts, values, group)
+            for texts, values in zip(found, array.T.copy(), strict=True)
+        )
+    if sum(map(len, columns.values())) > MOST_COLUMNS:
+        raise InputError(f"more than {MOST_COLUMNS} columns, expected at most that")
+    return [Table("", tuple(c), np.arange(1, n + 1), n) for n, c in columns.items()], outside
 
 
-_READERS = {
-    "text": _read_text,
-    "Excel": _read_excel,
-    "old Excel": _refuse_old_excel,
-    "MATLAB": read_matlab,
-    "MATLAB 7.3": read_hdf5,
-    "HDF5": read_hdf5,
-    "Parquet": _read_parquet,
-}
+# --- rows to tables
+
+
+def tables_of(
+    rows: Sequence[Row], separator: str | None, name: str, lines: Sequence[str] = ()
+) -> tuple[list[Table], list[str]]:
+    """Tables of a text or sheet, parted by `separator` (None for blanks, "" of a sheet), and the
+    lines in none; raises InputError for titles or cells that cannot be understood."""
+    blocks: list[_Block] = []
+    between: list[Row] = []
+    width = 0
+    for row in rows:
+        if len(row[1]) == width and not between and all(
+            isinstance(c, float) or (isinstance(c, str) and _PLAIN.match(c)) for c in row[1][:2]
+        ):
+            blocks[-1].rows.append(row)  # it begins with figures and signs alone
+            continue
+        if not is_number_row(row[1]):
+            between += [row] if any(map(cell_kind, row[1])) else []
+            continue
+        if blocks and blocks[-1].takes(row, between):
+            blocks[-1].marks += [(len(blocks[-1].rows), _text(cells)) for _, cells in between]
+        else:
+            blocks.append(_Block(separator, lines, between, [], []))
+        between, width = [], len(row[1])
+        blocks[-1].rows.append(row)
+    # A line of numbers among notes is one of them.
+    largest = max((len(block.rows) for block in blocks), default=0)
+    tables: list[Table] = []
+    heads: list[Row] = []
+    for block in blocks:
+        heads += block.heads
+        if len(block.rows) < min(_FEWEST, largest):
+            heads += block.rows
+            continue
+        block.heads, heads = heads, []
+        tables.append(block.table(name))
+    unused = [*heads, *between] if tables else []
+    return tables, [f"line {line} ({_text(cells)[:40]})" for line, cells in unused]
+
+
+def _text(cells: Sequence[Any]) -> str:
+    return printable(" ".join(str(c) for c in cells if c != ""))[:LONGEST_NAME]
+
+
+def _units(cells: Sequence[str]) -> list[str]:
+    """Cells without brackets where all are units, else none."""
+    bare = [text.strip("()[]{} ") for text in cells]
+    are_units = all(parse_unit(text) or text == "-" for text in bare if text)
+    return bare if are_units and any(bare) else []
+
+
+@dataclass
+class _Block:
+    """Rows of numbers one after the other, the lines before them, and (row, text) between them."""
+
+    separator: str | None
+    lines: Sequence[str]
+    heads: list[Row]
+    rows: list[Row]
+    marks: list[tuple[int, str]]
+
+    def takes(self, row: Row, between: list[Row]) -> bool:
+        """Whether a row belongs to these: of one width, with texts or the same titles between."""
+        if not between and row[0] == self.rows[-1][0] + 1:
+            return True
+        width = len(self.rows[0][1])
+        again = self.titles(between, width)[0]
+        is_same = not any(again) or again == self.titles(self.heads, width)[0]
+        return len(row[1]) == width and is_same
+
+    def begins_with_index(self) -> bool:
+        """Whether rows begin with a number that counts them, or with a name."""
+        first = [cells[0] for _, cells in self.rows]
+        numbers = plain_numbers(first)
+        if numbers is None:
+            return all(cell_kind(c) == "t" for c in first)
+        return len(numbers) > 1 and bool(np.all(np.diff(numbers) == 1.0))
+
+    def titles(self, heads: Sequence[Row], width: int) -> tuple[list[str], list[str], list[Row]]:
+        """Titles (moved behind an index without one), units, and the lines above them."""
+        texts = [self.title_cells(row, width) for row in heads[-3:]][::-1]
+        for back, titles in enumerate(texts):
+            is_narrow = sum(map(bool, titles)) < max(2, width / 2)
+            if _units(titles) and not (is_narrow and back):
+                continue
+            if is_narrow:
+                break
+            units = _units(texts[back - 1]) if back else []
+            shift = len(titles) - len(units) if self.separator is None else 0
+            units = [*[""] * shift, *units, *[""] * width][: len(titles)]
+            if width - len(titles) == 1 and self.begins_with_index():
+                titles, units = ["", *titles], ["", *units]
+            return titles, units, list(heads[: len(heads) - back - 1])
+        return [], [], list(heads)
+
+    def title_cells(self, row: Row, width: int) -> list[str]:
+        """Cells of a title row without a comment's sign; two blanks part where as many as cells."""
+        line, cells = row
+        texts = [" ".join(str(cell).split()) for cell in cells]
+        if self.separator is None and len(cells) > 1:
+            wide = re.split(r"\s{2,}|\t", self.lines[line - 1].replace('"', " ").strip())
+            wide = [text for text in wide if text.strip(_RULE)]
+            if len(wide) in (width, width - 1) and len(wide) > 1:
+                return wide
+        lead = _COMMENT.match(texts[0]) if texts else None
+        is_alone = len(texts) == width + 1 and self.separator != ""
+        if lead and (lead.end() < len(texts[0]) or is_alone):
+            texts[0] = texts[0][lead.end() :].strip('" ')
+            texts = texts if texts[0] else texts[1:]
+        if self.separator is None:
+            texts = [text for text in texts if text.strip(_RULE)]
+        return texts
+
+    def table(self, name: str) -> Table:
+        """The table of the block, with what is left out of it."""
+        left_out: list[str] = []
+        body, is_sheet = self.rows, self.separator == ""
+        widths = Counter(len(cells) for _, cells in body)
+        width = max(widths) if is_sheet else widths.most_common(1)[0][0]
+        widest = max((len(self.title_cells(row, width)) for row in self.heads[-3:]), default=2)
+        while width > max(widest, 2) and not any(any(map(str, c[width - 1 :])) for _, c in body):
+            width -= 1  # separators at the ends of lines
+        if width > MOST_COLUMNS:
+            raise InputError(f"{width} columns, expected at most {MOST_COLUMNS}")
+        titles, units, above = self.titles(self.heads, width)
+        # A file cut within its last line, rows without their last cells, and damaged ones.
+        if not is_sheet and len(body) > 1 and len(body[-1][1]) < width <= len(body[-2][1]):
+            left_out.append(f"line {body[-1][0]}, the last one, is cut short and left out")
+            body = body[:-1]
+        short = [row for row in body if len(row[1]) != width]
+        is_sparse = self.separator and len(titles) >= width and len(short) > _SHORT * len(body)
+        for line, cells in short:
+            beyond = set(map(cell_kind, cells[width:])) - {""}
+            if beyond - {"t"} or (len(cells) < width and not is_sheet and not is_sparse):
+                raise InputError(f"line {line} is {_text(cells)[:60]!r}, expected {width} numbers")
+            if beyond:
+                left_out.append(f"line {line}: {_text(cells[width:])!r} beside the table, left out")
+        # Titles and cells must go together.
+        columns = list(zip_longest(*(cells[:width] for _, cells in body), fillvalue=""))
+        if titles and len(titles) != width and not is_sheet:
+            line, cells = body[0]
+            hint = said("commas" if self.separator == "," and width > len(titles) else "one_title")
+            raise InputError(said("mismatch", titles=len(titles), width=width, line=line,
+                                  cells=_text(cells)[:40], hint=hint))  # fmt: skip
+        titles, units = ([*texts, *[""] * width][:width] for texts in (titles, units))
+        lines = np.array([line for line, _ in body], dtype=np.int64)
+        made, ignored, notes = _columns(columns, titles, units, name, lines)
+        if any(titles) and not titles[0] and self.begins_with_index():
+            made = [column for column in made if column.name != "column 1"]
+            ignored = {"column 1": "row number", **ignored}
+        texts = tuple(tuple(str(c) for c in cells if c != "") for _, cells in above)
+        more = (texts, tuple(self.marks), tuple(left_out), tuple(notes))
+        return Table(name, tuple(made), lines, len(self.rows), ignored, *more)
+
+
+def _columns(
+    texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Sequence[str], group: str,
+    lines: NDArray[np.int64],
+) -> tuple[list[Column], dict[str, str], list[str]]:  # fmt: skip
+    """Columns of numbers and moments, what else there is and why, and remarks."""
+    # What most of a column's cells are: "n" numbers, "d" moments, "t" texts, "" nothing.
+    plain = [plain_numbers(cells) for cells in texts]
+    kinds = []
+    for cells in texts:
+        filled = [c for c in cells if str(c).lower() not in MISSING]
+        count = Counter(map(cell_kind, filled[:: 1 + len(filled) // _SAMPLE]))
+        kinds.append(count.most_common(1)[0][0] if count else "")
+    # Decimal signs: each column's own, else that of the others.
+    is_plain = all(values is not None for values in plain)
+    signs = [set() if is_plain else decimal_signs(cells) for cells in texts]
+    everywhere = {sign for found in signs for sign in found if len(sign) == 1}
+    # Dates go with the next clock.
+    lead = [next(filter(None, map(moment_of, c)), None) if kind == "d" else None
+            for c, kind in zip(texts, kinds, strict=True)]  # fmt: skip
+    dates = [k for k, moment in enumerate(lead) if moment and moment.seconds is None]
+    clocks = [k for k, moment in enumerate(lead) if moment and np.isnan(moment.days).all()]
+
+    made: list[Column] = []
+    ignored: dict[str, str] = {}
+    notes: list[str] = []
+    labels = [title or f"column {k}" for k, title in enumerate(titles, 1)]
+    for k, (cells, label) in enumerate(zip(texts, labels, strict=True)):
+        title, unit = (titles[k], units[k]) if units[k] else split_title(titles[k])
+        clock, bad = next((c for c in clocks if c > k), None), -1
+        if kinds[k] in ("", "t"):
+            example = next((str(c) for c in cells if cell_kind(c) in ("t", "d")), "")
+            ignored[label] = f"text such as {printable(example)[:40]!r}" if example else "empty"
+        elif k in dates and clock is not None:
+            ignored[label] = f"its dates are in {labels[clock]}"
+        elif kinds[k] == "d":
+            before = [texts[d] for d in dates if d < k and k in clocks]
+            found = moments_of(cells, *before[-1:])
+            if found is None:
+                bad = [cell_kind(c) != "" and not moment_of(c) for c in cells].index(True)
+            else:
+                seconds, start, fields, remark = found
+                notes += [remark] if remark else []
+                unit = "" if fields == 2 else "s"
+                made.append(Column(label, title, unit, seconds, group, start, fields))
+        else:
+            values = plain[k] if "," not in everywhere else None
+            if values is None:
+                decimal = decimal_of(label, signs[k], everywhere, cells)
+                values, unit, bad = numbers_of(cells, decimal, unit)
+            made.append(Column(label, title, unit, values, group))
+        if bad >= 0:
+            cell = printable(str(cells[bad]))[:40]
+            raise InputError(said("no_cell", line=lines[bad], label=label, cell=cell))
+    return made, ignored, notes

@@ -1,11 +1,9 @@
-"""Figures: the look that all share, as data for the page's script and for a table, and in the width
-of a paper's column."""
+"""Figures: the look that all share, their lines as data for the page's script and for a table, and
+in the width of a paper's column."""
 
-import base64
-import hashlib
+import copy
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from typing import Any, NamedTuple
@@ -14,24 +12,23 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
+from matplotlib.container import BarContainer, Container
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
-from matplotlib.patches import Rectangle
 from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-
-# --- The look that all figures share.
-
 MEASURED = "#1f4e79"
 SECOND = "#c0504d"
 MODEL = "#e08214"
 FAINT = "#8a8a8a"
-_LARGEST = 1e100
+BAND = "band"
+"""gid of the bands of noise, which the page's script draws too"""
+_LARGEST = 1e100  # an axis that is longer cannot be divided
 
 # Lines side by side, told apart by lightness, dash and mark, not by hue alone.
 _LINES = (
@@ -39,7 +36,6 @@ _LINES = (
     ("#7b4ea3", (0, (6, 1.5, 1, 1.5, 1, 1.5)), "v"), ("#4a4a4a", (0, (1, 1)), "P"),
 )
 _MARKS_OF_A_LINE = 6
-_BAND = "band"
 
 
 def line_style(k: int, of: int, points: int) -> dict[str, Any]:
@@ -47,7 +43,7 @@ def line_style(k: int, of: int, points: int) -> dict[str, Any]:
     colour, dash, mark = _LINES[k % len(_LINES)]
     if of == 1:
         return {"color": colour, "lw": 0.9}
-    # Marks of different lines lie beside each other, also where the lines coincide.
+    # Marks of different lines lie side by side, also where the lines coincide.
     every = max(points // _MARKS_OF_A_LINE, 1)
     first = min((every * (2 * k + 1)) // (2 * of), max(points - 1, 0))
     return {
@@ -56,29 +52,28 @@ def line_style(k: int, of: int, points: int) -> dict[str, Any]:
     }
 
 
-def noise_band(ax: Axes, half: float) -> None:
-    """What lies within it may be noise; the page's script draws it too."""
-    ax.axhspan(-half, half, color=FAINT, alpha=0.18, lw=0, gid=_BAND)
-
-
 def new_figure(
     rows: int = 1, height: float = 4.0, shared: bool = True, heights: Sequence[float] | None = None
 ) -> tuple[Figure, list[Axes]]:
-    """A figure with `rows` axes above each other, `heights` in proportion, that share the
-    horizontal axis if `shared`.
-
-    No pyplot and so no global state or display.
-    """
+    """A figure without pyplot, so without global state or display: `rows` axes above each other,
+    `heights` in proportion, that share the horizontal axis if `shared`."""
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=shared, squeeze=False, height_ratios=heights)[:, 0]
     plain_axes(*axes)
     return figure, list(axes)
 
 
-def one_panel(across: str, up: str, height: float = 4.0) -> tuple[Figure, Axes]:
-    """A figure of one graph, and what is drawn along its two axes."""
+def graph(
+    across: str, up: str, curves: Iterable[tuple[Any, Any, Mapping[str, Any]]] = (),
+    height: float = 4.0, **legend: Any,
+) -> tuple[Figure, Axes]:
+    """A figure of one graph: what its axes are, curves as x, y and style, and their legend."""
     figure, (ax,) = new_figure(height=height)
     ax.set(xlabel=across, ylabel=up)
+    for x, y, style in curves:
+        ax.plot(x, y, **style)
+    if ax.lines:
+        ax.legend(**legend)
     return figure, ax
 
 
@@ -127,15 +122,32 @@ def legend_above(ax: Axes) -> None:
 def plain(figure: Figure) -> Figure:
     """Names from files are no formulas: a dollar sign stays one."""
     for text in figure.findobj(Text):
-        assert isinstance(text, Text)
-        text.set_parse_math(False)
+        text.set_parse_math(False)  # type: ignore[attr-defined]
     return figure
+
+
+def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
+    """At most `most` points with every peak: least and largest of equal parts."""
+    if len(x) <= most:
+        return x, y
+    kept: list[int] = []
+    for part in np.array_split(np.arange(len(x)), most // 2):
+        values, ends = y[part], {0}
+        if not np.isnan(values).all():
+            ends = {int(np.nanargmin(values)), int(np.nanargmax(values))}
+        kept += [int(part[end]) for end in sorted(ends)]
+    return x[kept], y[kept]
 
 
 # --- Figures over time that answer to the pointer: their lines as data, and the script.
 
 MOST_POINTS = 1000
-"""of a line, least and largest of equal parts; the CSV file beside the page has more"""
+"""of a line, least and largest of equal parts; the CSV file of the figure has more"""
+_DASHES = {
+    "-": [], "None": [], "": [],
+    "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0], ":": [1.5, 3.0],
+}  # fmt: skip
+_WIDE = 2.0
 
 
 def curves_of(figure: Figure) -> list[dict[str, Any]]:
@@ -149,28 +161,28 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
     curves: list[dict[str, Any]] = []
     labels: dict[str, str] = {}  # of lines alike in the axes above
     for ax in figure.axes:
-        lines, marks = [], []
+        lines, marks, bands = [], [], []
         for line in ax.lines:
             x, y = (np.asarray(values, dtype=float) for values in line.get_data())
-            if line.get_transform() != ax.transData:
+            if line.get_transform() != ax.transData:  # across the axes
                 marks += [float(f"{x[0]:.6g}")] if len(set(x)) == 1 else []
-            if len(x) < 2 or line.get_transform() != ax.transData:
-                continue  # a mark on another line, or across the axes
-            x, y = thinned(x, y, MOST_POINTS)
-            style, colour = str(line.get_linestyle()), to_hex(line.get_color())
-            look = colour + style
-            labels.setdefault(look, _label(line))
-            lines.append({
-                "label": _label(line) or labels[look], "colour": colour,
-                "dash": [] if style in ("-", "None", "") else _DASHES.get(style, [2.0, 2.0]),
-                "wide": line.get_linewidth() > _WIDE, "x": [float(f"{value:.6g}") for value in x],
-                "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y],
-            })  # fmt: skip
+            elif len(x) > 1:  # else a mark on another line
+                x, y = thinned(x, y, MOST_POINTS)
+                style, colour = str(line.get_linestyle()), to_hex(line.get_color())
+                labels.setdefault(colour + style, _label(line))
+                lines.append({
+                    "label": _label(line) or labels[colour + style], "colour": colour,
+                    "dash": _DASHES.get(style, [2.0, 2.0]), "wide": line.get_linewidth() > _WIDE,
+                    "x": [float(f"{value:.6g}") for value in x],
+                    "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y],
+                })  # fmt: skip
+        for patch in ax.patches:
+            if patch.get_gid() == BAND:
+                up = patch.get_patch_transform().transform(patch.get_path().vertices)[:, 1]
+                bands.append([float(f"{end:.5g}") for end in (up.min(), up.max())])
         if lines:
-            curves.append({
-                "title": _title(ax), "x_label": ax.get_xlabel(), "lines": lines, "marks": marks,
-                "bands": list(_bands(ax)),
-            })  # fmt: skip
+            curves.append({"title": _title(ax), "x_label": ax.get_xlabel(), "lines": lines,
+                           "marks": marks, "bands": bands})  # fmt: skip
     return curves
 
 
@@ -178,55 +190,13 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
 def script() -> str:
     """The script that draws them, to stand in a page: the dashboard's own uPlot, and its use."""
     own = resources.files("sma_bench.report").joinpath("curves.js").read_text(encoding="utf-8")
-    return f"{_of_dashboard('uPlot.min.js')}\n{own}"
+    plot = resources.files("sma_bench.dashboard").joinpath("uPlot.min.js").read_text("utf-8")
+    return f"{plot}\n{own}"
 
 
-def plot_style() -> str:
-    """The style sheet of uPlot."""
-    return _of_dashboard("uPlot.min.css")
-
-
-def _of_dashboard(name: str) -> str:
-    return resources.files("sma_bench.dashboard").joinpath(name).read_text(encoding="utf-8")
-
-
-def policy() -> str:
-    """Content security policy of a page: nothing from elsewhere, and no other script than this."""
-    digest = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode("ascii")
-    return (
-        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
-        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-    )
-
-
-def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
-    """At most `most` points with every peak: least and largest of equal parts."""
-    if len(x) <= most:
-        return x, y
-    kept: list[int] = []
-    for part in np.array_split(np.arange(len(x)), most // 2):
-        values = y[part]
-        if np.isnan(values).all():
-            kept.append(int(part[0]))
-            continue
-        kept += sorted({int(part[np.nanargmin(values)]), int(part[np.nanargmax(values)])})
-    return x[kept], y[kept]
-
-
-_DASHES = {"--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0], ":": [1.5, 3.0]}
-_WIDE = 2.0
-
-
-def _label(line: Line2D) -> str:
-    label = str(line.get_label())
+def _label(drawn: Line2D | Container) -> str:
+    label = str(drawn.get_label())
     return "" if label.startswith("_") else label
-
-
-def _bands(ax: Axes) -> Iterator[list[float]]:
-    for patch in ax.patches:
-        if patch.get_gid() == _BAND:
-            heights = patch.get_patch_transform().transform(patch.get_path().vertices)[:, 1]
-            yield [float(f"{edge:.5g}") for edge in (heights.min(), heights.max())]
 
 
 def _title(ax: Axes) -> str:
@@ -245,47 +215,45 @@ def drawn_rows(figure: Figure) -> list[tuple[str, ...]]:
     for k, ax in enumerate(figure.axes, 1):
         if ax.get_label() == "<colorbar>":
             continue
-        head = (_plain(_title(ax) or ax.get_title()) or f"{k}", ax.get_xlabel() or across)
+        points: list[tuple[Any, ...]] = []  # curve, x, y, and of a map the value there
+        wide, high = _categories(ax.xaxis), dict[float, str]()
+        for own in (ax, *ax.get_shared_y_axes().get_siblings(ax)):
+            high = high or _categories(own.yaxis)
+        for line in ax.lines:
+            # Not a mark across the axes, nor the end of an error bar.
+            if line.get_transform() == ax.transData and line.get_marker() not in ("|", "_"):
+                xs, ys = map(np.asarray, line.get_data())
+                points += [
+                    (_label(line), wide.get(float(x), x), high.get(float(y), y))
+                    for x, y in zip(xs, ys, strict=True)
+                ]
+        for bars in ax.containers:
+            for bar in bars.patches if isinstance(bars, BarContainer) else ():
+                if bar.get_x() + bar.get_width():
+                    middle = bar.get_y() + bar.get_height() / 2.0
+                    distance = {abs(y - middle): y for y in high}
+                    near = distance[min(distance)] if distance else middle
+                    points.append((_label(bars), bar.get_width(), high.get(near, near)))
+        for found in ax.collections:
+            if isinstance(found, LineCollection):
+                for x, y in np.concatenate([np.zeros((0, 2)), *found.get_segments()]):
+                    points.append(("error bar", x, high.get(float(y), y)))
+        for image in ax.images:
+            # Colours may be cut where numbers are not.
+            table = np.asarray(vars(image).get("table", image.get_array()), dtype=float)
+            points += [
+                ("", wide.get(column, column), high.get(row, row), value)
+                for (row, column), value in np.ndenumerate(table)
+            ]
+        head, along = _plain(_title(ax) or ax.get_title()) or f"{k}", ax.get_xlabel() or across
         rows += [
-            (head[0], name, head[1], *map(_plain, (x, y, *(value or [""]))))
-            for name, x, y, *value in _points(ax)
+            (head, name, along, *map(_plain, (x, y, *(value or [""]))))
+            for name, x, y, *value in points
         ]
     return rows
 
 
-def _points(ax: Axes) -> Iterator[tuple[Any, ...]]:
-    """Curve, x, y, and of a map the value there."""
-    wide = _categories(ax.xaxis)
-    shared = [ax, *ax.get_shared_y_axes().get_siblings(ax)]
-    high = next((names for own in shared if (names := _categories(own.yaxis))), {})
-    for line in ax.lines:
-        if line.get_transform() != ax.transData or line.get_marker() in ("|", "_"):
-            continue  # a mark across the axes, or the end of an error bar
-        for x, y in zip(*map(np.asarray, line.get_data()), strict=True):
-            yield _label(line), wide.get(float(x), x), high.get(float(y), y)
-    for bars in ax.containers:
-        for bar in bars.patches if hasattr(bars, "patches") else ():
-            if isinstance(bar, Rectangle) and bar.get_x() + bar.get_width():
-                middle = bar.get_y() + bar.get_height() / 2.0
-                near = min(high, key=lambda y: abs(y - middle), default=None)
-                label = str(bars.get_label())
-                yield (
-                    "" if label.startswith("_") else label, bar.get_width(),
-                    middle if near is None else high[near],
-                )
-    for found in ax.collections:
-        if isinstance(found, LineCollection):
-            for ends in found.get_segments():
-                for x, y in ends:
-                    yield "error bar", x, high.get(float(y), y)
-    for image in ax.images:
-        # Colours may be cut where numbers are not.
-        table = np.asarray(vars(image).get("table", image.get_array()), dtype=float)
-        for (row, column), value in np.ndenumerate(table):
-            yield "", wide.get(column, column), high.get(row, row), value
-
-
-def _categories(axis: Any) -> Mapping[float, str]:
+def _categories(axis: Any) -> dict[float, str]:
     """Names of places on an axis that has names in place of numbers."""
     if not isinstance(axis.get_major_formatter(), FixedFormatter | FuncFormatter):
         return {}
@@ -302,7 +270,7 @@ def _plain(value: float | str) -> str:
 # --- The same figure for a column of print.
 
 _INCH = 25.4  # mm
-_LEAST_FONT = 5.0
+_LEAST_FONT = 5.0  # pt
 _TALLEST = 9.5  # inches, of a page
 
 
@@ -316,30 +284,21 @@ class PaperColumn(NamedTuple):
 COLUMNS = {"single": PaperColumn(89.0, 7.0), "double": PaperColumn()}
 
 
-@contextmanager
-def in_column(figure: Figure, column: PaperColumn) -> Iterator[None]:
-    """The figure in another width, as high in proportion but no less than its letters need."""
-    width, height = (float(length) for length in figure.get_size_inches())
-    texts = [text for text in figure.findobj(Text) if isinstance(text, Text)]
+def in_column(figure: Figure, column: PaperColumn) -> Figure:
+    """A copy in another width, as high in proportion but no less than its letters need."""
+    shown = copy.deepcopy(figure)
+    width, height = (float(length) for length in shown.get_size_inches())
+    new = column.width / _INCH
+    shown.set_size_inches(new, min(height * max(new / width, 0.62), _TALLEST))
+    texts = [text for text in shown.findobj(Text) if isinstance(text, Text)]
     sizes = [float(text.get_fontsize()) for text in texts]
     middle = float(np.median(sizes)) if sizes else column.font
-    legends = [found for found in figure.findobj(Legend) if isinstance(found, Legend)]
-    columns = [int(vars(legend)["_ncols"]) for legend in legends]
-    new = column.width / _INCH
-    ratio = max(new / width, 0.62)
-    try:
-        figure.set_size_inches(new, min(height * ratio, _TALLEST))
-        for text, size in zip(texts, sizes, strict=True):
-            text.set_fontsize(max(_LEAST_FONT, column.font * min(size / middle, 1.2)))
-        for legend, own in zip(legends, columns, strict=True):
-            legend.set_ncols(max(1, min(own, math.floor(new / 1.6))))
-        for ax in figure.axes:
-            if not _categories(ax.xaxis) and ax.get_xscale() == "linear":
-                ax.locator_params(axis="x", nbins=max(3, min(9, math.floor(new * 1.6))))
-        yield
-    finally:
-        figure.set_size_inches(width, height)
-        for text, size in zip(texts, sizes, strict=True):
-            text.set_fontsize(size)
-        for legend, own in zip(legends, columns, strict=True):
-            legend.set_ncols(own)
+    for text, size in zip(texts, sizes, strict=True):
+        text.set_fontsize(max(_LEAST_FONT, column.font * min(size / middle, 1.2)))
+    for legend in shown.findobj(Legend):
+        assert isinstance(legend, Legend)
+        legend.set_ncols(max(1, min(int(vars(legend)["_ncols"]), math.floor(new / 1.6))))
+    for ax in shown.axes:
+        if not _categories(ax.xaxis) and ax.get_xscale() == "linear":
+            ax.locator_params(axis="x", nbins=max(3, min(9, math.floor(new * 1.6))))
+    return shown

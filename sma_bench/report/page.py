@@ -3,7 +3,6 @@
 import base64
 import csv
 import hashlib
-import html
 import io
 import platform
 import re
@@ -20,7 +19,6 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from sma_bench.border import csv_cell, is_inside, load_yaml, printable, read_bytes, write_files
-from sma_bench.cards import TEMPLATES, Card
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
@@ -31,15 +29,15 @@ from sma_bench.report.drawing import (
     curves_of,
     drawn_rows,
     in_column,
-    plot_style,
-    policy,
     script,
 )
 from sma_bench.report.tables import Table
+from sma_bench.results import TEMPLATES, Card
 
 _PAGE = "index.html"
-_MARK = '<meta name="generator" content="sma_bench">'
-_LARGEST_PAGE = 1 << 30
+_MARK = b'<meta name="generator" content="sma_bench">'
+_LARGEST_PAGE = 1 << 30  # bytes
+
 
 @dataclass(frozen=True)
 class Picture:
@@ -58,34 +56,21 @@ class Picture:
     @cached_property
     def content(self) -> bytes:
         """The figure as a PNG file; drawing takes its time, so it is drawn once."""
-        return self._file("png")
+        return self._file(self.figure, "png")
 
     def files(self, column: PaperColumn) -> dict[str, bytes]:
         """SVG and PDF in the width of a column, their text as text, and as CSV what is drawn."""
-        with in_column(self.figure, column):
-            found = {f"{self.name}.{kind}": self._file(kind) for kind in ("svg", "pdf")}
-        return {**found, f"{self.name}.csv": csv_text(self.drawn)}
-
-    @property
-    def drawn(self) -> Table:
-        """All that is drawn, in plain numbers."""
-        return Table(TABLE_HEADER, drawn_rows(self.figure))
+        shown = in_column(self.figure, column)
+        return {f"{self.name}.{kind}": self._file(shown, kind) for kind in ("svg", "pdf", "csv")}
 
     def save(self, path: str | Path, column: PaperColumn = COLUMNS["double"]) -> None:
         """Write the figure: PNG, SVG or PDF in the width of a column, or CSV of what is drawn.
-
-        Raises:
-            InputError: another kind of file, or one that cannot be written.
-        """
+        Raises InputError: another kind of file, or one that cannot be written."""
         path = Path(path)
         kind = path.suffix[1:].lower()
         if kind not in ("png", "svg", "pdf", "csv"):
             raise InputError(f"{path}: expected a name that ends in .png, .svg, .pdf or .csv")
-        if kind == "csv":
-            content = csv_text(self.drawn)
-        else:
-            with in_column(self.figure, column):
-                content = self._file(kind, dpi=300)
+        content = self._file(in_column(self.figure, column), kind, dpi=300)
         try:
             write_files({path: content})
         except OSError as error:
@@ -95,12 +80,29 @@ class Picture:
         """What a notebook shows."""
         return self.content
 
-    def _file(self, kind: str, dpi: float = 130) -> bytes:
+    def _file(self, figure: Figure, kind: str, dpi: float = 130) -> bytes:
+        """PNG, SVG or PDF, or CSV of all that is drawn, in plain numbers."""
+        if kind == "csv":
+            return csv_text(Table(TABLE_HEADER, drawn_rows(figure)))
         buffer = io.BytesIO()
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
         with rc_context({"svg.fonttype": "none", "svg.hashsalt": self.name, "pdf.fonttype": 42}):
-            self.figure.savefig(buffer, format=kind, dpi=dpi, metadata=dates.get(kind))
+            figure.savefig(buffer, format=kind, dpi=dpi, metadata=dates.get(kind))
         return buffer.getvalue()
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A drawing that ships with the package as SVG; it has no size of its own."""
+
+    name: str
+    title: str
+    caption: str
+    content: bytes
+
+    over_time: ClassVar[bool] = False
+    kind: ClassVar[str] = "svg"
+    mime: ClassVar[str] = "image/svg+xml"
 
 
 @cache
@@ -120,27 +122,9 @@ def pictured(
 
 
 @dataclass(frozen=True)
-class Drawing:
-    """A drawing that ships with the package as SVG."""
-
-    name: str
-    title: str
-    caption: str
-    content: bytes
-
-    over_time: ClassVar[bool] = False
-    kind: ClassVar[str] = "svg"
-    mime: ClassVar[str] = "image/svg+xml"
-
-    def files(self, _: PaperColumn) -> dict[str, bytes]:
-        """Nothing more: it has no size of its own."""
-        return {}
-
-
-@dataclass(frozen=True)
 class Section:
     """One heading with what stands below it, in this order; a card first. Of `folded` the first
-    line is seen, the others when it is opened. `pictures_first`: they stand above the tables."""
+    line is seen, the others when it is opened."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -149,12 +133,20 @@ class Section:
     pictures: Sequence[Picture | Drawing] = ()
     card: Card | None = None
     folded: Sequence[str] = ()
-    pictures_first: bool = False
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a page was made of: the command as typed, and its inputs, read anew for their hashes."""
+
+    command: str = ""
+    inputs: Sequence[str] = ()
+    when: datetime = field(default_factory=lambda: datetime.now(UTC))
 
 
 def write_report(
     directory: str | Path, title: str, summary: str, sections: Sequence[Section],
-    *, column: PaperColumn | None = None, report: Report = silent,
+    made: Made | None = None, *, column: PaperColumn | None = None, report: Report = silent,
 ) -> Path:
     """Write `index.html` (everything inside, all text escaped) and one PNG a figure.
 
@@ -165,6 +157,7 @@ def write_report(
         directory: made if it does not exist.
         title, summary: head of the page.
         sections: in reading order.
+        made: adds the date to the head, and a last section with the inputs' hashes.
         column: of a paper, for which every figure is written as SVG and PDF too, and as CSV what is
             drawn and the named tables.
         report: called before each figure is drawn.
@@ -173,25 +166,36 @@ def write_report(
         Path of index.html.
 
     Raises:
-        InputError: the folder cannot be written, or holds a file of a name in the report that is
-            not a report's.
+        InputError: the folder cannot be written, holds a file of a name in the report that is not a
+            report's, or an input cannot be read any more.
     """
     directory = Path(directory)
+    if made is not None:
+        summary = f"{summary} {made.when:%Y-%m-%d}, sma_bench {VERSION}.".strip()
+        sections = [*sections, _provenance(made)]
     pictures = [picture for section in sections for picture in section.pictures]
     files = {}
     for picture in in_turn(pictures, report, lambda p: p.title):
         files[f"{picture.name}.{picture.kind}"] = picture.content
-        if column is not None:
+        if column is not None and isinstance(picture, Picture):
             files |= picture.files(column)
-    page = _template().render(
-        title=title, summary=summary, sections=sections, together=_together, curves_of=curves_of,
-        policy=policy(), plot_style=plot_style(),
-        script=script() if any(picture.over_time for picture in pictures) else "",
-    )
     if column is not None:
         tables = [t for section in sections for t in section.tables if t.name]
         files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
-    write_together(directory, {**files, _PAGE: page.encode("utf-8")})
+
+    # Nothing from elsewhere, and no other script than the page's own.
+    digest = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode("ascii")
+    policy = (
+        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    )
+    style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
+    page = _template().render(
+        title=title, summary=summary, sections=sections, curves_of=curves_of,
+        policy=policy, plot_style=style,
+        script=script() if any(picture.over_time for picture in pictures) else "",
+    )
+    _write_together(directory, {**files, _PAGE: page.encode("utf-8")})
     return directory / _PAGE
 
 
@@ -204,16 +208,6 @@ def _template() -> jinja2.Template:
     )
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
     return environment.get_template("page.html.j2")
-
-
-_MEASURED = re.compile(r"(?<![A-Za-z]\d)(?<=\d) (?=%|(?:K|mA|A|mm|ohm|min|s|V)\b)")
-_KEPT = re.compile(r"--[a-z][\w-]*|\[-?[\d.]+, -?[\d.]+\]")
-
-
-def _together(text: str) -> str:
-    """Escaped; no line ends between a number and its unit, or within an option or an interval."""
-    safe = _MEASURED.sub("&nbsp;", html.escape(_shown(text)))
-    return _KEPT.sub(lambda found: f'<span class="keep">{found[0]}</span>', safe)
 
 
 def _shown(text: str) -> str:
@@ -235,32 +229,29 @@ _MEASURE = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?: to ([-+]?[\d.]+))?(?: (\D
 def _in_plain_numbers(table: Table) -> Table:
     """Its columns of numbers without units, which stand in columns of their own, as the upper ends
     of intervals do."""
-    columns = []
+    columns: list[tuple[str, Sequence[str]]] = []
     for k, head in enumerate(table.header):
         cells = [row[k] for row in table.rows]
         found = [_MEASURE.fullmatch(cell) for cell in cells]
-        if k not in table.numeric or any(c and not f for c, f in zip(cells, found, strict=True)):
+        odd = any(c and not f for c, f in zip(cells, found, strict=True))
+        if not cells or odd or k not in table.numeric:
             columns.append((head, cells))
             continue
-        parts = [f.groups(default="") if f else ("", "", "") for f in found]
-        for name, own in zip((head, f"{head}, to", f"{head}, unit"), zip(*parts, strict=True),
-                             strict=False):
-            if name == head or any(own):
-                columns.append((name, list(own)))
+        parts = zip(*(f.groups(default="") if f else ("", "", "") for f in found), strict=True)
+        numbers, *more = zip((head, f"{head}, to", f"{head}, unit"), parts, strict=False)
+        columns += [numbers, *((name, own) for name, own in more if any(own))]
     rows = [[own[r] for _, own in columns] for r in range(len(table.rows))]
     return Table([name for name, _ in columns], rows, name=table.name)
 
 
-def write_together(directory: Path, files: Mapping[str, bytes]) -> None:
-    """Write the files of a report into a folder: all of them, or none.
-
-    Raises:
-        InputError: the folder cannot be written, or a file that is not a report's lies in the way;
-            then it is as it was.
-    """
-    new = not directory.exists()
-    foreign = [] if new or _is_report(directory) else [n for n in files if (directory / n).exists()]
-    if foreign:
+def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
+    """All of them, or none: then the folder is as it was."""
+    new, page = not directory.exists(), directory / _PAGE
+    try:
+        is_report = page.exists() and _MARK in read_bytes(page, _LARGEST_PAGE)
+    except (InputError, OSError):
+        is_report = False
+    if foreign := [] if is_report else [n for n in files if (directory / n).exists()]:
         raise InputError(
             f"{directory}: holds {foreign[0]}, which is not of a report of sma-bench; expected "
             "another folder"
@@ -274,27 +265,12 @@ def write_together(directory: Path, files: Mapping[str, bytes]) -> None:
         raise InputError(f"{directory}: cannot write the report: {error.strerror}") from None
 
 
-def _is_report(directory: Path) -> bool:
-    page = directory / _PAGE
-    try:
-        return page.exists() and _MARK.encode() in read_bytes(page, _LARGEST_PAGE)
-    except (InputError, OSError):
-        return False
-
-
 # --- What a report was made of: files with their hashes, versions, the command.
-
-_PACKAGES = ("numpy", "scipy", "numba", "matplotlib", "rosbags")
-_BLOCK = 1 << 20
 
 
 def digest(path: Path) -> tuple[str, int]:
-    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files,
-    not of those that links lead to outside.
-
-    Raises:
-        InputError: a file cannot be read.
-    """
+    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files, not
+    of those that links lead to outside. Raises InputError: a file cannot be read."""
     total, size = hashlib.sha256(), 0
     try:
         inside = sorted(p for p in path.rglob("*") if p.is_file() and is_inside(p, path))
@@ -303,7 +279,7 @@ def digest(path: Path) -> tuple[str, int]:
                 head = f"{part.relative_to(path)}\0{part.stat().st_size}\0"
                 total.update(head.encode("utf-8", "surrogateescape"))
             with part.open("rb") as stream:
-                while block := stream.read(_BLOCK):
+                while block := stream.read(1 << 20):
                     total.update(block)
                     size += len(block)
     except OSError as error:
@@ -315,7 +291,7 @@ def digest(path: Path) -> tuple[str, int]:
 def versions() -> dict[str, str]:
     """Of this package, what it computes with, Python and the machine."""
     found = {"sma_bench": VERSION, "Python": platform.python_version()}
-    for name in _PACKAGES:
+    for name in ("numpy", "scipy", "numba", "matplotlib", "rosbags"):
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
@@ -323,40 +299,19 @@ def versions() -> dict[str, str]:
     return found | {"system": f"{platform.system()} {platform.machine()}"}
 
 
-@dataclass(frozen=True)
-class Made:
-    """What a page was made of: the command as typed, and its inputs, read anew for their hashes."""
-
-    command: str = ""
-    inputs: Sequence[str] = ()
-    when: datetime = field(default_factory=lambda: datetime.now(UTC))
-
-    @property
-    def head(self) -> str:
-        """Date and version."""
-        return f"{self.when:%Y-%m-%d}, sma_bench {VERSION}."
-
-    def section(self) -> Section:
-        """Files, versions and the command; what was never a file has no hash.
-
-        Raises:
-            InputError: an input cannot be read any more.
-        """
-        files = []
-        for path in dict.fromkeys(self.inputs):
-            sha, size = digest(Path(path)) if Path(path).exists() else ("not a file", 0)
-            files.append((path, sha, f"{size}"))
-        made = self.when.astimezone().isoformat(timespec="seconds")
-        about = {"command": self.command, "made": made, **versions()}
-        table = Table(("file", "SHA-256", "bytes"), files, frozenset({2}), "provenance_files",
-                      "Files")
-        tables = [table] if files else []
-        return Section(
-            "Provenance",
-            ["A folder's hash covers the names, sizes and contents of its files in alphabetical "
-             "order." if files else "Made of the package's own numbers: no file was read."],
-            tables=[
-                *tables,
-                Table(("", ""), list(about.items()), frozenset(), "provenance_versions", "Made by"),
-            ],
-        )  # fmt: skip
+def _provenance(made: Made) -> Section:
+    """Files, versions and the command; what was never a file has no hash."""
+    rows = []
+    for path in dict.fromkeys(made.inputs):
+        sha, size = digest(Path(path)) if Path(path).exists() else ("not a file", 0)
+        rows.append((path, sha, f"{size}"))
+    when = made.when.astimezone().isoformat(timespec="seconds")
+    about = {"command": made.command, "made": when, **versions()}
+    header = ("file", "SHA-256", "bytes")
+    files = Table(header, rows, frozenset({2}), "provenance_files", "Files")
+    by = Table(("", ""), list(about.items()), frozenset(), "provenance_versions", "Made by")
+    text = (
+        "A folder's hash covers the names, sizes and contents of its files in alphabetical order."
+        if rows else "Made of the package's own numbers: no file was read."
+    )
+    return Section("Provenance", [text], tables=[files, by] if rows else [by])

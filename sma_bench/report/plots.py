@@ -1,140 +1,125 @@
 """What records, simulations, overlays, identifications and diagnoses look like, for `plot()` and
-reports; figures of a diagnosis or of an experiment are drawn in files of their own."""
+reports; figures of the experiments are drawn in a file of their own."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
 from numpy.typing import NDArray
 
 from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
+from sma_bench.diagnose.result import DiagnosisResult
+from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, locate, sample_noise
 from sma_bench.errors import InputError
+from sma_bench.estimation.observation import QUANTITIES, BinnedSignal
 from sma_bench.identify import Identification
+from sma_bench.parameters import Parameters
 from sma_bench.physics import Simulation
-from sma_bench.records import DscRecord, Record, Signal
-from sma_bench.records.isobaric import IsobaricRecord
+from sma_bench.physics.effects import EFFECTS
+from sma_bench.protocols import parse_protocol
+from sma_bench.records import DscRecord, Record
+from sma_bench.records.instruments import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay
-from sma_bench.records.tensile import TensileRecord
-from sma_bench.report.diagnosis_figures import (
-    candidate_picture,
-    evidence_picture,
-    gap_picture,
-    next_experiment_picture,
-    shrinkage_picture,
-    signal_pictures,
-    stage_picture,
-)
 from sma_bench.report.drawing import (
+    BAND,
     FAINT,
     MEASURED,
     MODEL,
     cell_texts,
     drawable,
+    graph,
     legend_above,
     line_style,
     named_rows,
     new_figure,
-    one_panel,
     plain,
     plain_axes,
     read_and_error,
     thinned,
 )
 from sma_bench.report.page import Picture, pictured
+from sma_bench.report.tables import LEAST_SHOWN
+from sma_bench.results import scale_of
 
 Array = NDArray[np.float64]
 Curves = Sequence[tuple[str, Array, Array]]
 """label, time or abscissa, values"""
 
-
-# --- What `plot()` gives.
-
-
-def picture_of(thing: Any, *what: str) -> Picture:
-    """The figure of a thing, or that part of it.
-
-    Raises:
-        InputError: it has nothing of that name.
-    """
-    if isinstance(thing, Record):
-        return _found(bag_picture(thing, "signals", what), what, thing.signals)
-    if isinstance(thing, Simulation):
-        return _found(simulation_picture(thing, what), what, _STATES)
-    if isinstance(thing, Overlay):
-        return overlay_picture(thing, "overlay", what)
-    if isinstance(thing, Identification):
-        return _chosen(what, {
-            "agreement": lambda: agreement_picture(thing, "agreement"),
-            "correlation": lambda: correlation_picture(thing, "correlation"),
-        })  # fmt: skip
-    if isinstance(thing, Diagnosis):
-        return _chosen(what, {
-            "signals": lambda: signal_pictures(thing)[0],
-            "where": lambda: gap_picture(thing), "stages": lambda: stage_picture(thing),
-            "candidates": lambda: candidate_picture(thing),
-            "evidence": lambda: evidence_picture(thing),
-            "shrinkage": lambda: shrinkage_picture(thing),
-            "next": lambda: next_experiment_picture(thing, thing.parameters),
-        })  # fmt: skip
-    return _found(record_picture(thing, "record"), what, ())
-
-
-def _chosen(what: tuple[str, ...], pictures: dict[str, Callable[[], Picture | None]]) -> Picture:
-    name = what[0] if what else next(iter(pictures))
-    if name not in pictures or len(what) > 1:
-        raise InputError(f"plot: {', '.join(what)}, expected one of {', '.join(pictures)}")
-    return _found(pictures[name](), what, ())
-
-
-def _found(picture: Picture | None, what: Sequence[str], held: Iterable[str]) -> Picture:
-    if picture is None:
-        names = f": it has {', '.join(held)}" if held else ""
-        raise InputError(f"plot: no {', '.join(what) or 'signal'} to draw{names}")
-    return picture
+_MOST_DRAWN = 3000
+_MOST_MARKERS = 40
+_QUANTITIES = (  # from above
+    "voltage_command", "voltage", "current", "temperature", "deflection", "range", "elongation",
+    "force",
+)  # fmt: skip
+# States of a simulation: label and factor from SI to its unit.
+_STATES = {
+    "voltage": ("voltage\n[V]", 1.0), "current": ("current\n[A]", 1.0),
+    "temperature": ("temperature\n[K]", 1.0), "martensite_fraction": ("martensite\nfraction", 1.0),
+    "stress": ("stress\n[MPa]", 1e-6), "deflection": ("deflection\n[mm]", 1e3),
+}
 
 
 # --- Records, before anything is made of them.
 
-_MOST_DRAWN = 3000
-_MOST_MARKERS = 40
-
-
-# Quantities from above, with their unit on paper and the factor from SI to it.
-_PRINTED = {
-    "voltage_command": ("V", 1.0), "voltage": ("V", 1.0), "current": ("A", 1.0),
-    "temperature": ("K", 1.0), "deflection": ("mm", 1e3), "range": ("mm", 1e3),
-    "elongation": ("mm", 1e3), "force": ("N", 1.0),
-}
-
 
 def record_picture(record: AnyRecord, name: str) -> Picture | None:
-    """What was recorded; None where that is nothing."""
+    """What was recorded: of a bag every signal, of a DSC run heat flow over temperature, of
+    isobaric tests strain over temperature, of a tensile test stress over strain; None where that is
+    nothing."""
     if isinstance(record, Record):
-        return bag_picture(record, f"{name}_signals_over_time")
+        return _bag_picture(record, f"{name}_signals_over_time")
+    axes, facts = ("temperature [K]", ""), dict[str, Any]()
+    curves: Curves
     if isinstance(record, DscRecord):
-        return dsc_picture(record, f"{name}_heat_flow")
-    if isinstance(record, IsobaricRecord):
-        return isobaric_picture(record, f"{name}_strain")
-    assert isinstance(record, TensileRecord)
-    return tensile_picture(record, f"{name}_stress")
+        key, axes = "heat_flow", ("temperature [K]", "heat flow [W/g], the file's sign")
+        curves = [
+            (f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s))
+            for s in record.segments if s.kind != "isothermal"
+        ]  # fmt: skip
+    elif isinstance(record, IsobaricRecord):
+        relative = record.strain_unit == "relative"
+        key, axes = "strain", (axes[0], "strain over its range" if relative else "strain [%]")
+        facts["stress"] = record.stress / 1e6
+        curves = [
+            (f"cycle {cycle.number} {branch.direction}", branch.temperature,
+             (1.0 if relative else 100.0) * branch.strain)
+            for cycle in record.cycles for branch in cycle.branches
+        ]  # fmt: skip
+    else:
+        key, axes = "stress", ("strain [%]", "stress [MPa]")
+        curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
+    if not curves:
+        return None
+    figure, ax = graph(*axes, height=4.2)
+    for k, (what, x, y) in enumerate(curves):
+        ax.plot(drawable(x), drawable(y), label=what, **line_style(k, len(curves), len(x)))
+    if len(curves) > 1:
+        ax.legend(fontsize=7, ncols=2)
+    return pictured(key, plain(figure), f"{name}_{key}", path=record.path, **facts)
 
 
-def bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
-    """Every signal over time, or those that are named, a row a quantity; None without any.
-
-    Long signals are drawn by the least and the largest sample of each stretch of time.
-    """
+def _bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
+    """Every signal over time, or those that are named, a row a quantity; None without any."""
     rows = []
-    for quantity, (unit, factor) in _PRINTED.items():
-        signals = [
-            s for n, s in record.signals.items()
-            if n.rpartition(".")[2] == quantity and len(s)
-            and (not what or n in what or quantity in what)
-        ]
-        curves = [curve for signal in signals for curve in _curves(signal, factor)]
+    for quantity in _QUANTITIES:
+        unit, factor = scale_of(quantity)
+        curves: list[tuple[str, Array, Array]] = []
+        for full, signal in record.signals.items():
+            wanted = not what or full in what or quantity in what
+            if full.rpartition(".")[2] != quantity or not len(signal) or not wanted:
+                continue
+            head = signal.name.rpartition(".")[0] or signal.name
+            columns = np.atleast_2d(factor * signal.values.T)
+            names = [f"{head}[{k}]" for k in range(len(columns))]
+            names = names if signal.values.ndim > 1 else [head]
+            curves += [(n, signal.time, v) for n, v in zip(names, columns, strict=True)]
         if curves:
             rows.append((f"{quantity.replace('_', ' ')}\n[{unit}]", curves))
     if not rows:
@@ -143,20 +128,14 @@ def bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture 
     which = "Signals" if what else "All signals"
     figure = _over_time(rows, record.markers)
     return pictured("signals_over_time", figure, name, over_time=True, which=which,
-                    path=record.path, steps=steps)
-
-
-def _curves(signal: Signal, factor: float) -> Curves:
-    head = signal.name.rpartition(".")[0] or signal.name
-    if signal.values.ndim == 1:
-        return [(head, signal.time, factor * signal.values)]
-    columns = range(signal.values.shape[1])
-    return [(f"{head}[{k}]", signal.time, factor * signal.values[:, k]) for k in columns]
+                    path=record.path, steps=steps)  # fmt: skip
 
 
 def _over_time(
     rows: Sequence[tuple[str, Curves]], markers: Sequence[tuple[float, str]] = ()
 ) -> Figure:
+    """A graph a row, of long signals the least and the largest sample of each stretch of time;
+    markers are steps of the protocol."""
     figure, axes = new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
         for k, (what, time, values) in enumerate(curves):
@@ -169,91 +148,34 @@ def _over_time(
             *axes[most].get_legend_handles_labels(), fontsize=8, frameon=False, ncols=4,
             loc="outside upper right",
         )
-    _mark(axes, markers)
-    axes[-1].set_xlabel("time [s]")
-    return plain(figure)
-
-
-def _mark(axes: Sequence[Axes], markers: Sequence[tuple[float, str]]) -> None:
-    """Steps of the protocol; names that would lie over each other are left out."""
-    if not 0 < len(markers) <= _MOST_MARKERS:
-        return
-    room = (axes[0].get_xlim()[1] - axes[0].get_xlim()[0]) / 12.0
-    named = -np.inf
-    for time, text in markers:
+    # Names that would lie over each other are left out.
+    room, named = float(np.ptp(axes[0].get_xlim())) / 12.0, -np.inf
+    for at, text in markers if len(markers) <= _MOST_MARKERS else ():
         for ax in axes:
-            ax.axvline(time, color=FAINT, lw=0.6, ls=":")
-        if time - named > room:
-            named = time
+            ax.axvline(at, color=FAINT, lw=0.6, ls=":")
+        if at - named > room:
+            named = at
             axes[0].annotate(
-                text, (time, 1.0), xycoords=("data", "axes fraction"), fontsize=6, rotation=30,
+                text, (at, 1.0), xycoords=("data", "axes fraction"), fontsize=6, rotation=30,
                 color=FAINT, annotation_clip=True,
             )
-
-
-def dsc_picture(record: DscRecord, name: str) -> Picture | None:
-    """Heat flow over temperature of every scan; None where there is none."""
-    scans = [s for s in record.segments if s.kind != "isothermal"]
-    if not scans:
-        return None
-    curves = [
-        (f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s)) for s in scans
-    ]
-    return pictured("heat_flow", _loops(curves, "heat flow [W/g], the file's sign"), name,
-                    path=record.path)
-
-
-def isobaric_picture(record: IsobaricRecord, name: str) -> Picture:
-    """Strain over temperature of every branch."""
-    relative = record.strain_unit == "relative"
-    curves = [
-        (f"cycle {cycle.number} {branch.direction}", branch.temperature,
-         (1.0 if relative else 100.0) * branch.strain)
-        for cycle in record.cycles for branch in cycle.branches
-    ]  # fmt: skip
-    figure = _loops(curves, "strain over its range" if relative else "strain [%]")
-    return pictured("strain", figure, name, stress=record.stress / 1e6, path=record.path)
-
-
-def tensile_picture(record: TensileRecord, name: str) -> Picture:
-    """Stress over strain."""
-    curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
-    figure = _loops(curves, "stress [MPa]", "strain [%]")
-    return pictured("stress", figure, name, path=record.path)
-
-
-def _loops(curves: Curves, label: str, across: str = "temperature [K]") -> Figure:
-    figure, ax = one_panel(across, label, 4.2)
-    for k, (what, x, y) in enumerate(curves):
-        ax.plot(drawable(x), drawable(y), label=what, **line_style(k, len(curves), len(x)))
-    if len(curves) > 1:
-        ax.legend(fontsize=7, ncols=2)
+    axes[-1].set_xlabel("time [s]")
     return plain(figure)
 
 
 # --- Simulations, and records and models over each other.
 
-_STATES: dict[str, tuple[str, float, Callable[[Simulation], Array]]] = {
-    "voltage": ("voltage\n[V]", 1.0, lambda s: s.voltage),
-    "current": ("current\n[A]", 1.0, lambda s: s.current),
-    "temperature": ("temperature\n[K]", 1.0, lambda s: s.temperature),
-    "martensite_fraction": ("martensite\nfraction", 1.0, lambda s: s.martensite_fraction),
-    "stress": ("stress\n[MPa]", 1e-6, lambda s: s.stress),
-    "deflection": ("deflection\n[mm]", 1e3, lambda s: s.deflection[:, np.newaxis]),
-}
-
 
 def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Picture | None:
     """Voltages, states and motion over time; None where nothing of that name is there."""
     channels, rows = simulation.parameters["bench.channels"], []
-    for state, (label, factor, values_of) in _STATES.items():
-        if what and state not in what:
-            continue
-        values = factor * values_of(simulation)
-        if state == "deflection" and not what and not values.any():
-            continue
-        names = channels if values.shape[1] == len(channels) else ("deflection",)
-        rows.append((label, [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]))
+    for state, (label, factor) in _STATES.items():
+        values = factor * getattr(simulation, state).reshape(len(simulation.time), -1)
+        is_still = state == "deflection" and not what and not values.any()
+        if (not what or state in what) and not is_still:
+            names = ("deflection",) if state == "deflection" else channels
+            curves = [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]
+            rows.append((label, curves))
     if not rows:
         return None
     return pictured("simulation", _over_time(rows), over_time=True, channels=", ".join(channels))
@@ -261,11 +183,8 @@ def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Pict
 
 def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
     """Of each quantity the signal that differs most, or those that are named: all records, and
-    below them the differences from the first, the largest marked.
-
-    Raises:
-        InputError: the records share nothing of that name.
-    """
+    below them the differences from the first, the largest marked. Raises InputError: the records
+    share nothing of that name."""
     worst: dict[str, str] = {}
     for d in found.differences:
         quantity = d.signal.rpartition(".")[2]
@@ -279,7 +198,24 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
         raise InputError(f"plot: {lack}: the records share {shared}")
     figure, axes = read_and_error(len(worst), 0.9 + 2.4 * len(worst))
     for (upper, lower), signal in zip(axes, worst.values(), strict=True):
-        _overlay_signal(upper, lower, found, signal)
+        unit, factor = scale_of(signal)
+        shown = {n: r[signal] for n, r in found.records.items() if signal in r.signals}
+        base = next(iter(shown.values()))
+        for k, (record, own) in enumerate(shown.items()):
+            t, v = thinned(own.time, drawable(factor * own.values), _MOST_DRAWN)
+            style = line_style(k, len(shown), len(t))
+            upper.plot(t, v, label=record, **style)
+            if k:
+                inside = (base.time >= own.time[0]) & (base.time <= own.time[-1])
+                time = base.time[inside]
+                apart = factor * (np.interp(time, own.time, own.values) - base.values[inside])
+                lower.plot(*thinned(time, drawable(apart), _MOST_DRAWN), **style)
+        for d in found.differences:
+            if d.signal == signal:
+                lower.plot([d.at], [factor * d.worst], "x", ms=7, color="black", label="_worst")
+        upper.set_title(signal, loc="left", fontsize=9)
+        upper.set_ylabel(f"[{unit}]")
+        lower.set_ylabel(f"difference [{unit}]")
     legend_above(axes[0][0])
     first = next(iter(found.records))
     shifts = ", ".join(f"{n} {s:+.3g} s" for n, s in found.shifts.items() if abs(s) > 1e-3)
@@ -287,35 +223,12 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
     return pictured("overlay", plain(figure), name, over_time=True, first=first, shifts=said)
 
 
-def _overlay_signal(upper: Axes, lower: Axes, found: Overlay, signal: str) -> None:
-    quantity = signal.rpartition(".")[2]
-    unit, factor = _PRINTED.get(quantity, ("", 1.0))
-    shown = {n: r[signal] for n, r in found.records.items() if signal in r.signals}
-    first, *others = shown
-    base = shown[first]
-    for k, (name, own) in enumerate(shown.items()):
-        t, v = thinned(own.time, drawable(factor * own.values), _MOST_DRAWN)
-        style = line_style(k, len(shown), len(t))
-        upper.plot(t, v, label=name, **style)
-        if name in others:
-            inside = (base.time >= own.time[0]) & (base.time <= own.time[-1])
-            time = base.time[inside]
-            apart = factor * (np.interp(time, own.time, own.values) - base.values[inside])
-            lower.plot(*thinned(time, drawable(apart), _MOST_DRAWN), **style)
-    for d in found.differences:
-        if d.signal == signal:
-            lower.plot([d.at], [factor * d.worst], "x", ms=7, color="black", label="_worst")
-    upper.set_title(signal, loc="left", fontsize=9)
-    upper.set_ylabel(f"[{unit}]")
-    lower.set_ylabel(f"difference [{unit}]")
-
-
-# --- Results of `identify` and `diagnose`.
+# --- Identifications.
 
 _FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
 
 
-def agreement_picture(result: Identification, name: str) -> Picture | None:
+def agreement_picture(result: Identification, name: str = "agreement") -> Picture | None:
     """How far each number is off what the parameter file states, with its errors, and the share of
     its information that the records gave; of what it does not state the errors alone. None where
     there is no number."""
@@ -347,7 +260,7 @@ def agreement_picture(result: Identification, name: str) -> Picture | None:
     return pictured("agreement", plain(figure), name)
 
 
-def correlation_picture(result: Identification, name: str) -> Picture | None:
+def correlation_picture(result: Identification, name: str = "correlation") -> Picture | None:
     """The correlation matrix as a map; None where it is not known or all stand alone."""
     names, matrix = result.correlation.names, result.correlation.matrix
     if len(names) < 2:
@@ -367,3 +280,296 @@ def correlation_picture(result: Identification, name: str) -> Picture | None:
     }, 6)
     figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
     return pictured("correlation", plain(figure), name)
+
+
+# --- Diagnoses: signals, candidates, evidence, the next experiment.
+
+STAGE_COLOURS = {
+    "electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
+    "mechanical": "#2a7f62", "sensor": "#1f4e79",
+}
+_TWO_STAGES = "#4a4a4a"
+_RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
+_MOST_BARS = 10
+_LINEAR = 3.0  # nats, within which the axis of evidence is linear
+_AS_BAD = 20.0  # nats below recalibration, where bars are cut
+_PROTOCOL_STEP = 0.05  # s
+
+
+def signal_pictures(result: Diagnosis) -> list[Picture]:
+    """Measured against simulated, before and after: a picture a quantity of the held-out data."""
+    pictures = []
+    for quantity, _ in result.worst_first:
+        obs = next(v for v in result.held_out if quantity in v.quantities)
+        unit, factor = scale_of(quantity)
+
+        # Of each side the signal that the belief misses most.
+        before = obs.readings(obs.simulate(result.parameters))
+        after = obs.readings(obs.simulate(result.improved))
+        worst: dict[str, tuple[BinnedSignal, Array, Array]] = {}
+        every = zip(obs.signals, before, after, strict=True)
+        rows = [row for row in every if row[0].quantity == quantity]
+        for row in sorted(rows, key=lambda r: float(np.mean((r[0].value - r[1]) ** 2))):
+            worst[obs.sides[row[0].wire]] = row
+        shown = [worst[side] for side in dict.fromkeys(obs.sides[r[0].wire] for r in rows)]
+
+        # Readings, and below them their errors with the band of the noise.
+        figure, axes = read_and_error(len(shown), 0.8 + 2.9 * len(shown))
+        for (upper, lower), (signal, old, new) in zip(axes, shown, strict=True):
+            time, value = signal.time, factor * signal.value
+            upper.plot(time, value, color=MEASURED, lw=2.6, alpha=0.45, label="measured")
+            half = 2.0 * factor * sample_noise(result.model.problem, signal.name)
+            lower.axhspan(-half, half, color=FAINT, alpha=0.18, lw=0, gid=BAND)
+            for simulated, label, colour, dash in (
+                (factor * old, "as believed", FAINT, "--"), (factor * new, "improved", MODEL, "-"),
+            ):
+                upper.plot(time, simulated, label=label, color=colour, lw=1.0, ls=dash)
+                lower.plot(time, value - simulated, color=colour, lw=1.0, ls=dash)
+            upper.set_ylabel(f"[{unit}]")
+            upper.set_title(signal.name, loc="left", fontsize=9)
+            lower.set_ylabel(f"error [{unit}]")
+        legend_above(axes[0][0])
+        pictures.append(pictured(
+            "diagnosis_signals", figure, f"diagnosis_{quantity}", over_time=True,
+            quantity=quantity, path=obs.path, period=shown[0][0].period,
+        ))
+    return pictures
+
+
+def candidate_picture(result: DiagnosisResult, name: str = "diagnosis_candidates") -> Picture:
+    """Probabilities of the candidates."""
+    shown = [
+        c for k, c in enumerate(result.candidates)
+        if c.name in _RIVALS or (k < _MOST_BARS and c.probability >= LEAST_SHOWN)
+    ]
+    figure, (ax,) = new_figure(height=1.2 + 0.32 * len(shown))
+    names = [f"{c.name} *" if c.name in result.credible else c.name for c in shown]
+    stages = [[part for part in c.stage.split(JOIN) if part] for c in shown]
+    place = _bars(ax, names, [c.probability for c in shown], stages)
+    for y, c in zip(place, shown, strict=True):
+        ax.text(c.probability + 0.01, y, f"{c.probability:.3f}", va="center", fontsize=8)
+    ax.set(xlabel="probability", xlim=(0.0, 1.12))
+    return pictured("diagnosis_candidates", plain(figure), name)
+
+
+def _bars(
+    ax: Axes, names: Sequence[str], values: Sequence[float], stages: Sequence[Sequence[str]]
+) -> Array:
+    """A bar a name in the colour of its stages; (n,) where they are."""
+    place, legend = named_rows(ax, names), dict[str, BarContainer]()
+    for y, value, own in zip(place, values, stages, strict=True):
+        colour = _TWO_STAGES if len(own) > 1 else STAGE_COLOURS[own[0]] if own else FAINT
+        bar = ax.barh(y, value, color=colour, height=0.7, label=" and ".join(own))
+        if own:
+            legend.setdefault(" and ".join(own), bar)
+    if legend:
+        ax.legend(legend.values(), legend.keys(), fontsize=8, loc="lower right", title="stage",
+                  title_fontsize=8)  # fmt: skip
+    return place
+
+
+def evidence_picture(result: Diagnosis) -> Picture:
+    """What each effect alone, and the best pairs, would explain."""
+    search = result.search
+    base = search.recalibrated.evidence
+    gains = {name: search.gain(name) for name in search.ranked}
+    gains |= {
+        JOIN.join(pair): fit.evidence - base for pair, fit in search.pairs.items()
+        if fit.evidence - base > max(gains.values(), default=0.0)
+    }
+    gains["response of free form"] = search.flexible.gain
+    ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
+    figure, (ax,) = new_figure(height=1.2 + 0.28 * len(ranked))
+    stages = [
+        list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS)) for n in ranked
+    ]
+    _bars(ax, ranked, [gains[name] for name in ranked], stages)
+    left, right = max(min(gains.values()), -_AS_BAD), 1.5 * max(*gains.values(), _LINEAR)
+    ax.set_xscale("symlog", linthresh=_LINEAR)
+    ax.set_xlim(left, right)
+    ticks = [t for t in (-10, -3, 0, 3, 10, 30, 100, 300, 1000, 1e4, 1e5) if left <= t <= right]
+    ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
+    ax.xaxis.set_minor_locator(NullLocator())
+    ax.axvline(0.0, color=FAINT, lw=0.8)
+    ax.set_xlabel("log evidence over recalibration alone [nats]")
+    return pictured("diagnosis_evidence", figure, cut=-_AS_BAD)
+
+
+def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Picture | None:
+    """Voltages of the proposed protocol; None where there is none. Raises InputError: the protocol
+    cannot be run on this rig."""
+    if result.next_experiment is None or not result.next_experiment.protocol:
+        return None
+    protocol = parse_protocol(dict(result.next_experiment.protocol), parameters)
+    time, voltage = protocol.sample(_PROTOCOL_STEP)
+    sides = np.array(parameters["bench.channel_sides"])
+    figure, ax = graph("time [s]", "voltage [V]", height=2.8)
+    for side, colour in zip(dict.fromkeys(sides), (MEASURED, MODEL), strict=False):
+        ax.plot(time, voltage[:, sides == side].max(axis=1), color=colour, lw=1.2, label=side)
+    ax.legend(fontsize=8)
+    separates = ", ".join(result.next_experiment.separates)
+    return pictured("diagnosis_next_experiment", figure, separates=separates)
+
+
+# --- Heat maps of a diagnosis: the gap by signal, side and phase.
+
+PHASES = (INITIAL, DRIVE, REST)
+_LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
+_DARK = 0.65  # of the colours, from where on letters are white
+
+
+def gap_picture(result: Diagnosis) -> Picture:
+    """Root mean square over noise of each cell: before, what explains it, and what is left."""
+    problem = result.model.problem
+    names, middle = result.model.unknowns.effects, list(result.where.table)
+    if result.verdict == UNEXPLAINED:
+        head = "what is missing: left\nby recalibration"
+        middle = locate(problem, result.search.recalibrated.left)
+    elif names:
+        head = "what " + "\nand ".join(names) + f" {'does' if len(names) == 1 else 'do'}"
+    else:
+        head = "what recalibration\nchanges"
+    maps = (
+        ("measured less simulated,\nas believed", locate(problem, result.search.nominal.left)),
+        (head, middle),
+        ("left by the\nbest model", locate(problem, result.model.left)),
+    )
+
+    # Signals by quantity, the worst first; the deflection once a side.
+    rows = list(dict.fromkeys(
+        f"{signal.name}, {side}" if side else signal.name
+        for quantity in _quantities(result) for view in result.observations
+        for signal in view.signals if signal.quantity == quantity
+        for side in (view.sides if quantity == "deflection" else ("",))
+    ))  # fmt: skip
+    tables = {}
+    for title, cells in maps:
+        numbers = {
+            (f"{c.signal}, {c.side}" if c.signal == "deflection" else c.signal, c.phase): c.gap
+            for c in cells
+        }
+        tables[title] = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
+
+    # Maps side by side with the phases across, one colour bar for all; numbers in their cells.
+    norm = LogNorm(_LOWEST, _HIGHEST)
+    figure = Figure(figsize=(7.8, 1.6 + 0.34 * len(rows)), layout="constrained")
+    axes = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
+    for ax, (title, table) in zip(axes, tables.items(), strict=True):
+        shown = np.clip(table, norm.vmin, norm.vmax)
+        image = ax.imshow(shown, aspect="auto", cmap="YlOrRd", norm=norm)
+        vars(image)["table"] = table
+        cell_texts(ax, {
+            cell: (_short(value), float(norm(shown[cell])) > _DARK)
+            for cell, value in np.ndenumerate(table) if np.isfinite(value)
+        }, 8)  # fmt: skip
+        ax.tick_params(length=0)
+        ax.set_title(title, fontsize=8)
+        ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)
+    axes[0].set_yticks(range(len(rows)), rows, fontsize=8)
+    figure.colorbar(image, ax=axes, label="rms over noise", fraction=0.04, format="%g")
+    return pictured("diagnosis_where", figure)
+
+
+def _quantities(result: Diagnosis) -> list[str]:
+    """Those that were compared, the worst first."""
+    compared = {quantity for view in result.observations for quantity in view.quantities}
+    held_out = [quantity for quantity, _ in result.worst_first]
+    return [q for q in dict.fromkeys((*held_out, *QUANTITIES)) if q in compared]
+
+
+def _short(value: float) -> str:
+    if abs(value) < 0.05:
+        return "0"
+    if abs(value) < 9.95:
+        return f"{value:.1f}"
+    return f"{value:.0f}" if abs(value) < 9999.5 else f"{value / 1e3:.0f}k"
+
+
+# --- The shape of what no effect explains: against time, simulated temperature and voltage.
+
+_MOST_SIGNALS = 3
+_WORTH_A_PICTURE = 0.05  # of all that is missing
+_COLOURS = dict(zip(PHASES, (FAINT, MODEL, MEASURED), strict=True))
+
+
+def missing_pictures(result: Diagnosis) -> list[Picture]:
+    """A picture for each signal that most of what is missing lies in."""
+    shares: dict[str, float] = {}
+    for cell in locate(result.model.problem, result.search.recalibrated.left):
+        shares[cell.signal] = shares.get(cell.signal, 0.0) + cell.share
+    ranked = sorted(shares, key=lambda name: shares[name], reverse=True)[:_MOST_SIGNALS]
+    return [_missing(result, name) for name in ranked if shares[name] > _WORTH_A_PICTURE]
+
+
+def _missing(result: Diagnosis, name: str) -> Picture:
+    """Left by recalibration, over time (the first record's), simulated temperature and voltage."""
+    unit, factor = scale_of(name)
+    figure, (over_time, temperature, voltage) = new_figure(3, 8.0, shared=False)
+    model, shown = result.search.recalibrated, ""
+    for block in model.problem.of_signal(name):
+        obs, time, left = block.observation, block.signal.time, factor * model.left[block.rows]
+        if not shown:
+            shown = obs.path
+            over_time.plot(time, left, color=FAINT, lw=1.0)
+
+        # What the term may depend on: of a wire, or of the sides' warmest and highest.
+        at = np.clip(np.searchsorted(obs.grid, time), 0, len(obs.grid) - 1)
+        causes = (obs.simulate(model.parameters).temperature[at], obs.voltage[at])
+        front = np.array(obs.sides) == obs.sides[0]
+        for ax, values in zip((temperature, voltage), causes, strict=True):
+            cause = values[:, block.signal.wire]
+            if block.signal.quantity == "deflection":
+                cause = values[:, front].max(axis=1)
+                cause = cause - values[:, ~front].max(axis=1) if (~front).any() else cause
+            for phase, colour in _COLOURS.items():
+                here = obs.phase_of(time) == phase
+                ax.plot(cause[here], left[here], ".", ms=2.5, color=colour)
+    for phase, colour in _COLOURS.items():
+        temperature.plot([], [], ".", ms=8, color=colour, label=phase)
+    legend_above(temperature)
+    across = ("simulated temperature of the wire [K]", "voltage of the wire [V]")
+    if name == "deflection":
+        across = ("simulated temperature, front less back [K]",
+                  "voltage, back counted negative [V]")  # fmt: skip
+    for ax, label in zip((over_time, temperature, voltage), ("time [s]", *across), strict=True):
+        ax.set(xlabel=label, ylabel=f"missing [{unit}]")
+    return pictured("diagnosis_missing", figure, f"diagnosis_missing_{name.replace('.', '_')}",
+                    signal=name, shown=shown)  # fmt: skip
+
+
+# --- For `plot()`.
+
+# Parts of a result by name, the one that matters most first.
+_OF_IDENTIFICATION: dict[str, Callable[[Any], Picture | None]] = {
+    "agreement": agreement_picture, "correlation": correlation_picture,
+}
+_OF_DIAGNOSIS: dict[str, Callable[[Any], Picture | None]] = {
+    "signals": lambda result: signal_pictures(result)[0],
+    "where": gap_picture,
+    "candidates": candidate_picture,
+    "evidence": evidence_picture,
+    "next": lambda result: next_experiment_picture(result, result.parameters),
+}
+
+
+def picture_of(thing: Any, *what: str) -> Picture:
+    """The figure of a thing, or that part of it. Raises InputError: it has nothing of that name."""
+    held: Iterable[str] = ()
+    if isinstance(thing, Identification | Diagnosis):
+        parts = _OF_IDENTIFICATION if isinstance(thing, Identification) else _OF_DIAGNOSIS
+        name = what[0] if what else next(iter(parts))
+        if name not in parts or len(what) > 1:
+            raise InputError(f"plot: {', '.join(what)}, expected one of {', '.join(parts)}")
+        picture = parts[name](thing)
+    elif isinstance(thing, Record):
+        picture, held = _bag_picture(thing, "signals", what), thing.signals
+    elif isinstance(thing, Simulation):
+        picture, held = simulation_picture(thing, what), _STATES
+    elif isinstance(thing, Overlay):
+        picture = overlay_picture(thing, "overlay", what)
+    else:
+        picture = record_picture(thing, "record")
+    if picture is None:
+        names = f": it has {', '.join(held)}" if held else ""
+        raise InputError(f"plot: no {', '.join(what) or 'signal'} to draw{names}")
+    return picture

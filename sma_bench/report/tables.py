@@ -1,16 +1,21 @@
-"""Tables of results, the same on a terminal, on a page and in a notebook."""
+"""Tables of results and of records, the same on a terminal, on a page and in a notebook."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from importlib import resources
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sma_bench.cards import two_errors
-from sma_bench.diagnose.result import DiagnosisResult, Explanation
-from sma_bench.estimation.estimate import Estimate
-from sma_bench.results import in_print, percent, with_error
+from sma_bench.border import load_yaml
+from sma_bench.results import in_print, percent, two_errors, with_error
+
+if TYPE_CHECKING:
+    from sma_bench.diagnose.result import DiagnosisResult
+    from sma_bench.estimation.estimate import Estimate
 
 LEAST_SHOWN = 0.005  # probability of a candidate
+_NOTHING = 1e-12  # the last bits of doubles, of a signal's times
 
 
 @dataclass(frozen=True)
@@ -27,12 +32,14 @@ class Table:
     title: str = ""
 
 
-def diagnosis_tables(result: DiagnosisResult) -> dict[str, Table]:
-    """Candidates, where the gap lies, the chain where there is one, and what shrinks, by name."""
+def diagnosis_tables(result: "DiagnosisResult") -> dict[str, Table]:
+    """Candidates, where the gap lies, and what shrinks, by name."""
     candidates = [
         (
             c.name, c.stage, f"{c.probability:.3f}", _or_empty(c.gap_over_noise, ".2f"),
-            _or_empty(c.log_evidence, "+.1f"), effect_numbers(c),
+            _or_empty(c.log_evidence, "+.1f"),
+            "; ".join(f"{name.removeprefix('effect.')} = {two_errors(number)}"
+                      for name, number in c.parameters.items()),
         )
         for c in result.candidates if c.probability >= LEAST_SHOWN
     ]  # fmt: skip
@@ -40,11 +47,6 @@ def diagnosis_tables(result: DiagnosisResult) -> dict[str, Table]:
         (c.signal, c.phase, c.side, f"{c.gap:.2f}", percent(c.share), in_print(c.rms, c.signal))
         for c in result.where.table
     ]
-    chain = [
-        (link.block, f"{link.gap:.2f}", f"{link.ci90[0]:.2f} to {link.ci90[1]:.2f}",
-         in_print(link.rms, link.block.rpartition(" ")[2]))
-        for link in result.where.chain
-    ]  # fmt: skip
     shrinkage = [
         (
             q, *(in_print(rms, q) for rms in (s.rmse_before, s.rmse_after, s.noise_floor)),
@@ -53,7 +55,7 @@ def diagnosis_tables(result: DiagnosisResult) -> dict[str, Table]:
         )
         for q, s in result.worst_first
     ]
-    tables = {
+    return {
         "candidates": Table(
             ("candidate", "stage", "probability", "gap over noise", "log evidence [nats]",
              "numbers"), candidates, frozenset({2, 3, 4}), "candidates_table", "Candidates",
@@ -62,28 +64,15 @@ def diagnosis_tables(result: DiagnosisResult) -> dict[str, Table]:
             ("signal", "phase", "side", "gap over noise", "share", "rms"), where,
             frozenset({3, 4, 5}), "where", "Where the gap lies",
         ),
-        "chain": Table(
-            ("block, driven by what was measured", "gap over noise", "90 % interval", "rms"), chain,
-            frozenset({1, 2, 3}), "chain_table", "The chain, block by block",
-        ),
         "shrinkage": Table(
             ("held-out quantity", "rms before", "rms after", "noise", "gap that is gone",
              "90 % interval"), shrinkage, frozenset({1, 2, 3, 4, 5}), "shrinkage",
             "How far the gap shrinks, on data that no fit saw",
         ),
     }  # fmt: skip
-    return {name: table for name, table in tables.items() if table.rows or name != "chain"}
 
 
-def effect_numbers(candidate: Explanation) -> str:
-    """The numbers of a candidate's effects."""
-    return "; ".join(
-        f"{name.removeprefix('effect.')} = {two_errors(n)}"
-        for name, n in candidate.parameters.items()
-    )
-
-
-def estimate_table(numbers: Mapping[str, Estimate], name: str, title: str = "") -> Table:
+def estimate_table(numbers: "Mapping[str, Estimate]", name: str, title: str = "") -> Table:
     """Numbers with all that is known of them, a plain number a cell."""
     rows = [
         (
@@ -101,3 +90,57 @@ def estimate_table(numbers: Mapping[str, Estimate], name: str, title: str = "") 
 def _or_empty(value: float, form: str, unit: str = "") -> str:
     """JSON has null for a number that does not exist."""
     return format(value, form) + unit if np.isfinite(value) else ""
+
+
+def value_cell(value: Any) -> str:
+    """A parameter's value."""
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return ", ".join(value) if isinstance(value, tuple) else str(value)
+
+
+def record_tables(described: Mapping[str, Any], name: str = "") -> list[Table]:
+    """Of a record as `records.describe` has it; `name` leads those of the tables."""
+    text = resources.files("sma_bench.report").joinpath("records.yaml").read_text("utf-8")
+    tables = []
+    for key, columns in load_yaml(text).items():
+        rows = []
+        for row in described.get(key) or ():
+            cells = [(row[of], form) for of, form in columns.values()]
+            cells = [(0.0 if form and v and abs(v) < _NOTHING else v, form) for v, form in cells]
+            rows.append([
+                "" if v is None else ", ".join(v) if isinstance(v, list) else format(v, form)
+                for v, form in cells
+            ])  # fmt: skip
+        numeric = frozenset(k for k, (_, form) in enumerate(columns.values()) if form)
+        if rows:
+            tables.append(Table([*columns], rows, numeric, f"{name}_{key}", key.capitalize()))
+    return tables
+
+
+def record_line(described: Mapping[str, Any]) -> str:
+    """What a record is, in a line."""
+    of = described
+    match of["kind"]:
+        case "bag":
+            # One from arrays, or a simulated one, has no date.
+            since = "" if of["start"].startswith("1970-01-01") else f" from {of['start']}"
+            channels = ", ".join(of["channels"]) or "none"
+            return (
+                f"{of['duration']:.3f} s{since}, channels: {channels}, {len(of['signals'])} "
+                f"signals, {len(of['markers'])} markers"
+            )
+        case "dsc":
+            sign = {True: "endothermic up", False: "exothermic up", None: "sign unknown"}
+            return (
+                f"{of['instrument']}, {of['sample']}, {1e6 * of['mass']:.3f} mg, "
+                f"{sign[of['endothermic_up']]}"
+            )
+        case "isobaric":
+            relative = ", strain over its own range" * (of["strain_unit"] == "relative")
+            return f"isobaric test at {of['stress'] / 1e6:.1f} MPa{relative}"
+    kelvin, strain, stress = of["temperature"], of["largest_strain"], of["largest_stress"]
+    where = "temperature unknown" if kelvin is None else f"at {kelvin:.2f} K"
+    far = f"{strain * 1e3:.4g} mm" if of["is_extension"] else f"{strain:.4f} strain"
+    hard = f"{stress:.1f} N" if of["is_force"] else f"{stress / 1e6:.1f} MPa"
+    return f"tensile test {where}, {of['samples']} samples, to {far} and {hard}"

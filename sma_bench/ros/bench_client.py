@@ -2,6 +2,7 @@
 parameters, have a protocol run and recorded."""
 
 import os
+import re
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
@@ -20,13 +21,14 @@ from sma_bench.border import shown
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
 from sma_bench.live.run import DONE, IDLE, RUNNING
-from sma_bench.ros.node import LATCHED, OverridableNode, start_ros
+from sma_bench.ros.node import LATCHED, READINGS, OverridableNode, start_ros
 from sma_bench.ros.processes import NodeProcesses
 
-_SPIN = 0.05
-_MATCHING = 0.3
-_PATIENCE = 60.0
+_SPIN = 0.05  # s
+_MATCHING = 0.3  # s that a server takes to match a client, whose answers are lost until then
+_PATIENCE = 60.0  # s
 _STOPPING = 5.0  # s that the experiment node may take to answer a stop
+_BUSY = re.compile(r"busy: (\d+) %, (.*)")
 _DISCOVERY = 10.0  # s in which another node finds a new one that we have found
 
 
@@ -45,21 +47,22 @@ class NodeCalls:
 
     def follow(self, node: str) -> None:
         """Listen to the latched state of a node."""
-        if node in self._states:
-            return
-        self.forget(node)
-        self._node.create_subscription(
-            String, f"{node}/state", lambda message: self._states.update({node: message.data}),
-            LATCHED,
-        )
+        if node not in self._states:
+            self._states[node] = ""
+            self._node.create_subscription(
+                String, f"{node}/state", lambda message: self._states.update({node: message.data}),
+                LATCHED,
+            )
 
     def state(self, node: str) -> str:
         """Last state of a followed node, "" before the first."""
         return self._states.get(node, "")
 
-    def forget(self, node: str) -> None:
-        """Take the last state of a followed node for one that is not of now."""
-        self._states[node] = ""
+    def progress(self, node: str) -> tuple[float, str] | None:
+        """Share (0 to 1) of its work that a followed node has done, and what it does; None where it
+        is not at work."""
+        found = _BUSY.match(self.state(node))
+        return (int(found[1]) / 100.0, found[2]) if found else None
 
     def know(self, service: str, kind: Any = Trigger) -> Client:
         """The client of a service, made at its first use."""
@@ -68,11 +71,8 @@ class NodeCalls:
         return self._clients[service]
 
     def wait(self, what: str, condition: Callable[[], Any], timeout: float) -> Any:
-        """Spin until `condition()` is true and return it.
-
-        Raises:
-            InputError: nothing within `timeout` s of wall time; `what` leads the line.
-        """
+        """Spin until `condition()` is true and return it. Raises InputError: nothing within
+        `timeout` s of wall time; `what` leads the line."""
         end = time.monotonic() + timeout
         while not (value := condition()):
             if time.monotonic() > end:
@@ -81,11 +81,8 @@ class NodeCalls:
         return value
 
     def find(self, service: str, timeout: float = 10.0) -> None:
-        """Make sure that a std_srvs/Trigger service is there.
-
-        Raises:
-            InputError: it is not, within `timeout` s.
-        """
+        """Make sure that a std_srvs/Trigger service is there. Raises InputError: it is not, within
+        `timeout` s."""
         try:
             self.wait(service, self.know(service).service_is_ready, timeout)
         except InputError:
@@ -96,22 +93,16 @@ class NodeCalls:
             ) from None
 
     def trigger(self, service: str, timeout: float = 10.0) -> str:
-        """Call a std_srvs/Trigger service and return its message.
-
-        Raises:
-            InputError: no such service in time, or it answered with a failure.
-        """
+        """Call a std_srvs/Trigger service and return its message. Raises InputError: no such
+        service in time, or it answered with a failure."""
         answer = self._call(service, Trigger, Trigger.Request(), timeout)
         if not answer.success:
             raise InputError(f"{service}: {answer.message}")
         return str(answer.message)
 
     def set_parameters(self, node: str, values: Mapping[str, Any], timeout: float = 10.0) -> None:
-        """Set parameters of a node.
-
-        Raises:
-            InputError: no such node in time, or it refused one; the line says why.
-        """
+        """Set parameters of a node. Raises InputError: no such node in time, or it refused one; the
+        line says why."""
         set_to = [RosParameter(name, value=v).to_parameter_msg() for name, v in values.items()]
         request = SetParameters.Request(parameters=set_to)
         answer = self._call(f"{node}/set_parameters", SetParameters, request, timeout)
@@ -119,19 +110,9 @@ class NodeCalls:
             if not result.successful:
                 raise InputError(f"{node}: {name}: {result.reason}")
 
-    def recorded(self, output: str) -> dict[str, int]:
-        """Messages that the followed recorder has written to `output`, by relative topic."""
-        state = recorder_state(self.state("recorder"))
-        # Another bag's last state may still be on its way when the next recorder starts.
-        if state is None or state["output"] != output or state["state"] != "recording":
-            return {}
-        own = self._namespace + "/"
-        return {topic.removeprefix(own): n for topic, n in state["messages"].items()}
-
     def _call(self, service: str, kind: Any, request: Any, timeout: float) -> Any:
         client = self.know(service, kind)
         self.wait(service, client.service_is_ready, timeout)
-        # The server matches the client a little later; until then its answers are lost.
         matched = time.monotonic() + _MATCHING
         self.wait(service, lambda: time.monotonic() > matched, timeout)
         future = client.call_async(request)
@@ -143,19 +124,15 @@ class NodeCalls:
         heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
         needed: Collection[str] = (),
     ) -> None:
-        """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever
-        ends this before the protocol's end stops the experiment at 0 V and leaves no bag.
+        """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever ends
+        this before the protocol's end stops the experiment at 0 V and leaves no bag; an unfinished
+        one is kept beside it.
 
-        Args:
-            protocol: its file; name, seconds: of it.
-            bag: new folder, there once it holds the whole run; an unfinished one is kept beside it.
-            heed: called with the experiment's state some 20 times a second; may raise to end the
-                run.
-            simulated_time: whether the bench runs on /clock.
-            needed: relative topics that are being recorded before it starts.
-
-        Raises:
-            InputError: the experiment node is not ready or aborts, or something went away.
+        `protocol`: its file; `name`, `seconds`: of it; `bag`: new folder; `heed`: called with the
+        experiment's state some 20 times a second, may raise to end the run; `simulated_time`:
+        whether the bench runs on /clock; `needed`: relative topics that are being recorded before
+        it starts. Raises InputError: the experiment node is not ready or aborts, or something went
+        away.
         """
         bag = Path(bag)
         unfinished = bag.with_name(f"unfinished_{bag.name}")
@@ -166,33 +143,36 @@ class NodeCalls:
         self.wait("experiment", lambda: self.state("experiment"), _PATIENCE)
         if not (state := self.state("experiment")).startswith((IDLE, DONE)):
             raise InputError(f"experiment: {shown(state)}: expected idle or done; reset it first")
-        with NodeProcesses(self._namespace, bag.parent) as nodes:
 
-            def experiment() -> str:
-                nodes.check()
-                heed(self.state("experiment"))
-                return self.state("experiment")
+        def is_recorded() -> bool:
+            look()
+            found = recorder_state(self.state("recorder"))
+            # Another bag's last state may still be on its way when the next recorder starts.
+            if not found or (found["state"], found["output"]) != ("recording", str(unfinished)):
+                return False
+            heard = {topic.removeprefix(f"{self._namespace}/") for topic in found["messages"]}
+            return bool(heard) and heard.issuperset(needed)
 
-            def is_recorded() -> bool:
-                experiment()
-                there = self.recorded(str(unfinished))
-                return bool(there) and set(needed) <= set(there)
+        def is_done() -> bool:
+            state = look()
+            if state not in ("", f"{RUNNING}: {name}", f"{DONE}: {name}"):
+                raise InputError(f"experiment {shown(state)}")
+            if not self._node.count_publishers("experiment/state"):
+                raise InputError("experiment: the node is gone")
+            return state.startswith(DONE)
 
-            def is_done() -> bool:
-                state = experiment()
-                if state not in ("", f"{RUNNING}: {name}", f"{DONE}: {name}"):
-                    raise InputError(f"experiment {shown(state)}")
-                if not self._node.count_publishers("experiment/state"):
-                    raise InputError("experiment: the node is gone")
-                return state.startswith(DONE)
+        try:
+            with NodeProcesses(self._namespace, bag.parent) as nodes:
 
-            try:
-                nodes.start(
-                    "recorder", {"output": str(unfinished), "use_sim_time": simulated_time}
-                )
+                def look() -> str:
+                    nodes.check()
+                    heed(self.state("experiment"))
+                    return self.state("experiment")
+
+                nodes.start("recorder", {"output": str(unfinished), "use_sim_time": simulated_time})
                 self.wait("recorder", is_recorded, _PATIENCE)
                 self.set_parameters("experiment", {"protocol": str(Path(protocol).resolve())})
-                self.forget("experiment")  # it may have run one of this name before
+                self._states["experiment"] = ""  # it may have run one of this name before
                 try:
                     # It may refuse for want of a recorder that it has not found yet.
                     end = time.monotonic() + _DISCOVERY
@@ -201,18 +181,16 @@ class NodeCalls:
                             self.trigger("experiment/start", _PATIENCE)
                             break
                         except InputError:
-                            experiment()
+                            look()
                             if time.monotonic() > end:
                                 raise
                     self.wait(name, is_done, seconds * 2.0 + _PATIENCE)
                 except BaseException:
                     self.trigger("experiment/stop", _STOPPING)
                     raise
-            except BaseException:
-                nodes.end("recorder")
-                _put_aside(unfinished)
-                raise
-            nodes.end("recorder")
+        except BaseException:
+            _put_aside(unfinished)
+            raise
         unfinished.rename(bag)
 
 
@@ -236,7 +214,9 @@ class BenchClient(NodeCalls):
         super().__init__(OverridableNode("bench_client", namespace=namespace), self._look)
         self._meanwhile = meanwhile
         self.simulated_seconds = 0.0
-        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 10)
+        self._node.create_subscription(
+            DiagnosticArray, "/diagnostics", self.on_diagnostics, READINGS
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -249,7 +229,7 @@ class BenchClient(NodeCalls):
         self._meanwhile()
         rclpy.spin_once(self._node, timeout_sec=_SPIN)
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             for item in status.values:
                 if item.key == "simulated_seconds":

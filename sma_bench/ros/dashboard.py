@@ -7,21 +7,19 @@ and go.
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.exceptions import InvalidNamespaceException
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 from rclpy.validate_namespace import validate_namespace
-from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -30,29 +28,35 @@ from sma_bench.dashboard import live_state
 from sma_bench.dashboard.live_state import CELSIUS_ZERO, LIMITS, MEASURED, MODEL, LiveState
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
-from sma_bench.records.contract import place_of
+from sma_bench.records.contract import BATTERY_STATE, JOINT_SIGNALS, MULTI_ARRAY, STRING, place_of
 from sma_bench.ros.node import (
     COMMAND,
-    COMMANDED,
     LATCHED,
+    NANOSECONDS,
+    NOT_YET_KNOWN,
+    READINGS,
     OneThreadExecutor,
     OverridableNode,
+    message_class,
     signature,
+    stamp_of,
     start_ros,
     voltage_command,
 )
 
-_LOOK_EVERY, _ASK_EVERY, _SPIN = 0.5, 2.0, 0.05
-_TRIGGER = "std_srvs/srv/Trigger"
-_CHANNELS = "bench.channels"
-# Only nodes with limits of the bench know these parameters.
-_ASKED = [_CHANNELS, *LIMITS]
+_LOOK_EVERY, _ASK_EVERY, _SPIN, _PATIENCE = 0.5, 2.0, 0.05, 5.0  # s
+_ASKED = ["bench.channels", *LIMITS]  # which only nodes with limits of the bench know
 _LEVELS = {
     DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning",
     DiagnosticStatus.ERROR: "error", DiagnosticStatus.STALE: "stale",
-}  # fmt: skip
+}
 _RECORDER = "recorder"
 _WORK = {"identify": "identification", "diagnose": "diagnosis"}
+_SERVICES = {
+    "stop": Trigger, "get_parameters": GetParameters, "set_parameters": SetParameters,
+    **dict.fromkeys(_WORK, Trigger),
+}
+_READINGS = ("power", "temperature", "range", "joint_states")
 _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMBER_OR_NULL}
 # Anybody may make topics and services without end.
 _MOST_TOPICS, _MOST_CLIENTS, _MOST_CHANNELS = 500, 200, 64
@@ -66,147 +70,119 @@ class DashboardNode(OverridableNode):
         self.state = state
         self._inside = self.get_namespace().rstrip("/") + "/"
         self._listened: set[str] = set()
-        self._callable: dict[str, dict[str, Client]] = {
-            "stop": {}, "get_parameters": {}, "set_parameters": {}, **{work: {} for work in _WORK},
-        }  # fmt: skip
+        self._callable: dict[tuple[str, str], Client] = {}  # by service and node
         self._reported: dict[str, dict[str, float]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
-        self._command = self.create_publisher(Float64MultiArray, COMMAND, 10)
+        self._command = self.create_publisher(Float64MultiArray, COMMAND, READINGS)
         self._signature = signature(self)
-        self._listen("/diagnostics", DiagnosticArray, self._on_diagnostics, QoSProfile(depth=50))
+        self._listen("/diagnostics", DiagnosticArray, self.on_diagnostics, READINGS)
         self.create_timer(_LOOK_EVERY, self._look)
         self.create_timer(_ASK_EVERY, self._ask)
         self._look()
 
+    def _ready(self, service: str) -> dict[str, Client]:
+        """Clients of the nodes that have a service now, by name."""
+        return {
+            node: client for (what, node), client in list(self._callable.items())
+            if what == service and client.service_is_ready()
+        }
+
     # --- the stop, and work on records --------------------------------------------------------
 
-    def send_stop(self) -> dict[str, Future[tuple[bool, str]]]:
-        """Call every `stop` service of the bench; the answers by node."""
-        answers = {}
-        for name, client in list(self._callable["stop"].items()):
-            answer = answers[name] = Future[tuple[bool, str]]()
-            if client.service_is_ready():
-                client.call_async(Trigger.Request()).add_done_callback(
-                    lambda done, answer=answer: answer.set_result(
-                        (bool(done.result().success), str(done.result().message))
-                    )
-                )
-            else:
-                answer.set_result((False, "not there any more"))
-        return answers
+    def send_stop(self) -> dict[str, rclpy.Future]:
+        """Call every `stop` service of the bench; the futures of their answers by node."""
+        ready = self._ready("stop")
+        return {name: client.call_async(Trigger.Request()) for name, client in ready.items()}
 
     def send_zero(self) -> bool:
         """Command 0 V to all channels; False where their number is not known."""
-        wires = len(self.state.newest("voltage"))
-        count = self._commanded or len(self._channels) or wires
+        count = self._commanded or len(self._channels) or len(self.state.voltages())
         if count:
             channels = self._channels if len(self._channels) == count else ()
             self._command.publish(voltage_command(channels, [0.0] * count, self._signature))
         return bool(count)
 
-    def start_work(self, kind: str, records: list[str]) -> Future[tuple[bool, str]]:
-        """Set a node's records and call it; its result comes over its topic."""
-        answer: Future[tuple[bool, str]] = Future()
-        if kind not in self._works():
-            answer.set_result((False, f"no node here does {kind}"))
-            return answer
-        if not records:
-            answer.set_result((False, "no records given"))
-            return answer
-        node = _WORK[kind]
+    def start_work(self, kind: str, records: list[str]) -> None:
+        """Set a node's records and call it; its result comes over its topic. For a thread that may
+        wait. Raises InputError: no such node or records, or it refuses them."""
+        if kind not in self._works() or not records:
+            why = "no records given" if kind in self._works() else f"no node here does {kind}"
+            raise InputError(why)
+        chosen = RosParameter("record", value=records).to_parameter_msg()
+        request, is_set = SetParameters.Request(parameters=[chosen]), threading.Event()
+        setting = self._callable["set_parameters", _WORK[kind]].call_async(request)
+        setting.add_done_callback(lambda _: is_set.set())
+        if not is_set.wait(_PATIENCE):
+            raise InputError("the node does not answer")
+        result = setting.result().results[0]
+        if not result.successful:
+            raise InputError(shown(result.reason))
 
         def worked(response: rclpy.Future) -> None:
             result = response.result()
             text = f"{kind}: {'done' if result.success else shown(result.message)}"
             self.state.show("work", {"text": text, "good": bool(result.success)})
 
-        def was_set(response: rclpy.Future) -> None:
-            result = response.result().results[0]
-            if result.successful:
-                call = self._callable[kind][node].call_async(Trigger.Request())
-                call.add_done_callback(worked)
-                self.state.show("work", {"text": f"{kind}: {' '.join(records)}", "good": True})
-            reason = "begun" if result.successful else shown(result.reason)
-            answer.set_result((bool(result.successful), reason))
-
-        chosen = RosParameter("record", value=records).to_parameter_msg()
-        request = SetParameters.Request(parameters=[chosen])
-        setting = self._callable["set_parameters"][node].call_async(request)
-        setting.add_done_callback(was_set)
-        return answer
+        self.state.show("work", {"text": f"{kind}: {' '.join(records)}", "good": True})
+        call = self._callable[kind, _WORK[kind]].call_async(Trigger.Request())
+        call.add_done_callback(worked)
 
     def _works(self) -> list[str]:
+        """Kinds of work whose node can be set and called."""
+        settable = self._ready("set_parameters")
         return sorted(
-            kind for kind, node in _WORK.items()
-            if (call := self._callable[kind].get(node)) and call.service_is_ready()
-            and (setting := self._callable["set_parameters"].get(node))
-            and setting.service_is_ready()
-        )  # fmt: skip
+            kind for kind, node in _WORK.items() if node in settable and node in self._ready(kind)
+        )
 
     # --- what is there ------------------------------------------------------------------------
 
     def _look(self) -> None:
-        elsewhere = set()
+        elsewhere, foreign = set(), {}
+        obeying = {info.node_name for info in self.get_subscriptions_info_by_topic(COMMAND)}
         for topic, types in self.get_topic_names_and_types():
             if topic.startswith(self._inside):
                 self._take(topic, topic.removeprefix(self._inside).split("/"), types)
+                if (place := place_of(topic)) and place.type == BATTERY_STATE:
+                    sources = {i.node_name for i in self.get_publishers_info_by_topic(topic)}
+                    for name in sources - obeying - {NOT_YET_KNOWN}:
+                        foreign[topic.split("/")[-2]] = shown(name)
             elif (place := place_of(topic)) and place.meaning.endswith("/power"):
                 elsewhere.add(place.namespace)
         for service, types in self.get_service_names_and_types():
-            name, _, what = service.removeprefix(self._inside).rpartition("/")
-            known = self._callable.get(what, {})
-            kind = {"get_parameters": GetParameters, "set_parameters": SetParameters}.get(
-                what, Trigger if _TRIGGER in types else None
-            )
+            node, _, what = service.removeprefix(self._inside).rpartition("/")
+            kind = _SERVICES.get(what)
+            if not service.startswith(self._inside) or kind is None or not _is_of(kind, types):
+                continue
+            wanted = node in _WORK.values() or what in ("stop", "get_parameters")
             # The recorder's stop ends the record, and drives nothing.
-            if (
-                service.startswith(self._inside) and what in self._callable and kind is not None
-                and name not in (*known, self.get_name(), _RECORDER) and len(known) < _MOST_CLIENTS
-                and (what in ("stop", "get_parameters") or name in _WORK.values())
-            ):
-                known[name] = self.create_client(kind, service)
-        stops = self._callable["stop"].items()
+            new = (what, node) not in self._callable and node not in (self.get_name(), _RECORDER)
+            if wanted and new and len(self._callable) < _MOST_CLIENTS:
+                self._callable[what, node] = self.create_client(kind, service)
         # Of which nodes nothing more will come: their last words stay latched here.
-        states = [topic for topic in self._listened if topic.endswith("/state")]
-        there = [topic for topic in states if self.count_publishers(topic)]
-        self.state.show("elsewhere", sorted(elsewhere))
-        self.state.show("works", self._works())
-        self.state.show("stops", sorted(n for n, client in stops if client.service_is_ready()))
-        self.state.show(
-            "there", sorted({t.removeprefix(self._inside).rpartition("/")[0] for t in there})
-        )
+        there = [t for t in self._listened if t.endswith("/state") and self.count_publishers(t)]
+        nodes = {t.removeprefix(self._inside).rpartition("/")[0] for t in there}
+        for panel, names in (
+            ("elsewhere", elsewhere), ("stops", self._ready("stop")), ("there", nodes),
+            ("works", self._works()),
+        ):
+            self.state.show(panel, sorted(names))
+        self.state.show("foreign", foreign)
 
     def _take(self, topic: str, parts: list[str], types: list[str]) -> None:
         """Subscribe to a topic of the bench, once."""
-        kind = MEASURED
-        if parts[0] == "twin" and len(parts) > 1:
-            kind, parts = MODEL, parts[1:]
-        reading = self.state.reading
-        handler: tuple[type, Callable[[Any], None], QoSProfile] | None = None
-        match parts:
-            case [channel, "power"]:
-                handler = BatteryState, partial(self._on_power, channel, kind), COMMANDED
-            case [place, "temperature"]:
-                handler = Temperature, lambda m: reading(
-                    "temperature", place, m.temperature + CELSIUS_ZERO, kind
-                ), COMMANDED
-            case ["front" | "back" as side, "range"]:
-                handler = Range, lambda m: reading("distance", side, m.range, kind), COMMANDED
-            case ["joint_states"]:
-                handler = JointState, partial(self._on_joints, kind), COMMANDED
-            case ["voltage_command"] if kind == MEASURED:
-                handler = Float64MultiArray, self._on_command, COMMANDED
-            case ["identification" | "diagnosis" as node, "result"] if kind == MEASURED:
-                handler = String, partial(self._on_result, node), LATCHED
-            case [node, "state"] if kind == MEASURED:
-                handler = String, partial(self._on_state, node), LATCHED
-            case [node, "progress"] if kind == MEASURED:
-                handler = String, partial(self._on_progress, node), LATCHED
-        if handler is not None:
-            package, name = handler[0].__module__.partition(".")[0], handler[0].__name__
-            if f"{package}/msg/{name}" in types:
-                self._listen(topic, *handler)
+        is_twins, node, what = parts[0] == "twin", parts[0], parts[-1]
+        meaning = "/".join(parts[is_twins:])
+        place = place_of(meaning)
+        if place and place.meaning == meaning and place.type in types and what in _READINGS:
+            heard = partial(self.on_reading, meaning, MODEL if is_twins else MEASURED)
+            self._listen(topic, message_class(place.type), heard, READINGS)
+        elif meaning == COMMAND and not is_twins and MULTI_ARRAY in types:
+            self._listen(topic, Float64MultiArray, self.on_command, READINGS)
+        elif len(parts) == 2 and not is_twins and STRING in types and (
+            what in ("state", "progress") or (what == "result" and node in _WORK.values())
+        ):
+            self._listen(topic, String, partial(getattr(self, f"on_{what}"), node), LATCHED)
 
     def _listen(
         self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile
@@ -218,61 +194,63 @@ class DashboardNode(OverridableNode):
     # --- limits, as the nodes hold them -------------------------------------------------------
 
     def _ask(self) -> None:
-        for name, client in self._callable["get_parameters"].items():
-            if not client.service_is_ready():
-                self._reported.pop(name, None)
-                continue
+        ready = self._ready("get_parameters")
+        for name, client in ready.items():
             answer = client.call_async(GetParameters.Request(names=_ASKED))
-            answer.add_done_callback(partial(self._on_answer, name))
-        limits: dict[str, float] = {}
-        for values in self._reported.values():
-            for limit, value in values.items():
-                limits[limit] = min(value, limits.get(limit, math.inf))
+            answer.add_done_callback(partial(self.on_answer, name))
+        self._reported = {name: found for name, found in self._reported.items() if name in ready}
+        known = self._reported.values()
+        limits = {
+            limit: min(found[limit] for found in known if limit in found)
+            for limit in LIMITS if any(limit in found for found in known)
+        }
         by = sorted(n for n, found in self._reported.items() if found)
         self.state.show("limits", {"values": live_state.shown_limits(limits), "of": by})
 
-    def _on_answer(self, name: str, answer: rclpy.Future) -> None:
+    def on_answer(self, name: str, answer: rclpy.Future) -> None:
         if (response := answer.result()) is None:
             return
-        found: dict[str, float] = {}
-        for key, value in zip(_ASKED, response.values, strict=False):
-            is_number = value.type == ParameterType.PARAMETER_DOUBLE
-            names = tuple(map(shown, value.string_array_value[:_MOST_CHANNELS]))
-            if key == _CHANNELS and names:
-                self._channels = names
-                self.state.show("channels", names)
-            elif key in LIMITS and is_number and math.isfinite(value.double_value):
-                found[key] = float(value.double_value)
-        self._reported[name] = found
+        channels, *limits = response.values or [ParameterValue()]
+        if channels.string_array_value:
+            self._channels = tuple(map(shown, channels.string_array_value[:_MOST_CHANNELS]))
+            self.state.show("channels", self._channels)
+        self._reported[name] = {
+            key: float(value.double_value) for key, value in zip(LIMITS, limits, strict=False)
+            if value.type == ParameterType.PARAMETER_DOUBLE and math.isfinite(value.double_value)
+        }
 
     # --- messages -----------------------------------------------------------------------------
 
-    def _on_power(self, channel: str, kind: str, message: BatteryState) -> None:
-        self.state.reading("voltage", channel, message.voltage, kind)
-        self.state.reading("current", channel, message.current, kind)
+    def on_reading(self, meaning: str, kind: str, message: Any) -> None:
+        place, _, what = meaning.rpartition("/")
+        reading = partial(self.state.reading, kind=kind, stamp=stamp_of(message) / NANOSECONDS)
+        if what == "temperature":
+            reading("temperature", place, message.temperature + CELSIUS_ZERO)
+        elif what == "range":
+            reading("distance", place, message.range)
+        elif what == "power":
+            reading("voltage", place, message.voltage)
+            reading("current", place, message.current)
+        else:
+            for joint, signals in JOINT_SIGNALS.items():
+                for signal, field in signals.items():
+                    values = dict(zip(message.name, getattr(message, field), strict=False))
+                    if joint in values:
+                        reading(signal, joint, values[joint])
 
-    def _on_joints(self, kind: str, message: JointState) -> None:
-        quantities = {"tip": "deflection", "wire": "elongation"}
-        for name, position in zip(message.name, message.position, strict=False):
-            if name in quantities:
-                self.state.reading(quantities[name], name, position, kind)
-        for name, effort in zip(message.name, message.effort, strict=False):
-            if name == "wire":
-                self.state.reading("force", name, effort, kind)
-
-    def _on_command(self, message: Float64MultiArray) -> None:
+    def on_command(self, message: Float64MultiArray) -> None:
         channels = self._channels
         if len(message.data) == len(channels):
             self._commanded = len(channels)
             for channel, volts in zip(channels, message.data, strict=True):
                 self.state.reading("voltage", channel, volts, live_state.COMMANDED)
 
-    def _on_state(self, node: str, message: String) -> None:
+    def on_state(self, node: str, message: String) -> None:
         self.state.merge("states", {node: state_line(message.data)})
         if node == _RECORDER and (recorder := recorder_state(message.data)):
             self.state.show("recorded", shown(recorder["output"]))
 
-    def _on_progress(self, node: str, message: String) -> None:
+    def on_progress(self, node: str, message: String) -> None:
         try:
             progress = read_fields(message.data, _PROGRESS, f"{node}/progress")
         except InputError:
@@ -281,19 +259,23 @@ class DashboardNode(OverridableNode):
         heard = self.state.clock()
         self.state.show("progress", {**progress, **texts, "node": node, "heard": heard})
 
-    def _on_result(self, node: str, message: String) -> None:
-        self.state.show(node, getattr(live_state, f"{node}_summary")(message.data))
+    def on_result(self, node: str, message: String) -> None:
+        self.state.show(node, live_state.result_summary(node, message.data))
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        heard = self.state.clock()
-        self.state.merge("diagnostics", {
-            shown(status.name.removeprefix(self._inside)): {
-                "level": _LEVELS.get(status.level, "error"), "message": shown(status.message),
-                "heard": heard,
-            }
-            for status in message.status
-            if status.name.startswith(self._inside)
-        })  # fmt: skip
+    def on_diagnostics(self, message: DiagnosticArray) -> None:
+        heard, own = self.state.clock(), {}
+        for status in message.status:
+            if status.name.startswith(self._inside):
+                level = _LEVELS.get(status.level, "error")
+                said = {"level": level, "message": shown(status.message), "heard": heard}
+                own[shown(status.name.removeprefix(self._inside))] = said
+        self.state.merge("diagnostics", own)
+
+
+def _is_of(kind: type, types: list[str]) -> bool:
+    """Whether a topic or service of these types has this one."""
+    package, room = kind.__module__.split(".")[:2]
+    return f"{package}/{room}/{kind.__name__}" in types
 
 
 @contextmanager
@@ -301,11 +283,8 @@ def listening_node(
     namespace: str, state: LiveState, on_failure: Callable[[Exception], Any],
     ros_arguments: Sequence[str] = (),
 ) -> Iterator[DashboardNode]:
-    """A node that listens in a thread of its own; `on_failure` is called there if it dies.
-
-    Raises:
-        InputError: no such namespace can be, or ROS refuses its arguments.
-    """
+    """A node that listens in a thread of its own; `on_failure` is called there if it dies. Raises
+    InputError: no such namespace can be, or ROS refuses its arguments."""
     try:
         validate_namespace(namespace)
     except InvalidNamespaceException as error:

@@ -1,4 +1,5 @@
-"""A process's ROS context, nodes whose QoS users can override, and who a voltage command is from.
+"""A process's ROS context, nodes whose QoS users can override, the contract's topics, and who a
+voltage command is from.
 
 rclpy does not say that, so a commander signs what it sends: the label of the message's only
 dimension is the channels' names, `@`, the node's name and a number of its own; two nodes of one
@@ -7,6 +8,8 @@ is identified by the graph alone: it is taken while there is one such publisher.
 """
 
 import copy
+import importlib
+import math
 import time
 import uuid
 from collections.abc import Callable, Sequence
@@ -21,6 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSPolicyKind, QoSProfile, ReliabilityPo
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from sensor_msgs.msg import BatteryState, JointState, Range, Temperature
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 try:
@@ -31,66 +35,31 @@ except ImportError:
 
 from sma_bench.border import shown
 from sma_bench.errors import InputError
+from sma_bench.live.recording import recorded_type
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.processes import choose_discovery
 
 OneThreadExecutor = EventsExecutor
-# Seconds of readings, for a recorder that is kept from running, and simulations faster than life.
-MEASURED = QoSProfile(depth=2000)
+
+# The two kinds of topics. Readings and commands arrive: seconds of them, for a recorder that is
+# kept from running, and simulations faster than life. What is said once is there for latecomers.
+READINGS = QoSProfile(depth=2000)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-
+# Messages that wait for a listener to readings and commands; for one to the `newest`, and by it.
+_HEARD, _NEWEST = 50, 2
 _OVERRIDABLE = QoSOverridingOptions((
-    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY,
-    QoSPolicyKind.DURABILITY,
-))  # fmt: skip
+    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY
+))
 
-
-class OverridableNode(Node):
-    """Node whose publishers and subscriptions take their QoS from parameters, where given."""
-
-    _ros_is_ready = False
-
-    def __init__(self, name: str, **options: Any) -> None:
-        super().__init__(name, **options)
-        self._ros_is_ready = True
-
-    def create_publisher(
-        self, msg_type: Any, topic: str, qos_profile: QoSProfile | int, **options: Any
-    ) -> Publisher:
-        """As rclpy's, and `qos_overrides./<topic>.publisher.` parameters change its QoS."""
-        return self._endpoint(super().create_publisher, topic, qos_profile, options, msg_type)
-
-    def create_subscription(
-        self, msg_type: Any, topic: str, callback: Callable[..., None],
-        qos_profile: QoSProfile | int, **options: Any,
-    ) -> Subscription:
-        """As rclpy's, and `qos_overrides./<topic>.subscription.` parameters change its QoS."""
-        return self._endpoint(
-            super().create_subscription, topic, qos_profile, options, msg_type, callback
-        )
-
-    def _endpoint(
-        self, create: Callable[..., Any], topic: str, qos: QoSProfile | int,
-        options: dict[str, Any], msg_type: Any, *callback: Any,
-    ) -> Any:
-        """rclpy makes a node's own topics before its parameters can be declared: these it keeps."""
-        if self._ros_is_ready:
-            options.setdefault("qos_overriding_options", _OVERRIDABLE)
-        # rclpy writes what is overridden into the profile, which other topics share.
-        profile = copy.copy(qos) if isinstance(qos, QoSProfile) else QoSProfile(depth=qos)
-        try:
-            return create(msg_type, topic, *callback, profile, **options)
-        except (RuntimeError, AssertionError, ParameterException) as error:
-            words = " ".join(str(error).split()) or type(error).__name__
-            raise InputError(f"QoS of {topic}: {words}") from None
+COMMAND = "voltage_command"
+NANOSECONDS = 1_000_000_000
+NAN = math.nan
+_NEAREST, _FARTHEST = 0.02, 0.3  # m, assumed of the composite rig's triangulation sensors
 
 
 def start_ros(arguments: Sequence[str]) -> None:
-    """Begin this process's ROS context; signals stay ours.
-
-    Raises:
-        InputError: ROS refuses an argument.
-    """
+    """Begin this process's ROS context; signals stay ours. Raises InputError: ROS refuses an
+    argument."""
     choose_discovery()
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
@@ -98,17 +67,136 @@ def start_ros(arguments: Sequence[str]) -> None:
         raise InputError(str(error)) from None
 
 
-# --- who a voltage command is from
+class OverridableNode(Node):
+    """Node whose publishers and subscriptions take their QoS from parameters, where given:
+    `qos_overrides./<topic>.publisher.` or `.subscription.`; else as rclpy's."""
 
-COMMAND = "voltage_command"
-# Hears a best-effort publisher too; a command that is lost is followed by the next.
-COMMANDED = QoSProfile(depth=50, reliability=ReliabilityPolicy.BEST_EFFORT)
-# A late reading, or picture, is worth less than the next one.
-NEWEST = QoSProfile(depth=2, reliability=ReliabilityPolicy.BEST_EFFORT)
+    _ros_is_ready = False
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self._ros_is_ready = True
+
+    def create_publisher(self, *what: Any, newest: bool = False, **options: Any) -> Publisher:
+        """Of message type, topic, QoS; `newest`: what is late is worth less than the next."""
+        return self._endpoint(super().create_publisher, what, newest, options)
+
+    def create_subscription(self, *what: Any, newest: bool = False, **options: Any) -> Subscription:
+        """Of message type, topic, callback, QoS; READINGS of every publisher, best-effort ones too.
+        `newest`: as of a publisher."""
+        if what[-1] is READINGS:
+            heard = QoSProfile(depth=_HEARD, reliability=ReliabilityPolicy.BEST_EFFORT)
+            what = (*what[:-1], heard)
+        return self._endpoint(super().create_subscription, what, newest, options)
+
+    def _endpoint(
+        self, create: Callable[..., Any], what: Any, newest: bool, options: dict[str, Any]
+    ) -> Any:
+        """rclpy makes a node's own topics before its parameters can be declared: these it keeps."""
+        if self._ros_is_ready:
+            options.setdefault("qos_overriding_options", _OVERRIDABLE)
+        # rclpy writes what is overridden into the profile, which other topics share.
+        *first, qos = what
+        profile = copy.copy(qos) if isinstance(qos, QoSProfile) else QoSProfile(depth=qos)
+        if newest:
+            profile.depth = _NEWEST
+        try:
+            return create(*first, profile, **options)
+        except (RuntimeError, AssertionError, ParameterException) as error:
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise InputError(f"QoS of {what[1]}: {words}") from None
+
+
+# --- The contract's topics.
+
+
+class BenchTopics:
+    """Publishers of `<channel>/power`, `<place>/temperature`, `<side>/range` and `joint_states` (of
+    one joint) as far as they are asked for, behind `below`; stamps are ns of ROS time.
+
+    Every message object is built once and only its stamp and numbers change: at a multiple of real
+    time, building messages would cost more than the physics.
+    """
+
+    def __init__(
+        self, node: Node, power: Sequence[str] = (), temperature: Sequence[str] = (),
+        ranges: Sequence[str] = (), joint: str = "", below: str = "",
+    ) -> None:
+        self._topics: dict[str, tuple[Any, Any]] = {}
+
+        def publish(topic: str, message: Any, frame: str) -> None:
+            message.header.frame_id = frame
+            publisher = node.create_publisher(type(message), below + topic, READINGS)
+            self._topics[topic] = publisher, message
+
+        for channel in power:
+            message = BatteryState(location=channel, present=True)
+            for field in ("temperature", "charge", "capacity", "design_capacity", "percentage"):
+                setattr(message, field, NAN)  # what a wire has not
+            publish(f"{channel}/power", message, channel)
+        for place in temperature:
+            publish(f"{place}/temperature", Temperature(), place)
+        for side in ranges:
+            kind = {"radiation_type": Range.INFRARED, "min_range": _NEAREST, "max_range": _FARTHEST}
+            publish(f"{side}/range", Range(**kind), f"{side}_range")
+        if joint:
+            publish("joint_states", JointState(name=[joint]), "")
+
+    def power(self, channel: str, volt: float, ampere: float, stamp: int) -> None:
+        """Send V and A of a wire."""
+        self._send(f"{channel}/power", stamp, voltage=float(volt), current=float(ampere))
+
+    def temperature(self, place: str, celsius: float, stamp: int, variance: float = 0.0) -> None:
+        """Send degC, and K^2 where that is known."""
+        found = {"temperature": float(celsius), "variance": float(variance)}
+        self._send(f"{place}/temperature", stamp, **found)
+
+    def range(self, side: str, distance: float, stamp: int) -> None:
+        """Send m, as REP-117 says where nothing is in reach."""
+        below, beyond = distance < _NEAREST, not distance <= _FARTHEST
+        found = -math.inf if below else math.inf if beyond else float(distance)
+        self._send(f"{side}/range", stamp, range=found)
+
+    def joint(self, stamp: int, position: float, effort: float | None = None) -> None:
+        """Send m, and N where the joint has a force."""
+        efforts = [] if effort is None else [float(effort)]
+        self._send("joint_states", stamp, position=[float(position)], effort=efforts)
+
+    def _send(self, topic: str, stamp: int, **values: Any) -> None:
+        publisher, message = self._topics[topic]
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
+        for field, value in values.items():
+            setattr(message, field, value)
+        publisher.publish(message)
+
+
+def message_class(kind: str) -> Any:
+    """Of a type's name, `std_msgs/msg/String`."""
+    package, _, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def stamp_of(message: Any) -> int:
+    """Acquisition time of a message with a header, ns."""
+    return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
+
+
+def recorded_topics(node: Node) -> dict[str, str]:
+    """Topics that belong into a bag of the node's namespace and have a publisher, with their types.
+    """
+    inside = node.get_namespace().rstrip("/") + "/"
+    kinds = {topic: (recorded_type(topic, inside), types)
+             for topic, types in node.get_topic_names_and_types()}
+    return {topic: kind for topic, (kind, types) in kinds.items()
+            if kind in types and node.count_publishers(topic)}
+
+
+# --- Who a voltage command is from.
+
 _SIGNED = " @"
-_LONGEST_NAME, _MOST_SENDERS = 300, 300
-_LOOK_EVERY = 0.5
-_NOT_YET_KNOWN = "_NODE_NAME_UNKNOWN_"  # as rmw calls a node of which it has only an endpoint
+_LONGEST_NAME, _MOST_SENDERS = 300, 300  # anybody may send and sign as anything
+_LOOK_EVERY = 0.5  # s
+NOT_YET_KNOWN = "_NODE_NAME_UNKNOWN_"  # as rmw calls a node of which it has only an endpoint
 # Nodes of this package sign, whether or not they have sent anything yet.
 _SIGNING = frozenset({*NODE_TABLES, "dashboard"})
 
@@ -134,9 +222,9 @@ def layout_fault(message: Float64MultiArray, channels: Sequence[str]) -> str:
     if layout.data_offset or len(layout.dim) > 1:
         return "voltage_command has another layout, expected one dimension, no offset"
     for dim in layout.dim:
-        names_given = dim.label.partition(_SIGNED)[0]
-        if names_given not in ("", names):
-            return f"voltage_command is for {shown(names_given, 80)!r}, expected {names!r}"
+        given = dim.label.partition(_SIGNED)[0]
+        if given not in ("", names):
+            return f"voltage_command is for {shown(given, 80)!r}, expected {names!r}"
         if dim.size not in (0, len(channels)):
             return f"voltage_command has a dimension of {dim.size}, expected {len(channels)}"
     return ""
@@ -152,23 +240,24 @@ class Commanders:
         self._unsigned: list[str] = []
         self._looked = -_LOOK_EVERY
 
-    def of(self, message: Float64MultiArray) -> tuple[str, str]:
-        """The sender of a command; and why it must not drive, where it might be any of several."""
-        signed = "".join(dim.label.partition(_SIGNED)[2] for dim in message.layout.dim[:1])
-        if signed:
+    def judge(self, message: Float64MultiArray, channels: Sequence[str]) -> tuple[str, str]:
+        """The sender of a command, and why it must be refused whoever drives, or ""."""
+        fault = layout_fault(message, channels)
+        if signed := "".join(dim.label.partition(_SIGNED)[2] for dim in message.layout.dim[:1]):
             sender = shown(signed, _LONGEST_NAME)
             if len(self._signed) < _MOST_SENDERS:
                 self._signed.add(sender.partition("#")[0])
-            return sender, ""
+            return sender, fault
         if (now := time.monotonic()) >= self._looked + _LOOK_EVERY:
             # Nodes with a publisher of commands that do not sign, one name a publisher.
-            self._looked, self._unsigned = now, sorted(
-                name for info in self._node.get_publishers_info_by_topic(self._topic)
-                if info.node_name not in (*_SIGNING, _NOT_YET_KNOWN)
-                and (name := f"{info.node_namespace.rstrip('/')}/{info.node_name}")
-                not in self._signed
-            )  # fmt: skip
-        if len(self._unsigned) > 1:
-            nodes = ", ".join(self._unsigned)
-            return "", f"commands without a name, and several nodes may send them: {nodes}"
-        return "", ""
+            self._looked = now
+            names = (
+                f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                for info in self._node.get_publishers_info_by_topic(self._topic)
+                if info.node_name not in (*_SIGNING, NOT_YET_KNOWN)
+            )
+            self._unsigned = sorted(name for name in names if name not in self._signed)
+        if not fault and len(self._unsigned) > 1 and any(message.data):
+            fault = "commands without a name, and several nodes may send them: "
+            fault += ", ".join(self._unsigned)
+        return "", fault

@@ -9,6 +9,7 @@ it: LOCALHOST would add sockets that are not bound, and shared memory.
 
 import contextlib
 import hashlib
+import json
 import os
 import signal
 import socket
@@ -27,8 +28,7 @@ from sma_bench.lifeline import tied_to_this_process
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 THIS_MACHINE, NETWORK, BY_PROFILE = "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"
 PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
-# Another name of it, in later releases.
-_PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")
+_PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")  # another name of it, in later releases
 # Opened, a node does without shared memory too: the profile says why.
 TRANSPORTS, _SOCKETS = "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
 # Else Fast DDS reads a profile from the folder of the start too, which may hold foreign records.
@@ -36,32 +36,34 @@ _NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
 _ONLY, _SERVER, _PEERS = "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
 USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, TRANSPORTS, *_PROFILES)
-_PATIENCE = 2.0
-"""s for which a name may still be held by a node that is ending"""
-_OPEN_RANGES = (NETWORK, BY_PROFILE)
-_NOBODY = "OFF"
+_PATIENCE = 2.0  # s for which a name may still be held by a node that is ending
+_PATIENCE_AT_THE_END = 8.0  # s that a node may take to end, at each of three signals
+_PRIVATE_DOMAINS = range(120, 220)
 
 
 def discovery_variables(
     network: bool, environment: Mapping[str, str] = os.environ
 ) -> dict[str, str]:
     """Variables to set for a node: open to the network, else what the user has set, else local."""
-    sockets = {} if _set(environment, TRANSPORTS) else {TRANSPORTS: _SOCKETS}
+
+    def is_set(*names: str) -> bool:
+        return any(environment.get(name) for name in names)
+
+    sockets = {} if is_set(TRANSPORTS) else {TRANSPORTS: _SOCKETS}
     if network:
         return {RANGE: NETWORK} | sockets
     bound = environment.get(PROFILE) == _own_profile()  # by a parent
     # Whether the user's own variables ask for the network; ROS heeds them in this order.
     only, chosen = environment.get(_ONLY), environment.get(RANGE)
-    opened = chosen in _OPEN_RANGES if chosen else bool(only)
-    opened = only != "1" and (bool(environment.get(_SERVER)) or opened)
-    if opened and not bound:
+    asked = is_set(_SERVER) or (chosen in (NETWORK, BY_PROFILE) if chosen else bool(only))
+    if asked and only != "1" and not bound:
         return sockets
-    if _set(environment, *_PROFILES) and not bound:  # which may bind nothing
-        return {} if _set(environment, RANGE, _ONLY) else {RANGE: THIS_MACHINE}
+    if is_set(*_PROFILES) and not bound:  # which may bind nothing
+        return {} if is_set(RANGE, _ONLY) else {RANGE: THIS_MACHINE}
     variables = dict.fromkeys(_PROFILES, _own_profile()) | {_NO_OTHER_PROFILE: "1"}
-    if environment.get(RANGE) != _NOBODY:
+    if chosen != "OFF":
         variables[RANGE] = BY_PROFILE
-    return variables | ({_ONLY: ""} if _set(environment, _ONLY) else {})
+    return variables | ({_ONLY: ""} if only else {})
 
 
 def choose_discovery(
@@ -73,10 +75,10 @@ def choose_discovery(
         notes, middleware = [], environment.get(_MIDDLEWARE, "")
         if environment.get(_PEERS):
             notes.append(f"{_PEERS} has no effect, nodes are bound to this machine: "
-                         f"{RANGE}={NETWORK} opens them")  # fmt: skip
+                         f"{RANGE}={NETWORK} opens them")
         if middleware and "fastrtps" not in middleware:
             notes.append(f"{_MIDDLEWARE} is {middleware}: only Fast DDS is bound to this machine "
-                         "by sma_bench")  # fmt: skip
+                         "by sma_bench")
         for note in notes:
             print(f"sma_bench: note: {note}", file=sys.stderr)
     if network and environment.get(PROFILE) == _own_profile():
@@ -85,13 +87,24 @@ def choose_discovery(
     environment.update(variables)
 
 
+def private_ros_environment() -> None:
+    """Keep this process and its nodes away from any other bench: own domain, this machine only."""
+    for name in USERS_VARIABLES:
+        os.environ.pop(name, None)
+    choose_discovery()
+    os.environ["ROS_DOMAIN_ID"] = str(_PRIVATE_DOMAINS[os.getpid() % len(_PRIVATE_DOMAINS)])
+
+
+def _own_profile() -> str:
+    return str(share_directory() / "config" / "dds" / "this_machine.xml")
+
+
 def claimed(name: str) -> socket.socket:
     """Hold a name in this machine's ROS domain until the socket is closed or the process ends.
 
     Waits a moment for one that is about to end: the graph still lists nodes that were killed.
 
-    Raises:
-        InputError: another process holds it.
+    Raises InputError: another process holds it.
     """
     domain = os.environ.get("ROS_DOMAIN_ID") or "0"
     address = f"\0sma_bench/{domain}/{hashlib.sha1(name.encode()).hexdigest()}"
@@ -100,11 +113,10 @@ def claimed(name: str) -> socket.socket:
         held = socket.socket(socket.AF_UNIX)
         try:
             held.bind(address)
-        except OSError:
-            held.close()
-        else:
             held.listen()
             return held
+        except OSError:
+            held.close()
         if time.monotonic() > end:
             holder = "unknown"
             with socket.socket(socket.AF_UNIX) as asking, contextlib.suppress(OSError):
@@ -116,26 +128,6 @@ def claimed(name: str) -> socket.socket:
         time.sleep(0.05)
 
 
-def _own_profile() -> str:
-    return str(share_directory() / "config" / "dds" / "this_machine.xml")
-
-
-def _set(environment: Mapping[str, str], *names: str) -> bool:
-    return any(environment.get(name) for name in names)
-
-
-_PATIENCE_AT_THE_END = 8.0
-_PRIVATE_DOMAINS = range(120, 220)
-
-
-def private_ros_environment() -> None:
-    """Keep this process and its nodes away from any other bench: own domain, this machine only."""
-    for name in USERS_VARIABLES:
-        os.environ.pop(name, None)
-    choose_discovery()
-    os.environ["ROS_DOMAIN_ID"] = str(_PRIVATE_DOMAINS[os.getpid() % len(_PRIVATE_DOMAINS)])
-
-
 class NodeProcesses:
     """Nodes of this package in one namespace; leaving the context ends them all.
 
@@ -143,8 +135,7 @@ class NodeProcesses:
     """
 
     def __init__(self, namespace: str, logs: Path) -> None:
-        self._namespace = namespace
-        self._logs = logs
+        self._namespace, self._logs = namespace, logs
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Self:
@@ -155,17 +146,15 @@ class NodeProcesses:
             self.end(name)
 
     def start(
-        self, name: str, parameters: Mapping[str, Any], files: tuple[str | Path, ...] = (),
-        remappings: Mapping[str, str] | None = None,
+        self, name: str, parameters: Mapping[str, Any], files: tuple[str | Path, ...] = ()
     ) -> None:
         """Start a node with parameter files and, over them, single parameters."""
         command = [sys.executable, "-m", "sma_bench.nodes.start", name, "--ros-args"]
-        for old, new in {"__ns": self._namespace, **(remappings or {})}.items():
-            command += ["-r", f"{old}:={new}"]
+        command += ["-r", f"__ns:={self._namespace}"]
         for file in files:
             command += ["--params-file", str(file)]
         for key, value in parameters.items():
-            command += ["-p", f"{key}:={_yaml(value)}"]
+            command += ["-p", f"{key}:={json.dumps(value)}"]  # which YAML reads, too
         with open(self._logs / f"{name}.log", "ab") as log:
             self._running[name] = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
@@ -181,7 +170,6 @@ class NodeProcesses:
                 raise InputError(f"node {name} ended: {last}")
 
     def pid(self, name: str) -> int:
-        """Process of a running node."""
         return self._running[name].pid
 
     def end(self, name: str) -> None:
@@ -190,18 +178,5 @@ class NodeProcesses:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             if process.poll() is None:
                 process.send_signal(number)
-                try:
+                with contextlib.suppress(subprocess.TimeoutExpired):
                     process.wait(_PATIENCE_AT_THE_END)
-                except subprocess.TimeoutExpired:
-                    continue
-            return
-
-
-def _yaml(value: Any) -> str:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_yaml(item) for item in value) + "]"
-    if isinstance(value, str):
-        return "'" + value.replace("'", "''") + "'"
-    return repr(value)

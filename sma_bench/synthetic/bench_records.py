@@ -1,19 +1,17 @@
 """Records of a simulated bench: exact, or as the simulator node's instruments read them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from numpy.typing import ArrayLike, NDArray
 
-from sma_bench.control import TemperatureController
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.hardware.bench_sensors import Instrument
-from sma_bench.hardware.safety import Limits, current_fault, temperature_fault
+from sma_bench.hardware.safety import Limits, Wire, broken, power_rules, temperature_rules
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
@@ -21,70 +19,33 @@ from sma_bench.physics import Bench, Boundary, Simulation, simulate
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects import active_effects
-from sma_bench.physics.heat import direct_reading
+from sma_bench.physics.material import direct_reading
 from sma_bench.progress import Report, in_turn, silent
-from sma_bench.protocols import Protocol, Waiting, load_protocol
-from sma_bench.protocols.reading import TEMPERATURE, load_reference
+from sma_bench.protocols import TEMPERATURE, Protocol, Waiting, load_protocol
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import Record, Signal
 
-# --- Sensors of a synthetic record: the simulator node's noise, resolution and rates.
-
 Array = NDArray[np.float64]
 
-_SETTINGS = {
-    parameter.name: float(parameter.default)
-    for parameter in SIMULATOR
-    if isinstance(parameter.default, float)
-}
-_NANOSECONDS = 1e9
-STANDOFF = _SETTINGS["sensor.range_standoff"]
-
-
-def clock(kind: str, duration: float) -> Array:
-    """(n,) s: when the instruments of a kind (power, temperature, mechanics) read."""
-    rate = _SETTINGS[f"rate.{kind}"]
-    return whole_nanoseconds(np.arange(int(duration * rate)) / rate)
-
-
-def whole_nanoseconds(time: npt.ArrayLike) -> Array:
-    """Stamps as ROS has them, so that clocks of several rates meet exactly where they meet."""
-    return np.asarray(np.round(np.multiply(time, _NANOSECONDS)) / _NANOSECONDS)
-
-
-class Sensors:
-    """All sensors of one record; every reading has noise of its own."""
-
-    def __init__(self, seed: int) -> None:
-        """The same seed gives the same noise."""
-        self._seeds = np.random.SeedSequence(seed)
-
-    def read(self, quantity: str, values: Array, zero: float = 0.0) -> Array:
-        """What a sensor of `quantity` makes of true values (n,) in SI units, with steps that count
-        from `zero`."""
-        sensor = Instrument.of(_SETTINGS, quantity, self._seeds.spawn(1)[0])
-        return sensor.read_all(values - zero) + zero
-
-
-# --- A simulated bench, and its signals: exact, or as the simulator node's instruments read them.
-
+# The sensors of a synthetic record: the simulator node's noise, resolution and rates.
+_SETTINGS = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
+_STANDOFF = _SETTINGS["sensor.range_standoff"]
+COMMAND_PERIOD = 0.05  # s
+REST = 3.0  # s at 0 V before and after a protocol
+PRETENSION = 0.002  # strain under which the wire of E8 is clamped: it must not become slack
+_ROUNDING = 1e-6  # of a period
 # s. The paper's model is exact in any step; effects that act within one, latent heat above all,
 # need short ones.
 _FINE_STEP = 0.0025
 _PULL_STEP = 0.1  # s, in which a frame's force stands still
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
-               "bending", "temperature_reading")  # fmt: skip
+               "bending", "temperature_reading")
 
+# --- A simulated bench, and its signals.
 
 def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike) -> Simulation:
-    """`simulate` at these samples, in steps between them that are short enough for effects.
-
-    Args:
-        parameters: of the bench; time: (n,) s; voltage: (n, w) V, held to the next sample.
-
-    Raises:
-        InputError: as `simulate`.
-    """
+    """`simulate` at the samples time (n,) s and voltage (n, w) V, held to the next sample, in steps
+    between them that are short enough for effects. Raises InputError: as `simulate`."""
     fine, volts, first = _refined(parameters, time, voltage)
     run = simulate(parameters, fine, volts)
     if len(first) == len(run.time):
@@ -108,15 +69,10 @@ def _refined(
     return fine, np.repeat(volts, parts, axis=0), first
 
 
-def simulate_protocol(
-    protocol: Protocol, parameters: Parameters, period: float
-) -> Simulation:
+def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float) -> Simulation:
     """A protocol on the bench that runs it, sampled every `period` s; a frame pulls as its steps
-    say.
-
-    Raises:
-        InputError: steps with forces on a bench whose load is no held force.
-    """
+    say: elongation then counts from the wire without any force. Raises InputError: steps with
+    forces on a bench whose load is no held force."""
     bench = protocol.bench(parameters)
     time, voltage = played(protocol, bench, period)
     if not protocol.pulls:
@@ -126,33 +82,24 @@ def simulate_protocol(
             f"{protocol.name}: its steps hold forces, expected load.kind force, "
             f"not {load_kind(bench)}"
         )
-    return _pulled(bench, time, voltage, protocol.forces(time, bench["load.force"]))
-
-
-def _pulled(parameters: Parameters, time: Array, voltage: Array, force: Array) -> Simulation:
-    """Under a force (n,) N that changes; elongation counts from the wire without any."""
-    section = channel_section(parameters)
-    fine, volts, first = _refined(parameters, time, voltage)
-    edges = np.unique(np.append(first[:: max(round(_PULL_STEP / (time[1] - time[0])), 1)],
-                                len(fine) - 1))  # fmt: skip
-    held = np.interp(fine[edges], time, force) / section
-    bench = Bench(parameters, boundary=Boundary.held_stress(float(held[0])))
+    fine, volts, first = _refined(bench, time, voltage)
+    starts = first[:: max(round(_PULL_STEP / (time[1] - time[0])), 1)]
+    edges = np.unique(np.append(starts, len(fine) - 1))
+    force = protocol.forces(time, bench["load.force"])
+    held = np.interp(fine[edges], time, force) / channel_section(bench)
+    pulled = Bench(bench, boundary=Boundary.held_stress(float(held[0])))
     parts = []
     for start, stop, stress in zip(edges[:-1], edges[1:], held[1:].tolist(), strict=True):
-        bench.pull_against(Boundary.held_stress(stress))
-        parts.append(bench.follow(fine[start : stop + 1], volts[start : stop + 1]))
-    joined: dict[str, Any] = {
-        name: np.concatenate([
-            *(getattr(p, name)[:-1] for p in parts), getattr(parts[-1], name)[-1:]
-        ])[first]
-        for name in _OF_SAMPLES
-    }
+        pulled.pull_against(Boundary.held_stress(stress))
+        parts.append(pulled.follow(fine[start : stop + 1], volts[start : stop + 1]))
+    joined: dict[str, Any] = {}
+    for name in _OF_SAMPLES:
+        rows = [getattr(part, name)[:-1] for part in parts]
+        joined[name] = np.concatenate([*rows, getattr(parts[-1], name)[-1:]])[first]
     return replace(parts[-1], **joined, started=0.0)
 
 
-def played(
-    protocol: Protocol, parameters: Parameters, period: float
-) -> tuple[Array, Array]:
+def played(protocol: Protocol, parameters: Parameters, period: float) -> tuple[Array, Array]:
     """`protocol.sample`, each step as long as the simulated bench makes it."""
     if not protocol.waits:
         return protocol.sample(period)
@@ -162,10 +109,9 @@ def played(
     passed_over = 0.0
     while True:
         now = len(rows) * period
-        for channel, kelvin in zip(
-            parameters["bench.channels"], bench.temperature_reading.tolist(), strict=True
-        ):
-            waiting.heard("temperature", channel, kelvin, now)
+        kelvin = bench.temperature_reading.tolist()
+        for channel, value in zip(parameters["bench.channels"], kelvin, strict=True):
+            waiting.heard("temperature", channel, value, now)
         waiting.heard("deflection", "", bench.deflection_reading, now)
         if now + passed_over < protocol.duration:
             passed_over += waiting.passed_over(now + passed_over, now)
@@ -181,11 +127,13 @@ def limits_passed(simulation: Simulation) -> list[Finding]:
     limits = Limits.from_parameters(simulation.parameters)
     findings = []
     for k, channel in enumerate(simulation.parameters["bench.channels"]):
-        for values, limit, fault in (
-            (simulation.temperature[:, k], limits.maximum_temperature, temperature_fault),
-            (np.abs(simulation.current[:, k]), limits.maximum_current, current_fault),
+        kelvin, ampere = simulation.temperature[:, k], np.abs(simulation.current[:, k])
+        wire = Wire(channel, ampere=float(ampere.max()), kelvin=float(kelvin.max()))
+        for values, limit, rules in (
+            (kelvin, limits.maximum_temperature, temperature_rules(wire, limits)),
+            (ampere, limits.maximum_current, power_rules(wire, limits)),
         ):
-            if line := fault(channel, float(values.max()), limits):
+            for line in broken(rules).values():
                 first = simulation.time[np.argmax(values > limit)]
                 text = f"{line}: a real bench goes to 0 V at {first:.1f} s"
                 findings.append(Finding("warning", "limit", text))
@@ -194,10 +142,9 @@ def limits_passed(simulation: Simulation) -> list[Finding]:
 
 def signals_of(simulation: Simulation) -> list[Signal]:
     """Signals of the contract that a bench would have measured."""
-    time, channels = simulation.time, simulation.parameters["bench.channels"]
-    signals = []
+    time, signals = simulation.time, []
     volts, amperes = direct_reading(simulation.parameters, simulation.voltage, simulation.current)
-    for k, channel in enumerate(channels):
+    for k, channel in enumerate(simulation.parameters["bench.channels"]):
         signals += [
             Signal(f"{channel}.voltage", "V", time, volts[:, k]),
             Signal(f"{channel}.current", "A", time, amperes[:, k]),
@@ -207,168 +154,105 @@ def signals_of(simulation: Simulation) -> list[Signal]:
         return [*signals, Signal("deflection", "m", time, simulation.deflection_reading)]
     own = simulation.boundary.lever != 0.0
     elongation = simulation.deflection_reading if own else simulation.elongation[:, 0]
-    return [
-        *signals,
-        Signal("elongation", "m", time, elongation),
-        Signal("force", "N", time, simulation.force.sum(axis=1)),
-    ]
+    force = Signal("force", "N", time, simulation.force.sum(axis=1))
+    return [*signals, Signal("elongation", "m", time, elongation), force]
 
 
-def read_signals(
-    signals: Sequence[Signal], seed: int, report: Report = silent
-) -> list[Signal]:
-    """The same signals as the simulator node's instruments would read them.
+def read_signals(signals: Sequence[Signal], seed: int, report: Report = silent) -> list[Signal]:
+    """The same signals as the simulator node's instruments would read them."""
+    seeds = np.random.SeedSequence(seed)
+    return [_read(seeds, s)[-1] for s in in_turn(signals, report, lambda s: f"reading {s.name}")]
 
-    A deflection is half the difference of two distances; an elongation that never changes is
-    clamped.
-    """
-    read, found = Sensors(seed).read, []
-    for signal in in_turn(signals, report, lambda s: f"reading {s.name}"):
-        quantity, values = signal.name.rpartition(".")[2], np.asarray(signal.values)
-        if quantity == "elongation":
-            moves = np.ptp(values) > 0.0
-            found.append(replace(signal, values=read("range", values)) if moves else signal)
-        elif quantity == "deflection":
-            front, back = read("range", STANDOFF - values), read("range", STANDOFF + values)
-            found.append(replace(signal, values=0.5 * (back - front)))
-        else:
-            found.append(replace(signal, values=read(quantity, values)))
-    return found
+
+def _read(seeds: np.random.SeedSequence, signal: Signal, celsius: float = 0.0) -> list[Signal]:
+    """A signal as instruments with noise of their own read it; a deflection after the two distances
+    whose difference it is half of. An elongation that never changes is clamped. The steps of a
+    temperature count from `celsius` K."""
+    quantity, true = signal.name.rpartition(".")[2], np.asarray(signal.values)
+
+    def read(sensor: str, values: Array, zero: float = 0.0) -> Array:
+        return Instrument(_SETTINGS, sensor, seeds.spawn(1)[0]).read_all(values - zero) + zero
+
+    if quantity == "deflection":
+        front, back = (read("range", _STANDOFF + sign * true) for sign in (-1.0, 1.0))
+        readings = {"front.range": front, "back.range": back, signal.name: 0.5 * (back - front)}
+        return [replace(signal, name=name, values=values) for name, values in readings.items()]
+    if quantity != "elongation":
+        true = read(quantity, true, celsius if quantity == "temperature" else 0.0)
+    elif np.ptp(true) > 0.0:
+        true = read("range", true)
+    return [replace(signal, values=true)]
 
 
 # --- Records of the two simulated rigs: protocol or controller, physics, sensors.
 
-COMMAND_PERIOD = 0.05
-REST = 3.0  # s at 0 V before and after
-PRETENSION = 0.002  # strain under which the wire of E8 is clamped: it must not become slack
-_ROUNDING = 1e-6
-
 
 def protocol_record(name: str, parameters: Parameters, seed: int = 1) -> Record:
-    """Run a protocol on the simulated rig of `parameters`, at rest before and after it.
-
-    Args:
-        name: of a protocol, or a path.
-        parameters: what the simulated rig is made of.
-
-    Raises:
-        InputError: no such protocol, or one that this rig cannot run.
-    """
+    """Run a protocol, by name or path, on the simulated rig of `parameters`, at rest before and
+    after it. Raises InputError: no such protocol, or one that this rig cannot run."""
     protocol = load_protocol(name, parameters)
-    duration = protocol.duration + 2.0 * REST
-    run = _run(parameters, lambda t: protocol.voltages(t - REST), duration)
-    sensors = Sensors(seed)
-    signals = _electrical(run, sensors, duration)
-    if moves_tip(parameters):
-        signals += _deflection(run, sensors, duration)
-    elif load_kind(parameters) != "clamped":
-        time = clock("mechanics", duration)
-        elongation, force = _at(run, time, run.deflection_reading), _at(run, time, run.force[:, 0])
-        signals += [
-            Signal("elongation", "m", time, sensors.read("range", elongation)),
-            Signal("force", "N", time, sensors.read("force", force)),
-        ]
     rig = "composite rig" if len(parameters["bench.channels"]) > 1 else "wire rig"
-    return _record(f"synthetic {name} on the simulated {rig}", signals)
+    title, duration = f"synthetic {name} on the simulated {rig}", protocol.duration + 2.0 * REST
+    return _record(title, parameters, lambda t: protocol.voltages(t - REST), duration, seed)
 
 
-def clamped_staircase_record(
-    parameters: Parameters, reference: str = "temperature_staircase", seed: int = 1
-) -> Record:
-    """E8: the wire clamped under tension, its temperature led up and down by the PI controller.
+def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
+    """E8: the wire clamped under tension, its temperature led up and down by the PI controller."""
+    from sma_bench.control import TemperatureController  # with the linear model, which takes long
 
-    Raises:
-        InputError: no such reference.
-    """
-    course = load_reference(reference, parameters, TEMPERATURE)
+    name = "temperature_staircase"
+    course = load_protocol(name, parameters, TEMPERATURE)
     controller = TemperatureController(parameters, COMMAND_PERIOD, delay=COMMAND_PERIOD)
-    loop = Feedback(period=COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1, seed=seed)
-    closed = run_temperature(parameters, controller, course.level, course.duration, loop)
+    closed = run_loop(
+        parameters, lambda bench: np.array(bench.temperature), course.level,
+        lambda wanted, read, _: controller.step(wanted, read, COMMAND_PERIOD), course.duration,
+        COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1, seed=seed,
+    )
 
     def volts(t: Array) -> Array:
         index = np.clip(np.round(t / COMMAND_PERIOD).astype(int), 0, len(closed.time) - 1)
         return closed.voltage[index]
 
-    run = _run(parameters, volts, course.duration, Boundary.clamped(-PRETENSION))
-    sensors = Sensors(seed + 1)
-    time = clock("mechanics", course.duration)
-    force = Signal("force", "N", time, sensors.read("force", _at(run, time, run.force[:, 0])))
-    signals = [*_electrical(run, sensors, course.duration), force]
-    return _record(f"synthetic {reference} on the simulated clamped wire", signals)
+    title, clamps = f"synthetic {name} on the simulated clamped wire", Boundary.clamped(-PRETENSION)
+    return _record(title, parameters, volts, course.duration, seed + 1, clamps)
 
 
-def _run(
-    parameters: Parameters,
-    voltage: Callable[[Array], Array],
-    duration: float,
-    boundary: Boundary | None = None,
-) -> Simulation:
-    """Simulate at every command and every reading, so that nothing is interpolated."""
-    commands = np.arange(int(duration / COMMAND_PERIOD) + 1) * COMMAND_PERIOD
-    clocks = [clock(kind, duration) for kind in ("power", "temperature", "mechanics")]
-    time = np.unique(np.concatenate([whole_nanoseconds(commands), *clocks]))
+def _record(
+    title: str, parameters: Parameters, voltage: Callable[[Array], Array], duration: float,
+    seed: int, clamped: Boundary | None = None,
+) -> Record:
+    """Simulated at every command and every reading, so that nothing is interpolated, and read."""
+    # Whole nanoseconds, as ROS has them: clocks of several rates meet exactly where they meet.
+    rates = [_SETTINGS[f"rate.{kind}"] for kind in ("power", "temperature", "mechanics")]
+    commands, power, camera, mechanics = (
+        np.asarray(np.round(np.multiply(t, 1e9)) / 1e9)
+        for t in (
+            np.arange(int(duration / COMMAND_PERIOD) + 1) * COMMAND_PERIOD,
+            *(np.arange(int(duration * rate)) / rate for rate in rates),
+        )
+    )
+    time = np.unique(np.concatenate([commands, power, camera, mechanics]))
     commanded = np.floor(time / COMMAND_PERIOD + _ROUNDING) * COMMAND_PERIOD
-    return simulate(parameters, time, voltage(commanded), boundary=boundary)
+    run = simulate(parameters, time, voltage(commanded), boundary=clamped)
+    signals = signals_of(run)
+    if clamped:  # the force's noise is drawn first
+        signals = [signals[-1], *signals[:-2]]
+    elif load_kind(parameters) == "clamped":  # without a load frame
+        signals = signals[:-2]
+
+    clocks = {"voltage": power, "current": power, "temperature": camera}
+    seeds, found = np.random.SeedSequence(seed), {}
+    for signal in signals:
+        at = clocks.get(signal.name.rpartition(".")[2], mechanics)
+        true = np.asarray(signal.values)[np.searchsorted(time, at)]
+        for read in _read(seeds, replace(signal, time=at, values=true), CELSIUS_ZERO):
+            found[read.name] = read
+    if clamped:
+        found["force"] = found.pop("force")  # and shown last
+    return Record(Path(title), 0, found)
 
 
-def _at(run: Simulation, time: Array, values: Array) -> Array:
-    return np.asarray(values[np.searchsorted(run.time, time)])
-
-
-def _electrical(run: Simulation, sensors: Sensors, duration: float) -> list[Signal]:
-    power, camera = clock("power", duration), clock("temperature", duration)
-    signals = []
-    for k, channel in enumerate(run.parameters["bench.channels"]):
-        for quantity, unit, time, values in (
-            ("voltage", "V", power, run.voltage[:, k]),
-            ("current", "A", power, run.current[:, k]),
-            ("temperature", "K", camera, run.temperature[:, k]),
-        ):
-            # The camera's steps are those of the Celsius scale.
-            zero = CELSIUS_ZERO if quantity == "temperature" else 0.0
-            read = sensors.read(quantity, _at(run, time, values), zero)
-            signals.append(Signal(f"{channel}.{quantity}", unit, time, read))
-    return signals
-
-
-def _deflection(run: Simulation, sensors: Sensors, duration: float) -> list[Signal]:
-    """Both range sensors, and the tip's position that follows from them."""
-    time = clock("mechanics", duration)
-    true = _at(run, time, run.deflection)
-    front, back = (sensors.read("range", STANDOFF + sign * true) for sign in (-1.0, 1.0))
-    return [
-        Signal("front.range", "m", time, front),
-        Signal("back.range", "m", time, back),
-        Signal("deflection", "m", time, 0.5 * (back - front)),
-    ]
-
-
-def _record(path: str, signals: list[Signal]) -> Record:
-    return Record(Path(path), 0, {signal.name: signal for signal in signals})
-
-
-# --- A controller and a simulated bench in one loop, with sensor noise; no ROS, no clock.
-
-@dataclass(frozen=True, eq=False)
-class Feedback:
-    """How the loop is closed.
-
-    Attributes:
-        period: s between commands.
-        late: periods from a reading to the command that answers it.
-        noise: standard deviation of a reading, in its unit; seed: of the noise.
-        resolution: step of a reading; 0 for none.
-    """
-
-    period: float = 0.05
-    late: int = 0
-    noise: float = 0.0
-    resolution: float = 0.0
-    seed: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class ClosedLoopRun:
+class ClosedLoopRun(NamedTuple):
     """A run: reference, actual and measured (n,) or (n, w), voltage (n, w) at time (n,) s."""
 
     time: Array
@@ -378,55 +262,32 @@ class ClosedLoopRun:
     voltage: Array
 
 
-def run_temperature(
-    bench: Parameters,
-    controller: TemperatureController,
-    reference: Callable[[float], Array],
-    duration: float,
-    loop: Feedback,
-) -> ClosedLoopRun:
-    """Run a temperature controller on a bench whose parameters it may not know.
-
-    Args:
-        bench: what the bench really is; reference: (w,) K at a time in s.
-    """
-    return run_loop(
-        bench,
-        lambda plant: np.array(plant.temperature),
-        reference,
-        lambda wanted, read, _: controller.step(wanted, read, loop.period),
-        duration,
-        loop,
-    )
-
-
 def run_loop(
-    bench: Parameters,
-    observe: Callable[[Bench], Array],
-    reference: Callable[[float], Array],
-    control: Callable[[Array, Array, Array], Array],
-    duration: float,
-    loop: Feedback,
+    parameters: Parameters, observe: Callable[[Bench], Array],
+    reference: Callable[[float], ArrayLike], control: Callable[[Array, Array, Array], Array],
+    duration: float, period: float = COMMAND_PERIOD, late: int = 0, noise: float = 0.0,
+    resolution: float = 0.0, seed: int = 1,
 ) -> ClosedLoopRun:
-    """Run a controller on a simulated bench.
+    """Run a controller on a simulated bench, whose parameters it may not know.
 
     Args:
-        bench: what it really is; observe: what is controlled, of it.
+        parameters: what the bench really is; observe: what is controlled, of it.
         reference: at a time in s; control: voltages (w,) for the reference, a reading of what is
             observed, and the reference a period later.
+        period: s between commands; late: periods from a reading to the command that answers it.
+        noise, resolution: standard deviation and step of a reading, in its unit; 0 for none.
     """
-    plant, random = Bench(bench), np.random.default_rng(loop.seed)
-    waiting = [np.zeros(len(bench["bench.channels"]))] * loop.late
-    time: Array = loop.period * np.arange(round(duration / loop.period), dtype=np.float64)
+    plant, random = Bench(parameters), np.random.default_rng(seed)
+    waiting = [np.zeros(len(parameters["bench.channels"]))] * late
+    time: Array = period * np.arange(round(duration / period), dtype=np.float64)
     rows: list[tuple[Array, Array, Array, Array]] = []
-    for t in time:
+    for t in time.tolist():
         actual = observe(plant)
-        read = actual + loop.noise * random.standard_normal(actual.shape)
-        if loop.resolution > 0.0:
-            read = np.round(read / loop.resolution) * loop.resolution
-        wanted = np.asarray(reference(float(t)), float)
-        waiting.append(control(wanted, read, np.asarray(reference(float(t) + loop.period), float)))
-        volts = waiting.pop(0)
-        rows.append((wanted, actual, read, volts))
-        plant.advance(volts, loop.period)
+        read = actual + noise * random.standard_normal(actual.shape)
+        if resolution > 0.0:
+            read = np.round(read / resolution) * resolution
+        wanted = np.asarray(reference(t), float)
+        waiting.append(control(wanted, read, np.asarray(reference(t + period), float)))
+        rows.append((wanted, actual, read, waiting.pop(0)))
+        plant.advance(rows[-1][-1], period)
     return ClosedLoopRun(time, *(np.array(column) for column in zip(*rows, strict=True)))

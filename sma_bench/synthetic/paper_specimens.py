@@ -3,14 +3,14 @@ model's wire (E5 to E7): protocols, cycles and repeats as it did them.
 """
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.table import (
+from sma_bench.parameters.parameter import (
     AUSTENITE_TEST_TEMPERATURE,
     DETWINNED_AT,
     DSC_CYCLES,
@@ -20,23 +20,27 @@ from sma_bench.parameters.table import (
     UPFR_FINISH,
     UPFR_START,
 )
+from sma_bench.parameters.parameters import wire_section
 from sma_bench.physics import Boundary, simulate
-from sma_bench.physics.bending import bending_coefficients, wire_section
-from sma_bench.physics.heat import heat_loss
-from sma_bench.physics.material import cooled_fraction, heated_fraction, modulus
-from sma_bench.records.dsc import DscRecord, DscSegment
-from sma_bench.records.isobaric import IsobaricRecord, find_cycles
-from sma_bench.records.record import Record
-from sma_bench.records.tensile import Phase, TensileRecord
+from sma_bench.physics.bending import bending_coefficients
+from sma_bench.physics.material import cooled_fraction, heat_loss, heated_fraction, modulus
+from sma_bench.records.instruments import (
+    DscRecord,
+    DscSegment,
+    IsobaricRecord,
+    Phase,
+    TensileRecord,
+    find_cycles,
+)
 from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol_record
+
+Array = NDArray[np.float64]
 
 # --- Synthetic DSC run: what the model's wire would do to a calorimeter (E5, Fig. 7).
 #
 # Heat into the sample is m (c_p dT/dt - L dxi/dt), eq. (1) with xi of eqs. (10), (11) at no
 # stress. The instrument adds a start-up transient, a baseline that drifts, and noise. Thermal
 # lag is left out, so that the onsets are those of the material.
-
-Array = NDArray[np.float64]
 
 COLDEST, HOTTEST = 273.15, 453.15  # K, section III.B.1
 RATE = 5.0 / 60.0  # K/s, section III.B.1
@@ -48,37 +52,38 @@ _DRIFT = (25e-6, 12e-6)  # W, linear and quadratic over a scan
 _START_UP = 12.0  # s
 
 
-def dsc_run(cycles: Sequence[Parameters], seed: int = 1) -> DscRecord:
-    """One heating and one cooling for each cycle, with that cycle's transition temperatures."""
+def dsc_run(parameters: Parameters, seed: int = 5) -> DscRecord:
+    """One heating and one cooling for each of the two cycles of Table II; of another wire than the
+    paper's both have its own transition temperatures."""
+    cycles = [parameters, parameters]
+    if _is_papers_wire(parameters):
+        cycles = [
+            parameters.replace({TRANSITIONS[symbol]: value for symbol, value in cycle.items()})
+            for cycle in DSC_CYCLES
+        ]
     random = np.random.default_rng(seed)
     segments: list[DscSegment] = []
-    for parameters in cycles:
-        for sign in (1.0, -1.0):
-            segments.append(_scan(parameters, sign, len(segments) + 1, random))
-    header = {"Sample ID": "synthetic NiTi wire"}
-    path = Path(f"synthetic DSC run of {len(cycles)} cycles")
-    return DscRecord(path, SAMPLE_MASS, header, tuple(segments), instrument="synthetic")
-
-
-def _scan(
-    parameters: Parameters, sign: float, number: int, random: np.random.Generator
-) -> DscSegment:
     time = np.arange(0.0, (HOTTEST - COLDEST) / RATE, _SCAN_PERIOD)
-    temperature = (COLDEST if sign > 0.0 else HOTTEST) + sign * RATE * time
-    fraction = heated_fraction if sign > 0.0 else cooled_fraction
-    xi = fraction(temperature, 0.0, parameters)
-    settled = sign * RATE * (1.0 - np.exp(-time / _START_UP))
-    heat = SAMPLE_MASS * (
-        parameters["wire.specific_heat"] * settled - LATENT_HEAT * np.gradient(xi, time)
-    )
-    share = (temperature - COLDEST) / (HOTTEST - COLDEST)
-    drift = _DRIFT[0] * share + _DRIFT[1] * share**2
-    noise = _HEAT_FLOW_NOISE * random.standard_normal(len(time))
-    began = (number - 1) * (HOTTEST - COLDEST) / RATE
-    return DscSegment(
-        number, "heating" if sign > 0.0 else "cooling", sign * RATE, began + time,
-        heat + drift + noise, np.zeros(len(time)), temperature, temperature,
-    )
+    for wire in cycles:
+        for sign in (1.0, -1.0):
+            temperature = (COLDEST if sign > 0.0 else HOTTEST) + sign * RATE * time
+            fraction = heated_fraction if sign > 0.0 else cooled_fraction
+            xi = fraction(temperature, 0.0, wire)
+            settled = sign * RATE * (1.0 - np.exp(-time / _START_UP))
+            heat = SAMPLE_MASS * (
+                wire["wire.specific_heat"] * settled - LATENT_HEAT * np.gradient(xi, time)
+            )
+            share = (temperature - COLDEST) / (HOTTEST - COLDEST)
+            drift = _DRIFT[0] * share + _DRIFT[1] * share**2
+            noise = _HEAT_FLOW_NOISE * random.standard_normal(len(time))
+            began = len(segments) * (HOTTEST - COLDEST) / RATE
+            segments.append(DscSegment(
+                len(segments) + 1, sign * RATE, began + time, heat + drift + noise,
+                np.zeros(len(time)), temperature, temperature,
+            ))
+    path = Path(f"synthetic DSC run of {len(cycles)} cycles")
+    header = {"Sample ID": "synthetic NiTi wire"}
+    return DscRecord(path, SAMPLE_MASS, header, tuple(segments), instrument="synthetic")
 
 
 # --- Synthetic isobaric tests: the simulated wire heated and cooled while a load is held (E6,
@@ -102,54 +107,22 @@ def isobaric_test(
 ) -> IsobaricRecord:
     """One heating and cooling of the wire of `parameters` under a held stress [Pa]."""
     random = np.random.default_rng(seed)
+    # The voltage that eq. (2) asks for a triangle of temperature.
     shift = stress / parameters["wire.stress_influence_austenite"]
     hottest = parameters["wire.austenite_finish_temperature"] + shift + _ABOVE_FINISH
-    time, voltage = _triangle(parameters, hottest)
-    run = simulate(parameters, time, voltage, boundary=Boundary.held_stress(stress))
-    strain = -run.contraction[:, 0] + _STRAIN_NOISE * random.standard_normal(len(time))
-    temperature = run.temperature[:, 0] + _TEMPERATURE_NOISE * random.standard_normal(len(time))
-    held = np.full(len(time), stress)
-    cycles, findings = find_cycles(temperature, strain, held, name)
-    return IsobaricRecord(Path(name), name, stress, "1", cycles, tuple(findings))
-
-
-def upfr_tests(
-    parameters: Parameters,
-    start: Sequence[float],
-    finish: Sequence[float],
-) -> tuple[IsobaricRecord, ...]:
-    """Repeats of a UPFR test on specimens whose tangents meet at given temperatures.
-
-    Args:
-        parameters: the wire; A_s and A_f are replaced for each specimen.
-        start, finish: K under the holding force, one a specimen, as tangents tell them. The
-            cosine of eq. (10) with these tangents reaches further out at both ends.
-    """
-    stress = HOLDING_FORCE / wire_section(parameters)
-    shift = stress / parameters["wire.stress_influence_austenite"]
-    tests = []
-    for k, (a_s, a_f) in enumerate(zip(start, finish, strict=True)):
-        middle, half = 0.5 * (a_s + a_f) - shift, 0.5 * (a_f - a_s) * _COSINE_WIDTH
-        specimen = parameters.replace(
-            {
-                "wire.austenite_start_temperature": middle - half,
-                "wire.austenite_finish_temperature": middle + half,
-            }
-        )
-        tests.append(isobaric_test(specimen, stress, f"synthetic UPFR test {k + 1}", seed=k))
-    return tuple(tests)
-
-
-def _triangle(parameters: Parameters, hottest: float) -> tuple[Array, Array]:
-    """Time (n,) s and the voltage (n,) V that eq. (2) asks for a triangle of temperature."""
-    ambient = parameters["environment.ambient_temperature"]
-    rise = (hottest - ambient) / _RATE
+    rise = (hottest - parameters["environment.ambient_temperature"]) / _RATE
     time = np.arange(0.0, 2.0 * rise, _FRAME_PERIOD)
     above = _RATE * np.minimum(time, 2.0 * rise - time)
     rate = np.where(time < rise, _RATE, -_RATE)
     capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
     power = np.maximum(heat_loss(parameters) * above + capacity * rate, 0.0)
-    return time, np.sqrt(power * parameters["wire.resistance"])
+    voltage = np.sqrt(power * parameters["wire.resistance"])
+
+    run = simulate(parameters, time, voltage, boundary=Boundary.held_stress(stress))
+    strain = -run.contraction[:, 0] + _STRAIN_NOISE * random.standard_normal(len(time))
+    temperature = run.temperature[:, 0] + _TEMPERATURE_NOISE * random.standard_normal(len(time))
+    cycles, findings = find_cycles(temperature, strain, np.full(len(time), stress), name)
+    return IsobaricRecord(Path(name), name, stress, "1", cycles, tuple(findings))
 
 
 # --- Synthetic tensile tests at constant temperature (E7, Fig. 9).
@@ -176,41 +149,32 @@ def tensile_test(parameters: Parameters, temperature: float, name: str, seed: in
         temperature: K.
         name: of the specimen.
     """
+    phase: Phase = "austenite"
+    if temperature <= parameters["wire.martensite_finish_temperature"]:
+        phase, e_m = "martensite", parameters["wire.martensite_modulus"]
+        begins, last = _DETWINNING_STRESS / e_m, 2.0 * _LARGEST_STRAIN
+        ends = _DETWINNING_STRESS + _DETWINNING_SLOPE * (DETWINNED_AT - begins)
+        curve = np.array([0.0, begins, DETWINNED_AT, last])
+        load = np.array([0.0, _DETWINNING_STRESS, ends, ends + e_m * (last - DETWINNED_AT)])
+    else:  # eqs. (6), (7), (9), (11) loaded from austenite
+        load = np.linspace(0.0, 2e9, 20001)
+        xi = cooled_fraction(temperature, load, parameters)
+        transformed = parameters["wire.maximum_recoverable_strain"] * xi
+        curve = load / modulus(xi, parameters) + transformed
+
+    # Its corners rounded by a moving mean, and what a load cell makes of it.
+    fine = np.linspace(0.0, 1.5 * _LARGEST_STRAIN, 20001)
+    width = int(_ROUNDING / (fine[1] - fine[0]))
+    padded = np.pad(np.interp(fine, curve, load), width, mode="reflect", reflect_type="odd")
+    window = np.ones(2 * width + 1) / (2 * width + 1)
+    rounded = np.convolve(padded, window, mode="valid")
     strain = np.linspace(0.0, _LARGEST_STRAIN, _POINTS)
-    cold = temperature <= parameters["wire.martensite_finish_temperature"]
-    curve = _martensite(parameters) if cold else _austenite(parameters, temperature)
-    stress = np.interp(np.maximum(strain - _TOE, 0.0), *_rounded(*curve))
+    stress = np.interp(np.maximum(strain - _TOE, 0.0), fine, rounded)
     noise = _STRESS_NOISE * np.random.default_rng(seed).standard_normal(_POINTS)
-    phase: Phase = "martensite" if cold else "austenite"
     return TensileRecord(Path(name), strain, stress + noise, temperature, phase=phase)
 
 
-def _austenite(parameters: Parameters, temperature: float) -> tuple[Array, Array]:
-    """Strain and stress (Pa) of eqs. (6), (7), (9), (11) loaded from austenite."""
-    stress = np.linspace(0.0, 2e9, 20001)
-    xi = cooled_fraction(temperature, stress, parameters)
-    transformed = parameters["wire.maximum_recoverable_strain"] * xi
-    return stress / modulus(xi, parameters) + transformed, stress
-
-
-def _martensite(parameters: Parameters) -> tuple[Array, Array]:
-    e_m = parameters["wire.martensite_modulus"]
-    begins = _DETWINNING_STRESS / e_m
-    ends = _DETWINNING_STRESS + _DETWINNING_SLOPE * (DETWINNED_AT - begins)
-    last = 2.0 * _LARGEST_STRAIN
-    strain = np.array([0.0, begins, DETWINNED_AT, last])
-    stress = np.array([0.0, _DETWINNING_STRESS, ends, ends + e_m * (last - DETWINNED_AT)])
-    return strain, stress
-
-
-def _rounded(strain: Array, stress: Array) -> tuple[Array, Array]:
-    """The curve with its corners rounded by a moving mean over `_ROUNDING`."""
-    fine = np.linspace(0.0, 1.5 * _LARGEST_STRAIN, 20001)
-    width = int(_ROUNDING / (fine[1] - fine[0]))
-    padded = np.pad(np.interp(fine, strain, stress), width, mode="reflect", reflect_type="odd")
-    window = np.ones(2 * width + 1) / (2 * width + 1)
-    return fine, np.convolve(padded, window, mode="valid")
-
+# --- The paper's experiments.
 
 COMPOSITE_CHANNELS = ("front_1", "front_2", "back_1", "back_2")
 COMPOSITE_SIDES = ("front", "front", "back", "back")
@@ -221,9 +185,10 @@ _WELL_INSIDE = 15.0  # K beyond M_f or A_f
 STRESSES = (10e6, 50e6, 100e6, 150e6, 200e6)
 
 
-def is_papers_wire(parameters: Parameters) -> bool:
+def _is_papers_wire(parameters: Parameters) -> bool:
     """Whether the transition temperatures are those of Table II, cycle 2."""
-    return all(parameters[name] == DSC_CYCLES[1][symbol] for symbol, name in TRANSITIONS.items())
+    second = DSC_CYCLES[1]
+    return all(parameters[name] == second[symbol] for symbol, name in TRANSITIONS.items())
 
 
 def wire_rig(parameters: Parameters) -> Parameters:
@@ -245,96 +210,83 @@ def composite_rig(parameters: Parameters) -> Parameters:
     return rig.replace({"composite.stress_per_deflection_back": BACK_STIFFNESS * back})
 
 
-def thermal_records(parameters: Parameters) -> tuple[Record, Record]:
-    """E1, E2 (staircase) and E3 (ramps)."""
+def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
+    """The records of one group of the paper's experiments, of the wire of `parameters`.
+
+    `group`: "thermal" (E1, E2: staircase; E3: ramps), "validation" (E4: triangular voltage), "dsc"
+    (E5), "upfr" (E6: three specimens), "isobaric" (E9: a test at each of several stresses),
+    "tensile" (E7: three specimens of each phase), "clamped" (E8: temperature staircase below A_s),
+    "composite" (E12: triangular and step voltage).
+    """
     wire = wire_rig(parameters)
-    return protocol_record("staircase", wire, 1), protocol_record("ramp", wire, 2)
+    match group:
+        case "thermal":
+            return protocol_record("staircase", wire, 1), protocol_record("ramp", wire, 2)
+        case "validation":
+            return (protocol_record("triangle", wire, 3),)
+        case "dsc":
+            return (dsc_run(parameters),)
+        case "upfr":
+            return _upfr_tests(wire)
+        case "isobaric":
+            name = "synthetic isobaric test at {:.0f} MPa"
+            return tuple(
+                isobaric_test(wire, stress, name.format(stress / 1e6), 10 + k)
+                for k, stress in enumerate(STRESSES)
+            )
+        case "tensile":
+            return _tensile_tests(parameters)
+        case "clamped":
+            return (clamped_staircase_record(wire, seed=30),)
+    rig = composite_rig(parameters)
+    triangle = protocol_record("composite_triangle", rig, 40)
+    return triangle, protocol_record("composite_step", rig, 41)
 
 
-def validation_record(parameters: Parameters) -> Record:
-    """E4: triangular voltage."""
-    return protocol_record("triangle", wire_rig(parameters), 3)
-
-
-def dsc_record(parameters: Parameters) -> DscRecord:
-    """E5: two heating cycles, of Table II; of another wire both are its own."""
-    if not is_papers_wire(parameters):
-        return dsc_run([parameters, parameters], 5)
-    cycles = [
-        parameters.replace({TRANSITIONS[symbol]: value for symbol, value in cycle.items()})
-        for cycle in DSC_CYCLES
-    ]
-    return dsc_run(cycles, 5)
-
-
-def upfr_records(parameters: Parameters) -> tuple[IsobaricRecord, ...]:
-    """E6: three specimens with the paper's mean and deviation; first cycle, as prestrained. Those
-    of another wire deviate as much from its own temperatures."""
-    wire, means = wire_rig(parameters), (UPFR_START[0], UPFR_FINISH[0])
-    if is_papers_wire(parameters):
+def _upfr_tests(wire: Parameters) -> tuple[IsobaricRecord, ...]:
+    """E6: specimens with the paper's mean and deviation of where tangents meet under the holding
+    force; first cycle, as prestrained. Those of another wire deviate as much from its own
+    temperatures."""
+    stress = HOLDING_FORCE / wire_section(wire)
+    shift = stress / wire["wire.stress_influence_austenite"]
+    start, finish = UPFR_START[0], UPFR_FINISH[0]
+    if _is_papers_wire(wire):
         wire = wire.replace({TRANSITIONS[end]: DSC_CYCLES[0][end] for end in ("M_s", "M_f")})
     else:
-        means = _tangent_ends(wire)
-    return upfr_tests(
-        wire,
-        [means[0] + UPFR_START[1] * k for k in REPEATS],
-        [means[1] + UPFR_FINISH[1] * k for k in REPEATS],
-    )
-
-
-def _tangent_ends(wire: Parameters) -> tuple[float, float]:
-    """Where the tangents of a heating under the holding force meet, K: start and finish."""
-    start = wire["wire.austenite_start_temperature"]
-    finish = wire["wire.austenite_finish_temperature"]
-    shift = HOLDING_FORCE / wire_section(wire) / wire["wire.stress_influence_austenite"]
-    inward = (0.5 - 1.0 / math.pi) * (finish - start)
-    return float(start + inward + shift), float(finish - inward + shift)
-
-
-def isobaric_records(parameters: Parameters) -> tuple[IsobaricRecord, ...]:
-    """E9: one test at each of several stresses."""
-    wire = wire_rig(parameters)
-    return tuple(
-        isobaric_test(wire, stress, f"synthetic isobaric test at {stress / 1e6:.0f} MPa", 10 + k)
-        for k, stress in enumerate(STRESSES)
-    )
-
-
-def tensile_records(parameters: Parameters) -> tuple[TensileRecord, ...]:
-    """E7: three specimens of each phase that deviate as Table III says."""
+        start = wire["wire.austenite_start_temperature"]
+        finish = wire["wire.austenite_finish_temperature"]
+        inward = (0.5 - 1.0 / math.pi) * (finish - start)
+        start, finish = float(start + inward + shift), float(finish - inward + shift)
     tests = []
     for k, deviation in enumerate(REPEATS):
-        specimen = parameters.replace(
-            {
-                name: parameters[name] + deviation * parameters.std(name)
-                for name in ("wire.martensite_modulus", "wire.austenite_modulus")
-            }
-        )
-        for phase, kelvin in _test_temperatures(parameters).items():
-            name = f"synthetic {phase} {k + 1} at {kelvin:.2f} K"
-            tests.append(tensile_test(specimen, kelvin, name, 20 + k))
+        # The cosine of eq. (10) with these tangents reaches further out at both ends.
+        a_s = start + UPFR_START[1] * deviation
+        a_f = finish + UPFR_FINISH[1] * deviation
+        middle, half = 0.5 * (a_s + a_f) - shift, 0.5 * (a_f - a_s) * _COSINE_WIDTH
+        specimen = wire.replace({
+            "wire.austenite_start_temperature": middle - half,
+            "wire.austenite_finish_temperature": middle + half,
+        })
+        tests.append(isobaric_test(specimen, stress, f"synthetic UPFR test {k + 1}", seed=k))
     return tuple(tests)
 
 
-def _test_temperatures(parameters: Parameters) -> dict[str, float]:
-    """Of Table III, as far as this wire is martensite and austenite there."""
+def _tensile_tests(parameters: Parameters) -> tuple[TensileRecord, ...]:
+    """E7: specimens that deviate as Table III says, at its temperatures as far as this wire is
+    martensite and austenite there."""
     cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE
     hot = float(parameters["wire.austenite_finish_temperature"]) + _WELL_INSIDE
-    return {
+    temperatures = {
         "martensite": min(MARTENSITE_TEST_TEMPERATURE, cold),
         "austenite": max(AUSTENITE_TEST_TEMPERATURE, hot),
     }
-
-
-def clamped_record(parameters: Parameters) -> Record:
-    """E8: temperature staircase below A_s of the clamped wire."""
-    return clamped_staircase_record(wire_rig(parameters), seed=30)
-
-
-def composite_records(parameters: Parameters) -> tuple[Record, Record]:
-    """E12: triangular and step voltage."""
-    rig = composite_rig(parameters)
-    return (
-        protocol_record("composite_triangle", rig, 40),
-        protocol_record("composite_step", rig, 41),
-    )
+    tests = []
+    for k, deviation in enumerate(REPEATS):
+        moduli = ("wire.martensite_modulus", "wire.austenite_modulus")
+        specimen = parameters.replace(
+            {name: parameters[name] + deviation * parameters.std(name) for name in moduli}
+        )
+        for phase, kelvin in temperatures.items():
+            name = f"synthetic {phase} {k + 1} at {kelvin:.2f} K"
+            tests.append(tensile_test(specimen, kelvin, name, 20 + k))
+    return tuple(tests)

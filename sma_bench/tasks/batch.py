@@ -4,8 +4,8 @@ import logging
 import os
 import re
 import time
-from collections.abc import Generator, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from typing import Any
@@ -20,20 +20,14 @@ from sma_bench.lifeline import end_after, interrupts_held
 from sma_bench.parameters import Parameters
 
 IDENTIFY, DIAGNOSE = "identify", "diagnose"
-
 _MOST_JOBS = 1024
 _CONNECTING = "4s"
 
 
 @dataclass(frozen=True)
 class Task:
-    """A record to identify or diagnose; travels to the process that does it.
-
-    Attributes:
-        kind: "identify" or "diagnose".
-        path: the record, where the worker sees it.
-        parameters: priors of the identification, or what the diagnosis holds against the record.
-    """
+    """A record to identify or diagnose (`kind`), by the path at which the worker sees it; with the
+    priors, or what the diagnosis holds against the record. Travels to the process that does it."""
 
     kind: str
     path: str
@@ -42,14 +36,8 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one record.
-
-    Attributes:
-        result: the document that the command of this kind writes as JSON; None where it failed.
-        parameters: identified or improved; None where it failed.
-        error: why it failed, in one line; "" where it did not.
-        seconds: how long it took.
-    """
+    """What came of one record: the document that its command writes as JSON and the parameters
+    identified or improved, or why it failed, in one line; and how long it took [s]."""
 
     path: str
     result: dict[str, Any] | None = None
@@ -60,91 +48,60 @@ class Outcome:
 
 def run_task(task: Task) -> Outcome:
     """Do one task; whatever goes wrong with its record stays with it."""
+    from sma_bench.tasks.work import diagnose_files, identify_files
+
     begin = time.perf_counter()
     try:
-        document, parameters = _WORK[task.kind](task)
+        found = {IDENTIFY: "parameters", DIAGNOSE: "improved"}[task.kind]
+        result: Any
+        if task.kind == IDENTIFY:
+            result = identify_files([task.path], task.parameters)
+        else:
+            result = diagnose_files([task.path], [], task.parameters)
+        seconds = time.perf_counter() - begin
+        return Outcome(task.path, result.to_json(), getattr(result, found), "", seconds)
     except InputError as error:
         reason = str(error)
     except Exception as error:  # noqa: BLE001 (one record must not end the others)
         reason = f"{task.path}: failed: {type(error).__name__}: {error}"
-    else:
-        return Outcome(task.path, document, parameters, "", time.perf_counter() - begin)
     return Outcome(task.path, error=" ".join(reason.split()), seconds=time.perf_counter() - begin)
-
-
-def _identify(task: Task) -> tuple[dict[str, Any], Parameters]:
-    from sma_bench.identify import identify
-    from sma_bench.records import open_record
-
-    result = identify([open_record(task.path)], task.parameters)
-    return result.to_json(), result.parameters
-
-
-def _diagnose(task: Task) -> tuple[dict[str, Any], Parameters]:
-    from sma_bench.diagnose import diagnose
-    from sma_bench.records import read_record
-
-    result = diagnose([read_record(task.path)], task.parameters)
-    return result.to_json(), result.improved
-
-
-_WORK = {IDENTIFY: _identify, DIAGNOSE: _diagnose}
 
 
 def do_tasks(
     tasks: Sequence[Task], jobs: int, cluster: str | None = None
 ) -> Generator[tuple[int, Outcome], None, None]:
-    """(index of the task, outcome) as soon as each is done.
-
-    Args:
-        jobs: processes of this machine, which end with this one.
-        cluster: address of the dask scheduler whose workers do them instead; they have this
-            package installed and see files under the same paths.
-
-    Raises:
-        InputError: jobs out of range; no such cluster, or it is lost.
-    """
+    """(index of the task, outcome) as soon as each is done, by so many processes of this machine,
+    which end with this one; or by the workers of the dask scheduler at `cluster`, which have this
+    package installed and see files under the same paths. Raises InputError: jobs out of range; no
+    such cluster, or it is lost."""
     if not 1 <= jobs <= _MOST_JOBS:
         raise InputError(f"jobs {jobs}: expected 1 to {_MOST_JOBS}")
-    where = _on_cluster(cluster) if cluster else _on_processes()
+    tied = {"initializer": end_after, "initargs": (os.getpid(),)}
     left = dict(enumerate(tasks))
-    with where:
+    with _on_cluster(cluster) if cluster else joblib.parallel_config("loky", **tied):
         try:
-            for k, outcome in _side_by_side(list(left.items()), jobs):
+            work = (joblib.delayed(_numbered)(k, task) for k, task in list(left.items()))
+            resource_tracker.ensure_running()  # its own start would let interrupts through
+            with interrupts_held():  # a process that just begins would answer with a traceback
+                done = joblib.Parallel(jobs, return_as="generator_unordered", batch_size=1)(work)
+            for k, outcome in done:
                 del left[k]
                 yield k, outcome
         except TerminatedWorkerError:  # by the one that hangs or takes all memory, whichever it is
             for k, task in list(left.items()):
-                yield k, _alone(task)
-
-
-def _side_by_side(
-    tasks: Iterable[tuple[int, Task]], jobs: int
-) -> Generator[tuple[int, Outcome], None, None]:
-    work = (joblib.delayed(_numbered)(k, task) for k, task in tasks)
-    resource_tracker.ensure_running()  # its own start would let interrupts through
-    with interrupts_held():  # a process that just begins would answer with a traceback
-        done = joblib.Parallel(jobs, return_as="generator_unordered", batch_size=1)(work)
-    yield from done
+                # With a process of its own: if that is killed as well, it is this task's doing.
+                try:
+                    executor = get_reusable_executor(1, **tied)
+                    with interrupts_held():
+                        alone = executor.submit(run_task, task)
+                    yield k, alone.result()
+                except TerminatedWorkerError:
+                    why = f"{task.path}: its process was killed (out of memory?)"
+                    yield k, Outcome(task.path, error=why)
 
 
 def _numbered(k: int, task: Task) -> tuple[int, Outcome]:
     return k, run_task(task)
-
-
-def _alone(task: Task) -> Outcome:
-    """With a process of its own: if that is killed as well, it is this task's doing."""
-    try:
-        executor = get_reusable_executor(1, initializer=end_after, initargs=(os.getpid(),))
-        with interrupts_held():
-            done = executor.submit(run_task, task)
-        return done.result()
-    except TerminatedWorkerError:
-        return Outcome(task.path, error=f"{task.path}: its process was killed (out of memory?)")
-
-
-def _on_processes() -> AbstractContextManager[Any]:
-    return joblib.parallel_config("loky", initializer=end_after, initargs=(os.getpid(),))
 
 
 @contextmanager

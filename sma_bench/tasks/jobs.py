@@ -25,81 +25,64 @@ from sma_bench.results import json_text, write_result
 Task = Callable[[Mapping[str, Any], Parameters, Report], str]
 
 CANCELLED = "cancelled on request"
-OWN_ROOT = "sma_bench_results"
+OWN_ROOT = "sma_bench_results"  # where results go for which no root is set
 _OWN = re.compile(rb'\A\{(?s:.*)"parameters"|(?m:^)# (?:Improved by|Identified by|The model) ')
-_LARGEST_RESULT = 1 << 26
+_LARGEST_RESULT = 1 << 26  # bytes
 _DIAGNOSED = 0.9  # of the time, about; the rest draws the report
-_BUSY = re.compile(r"busy: (?P<percent>\d+) %, (?P<what>.*)")
 _SPAWN = multiprocessing.get_context("spawn")  # a fork would have ROS's locks, and not its threads
 _LEAST_MEMORY = 4 << 30  # bytes of addresses, of which compilers and threads take more than of RAM
 _LONGEST = 3600  # s of the processor; the longest diagnosis takes minutes
 
 
 class Worker:
-    """Runs one task at a time in a process; `cancel` and `kill` may come from any thread."""
+    """Runs one task at a time in a process, which `end` may end from any thread; `name` leads what
+    is said of failures."""
 
     def __init__(self, name: str) -> None:
-        """`name` leads what is said of failures."""
-        self._name = name
+        self._name, self._ended = name, ""
         self.process: Any = None
-        self._killed = self._cancelled = False
 
     def run(
         self, task: Task, settings: Mapping[str, Any], parameters: Parameters,
         report: Report = silent,
     ) -> str:
-        """The task's result, waited for without using the processor.
-
-        Raises:
-            InputError: what the task raised, or that it was ended.
-        """
+        """The task's result. Raises InputError: what the task raised, or why it was ended."""
         near, far = _SPAWN.Pipe(duplex=False)
         process = _SPAWN.Process(target=_work, args=(far, task, dict(settings), parameters))
         process.start()
         far.close()
-        self.process, self._cancelled = process, False
-        if self._killed:
-            process.kill()
+        self.process, self._ended = process, ""
         try:
             while True:
                 done, said = near.recv()
-                if done is None:
-                    report(*said)
-                elif done:
+                if done is True:
                     return str(said)
-                else:
+                if done is False:
                     raise InputError(said)
+                report(done, said)
         except (EOFError, OSError):  # it was killed, perhaps amid a message
             process.join()
+            status = process.exitcode or 0
+            by = signal.Signals(-status).name if status < 0 else f"status {status}"
+            why = self._ended or f"failed: its process ended with {by}"
+            raise InputError(f"{self._name}: {why}") from None
         finally:
             self.process = None
             process.kill()  # its result is here: its interpreter need not take itself to pieces
             process.join()
             near.close()
-        if self._killed or self._cancelled:
-            why = "ended with its node" if self._killed else CANCELLED
-            raise InputError(f"{self._name}: {why}")
-        status = process.exitcode or 0
-        why = signal.Signals(-status).name if status < 0 else f"status {status}"
-        raise InputError(f"{self._name}: failed: its process ended with {why}")
 
-    def cancel(self) -> bool:
+    def end(self, why: str = CANCELLED) -> bool:
         """End the running task, and no later one; whether there was one."""
         if (process := self.process) is None:
             return False
-        self._cancelled = True
+        self._ended = why
         process.kill()
         return True
 
-    def kill(self) -> None:
-        """End the running task, and every later one."""
-        self._killed = True
-        if (process := self.process) is not None:
-            process.kill()
-
 
 def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parameters) -> None:
-    """The process: what it reports, then its result or what is wrong, through the pipe."""
+    """The process: (share, what) of its progress, then (True, result) or (False, what is wrong)."""
     os.setsid()  # Ctrl-C in a terminal is for the node, which then ends this process
     parent = multiprocessing.parent_process()
     assert parent is not None
@@ -115,14 +98,14 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
         resource.setrlimit(kind, (most, most))
 
-    def tell(share: float, what: str = "") -> None:
-        pipe.send((None, (share, what)))
+    def report(share: float, what: str = "") -> None:
+        pipe.send((float(share), what))
 
     from sma_bench.compiled import when_compiling  # brings numba, which the node does without
 
-    when_compiling(lambda: tell(0.0, COMPILING))
+    when_compiling(lambda: report(0.0, COMPILING))
     try:
-        pipe.send((True, task(settings, parameters, tell)))
+        pipe.send((True, task(settings, parameters, report)))
     except InputError as error:
         pipe.send((False, str(error)))
     except Exception as error:
@@ -131,29 +114,15 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
         pipe.send((False, f"failed: {type(error).__name__}: {said}"))
 
 
-def busy(share: float, what: str) -> str:
-    """The state of a node whose task is so far."""
-    return f"busy: {100.0 * share:.0f} %, {what}"
-
-
-def told_share(state: str) -> tuple[float, str] | None:
-    """What `busy` put into a state; None of another one."""
-    found = _BUSY.match(state)
-    return (int(found["percent"]) / 100.0, found["what"]) if found else None
-
-
 # --- Where a task may read and write.
 
 
 def records_inside(
     settings: Mapping[str, Any], parameter: str = "record", required: bool = False
 ) -> list[str]:
-    """Paths of the records that a list parameter names, relative ones below `record_root`.
-
-    Raises:
-        InputError: one lies outside the root, `..` and links followed, those in the folder of a
-            bag too; none is named where one is required.
-    """
+    """Paths of the records that a list parameter names, relative ones below `record_root`. Raises
+    InputError: one lies outside the root, links followed, those in the folder of a bag too; none
+    is named where one is required."""
     # ROS cannot type an empty array: [""] stands for none.
     names, root = [name for name in settings[parameter] if name], settings["record_root"]
     if required and not names:
@@ -162,14 +131,9 @@ def records_inside(
 
 
 def output_inside(settings: Mapping[str, Any], parameter: str, suffix: str = "") -> str:
-    """The path that a parameter names, a relative one below `output_root`; "" stays "".
-
-    Without a root results have a folder of their own, where nothing else can be replaced.
-
-    Raises:
-        InputError: it lies outside the root, `..` and links followed, has a hidden name in it, not
-            the suffix, or is there and nothing that sma-bench has written.
-    """
+    """The path that a parameter names, a relative one below `output_root` (OWN_ROOT where that is
+    empty); "" stays "". Raises InputError: it lies outside the root, links followed, has a hidden
+    name in it, not the suffix, or is there and nothing that sma-bench has written."""
     if not (path := settings[parameter]):
         return ""
     hidden = [part for part in Path(path).parts if part.startswith(".") and part.strip(".")]
@@ -184,7 +148,7 @@ def output_inside(settings: Mapping[str, Any], parameter: str, suffix: str = "")
 
 
 def require_own(*files: Path, parameter: str) -> None:
-    """InputError where one of the files exists and is none of those that tasks write."""
+    """Raises InputError: one of the files exists and is none of those that tasks write."""
     for file in files:
         if file.exists() and not _OWN.search(read_bytes(file, _LARGEST_RESULT)):
             raise InputError(f"{parameter}: {file} is not a file that sma-bench has written")
@@ -209,14 +173,14 @@ def _inside(root: str, path: str, parameter: str, root_parameter: str) -> Path:
 # --- The tasks.
 
 
-def identify(settings: Mapping[str, Any], parameters: Parameters, tell: Report) -> str:
+def identify(settings: Mapping[str, Any], parameters: Parameters, report: Report) -> str:
     """Identify from `record`; `identified.yaml` and `identified.json` go to `output_directory`."""
     records = records_inside(settings, required=True)
     output = output_inside(settings, "output_directory")
     from sma_bench.tasks.work import identify_files, write_identified
 
     experiments = [name for name in settings["experiments"] if name] or None
-    result = identify_files(records, parameters, experiments, report=tell)
+    result = identify_files(records, parameters, experiments, report=report)
     folder = make_folder(Path(output))
     files = folder / "identified.yaml", folder / "identified.json"
     require_own(*files, parameter="output_directory")
@@ -225,54 +189,49 @@ def identify(settings: Mapping[str, Any], parameters: Parameters, tell: Report) 
     return json_text(result.to_json())
 
 
-def diagnose(settings: Mapping[str, Any], parameters: Parameters, tell: Report) -> str:
-    """Diagnose `record`, `hold_out` aside; write `improved` and `report` where they are asked for;
-    the contract's JSON."""
+def diagnose(settings: Mapping[str, Any], parameters: Parameters, report: Report) -> str:
+    """Diagnose `record`, `hold_out` aside; write `improved` and `report` where they are set."""
     records = records_inside(settings, required=True)
     hold_out = records_inside(settings, "hold_out")
     improved = output_inside(settings, "improved", ".yaml")
-    report = output_inside(settings, "report")
+    page = output_inside(settings, "report")
     from sma_bench.tasks.work import diagnose_files, write_improved
 
-    share = _DIAGNOSED if report else 1.0
-    result = diagnose_files(records, hold_out, parameters, report=part(tell, 0.0, share))
+    share = _DIAGNOSED if page else 1.0
+    result = diagnose_files(records, hold_out, parameters, report=part(report, 0.0, share))
     if improved:
         make_folder(Path(improved).parent)
         write_improved(improved, result, "the diagnosis node")
-    if report:
-        from sma_bench.report.diagnosis_report import write_diagnosis_report
+    if page:
         from sma_bench.report.page import Made
+        from sma_bench.report.reports import write_diagnosis_report
 
         made = Made("the diagnosis node", [*records, *hold_out])
-        write_diagnosis_report(report, result, part(tell, share, 1.0), made)
+        write_diagnosis_report(page, result, part(report, share, 1.0), made)
     return json_text(result.to_json())
 
 
 def investigation_folder(settings: Mapping[str, Any]) -> str:
-    """Where an investigation is kept; InputError where it, or a record, may not be used."""
+    """Where an investigation is kept. Raises InputError: it, or a record, may not be used."""
     records_inside(settings)
     if not (folder := output_inside(settings, "folder")):
         raise InputError("folder: is empty, expected where the investigation is kept")
     return folder
 
 
-def investigate(settings: Mapping[str, Any], parameters: Parameters, tell: Report) -> str:
-    """Begin or go on in the folder and diagnose what is new.
-
-    Returns:
-        The story as JSON, with `outcome` (a line, "" where there is no record yet) and `next`
-        (`NextRun.to_json`, null where nothing is to be run).
-    """
+def investigate(settings: Mapping[str, Any], parameters: Parameters, report: Report) -> str:
+    """Begin or go on in the folder and diagnose what is new. Returns the story as JSON, with
+    `outcome` (a line, "" without a record yet) and `next` (of `next_run`, null for none)."""
     from sma_bench.tasks.investigation import OPEN, QUANTITIES, Investigation
 
     signals = [name for name in settings["signals"] if name]
-    folder = investigation_folder(settings)
-    case = Investigation(folder, settings["budget"], signals or QUANTITIES)
+    case = Investigation(investigation_folder(settings), settings["budget"], signals or QUANTITIES)
+    records_inside({**settings, "record": case.given})  # its file may name others
     case.begin(parameters, records_inside(settings))
     if case.pending:
-        case.diagnose(tell)
+        case.diagnose(report)
     if case.chapters:
         case.write_page("the investigation node")
-    following = case.next_run().to_json() if case.state == OPEN else None
+    following = case.next_run() if case.state == OPEN else None
     outcome = case.outcome if case.chapters else ""
     return json_text({**case.to_json(), "outcome": outcome, "next": following})

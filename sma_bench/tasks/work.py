@@ -6,11 +6,10 @@ from typing import TYPE_CHECKING
 
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters import Parameters, write_parameters
-from sma_bench.parameters.parameter import EFFECT_NAMES
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.parameter import BY_NAME, EFFECTS
 from sma_bench.progress import Report, by_name, in_turn, part, silent
 from sma_bench.records import open_records, read_record
-from sma_bench.records.tensile import Phase
+from sma_bench.records.instruments import Phase
 
 if TYPE_CHECKING:  # who wants the one need not load the other
     from sma_bench.diagnose import Diagnosis
@@ -23,7 +22,7 @@ _READING, _READING_BAGS = 0.2, 0.05
 _PLAN = {
     "records": 0.1,
     "recalibration": 0.7,
-    **dict.fromkeys(EFFECT_NAMES, 0.13),
+    **dict.fromkeys(EFFECTS, 0.13),
     "effects instead of surprising parameters": 1.5,
     "the best again, carefully": 0.6,
     "pairs": 1.0,
@@ -39,19 +38,12 @@ def identify_files(
     namespace: str | None = None, report: Report = silent,
     phases: Mapping[str, Phase] | None = None, stated: Mapping[str, float] | None = None,
 ) -> "Identification":
-    """Identify from bags and instrument files (`identify/`).
-
-    Args:
-        paths: of the records; parameters: what is known beforehand.
-        experiments: of E0 to E10; all that the records allow when None.
-        namespace: where two benches are in one bag, the one to take.
-        report: called with how far it is.
-        phases: of tensile tests, by file name or pattern of names.
-        stated: what instruments' files do not hold (`records.open.open_records`).
-
-    Raises:
-        InputError: a record that cannot be read, or nothing that can be identified.
-    """
+    """Identify from bags and instrument files (`identify/`). `paths`: of the records; parameters:
+    what is known beforehand; `experiments`: of E0 to E10; all that the records allow when None;
+    `namespace`: where two benches are in one bag, the one to take; `report`: called with how far it
+    is; `phases`: of tensile tests, by file name or pattern of names; `stated`: what instruments'
+    files do not hold (`records.open.open_records`). Raises InputError: a record that cannot be
+    read, or nothing that can be identified."""
     from sma_bench.identify import identify
 
     reading = part(report, 0.0, _READING)
@@ -67,16 +59,10 @@ def diagnose_files(
     paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
     quantities: Sequence[str] = QUANTITIES, report: Report = silent,
 ) -> "Diagnosis":
-    """Diagnose the gap between bags of one bench and its model (`diagnose/`).
-
-    Args:
-        paths: of the bags; hold_out: of those on which the shrinkage is measured.
-        parameters: as believed; quantities: that are compared.
-        report: called with how far it is.
-
-    Raises:
-        InputError: a bag that cannot be read, or nothing that can be compared.
-    """
+    """Diagnose the gap between bags of one bench and its model (`diagnose/`). `paths`: of the bags;
+    hold_out: of those on which the shrinkage is measured; `parameters`: as believed; quantities:
+    that are compared; `report`: called with how far it is. Raises InputError: a bag that cannot be
+    read, or nothing that can be compared."""
     from sma_bench.diagnose import diagnose
 
     reading = part(report, 0.0, _READING_BAGS)
@@ -94,11 +80,8 @@ def write_identified(
     template: str | Path | None = None,
 ) -> None:
     """Write the parameters with what was identified put in; comments of the file `template` stay.
-    Where the model does not fit within the noise, that is its first comment.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    Where the model does not fit within the noise, that is its first comment. Raises InputError: the
+    file cannot be written."""
     comment = f"Identified by {author} from {', '.join(sources)}".replace("\n", " ")
     if said := result.fit_line:
         comment = f"{said}.\n{comment}"
@@ -107,11 +90,8 @@ def write_identified(
 
 
 def write_improved(path: str | Path, result: "Diagnosis", author: str) -> None:
-    """Write the improved parameters, but not what nobody stated and the records hardly tell.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
+    """Write the improved parameters, but not what nobody stated and the records hardly tell. Raises
+    InputError: the file cannot be written."""
     improved, stated = result.improved, result.parameters.given
     told = {
         n for n in improved.given

@@ -1,7 +1,8 @@
 """Measured against predicted in bins of time, and how far the residuals may be off."""
 
 from collections import defaultdict, deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,6 @@ from sma_bench.physics.simulate import TemperatureDriven
 from sma_bench.twin.free_run import FreeRun
 
 Array = NDArray[np.float64]
-
 
 # --- Residuals of one signal in bins.
 
@@ -34,8 +34,7 @@ STAYS = 0.75  # of the threshold: a gap is over below that
 _MOST_WHITE = 2.0  # of the scatter of neighbours: a residual that scatters more is a gap
 
 
-@dataclass(frozen=True)
-class Bin:
+class Bin(NamedTuple):
     """Mean residual of a bin.
 
     `off`: what moments and zeros that are not known may add to it, one standard deviation, in the
@@ -45,33 +44,26 @@ class Bin:
 
     time: float
     residual: float
-    count: int
+    samples: int
     off: float
     cause: float
     side: int
 
 
-@dataclass(frozen=True)
-class BinStatistics:
+class BinStatistics(NamedTuple):
     """What the last bins of a signal say.
 
-    Attributes:
-        energy: mean square of the whitened residual, 1 for noise.
-        surprise: standard deviations by which the energy or the level is beyond that of the noise
-            before the window.
-        gap: root mean square of the residual over the noise of a sample; per side, NaN where the
-            signal was not on that side.
-        noise: of the sensor, as learned; scatter: of a sample.
-        residual, cause: (n,) of the bins; tolerance: (n,) in the signal's unit.
-        share: residual over cause, least squares over all bins at hand, not just the last; NaN
-            where the causes are no larger than the tolerance.
+    `energy`: mean square of the whitened residual, 1 for noise; `surprise`: standard deviations by
+    which the energy or the level is beyond that of the noise before the window; `gap`: root mean
+    square of the residual over the noise of a sample, per side, NaN where the signal was not on
+    that side; `residual`, `cause`, `tolerance`: (n,) of the bins, in the signal's unit; `share`:
+    residual over cause, least squares over all bins at hand, not just the last, NaN where the
+    causes are no larger than the tolerance.
     """
 
     energy: float
     surprise: float
     gap: Array
-    noise: Noise
-    scatter: float
     residual: Array
     cause: Array
     tolerance: Array
@@ -79,14 +71,14 @@ class BinStatistics:
 
 
 class SignalBins:
-    """One signal: residuals come in as samples for their noise, and as bins to be judged."""
+    """One signal: residuals come in as samples for their noise, and as `bins` to be judged."""
 
-    def __init__(self, quantity: str, wire: int) -> None:
-        """`quantity` is current, temperature, deflection or force; `wire` its number."""
-        self.quantity, self.wire = quantity, wire
+    def __init__(self, quantity: str) -> None:
+        """`quantity` is current, temperature, deflection or force."""
+        self.quantity = quantity
         self._values: deque[float] = deque(maxlen=_SAMPLES)
         self._residuals: deque[float] = deque(maxlen=_SAMPLES)
-        self._bins: deque[Bin] = deque(maxlen=MEMORY)
+        self.bins: deque[Bin] = deque(maxlen=MEMORY)
         self._learned: Noise | None = None
         self._scatter: float | None = None  # None where samples came since
 
@@ -96,26 +88,11 @@ class SignalBins:
         self._residuals.extend(residual.tolist())
         self._scatter = None
 
-    def add(self, one: Bin) -> None:
-        """The next bin."""
-        self._bins.append(one)
-
-    def clear(self) -> None:
-        """Forget the bins; the samples' noise stays."""
-        self._bins.clear()
-        self._learned = None
-
-    @property
-    def bins(self) -> int:
-        """Bins at hand."""
-        return len(self._bins)
-
     @property
     def play(self) -> float:
         """Within which a difference that is smoothed over the newest bins is noise."""
-        if np.isnan(self.scatter) or not self._bins:
-            return 0.0
-        return float(_PLAY * self.scatter / np.sqrt(self._bins[-1].count))
+        known = len(self.bins) > 0 and not np.isnan(self.scatter)
+        return float(_PLAY * self.scatter / np.sqrt(self.bins[-1].samples)) if known else 0.0
 
     @property
     def scatter(self) -> float:
@@ -140,57 +117,55 @@ class SignalBins:
             threshold: a surprising gap beyond it is not learned as noise.
         """
         scatter = self.scatter
-        if len(self._bins) < fewest or np.isnan(scatter):
+        if len(self.bins) < fewest or np.isnan(scatter):
             return None
-        columns = np.array([(b.time, b.residual, b.count, b.off, b.cause, b.side)
-                            for b in self._bins])  # fmt: skip
-        time, residual, count, off, cause, side = columns.T
-        steady = np.hypot(scatter, allowed)
-        # Bins in which the moment of a reading matters count as much as they inform.
-        level = residual * steady / np.hypot(steady, off)
+        time, residual, count, off, cause, side = np.array(self.bins).T
         last = slice(min(int(np.searchsorted(time, time[-1] - window)), len(time) - fewest), None)
-        noise = self._learned
-        if noise is None or noise.usual != allowed:
-            noise = self._noise(level, time, count, last.start, scatter, allowed)
+
+        # The gap: against what a sample may be off by, of each side.
+        steady = np.hypot(scatter, allowed)
         tolerance = np.hypot(steady, off)
         squares = (residual / tolerance)[last] ** 2
-        gap = np.full(sides, np.nan)
-        for k in range(sides):
-            here = side[last] == k
-            if here.any():
-                gap[k] = np.sqrt(squares[here].sum() / len(squares))
-        power = float(cause @ cause)
-        informative = power > 0.1 * float(tolerance @ tolerance)
-        energy, surprise = judge(noise, level[last])
+        there = side[last] == np.arange(sides)[:, np.newaxis]
+        gap = np.sqrt((squares * there).sum(axis=1) / len(squares))
+        gap[~there.any(axis=1)] = np.nan
         size = float(np.sqrt(np.mean(squares)))
+
+        # How surprising it is as noise. Bins in which the moment of a reading matters count as much
+        # as they inform.
+        level = residual * steady / tolerance
+        noise = self._learned
+        if noise is None or noise.usual != allowed:
+            noise = _noise_before(level, time, count, last.start, scatter, allowed)
+        energy, surprise = judge(noise, level[last])
         if self._learned is not None and size >= STAYS * threshold:
             surprise = max(surprise, SURPRISING)  # once it has come, it is there until it goes
         self._learned = noise if size >= threshold * STAYS and surprise >= SURPRISING else None
+        power = float(cause @ cause)
+        informative = power > 0.1 * float(tolerance @ tolerance)
+        share = float(residual @ cause) / power if informative else np.nan
         return BinStatistics(
-            energy, surprise, gap, noise, scatter, residual[last], cause[last], tolerance[last],
-            float(residual @ cause) / power if informative else np.nan,
+            energy, surprise, gap, residual[last], cause[last], tolerance[last], share
         )
 
-    @staticmethod
-    def _noise(
-        level: Array, time: Array, count: Array, stop: int, scatter: float, allowed: float
-    ) -> Noise:
-        """Noise that the bins up to `stop` show, but no more than a sensor may have; as much while
-        they are too few for an estimate."""
-        white = scatter / float(np.sqrt(np.median(count)))
-        period = max(round(float(np.median(np.diff(time))), 2), 0.01)
-        if stop < 2:
-            return Noise(white, allowed, _FAST, period, allowed)
-        found = estimate_noise([level[:stop]], white, period, allowed)
-        # As fast as it was seen to go, and as far as it may: nobody has seen that within a minute.
-        share = allowed / max(found.drift, 1e-3 * allowed)
-        seen = max(share**2 * found.time, period)
-        # So few bins may have shown a slower one by chance.
-        surely = seen * float(chi2.ppf(_CHANCE, stop)) / stop
-        return Noise(
-            min(found.white, _MOST_WHITE * white), allowed, min(seen, max(surely, _FAST)),
-            period, allowed,
-        )  # fmt: skip
+
+def _noise_before(
+    level: Array, time: Array, count: Array, stop: int, scatter: float, allowed: float
+) -> Noise:
+    """Noise that the bins up to `stop` show, but no more than a sensor may have; as much while
+    they are too few for an estimate."""
+    white = scatter / float(np.sqrt(np.median(count)))
+    period = max(round(float(np.median(np.diff(time))), 2), 0.01)
+    if stop < 2:
+        return Noise(white, allowed, _FAST, period, allowed)
+    found = estimate_noise([level[:stop]], white, period, allowed)
+    # As fast as it was seen to go, and as far as it may: nobody has seen that within a minute.
+    share = allowed / max(found.drift, 1e-3 * allowed)
+    seen = max(share**2 * found.time, period)
+    # So few bins may have shown a slower one by chance.
+    surely = seen * float(chi2.ppf(_CHANCE, stop)) / stop
+    white = min(found.white, _MOST_WHITE * white)
+    return Noise(white, allowed, min(seen, max(surely, _FAST)), period, allowed)
 
 
 def judge(noise: Noise, level: Array) -> tuple[float, float]:
@@ -224,7 +199,7 @@ def _whitened(noise: Noise, level: Array) -> Array:
 #     V -> deflection        the free run's reading
 #
 # The measured temperature is the model's plus the smoothed difference, which moves only when it
-# has changed by more than its noise (as in diagnose/chain.py). So the mechanical bins come a
+# has changed by more than its noise. So the mechanical bins come a
 # second after the others.
 
 _LATE = 0.2  # s that a reading may come after the voltages of its moment
@@ -251,15 +226,15 @@ class Comparison:
         parameters, wires = run.parameters, len(run.parameters["bench.channels"])
         self._moves = load_kind(parameters) != "clamped"
         mechanics = "deflection" if self._moves else "force"
-        self.currents = [SignalBins("current", k) for k in range(wires)]
-        self.temperatures = [SignalBins("temperature", k) for k in range(wires)]
-        self.driven, self.free = SignalBins(mechanics, 0), SignalBins(mechanics, 0)
+        self.currents = [SignalBins("current") for _ in range(wires)]
+        self.temperatures = [SignalBins("temperature") for _ in range(wires)]
+        self.driven, self.free = SignalBins(mechanics), SignalBins(mechanics)
         self.late = 0
         self._side = side_of_channels(parameters)
         self._ambient = float(parameters["environment.ambient_temperature"])
         self._start, self._closed = run.time, 0
-        self._sums: dict[tuple[int, int], Array] = defaultdict(lambda: np.zeros(4))
-        self._mechanics: dict[int, list[tuple[Array, Array]]] = defaultdict(list)
+        # By kind and wire, of bins that are open: time, value, prediction, own error.
+        self._open: dict[tuple[str, int], Array] = defaultdict(lambda: np.empty((4, 0)))
         self._led = TemperatureDriven(parameters, run.state)
         # The same a little warmer on one side and cooler on the other: what a camera's unknown
         # zero, and its drift, do to the mechanics.
@@ -268,49 +243,30 @@ class Comparison:
         self._doubt = float(np.hypot(_ZERO_STD, drift))
         self._sign = np.where(self._side == 0, 1.0, -1.0)
         self._correction = np.zeros(wires)
+        # Of the last bins: measured less predicted temperatures (w,), and their own errors.
         self._differences: deque[Array] = deque(maxlen=2 * _AHEAD + 1)
         self._doubts: deque[Array] = deque(maxlen=2 * _AHEAD + 1)
 
-    def current(self, wire: int, time: Array, value: Array, predicted: Array) -> None:
-        """Samples (n,) of a current [A]."""
-        self._samples(self.currents[wire], wire, time, value, predicted, np.zeros(len(time)))
-
-    def temperature(
-        self, wire: int, time: Array, value: Array, predicted: Array, std: Array
+    def take(
+        self, kind: str, wire: int, time: Array, value: Array, predicted: Array, std: Array
     ) -> None:
-        """Samples (n,) of a temperature [K], and their own standard deviations."""
-        own = self.temperatures[wire]
-        self._samples(own, len(self.currents) + wire, time, value, predicted, std)
-
-    def mechanics(self, time: Array, value: Array, predicted: Array) -> None:
-        """Samples (n,) of the deflection [m], or of the force [N]."""
-        numbers = self._numbers(time)
-        for number in np.unique(numbers).tolist():
-            here = numbers == number
-            if number < self._closed - _AHEAD:
-                self.late += int(here.sum())
-            else:
-                self._mechanics[number].append((time[here], value[here]))
-        for signal in (self.driven, self.free):
+        """Samples (n,) of a current [A], a temperature [K] with its own standard deviations, or the
+        mechanics: a deflection [m] or a force [N]."""
+        number = self._closed - (_AHEAD if kind == "mechanics" else 0)
+        fresh = time >= self._start + number * BIN
+        self.late += int(np.count_nonzero(~fresh))
+        rows = np.array([time, value, predicted, std])[:, fresh]
+        self._open[kind, wire] = np.hstack([self._open[kind, wire], rows])
+        signals = {"current": self.currents[wire:], "temperature": self.temperatures[wire:]}
+        for signal in signals[kind][:1] if kind in signals else (self.driven, self.free):
             signal.samples(value, value - predicted)
 
-    def _samples(
-        self, signal: SignalBins, key: int, time: Array, value: Array, predicted: Array, std: Array,
-    ) -> None:
-        numbers, residual = self._numbers(time), value - predicted
-        for number in np.unique(numbers).tolist():
-            here = numbers == number
-            count = int(here.sum())
-            if number < self._closed:
-                self.late += count
-            else:
-                self._sums[number, key] += (
-                    residual[here].sum(), count, predicted[here].sum(), std[here].sum()
-                )
-        signal.samples(value, residual)
-
-    def _numbers(self, time: Array) -> NDArray[np.int64]:
-        return np.floor((time - self._start) / BIN).astype(np.int64)
+    def _samples(self, kind: str, wire: int, stop: float) -> Array:
+        """(4, n) of the rows of `_open` before `stop`, which are taken out."""
+        rows = self._open[kind, wire]
+        before = rows[0] < stop
+        self._open[kind, wire] = rows[:, ~before]
+        return rows[:, before]
 
     def close(self, run: FreeRun) -> int:
         """Close the bins that are complete; how many."""
@@ -323,51 +279,33 @@ class Comparison:
             count += 1
         return count
 
-    def _span(self, number: int) -> tuple[float, float]:
-        return self._start + number * BIN, self._start + (number + 1) * BIN
-
     def _close_temperatures(self, run: FreeRun, number: int) -> None:
-        start, stop = self._span(number)
-        rows = run.trajectory.rows(start, stop)
-        reading = run.trajectory.reading[rows]
-        change = np.abs(reading[-1] - reading[0])
-        moments = change / BIN * self._moment(run)
-        wires = len(self.currents)
-        difference, doubt = np.full(wires, np.nan), np.zeros(wires)
-        for k in range(wires):
-            side = int(self._side[k])
-            if (found := self._taken(number, k)) is not None:
-                residual, count, predicted, _ = found
-                self.currents[k].add(Bin(stop, residual, count, 0.0, predicted, side))
-            if (found := self._taken(number, wires + k)) is not None:
-                residual, count, predicted, doubt[k] = found
-                difference[k] = residual
-                rise = predicted - self._ambient
-                # Of pixels, emissivity and background: much the same in every picture.
-                off = float(np.hypot(moments[k], doubt[k]))
-                self.temperatures[k].add(Bin(stop, residual, count, off, rise, side))
-        self._differences.append(difference)
-        self._doubts.append(doubt)
-
-    def _taken(self, number: int, key: int) -> tuple[float, int, float, float] | None:
-        sums = self._sums.pop((number, key), None)
-        if sums is None:
-            return None
-        residual, predicted, std = (float(sums[k] / sums[1]) for k in (0, 2, 3))
-        return residual, int(sums[1]), predicted, std
-
-    @staticmethod
-    def _moment(run: FreeRun) -> float:
-        """How well the moment of a reading, and of a jump between two voltages, is known [s]."""
-        return float(np.hypot(_CLOCK_STD, run.spacing / np.sqrt(3.0)))
+        start, stop = self._start + number * BIN, self._start + (number + 1) * BIN
+        reading = run.trajectory.reading[run.trajectory.rows(start, stop)]
+        moments = np.abs(reading[-1] - reading[0]) / BIN * _moment(run)
+        differences, doubts = np.full(len(moments), np.nan), np.zeros(len(moments))
+        for k, side in enumerate(self._side.tolist()):
+            for signal in (self.currents[k], self.temperatures[k]):
+                rows = self._samples(signal.quantity, k, stop)
+                if not rows.size:
+                    continue
+                _, value, predicted, own = rows.mean(axis=1).tolist()
+                off, cause = 0.0, predicted
+                if signal.quantity == "temperature":
+                    differences[k], doubts[k] = value - predicted, own
+                    cause -= self._ambient
+                    # Of pixels, emissivity and background: much the same in every picture.
+                    off = float(np.hypot(moments[k], own))
+                signal.bins.append(Bin(stop, value - predicted, rows.shape[1], off, cause, side))
+        self._differences.append(differences)
+        self._doubts.append(doubts)
 
     def _close_mechanics(self, run: FreeRun, number: int) -> None:
-        start, stop = self._span(number)
+        start, stop = self._start + number * BIN, self._start + (number + 1) * BIN
         trajectory, rows = run.trajectory, run.trajectory.rows(start, stop)
         time = trajectory.time[rows]
         if len(time) < 2:
             return
-        own = self._differences[-1 - _AHEAD]
         # Measured less predicted temperatures (w,) of the middle bin, smoothed, with play.
         differences = np.array(self._differences)
         weights = _WEIGHTS[-len(differences):, np.newaxis] * np.isfinite(differences)
@@ -377,27 +315,33 @@ class Comparison:
         play = np.array([signal.play for signal in self.temperatures])
         before, after = self._correction, np.clip(self._correction, smooth - play, smooth + play)
         self._correction = after
+
+        # The model led through these, and a little warmer.
         share = np.clip((time[1:] - start) / BIN, 0.0, 1.0)[:, np.newaxis]
         kelvin = trajectory.temperature[rows][1:] + before + share * (after - before)
-        rough = np.nan_to_num(np.abs(own - after))
-        led = np.insert(self._mechanics_of(self._led, time, kelvin), 0, self._last_led)
-        self._last_led = float(led[-1])
-        doubt = self._sign * np.sqrt(self._doubt**2 + rough**2 + self._doubts[-1 - _AHEAD] ** 2)
-        warmer = self._mechanics_of(self._warmer, time, kelvin + doubt)
-        free = trajectory.mechanics[rows]
-        samples = self._mechanics.pop(number, [])
-        if not samples or start < run.known_since + _SURELY:
+        rough = np.nan_to_num(np.abs(self._differences[-1 - _AHEAD] - after))
+        doubt = np.sqrt(self._doubt**2 + rough**2 + self._doubts[-1 - _AHEAD] ** 2)
+        led, warmer = (
+            deflection if self._moves else force[:, 0]
+            for deflection, force in (
+                self._led.run(time, kelvin), self._warmer.run(time, kelvin + self._sign * doubt)
+            )
+        )
+        spread = float(np.mean(np.abs(warmer - led)))
+        led, self._last_led = np.insert(led, 0, self._last_led), float(led[-1])
+
+        # Its bins, once the wires' phases are known.
+        at, values, _, _ = self._samples("mechanics", 0, stop)
+        if not len(at) or start < run.known_since + _SURELY:
             return
-        at, values = (np.concatenate(part) for part in zip(*samples, strict=True))
         side = int(self._side[trajectory.driven[rows][-1]])
-        spread = float(np.mean(np.abs(warmer - led[1:])))
-        for signal, predicted in ((self.driven, led), (self.free, free)):
-            moving = abs(float(predicted[-1] - predicted[0])) / BIN * self._moment(run)
+        for signal, predicted in ((self.driven, led), (self.free, trajectory.mechanics[rows])):
+            moving = abs(float(predicted[-1] - predicted[0])) / BIN * _moment(run)
             residual = float(np.mean(values - np.interp(at, time, predicted)))
             off = float(np.hypot(moving, spread))
-            cause = float(np.mean(predicted))
-            signal.add(Bin(stop, residual, len(values), off, cause, side))
+            signal.bins.append(Bin(stop, residual, len(at), off, float(np.mean(predicted)), side))
 
-    def _mechanics_of(self, bench: TemperatureDriven, time: Array, kelvin: Array) -> Array:
-        deflection, force = bench.run(time, kelvin)
-        return deflection if self._moves else force[:, 0]
+
+def _moment(run: FreeRun) -> float:
+    """How well the moment of a reading, and of a jump between two voltages, is known [s]."""
+    return float(np.hypot(_CLOCK_STD, run.spacing / np.sqrt(3.0)))

@@ -17,7 +17,7 @@ RATE = 20.0
 CODE = """
 import sma_bench, sys
 print({"numpy", "scipy", "numba", "pandas", "yaml", "sma_bench.api"} & set(sys.modules))
-import sma_bench.identify.run, sma_bench.diagnose.chain
+import sma_bench.identify.run, sma_bench.diagnose.diagnosis
 from sma_bench.identify import identify as room
 from sma_bench import diagnose, identify
 print(identify is sma_bench.api.identify is not room, diagnose is sma_bench.api.diagnose)
@@ -80,7 +80,7 @@ def test_diagnosis_of_frames_is_that_of_the_bags(planted_diagnosis):
     seen, unseen = (sma_bench.to_frame(view.path) for view in told.observations)
     with few_effects():
         found = sma_bench.diagnose(seen, told.parameters, unseen)
-    assert found.decision.cause == told.decision.cause == ("side_heat_coupling",)
+    assert found.cause == told.cause == ("side_heat_coupling",)
     table = sma_bench.to_frame(found)
     assert table.loc["side_heat_coupling", "probability"] > 0.9
     assert table["probability"].sum() == pytest.approx(1.0)
@@ -94,11 +94,9 @@ def test_what_was_not_measured_is_left_out():
         "time": time, "wire.voltage": time, "wire.current": [0.0, np.nan, 1.0, np.nan],
         "force": np.full(4, np.nan), "wire.temperature": (time[:2] + 0.5, [300.0, 301.0]),
     })  # fmt: skip
-    times = {name: signal.time.tolist() for name, signal in record.signals.items()}
-    assert times == {
-        "wire.voltage": [0.0, 1.0, 2.0, 3.0], "wire.current": [0.0, 2.0],
-        "wire.temperature": [0.5, 1.5],
-    }  # fmt: skip
+    times = {name.split(".")[1]: s.time.tolist() for name, s in record.signals.items()}
+    assert times.pop("voltage") == [0.0, 1.0, 2.0, 3.0]
+    assert times == {"current": [0.0, 2.0], "temperature": [0.5, 1.5]}
     assert record["wire.temperature"].unit == "K"
     assert [f.subject for f in record.findings] == ["force"]
 
@@ -145,14 +143,11 @@ GOOD = {"time": [0.0, 1.0, 2.0], "wire.voltage": [0.0, 1.0, 2.0]}
         (sma_bench.load, {**GOOD, "wire.voltage": ["a", "b", "c"]}, "numbers only"),
         (sma_bench.load, {"wire.voltage": [0.0]}, "without times, expected 'time'"),
         (sma_bench.load, 3, "load: int given, expected a path"),
-        (sma_bench.load, "nowhere", "nowhere: no such file"),
         (sma_bench.simulate, "stairs", "neither a bag nor a protocol, expected one of"),
         (sma_bench.simulate, ([0.0, 1.0], [[1.0, 1.0]] * 2), r"expected \(2, 1\)"),
         (lambda rate: sma_bench.simulate("ramp", rate=rate), 0.0, "rate is 0 Hz"),
         (lambda size: sma_bench.simulate("ramp", effects={"laten_heat": size}), 1, "latent_heat"),
         (lambda given: sma_bench.simulate("ramp", given), {"wire.mas": 1.0}, "mean wire.mass"),
-        (lambda name: sma_bench.identify(GOOD, experiments=[name]), "E99", "'E99', expected"),
-        (sma_bench.identify, [], "no record"),
         (lambda names: sma_bench.diagnose(GOOD, signals=names), "current", "signals 'current'"),
     ],
 )

@@ -12,7 +12,6 @@ from examination.blind import make as making
 from examination.blind.case_files import STAGE_OF, seal, unseal
 from examination.blind.cases import EFFECTS, OUTSIDE, QUANTITIES, draw_cases
 from examination.blind.command import main
-from examination.blind.judgement import UnseenRecord
 from examination.blind.make import make, make_case
 from examination.blind.rigs import RECORDS, Stage
 from sma_bench.errors import InputError
@@ -20,7 +19,7 @@ from sma_bench.parameters import read_parameters
 from sma_bench.physics.effects import EFFECTS as LIBRARY
 from sma_bench.records import check_record, read_record
 
-SEED, N = 3007, 4
+SEED, N = 3026, 2  # an effect to be seen in all signals, in sqlite3, and none
 
 
 def contents(folder):
@@ -35,7 +34,7 @@ def made(tmp_path_factory):
 
 
 def test_a_seed_gives_the_same_bytes_in_other_processes(made, tmp_path):
-    folder, labels = made
+    folder, labels = made  # in sqlite3
     case = draw_cases(SEED, N)[0]
     assert json.loads(json.dumps(make_case(case, tmp_path))) == labels[0]
     assert contents(tmp_path / case.name) == contents(folder / "cases" / case.name)
@@ -64,7 +63,6 @@ def test_cases_are_good_records_labelled_as_dealt_and_only_the_sealed_file_names
             continue
         assert label["severity"] == max(max(label["gap"][r].values()) for r in RECORDS)
         assert label["where"]["signal"] in quantities
-        assert label["where"]["phase"] in ("drive", "rest", "initial")
         assert sum(row["share"] for row in label["where"]["table"]) <= 1.0 + 1e-3
     for path, content in contents(folder).items():
         for name in (*EFFECTS, *OUTSIDE, "severity", "recalibration"):
@@ -122,25 +120,6 @@ def test_bad_input_is_one_line_and_what_was_not_finished_is_not_there(
     assert contents(folder) == before and list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("load", ["spring", pytest.param("antagonist", marks=pytest.mark.slow)])
-def test_rigs_with_another_load_have_their_own_effects_motion_and_beliefs(load, tmp_path):
-    manifest = make(tmp_path / "set", SEED, 2, load=load)
-    for label in unseal(tmp_path / "set" / "labels.sealed", manifest["sha256"]):
-        case = tmp_path / "set" / "cases" / label["id"]
-        nominal, record = read_parameters(case / "nominal.yaml"), read_record(case / "record")
-        assert label["load"] == nominal["load.kind"] == manifest["load"] == load
-        assert all(load in {**EFFECTS, **OUTSIDE}[name].loads for name in label["effects"])
-        motion = "deflection" if load == "antagonist" else "elongation"
-        assert np.ptp(record[motion].values) > 2e-3
-        assert set(record.channels) == set(nominal["bench.channels"])
-        # The true numbers leave what the case hides and nothing else.
-        unseen = UnseenRecord(label)
-        gap = unseen.gaps(unseen.stage.truth)["deflection"]
-        assert gap < 0.05 * np.ptp(unseen.readings["deflection"])
-        places = [row["side"] for row in (label["where"] or {"table": []})["table"]]
-        assert all(bool(side) == (load == "antagonist") for side in places)
-
-
 # The sealed seeds give what they always gave, dealt in balance, beliefs off by what they state:
 # seed, number of cases, load, case, and a digest of samples, believed numbers and label. The first
 # of the development split, one of the frozen set of docs/blind/results.md, one of another load.
@@ -163,8 +142,8 @@ def shortened(value: Any) -> Any:
 @pytest.mark.parametrize(("seed", "n", "load", "index"), KEPT)
 def test_a_sealed_seed_gives_the_case_that_it_always_gave(seed, n, load, index, tmp_path):
     case = draw_cases(seed, n, load)[index]
-    label = make_case(case, tmp_path)
-    held: dict[str, Any] = {"label": {k: v for k, v in label.items() if k != "version"}}
+    label = {k: v for k, v in make_case(case, tmp_path).items() if k != "version"}
+    held: dict[str, Any] = {"label": label}
     for name in RECORDS:
         record = read_record(tmp_path / case.name / name)
         held[name] = {"start": record.start_ns} | {

@@ -1,13 +1,15 @@
-"""A program under examination: what it sees, and what becomes of whatever it does."""
+"""A program under examination: what it sees, what becomes of whatever it does, and its answers."""
 
+import copy
 import json
+import math
 import sys
 import time
 
 import pytest
 
-from examination.blind import examination
-from examination.blind.case_files import Examination, read_case_set, read_kept, write_examination
+from examination.blind import case_files, examination
+from examination.blind.case_files import Examination, checked_answer, read_case_set, read_kept
 from examination.blind.examination import Examinee, examine, open_cases
 from sma_bench.errors import InputError
 
@@ -20,10 +22,8 @@ order = Path("nominal.yaml").read_text().splitlines()[0].removeprefix("# ")
 with open(log, "a") as stream:
     stream.write(order + "\\n")
 result = dict(verdict="no_gap", cause=[], where=None, shrinkage={}, next_experiment=None)
-result["candidates"] = [
-    dict(name="no_gap", probability=1.0), dict(name="recalibration", probability=0.0),
-    dict(name="unexplained", probability=0.0),
-]
+names = dict(no_gap=1.0, recalibration=0.0, unexplained=0.0)
+result["candidates"] = [dict(name=name, probability=p) for name, p in names.items()]
 result["seen"] = dict(
     arguments=arguments, folder=os.getcwd(), environment=dict(os.environ),
     files=sorted(str(p) for p in Path(".").rglob("*") if not p.is_symlink()),
@@ -39,10 +39,9 @@ if order == "effect":
     result |= dict(verdict="effect", cause=["slack"])
     result["candidates"] += [dict(name="slack", stage="mechanical", probability=0.0)]
     result["where"] = dict(signal="deflection", phase="rest", side="", stage="mechanical")
-if order == "improve":
-    Path("improved.yaml").write_text(Path("nominal.yaml").read_text())
-if order == "spoil":
-    Path("improved.yaml").write_text("no parameters")
+if order in ("improve", "spoil"):
+    good = Path("nominal.yaml").read_text()
+    Path("improved.yaml").write_text(good if order == "improve" else "no parameters")
 if order != "silent":
     Path("result.json").write_text(json.dumps(result) if order != "babble" else "so {")
 """
@@ -68,9 +67,8 @@ def make(tmp_path):
             for record in ("record", "hold_out"):
                 (root / "cases" / name / record).mkdir(parents=True)
                 (root / "cases" / name / record / "bag.mcap").write_bytes(b"bag")
-            (root / "cases" / name / "nominal.yaml").write_text(
-                f"# {order}\n/**:\n  ros__parameters:\n    wire:\n      resistance: 3.0\n"
-            )
+            text = f"# {order}\n/**:\n  ros__parameters:\n    wire:\n      resistance: 3.0\n"
+            (root / "cases" / name / "nominal.yaml").write_text(text)
         return names, root / "answers"
 
     def run(names, limit=30.0, program=(sys.executable, "-S", str(script), str(log))):
@@ -134,20 +132,74 @@ def test_an_interrupted_examination_keeps_what_was_answered_and_ends_what_runs(m
 
 
 def test_answers_are_not_mixed_and_a_damaged_manifest_is_one_line(tmp_path):
-    for program, sealed, line in (
-        ("fake", "a", ""), ("fake", "a", ""), ("fake", "b", "another set"),
-        ("other -x", "a", "answers of fake"),
-    ):  # fmt: skip
-        given = Examination("fake", tuple(program.split()), 30.0, 64 * sealed)
-        if not line:
-            write_examination(tmp_path, given)
-            continue
+    for _ in range(2):  # begun, and gone on with
+        case_files.write_examination(tmp_path, Examination("fake", ("fake",), 30.0, 64 * "a"))
+    for program, sealed, line in (("fake", "b", "another set"), ("x -y", "a", "answers of fake")):
         with pytest.raises(InputError, match=line):
-            write_examination(tmp_path, given)
+            given = Examination("fake", tuple(program.split()), 30.0, 64 * sealed)
+            case_files.write_examination(tmp_path, given)
     whole = {"seed": 1, "split": "open", "cases": ["1"], "sha256": ""}
     escaping, empty = (json.dumps(whole | {"cases": cases}) for cases in (["../x"], []))
     for manifest in ("", "[]", "{}", escaping, empty):
         (tmp_path / "manifest.json").write_text(manifest)
-        with pytest.raises(InputError, match="manifest.json") as raised:
+        with pytest.raises(InputError, match=r"manifest.json[^\n]*$"):
             read_case_set(tmp_path)
-        assert "\n" not in str(raised.value)
+
+
+# --- Answers to the contract are read; every broken clause is one line.
+
+GOOD = {
+    "verdict": "effect",
+    "cause": ["slack"],
+    "candidates": [
+        {"name": "no_gap", "stage": "", "probability": 0.02, "parameters": {}},
+        {"name": "slack", "stage": "mechanical", "probability": 0.9,
+         "parameters": {"p": {"value": 0.004, "std": 0.001, "unit": "1"}}},
+        {"name": "slack+latent_heat", "stage": "mechanical", "probability": 0.05, "parameters": {}},
+        {"name": "recalibration", "stage": "", "probability": 0.02, "parameters": {}},
+        {"name": "unexplained", "stage": "", "probability": 0.01, "parameters": {}},
+    ],
+    "where": {"signal": "deflection", "phase": "drive", "side": "back", "stage": "mechanical"},
+    "shrinkage": {"deflection": {"fraction": 0.8, "ci90": [0.7, 0.9]},
+                  "current": {"fraction": None, "ci90": None}},
+    "next_experiment": {"why": "", "separates": ["slack", "no_gap"], "protocol": {}},
+}  # fmt: skip
+
+
+def test_a_good_answer_is_read_with_the_most_probable_candidate_first():
+    answer = checked_answer(GOOD)
+    assert [c.name for c in answer.candidates[:2]] == ["slack", "slack+latent_heat"]
+    assert answer.candidates[0].parameters["p"]["value"] == 0.004
+    assert answer.candidates[1].parts == {"slack", "latent_heat"}
+    assert answer.shrinkage["deflection"].ci90 == (0.7, 0.9) and answer.where.side == "back"
+    assert answer.shrinkage["current"].fraction is None  # there was nothing to shrink
+    quiet = {"verdict": "no_gap", "cause": [], "where": None, "next_experiment": None}
+    assert checked_answer(GOOD | quiet).where is None
+
+
+BROKEN = (
+    ("verdict", "maybe"), ("verdict", "ambiguous"), ("cause", []), ("cause", "slack"),
+    ("cause", ["supply_drop"]), ("cause", ["no\ngap"]), ("candidates", []),
+    ("candidates 1 probability", 1.2), ("candidates 1 probability", "high"),
+    ("candidates 1 probability", 0.5), ("candidates 0 name", "recalibration"),
+    ("candidates 4 name", "supply_drop+slack"), ("candidates 1 stage", "thermal"),
+    ("candidates 1 parameters p value", math.inf), ("where", None), ("where signal", ""),
+    ("shrinkage", [1]), ("shrinkage deflection ci90", [0.9, 0.7]),
+    ("shrinkage deflection ci90", [0, 1, 2]), ("next_experiment separates", ["x"]),
+    ("next_experiment protocol", "ramp"),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("path", "value"), BROKEN)
+def test_a_broken_clause_is_refused_in_one_line(path, value):
+    document = copy.deepcopy(GOOD)
+    *way, last = [int(key) if key.isdigit() else key for key in path.split()]
+    place = document
+    for key in way:
+        place = place[key]
+    place[last] = value
+    missing = {key: held for key, held in GOOD.items() if key != path.split()[0]}
+    for wrong in (document, missing):
+        with pytest.raises(InputError) as raised:
+            checked_answer(wrong)
+        assert "\n" not in str(raised.value) and len(str(raised.value)) <= 300

@@ -9,20 +9,8 @@ import pytest
 from uno.emulated_bench import on_a_port
 
 from sma_bench.cli import main
-from sma_bench.hardware.calibration import RangeCalibration
+from sma_bench.hardware.bench_sensors import Calibration
 from sma_bench.parameters.yaml_file import read_parameter_names
-
-
-def test_pairs_become_gain_and_offset_with_errors(tmp_path, capsys):
-    out, result = tmp_path / "lab.yaml", tmp_path / "fit.json"
-    words = ["front_current", "0.02=0.0", "1.03=1.1", "1.99=2.1", "3.02=3.2"]
-    assert main(["calibrate", *words, "--out", str(out), "--json", str(result)]) == 0
-    gain, offset = (f"calibration.front_current.{name}" for name in ("gain", "offset"))
-    values = read_parameter_names(out)
-    assert values[gain] == pytest.approx(1.067, abs=0.005)
-    assert values[offset] == pytest.approx(-0.017, abs=0.01)
-    assert 0.0 < json.loads(result.read_text())["std"][gain] < 0.02
-    assert "4 pairs from 0 to 3.2 A" in capsys.readouterr().out
 
 
 def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path, capsys):
@@ -35,7 +23,11 @@ def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path
         assert main(["calibrate", sensor, *pairs, "--out", str(out), *more]) == 0
         return read_parameter_names(out)[name]
 
-    first = calibrated("front_current", 0.004)
+    gain, answer = "calibration.front_current.gain", tmp_path / "fit.json"
+    first = calibrated("front_current", 0.004, "--json", str(answer))
+    assert "4 pairs from 0 to 3 A" in capsys.readouterr().out
+    assert read_parameter_names(out)[gain] == pytest.approx(1.0, abs=0.005)
+    assert 0.0 < json.loads(answer.read_text())["std"][gain] < 0.02
     assert first == pytest.approx(0.0035 / np.sqrt(5.0), rel=0.3)
     # Both boards are read for one number: the worse counts.
     assert calibrated("back_current", 0.012) == pytest.approx(3.0 * first, rel=0.05)
@@ -47,6 +39,11 @@ def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path
     out.write_text(f"/**:\n  ros__parameters:\n    {name}: 0.002\n")
     assert main(["calibrate", "front_current", "0=0", "1=1", "2=2.01", "--out", str(out)]) == 2
     assert f"holds {name} already" in capsys.readouterr().err
+    before, again = out.read_text(), ["calibrate", "supply", *pairs, "--out", str(out)]
+    assert (main(again), main(again)) == (0, 2)
+    assert "--force replaces it" in capsys.readouterr().err
+    assert main([*again, "--force"]) == 0
+    out.write_text(before)
     assert main(["calibrate", "supply", "5=5", "9=9.1", "--out", str(out)]) == 0
     assert "uncertainty.sensor.voltage.gain" not in read_parameter_names(out)
 
@@ -54,7 +51,7 @@ def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path
 def test_a_range_sensor_is_fitted_from_a_csv_and_joins_what_the_file_has(tmp_path):
     out, table = tmp_path / "lab.yaml", tmp_path / "range.csv"
     out.write_text("/**:\n  ros__parameters:\n    wire: {resistance: 2.5}\n")
-    sensor = RangeCalibration(8.1, -0.2, 0.004)
+    sensor = Calibration(8.1, -0.2, 0.004)
     rows = [(1.0 / (d + 0.004) + 0.2, d) for d in (0.05, 0.1, 0.2)]
     table.write_text("volt,metre\n" + "".join(f"{v / 8.1},{d}\n" for v, d in rows))
     command = ["calibrate", "back_range", "--csv", str(table), "--shift", "0.004"]
@@ -63,32 +60,6 @@ def test_a_range_sensor_is_fitted_from_a_csv_and_joins_what_the_file_has(tmp_pat
     assert values["wire.resistance"] == 2.5
     found = [values[f"calibration.back_range.{key}"] for key in ("gain", "offset", "shift")]
     assert found == pytest.approx([sensor.gain, sensor.offset, sensor.shift], rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("words", "reason"),
-    [
-        ("supply", "expected pairs, or --csv FILE, or --device PORT"),
-        ("supply 5=6 --csv x.csv", "expected pairs, or --csv FILE, or --device PORT"),
-        ("supply 5=6 7", "7: expected two numbers"),
-        ("supply 5=6 5=7", "1 different readings, expected at least 2"),
-        ("supply 5=6 9=10 --shift 0.1", "supply is no range sensor"),
-        ("supply 5=600 9=10000", "calibration.supply.gain is 2350 1, expected 0.5 to 2"),
-        ("supply --csv absent.csv", "absent.csv: cannot read"),
-        ("supply --device absent", "expected the known loads too"),
-        ("supply --device /dev/absent --known 1 2", "/dev/absent"),
-        ("front_range 1=0.1 2=-0.1", "distance -0.1 m"),
-    ],
-)
-def test_what_cannot_be_is_one_line_and_writes_nothing(
-    tmp_path, capsys, monkeypatch, words, reason
-):
-    monkeypatch.setattr("sma_bench.commands.calibrate._CONNECTING", 0.3)
-    out = tmp_path / "lab.yaml"
-    assert main(["calibrate", *words.split(), "--out", str(out)]) == 2
-    error = capsys.readouterr().err
-    assert reason in error and error.count("\n") == 1
-    assert not out.exists()
 
 
 def test_known_loads_are_read_from_the_device_one_after_the_other(uno, tmp_path, monkeypatch):

@@ -17,7 +17,6 @@ from sma_bench.commands.demo_acts import (
     confidently_wrong,
     hidden_bench,
     hidden_effect,
-    hidden_numbers,
     promise_holds,
     reveal,
 )
@@ -29,24 +28,6 @@ from sma_bench.ros.processes import USERS_VARIABLES
 FIGURES = ("02_resistance", "03_heat_transfer", "04_ramp", "05_specific_heat")
 LAB = read_parameters(Path(__file__).resolve().parents[2] / "config" / "demo_rig.yaml")
 TRUTH = LAB.replace({"effect.slack.strain": 0.004})
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (["--paper", "--out", "new"], "--paper is gone: identify the bags of simulate --protocol"),
-        (["--investigate", "--out", "new"], "--investigate is gone: investigate --simulated"),
-        (["--hardware", "--out", "new"], "--hardware is gone: ./bench check hardware"),
-        (["--out", "."], "exists already"),
-        (["--out", "new", "--draw", "-1"], "expected 0 or more"),
-    ],
-)
-def test_what_is_gone_or_cannot_be_starts_nothing(words, said, tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert main(["demo", *words]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and said in error
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -65,11 +46,11 @@ def test_the_promise_is_two_standard_errors_and_one_percent(deviation, relative_
 
 def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_errors():
     drawn = [hidden_bench(LAB, seed) for seed in range(60)]
-    assert {hidden_effect(bench) for bench in drawn} == set(HIDEABLE)
+    assert {hidden_effect(bench)[0] for bench in drawn} == set(HIDEABLE)
     assert dict(drawn[3]) == dict(hidden_bench(LAB, 3))
     for bench in drawn:
-        effect = hidden_effect(bench)
-        for name, value in hidden_numbers(bench).items():
+        effect, numbers = hidden_effect(bench)
+        for name, value in numbers.items():
             low, high = HIDEABLE[effect][name.rpartition(".")[2]]
             assert low <= abs(value) <= high
         # It says none of its errors.
@@ -83,10 +64,7 @@ def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_er
 
 def answer(probabilities, verdict="effect"):
     """A diagnosis result of candidates, the first of which is the cause where one is named."""
-    candidates = [
-        {"name": name, "stage": "mechanical", "probability": p, "parameters": {}}
-        for name, p in probabilities.items()
-    ]
+    candidates = [{"name": n, "probability": p, "parameters": {}} for n, p in probabilities.items()]
     cause = candidates[0]["name"].split("+") if verdict == "effect" else []
     return {"verdict": verdict, "cause": cause, "candidates": candidates}
 
@@ -99,10 +77,8 @@ OTHER = {"opposing_wires": 0.6, "slack": 0.3, "ambient_drift+slack": 0.05}
     [
         (answer({"slack": 0.97}), False, "slack, probability 0.97: right."),
         (answer({"slack+ambient_drift": 0.9}), False, "right, but not alone."),
-        (answer({"opposing_wires": 0.7}), True, "WRONG; it gave the truth 0.00."),
         (answer(OTHER), True, "WRONG; it gave the truth 0.35."),
         (answer(OTHER, "ambiguous"), False, "it gave the truth 0.35."),
-        (answer({"unexplained": 0.6, "slack": 0.4}, "ambiguous"), False, "the truth 0.40."),
         (answer({"recalibration": 0.9, "slack": 0.1}, "recalibration"), True, "the truth 0.10."),
     ],
 )
@@ -129,28 +105,26 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     assert main(["demo", *words]) == 0
     printed = capsys.readouterr().out
     assert "errors under 1%: yes" in printed
-    truth = read_parameters(out / "truth.yaml")
-    identified = read_parameters(out / "identified.yaml")
-    assert truth["wire.resistance"] != pytest.approx(2.6987, rel=0.01)
-    assert identified["wire.resistance"] == pytest.approx(truth["wire.resistance"], rel=0.005)
+    truth, found = (read_parameters(out / f"{name}.yaml") for name in ("truth", "identified"))
+    ohm = truth["wire.resistance"]
+    assert ohm != pytest.approx(2.6987, rel=0.01)
+    assert found["wire.resistance"] == pytest.approx(ohm, rel=0.005)
     assert {path.parent.name for path in (out / "bags").glob("*/metadata.yaml")} == {*QUICK}
     assert all((out / "report" / f"figure_{name}.png").is_file() for name in FIGURES)
-    assert (out / "report" / "index.html").stat().st_size > 100_000
     found = checked_answer(json.loads((out / "simulated_gap" / "diagnosis.json").read_text()))
     hidden = read_parameters(out / "simulated_gap" / "hidden.yaml")
-    assert hidden_effect(hidden) == "slack"
+    assert hidden_effect(hidden)[0] == "slack"
     assert (found.verdict, found.cause) == ("effect", ("slack",))
-    verdict, _, truth_told = printed.partition("The truth, from")
+    verdict, _, revealed = printed.partition("The truth, from")
     assert "slack explains the gap" in " ".join(verdict.split())
     assert "The bench hid" not in verdict
-    assert "The bench hid slack (mechanical)" in truth_told and ": right." in truth_told
-    assert (out / "simulated_gap" / "report" / "index.html").stat().st_size > 100_000
-    told = json.loads(answer_file.read_text())
-    assert told["holds"] == {"table_one": True, "gap": True}
-    assert told["truth"]["table_one"]["wire.resistance"] == pytest.approx(truth["wire.resistance"])
-    assert told["truth"]["gap"]["effect"] == "slack" == told["diagnosis"]["cause"][0]
-    assert told["estimates"]["wire.resistance"]["std"] > 0.0
-    assert all(Path(page).is_file() for page in told["report"].values())
+    assert "The bench hid slack (mechanical)" in revealed and ": right." in revealed
+    said = json.loads(answer_file.read_text())
+    assert said["holds"] == {"table_one": True, "gap": True}
+    assert said["truth"]["table_one"]["wire.resistance"] == pytest.approx(ohm)
+    assert said["truth"]["gap"]["effect"] == "slack" == said["diagnosis"]["cause"][0]
+    assert said["estimates"]["wire.resistance"]["std"] > 0.0
+    assert all(Path(page).stat().st_size > 100_000 for page in said["report"].values())
     improved = read_parameters(out / "simulated_gap" / "improved.yaml")
     drive = load_protocol(HOLD_OUT, LAB).sample(0.02)
     true, before, after = (simulate(p, *drive).deflection for p in (hidden, LAB, improved))

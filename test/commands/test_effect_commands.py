@@ -1,75 +1,80 @@
-"""Effects at the command line: each can be switched on, wrong ones are one line, all are listed."""
+"""Effects by name and size: each shows where it says, all are listed; E11 about any operating
+point."""
 
 import json
 
 import numpy as np
 import pytest
 
+import sma_bench
 from sma_bench.cli import main
-from sma_bench.parameters.documentation import effects_page
+from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.parameters.node_tables import effects_page
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.records import read_record
+from sma_bench.physics.linearised import OperatingPoint, maximum_deflection
+from sma_bench.synthetic.bench_records import signals_of
+from sma_bench.synthetic.paper_specimens import composite_rig
 
-SIGNALS = ("front_1.current", "back_1.temperature", "deflection")
+# Incomplete loops between whole ones.
+DRIVE, DEMO = "composite_diagnosis_triangles", "config/demo_rig.yaml"
+
+
+def readings(**effects):
+    signals = signals_of(sma_bench.simulate(DRIVE, DEMO, effects=effects, rate=50.0))
+    names = ("front_1.current", "back_1.temperature", "deflection")
+    return {s.name.rpartition(".")[2]: s.values for s in signals if s.name in names}
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory):
-    """Options of a simulation with incomplete loops between whole ones, and its plain result."""
-    folder = tmp_path_factory.mktemp("effects")
-    drive = "--protocol composite_diagnosis_triangles --rate 50"
-    options = ["simulate", "--params", "config/demo_rig.yaml", *drive.split()]
-    assert main([*options, "--out", str(folder / "plain")]) == 0
-    return options, read_record(folder / "plain")
+def plain():
+    return readings()
 
 
 @pytest.mark.parametrize("effect", EFFECTS.values(), ids=list(EFFECTS))
-def test_every_effect_can_be_switched_on_and_shows_where_it_says(effect, bench, tmp_path, capsys):
-    options, plain = bench
-    out = tmp_path / "bag"
-    size = f"{effect.name}={effect.size.uncertainty:g}"
-    assert main([*options, "--out", str(out), "--effect", size]) == 0
-    found = read_record(out)
+def test_every_effect_can_be_switched_on_and_shows_where_it_says(effect, plain):
+    found = readings(**{effect.name: effect.size.uncertainty})
     # Steps are shorter where an effect is on, so the last digits differ everywhere.
-    changed = [
-        name
-        for name in SIGNALS
-        if not np.allclose(found[name].values, plain[name].values, rtol=1e-9, atol=1e-12)
-    ]
-    assert {name.rpartition(".")[2] for name in changed} == set(effect.acts_on)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("latend_heat=3", "unknown effect latend_heat, did you mean latent_heat?"),
-        ("latent_heat", "expected NAME=VALUE"),
-        ("latent_heat=", "'' is not a number"),
-        ("latent_heat=nan", "effect.latent_heat.heat is nan"),
-        ("latent_heat=1e9", "expected 0 to 60000 J/kg"),
-        ("slack.stress=1", "effect slack: no number 'stress', expected strain"),
-        ("=1", "unknown effect"),
-    ],
-)
-def test_a_wrong_effect_is_one_line_and_writes_nothing(bench, tmp_path, capsys, text, said):
-    options, _ = bench
-    assert main([*options, "--out", str(tmp_path / "bag"), "--effect", text]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and error.startswith("sma-bench: ")
-    assert said in error
-    assert not (tmp_path / "bag").exists()
+    same = [q for q in plain if np.allclose(found[q], plain[q], rtol=1e-9, atol=1e-12)]
+    assert set(plain) - set(same) == set(effect.acts_on)
 
 
 def test_effects_are_listed_with_stage_range_and_how_they_show(tmp_path, capsys):
     file = tmp_path / "effects.json"
     assert main(["effects", "--json", str(file)]) == 0
-    printed = capsys.readouterr().out
+    lines = {line.split(" ")[0]: line for line in capsys.readouterr().out.splitlines()}
     listed = {entry["name"]: entry for entry in json.loads(file.read_text())["effects"]}
     assert list(listed) == list(EFFECTS)
     for name, effect in EFFECTS.items():
-        line = next(line for line in printed.splitlines() if line.startswith(f"{name} "))
-        assert effect.stage in line
+        assert effect.stage in lines[name]
         assert listed[name]["parameters"][0]["name"] == effect.size.name
-    assert "0 to 60000 J/kg" in printed
     assert main(["effects", "--markdown"]) == 0
     assert capsys.readouterr().out == effects_page()
+
+
+@pytest.mark.parametrize(("load", "way"), [("weight", -1.0), ("antagonist", 1.0), (None, 1.0)])
+def test_e11_is_about_half_of_the_largest_deflection_and_its_gain_the_slope_of_steady_states(
+    load, way, tmp_path, capsys, pytestconfig
+):
+    path, answer = tmp_path / "rig.yaml", tmp_path / "linear.json"
+    write_parameters(path, composite_rig(Parameters.defaults()))
+    path = pytestconfig.rootpath / "config" / f"{load}_rig.yaml" if load else path
+    rig = read_parameters(path)
+    words = ["linearise", "--params", str(path), "--json", str(answer), "--force"]
+    assert main(words) == 0
+    found = json.loads(answer.read_text())
+    largest = 0.5 * way * maximum_deflection(rig)
+    assert found["operating_point"]["deflection"] == pytest.approx(largest)
+    printed = capsys.readouterr().out
+    assert "b_1 of stress" in printed and "Operating point on heating" in printed
+    if load:
+        return
+    assert main([*words, "--deflection", "-0.012", "--branch", "cooling"]) == 0
+    found = json.loads(answer.read_text())
+    volts = np.array(list(found["operating_point"]["voltage"].values()))
+    step = np.where(volts > 0.0, 1e-4, 0.0)
+    low, high = (
+        OperatingPoint.at_voltage(rig, volts + sign * step, "cooling").deflection
+        for sign in (-1, 1)
+    )
+    gains = np.array(list(found["deflection_per_volt"].values()))[volts > 0.0]
+    assert gains.sum() == pytest.approx((high - low) / 2e-4, rel=1e-3)

@@ -7,14 +7,16 @@ from planted import believed, few_effects, planted_record, true_bench
 
 from sma_bench.cli import main
 from sma_bench.errors import InputError
-from sma_bench.live.simulated_run import SimulatedRun
+from sma_bench.live.virtual_bench import SimulatedRun
 from sma_bench.parameters import write_parameters
+from sma_bench.progress import silent
 from sma_bench.protocols import parse_protocol
 from sma_bench.records import read_record
+from sma_bench.tasks import jobs
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-# As in test_next_experiment: 1 K a minute hides in 20 s of deflection.
+# 1 K a minute hides in 20 s of deflection: other parameters explain it nearly as well.
 WARMING = {"effect.ambient_drift.rate": 0.016}
 LIBRARY = ("side_heat_coupling", "ambient_drift")
 
@@ -36,6 +38,7 @@ def investigate(lab, *more):
         return main(words)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_ambiguous_record_is_followed_until_the_cause_is_named(lab, capsys):
     assert investigate(lab, "--budget", "0.1") == 0
     assert "budget spent: ambiguous after 1 record, 0.0 min" in capsys.readouterr().out
@@ -72,3 +75,41 @@ def test_a_folder_of_other_things_stays_as_it_is(lab, tmp_path, capsys):
     assert investigate(lab, "--folder", str(tmp_path / "gap")) == 2
     assert "is not empty, and no investigation" in capsys.readouterr().err
     assert [path.name for path in (tmp_path / "gap").iterdir()] == ["improved.yaml"]
+
+
+CHAPTER = {"records": 1, "minutes": 0.0, "verdict": "ambiguous", "cause": [], "probabilities": {}}
+
+
+@pytest.mark.parametrize(
+    "story",
+    [
+        [], {"given": []}, {"given": "x", "chapters": []}, {"given": [5], "chapters": []},
+        {"given": [], "chapters": {}}, {"given": [], "chapters": [[]]},
+        {"given": [], "chapters": [{**CHAPTER, "records": "two"}]},
+        {"given": [], "chapters": [{**CHAPTER, "cause": "x"}]},
+        {"given": [], "chapters": [{**CHAPTER, "probabilities": {"a": "b"}}]},
+        {"given": [], "chapters": [{**CHAPTER, "proposed": {"why": 1}}]},
+        {"given": [], "chapters": [{**CHAPTER, "proposed": {
+            "why": "", "protocol": [], "separates": ["a"], "minutes": "1"}}]},
+    ],
+)  # fmt: skip
+def test_a_story_that_someone_has_crafted_is_one_line(lab, tmp_path, capsys, story):
+    folder = tmp_path / "gap"
+    folder.mkdir()
+    (folder / "believed.yaml").write_text((lab / "lab.yaml").read_text())
+    (folder / "investigation.json").write_text(json.dumps(story))
+    assert investigate(lab, "--folder", str(folder)) == 2
+    said = capsys.readouterr().err
+    assert "investigation.json: damaged: " in said and said.count("\n") == 1
+
+
+def test_a_story_names_no_records_that_a_node_may_not_read(lab, tmp_path):
+    (tmp_path / "gap").mkdir()
+    (tmp_path / "gap" / "believed.yaml").write_text((lab / "lab.yaml").read_text())
+    story = {"given": [str(lab / "short")], "chapters": []}
+    (tmp_path / "gap" / "investigation.json").write_text(json.dumps(story))
+    root = str(tmp_path)
+    settings = {"record": [""], "record_root": root, "output_root": root, "folder": "gap",
+                "signals": [""], "budget": 1.0}  # fmt: skip
+    with pytest.raises(InputError, match="short lies outside record_root"):
+        jobs.investigate(settings, believed(), silent)

@@ -4,11 +4,19 @@ import asyncio
 import threading
 from concurrent.futures import Future
 from contextlib import contextmanager
+from types import SimpleNamespace
 
 from sma_bench.dashboard.live_state import CELSIUS_ZERO, COMMANDED, LiveState
 from sma_bench.dashboard.server import DashboardServer
 
 WIRES = ("front_1", "back_1")
+
+
+def answered(answer):
+    future = Future()
+    if answer is not None:
+        future.set_result(SimpleNamespace(success=answer[0], message=answer[1]))
+    return future
 
 
 class StandIn:
@@ -19,20 +27,17 @@ class StandIn:
         self.volts = dict.fromkeys(WIRES, 3.0)
         self.celsius = 80.0
         self.obeys = True
+        self.stamp = lambda now: now
+        """s of the source's clock"""
         self.answers = {"serial_bridge": (True, "stopped")}
         self.zeros = self.stops = 0
         self.work = []
 
     def send_stop(self):
         self.stops += 1
-        futures = {}
-        for node, answer in self.answers.items():
-            futures[node] = Future()
-            if answer is not None:
-                futures[node].set_result(answer)
         if self.obeys:
             self.volts = dict.fromkeys(self.volts, 0.0)
-        return futures
+        return {node: answered(answer) for node, answer in self.answers.items()}
 
     def send_zero(self):
         self.zeros += 1
@@ -40,14 +45,11 @@ class StandIn:
 
     def start_work(self, kind, records):
         self.work.append((kind, records))
-        begun = Future()
-        begun.set_result((True, "begun"))
-        return begun
 
     def read(self):
         """One reading of everything."""
         for wire, volts in self.volts.items():
-            self.state.reading("voltage", wire, volts)
+            self.state.reading("voltage", wire, volts, stamp=self.stamp(self.state.clock()))
             self.state.reading("voltage", wire, volts, COMMANDED)
             self.state.reading("current", wire, volts / 2.7)
             self.state.reading("temperature", wire, self.celsius + CELSIUS_ZERO)

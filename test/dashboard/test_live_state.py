@@ -9,9 +9,9 @@ from contextlib import nullcontext
 import pytest
 from stand_in import StandIn
 
-from sma_bench.dashboard import stopping
+from sma_bench.dashboard import server
 from sma_bench.dashboard.live_state import BUCKET, SPAN, LiveState, Seen, Trace
-from sma_bench.dashboard.stopping import Wires, stop
+from sma_bench.dashboard.server import Wires, stop
 
 
 class Clock:
@@ -68,8 +68,8 @@ def test_an_update_has_what_is_new_and_is_json_for_any_browser():
 @pytest.fixture
 def bench(monkeypatch):
     """One whose stop needs less patience than a page's."""
-    monkeypatch.setattr(stopping, "_STAYS_OFF", 0.3)
-    monkeypatch.setattr(stopping, "_SILENT", 0.3)
+    monkeypatch.setattr(server, "_STAYS_OFF", 0.3)
+    monkeypatch.setattr(server, "_SILENT", 0.3)
     return StandIn()
 
 
@@ -78,7 +78,7 @@ def stopped(bench, before=True, after=True, patience=30.0):
     if before:
         bench.read()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stopping, "_PATIENCE", patience)
+        patch.setattr(server, "_PATIENCE", patience)
         with bench.readings() if after else nullcontext():
             return asyncio.run(stop(bench))
 
@@ -97,7 +97,7 @@ def test_voltages_at_zero_are_a_stop_until_one_comes_back_which_every_page_is_to
     again = bench.state.update(Seen())["panels"]["again"]
     assert (again["place"], again["volts"]) == ("back_1", 5.0)
     bench.answers = {"mute": None, "experiment": (False, "cannot")}
-    result = stopped(bench, patience=3.0)
+    result = stopped(bench, patience=1.5)
     told = [(a["node"], a["success"], a["message"]) for a in result["answers"]]
     assert told == [("experiment", False, "cannot"), ("mute", False, "no answer")]
     assert result["stopped"] and not bench.state.update(Seen())["panels"]["again"]
@@ -120,6 +120,35 @@ def test_no_stop_is_confirmed_where_no_reading_says_so(bench, volts, change, rea
     assert not result["stopped"] and result["seconds"] is None
     assert re.match(said, result["said"]) and bench.stops == 1
     assert bench.obeys or bench.zeros > 5
+
+
+@pytest.mark.parametrize(
+    "stamp", [lambda _: 5.0, lambda _: 0.0, lambda now: 0.001 * now, lambda now: -now]
+)
+def test_a_driver_that_hangs_and_a_clock_that_does_not_go_on_confirm_nothing(bench, stamp):
+    """And what is repeated is no reading: nothing is shown as live by it."""
+    bench.volts, bench.stamp = dict.fromkeys(bench.volts, 0.0), stamp
+    result = stopped(bench, patience=1.0)
+    assert not result["stopped"] and result["said"].startswith("Not")
+    assert bench.zeros > 5
+    heard = bench.state.voltages()["front_1"].heard
+    bench.read()
+    assert (bench.state.voltages()["front_1"].heard == heard) == (stamp(1.0) == 5.0)
+
+
+@pytest.mark.parametrize("stamp", [lambda _: 0.0, lambda now: 0.001 * now, lambda now: -now])
+def test_a_voltage_that_is_on_is_believed_whatever_its_stamp_and_commanded_to_zero(bench, stamp):
+    bench.obeys, bench.stamp = False, stamp
+    result = stopped(bench, patience=1.0)
+    assert not result["stopped"] and result["said"].startswith("NOT STOPPED, voltage is on")
+    assert bench.zeros > 5
+
+
+def test_voltages_from_a_node_that_takes_no_commands_confirm_nothing(bench):
+    bench.volts = dict.fromkeys(bench.volts, 0.0)
+    bench.state.show("foreign", {"front_1": "rosbag2_player"})
+    result = stopped(bench, patience=1.0)
+    assert not result["stopped"] and "front_1's from rosbag2_player" in result["said"]
 
 
 def test_a_commander_that_comes_back_and_current_that_still_flows_are_no_stop(bench):
@@ -147,13 +176,11 @@ def test_a_wire_that_pulses_is_never_called_off(off, phase):
     """5 V in one reading, 0 V in up to 99: one every 10 ms, looked at now and then."""
     clock = Clock()
     state = LiveState(clock)
-    wires = None
     for k in range(500):
         clock.now = 100.0 + 0.01 * k
         state.reading("voltage", "wire", 0.0 if (k + phase) % (off + 1) else 5.0)
-        if k == 100:
-            wires = Wires(state, clock())
-        if wires is not None and k % 7 == 0:
-            wires.look()
-            assert not wires.stay_off
-    assert wires.back == {"wire"}
+        if clock.now < 101.0:
+            before = state.voltages()
+        wires = Wires(101.0, state.voltages(), before, {})
+        assert k < 100 or not wires.stay_off
+    assert wires.sentence(asked=True).startswith("NOT STOPPED, voltage ")

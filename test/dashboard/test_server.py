@@ -12,7 +12,8 @@ from urllib.parse import urlsplit
 import pytest
 from stand_in import StandIn, served
 
-from sma_bench.dashboard.server import Access, is_loopback
+from sma_bench.dashboard.server import Access, DashboardServer, is_loopback
+from sma_bench.errors import InputError
 
 UPGRADE = {
     "Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13",
@@ -55,16 +56,20 @@ def test_the_printed_address_shows_the_page_with_its_texts_escaped(url):
         assert ask(url, name=name)[0] == 200, name
 
 
-def test_tokens_loopback_and_names_to_answer_under():
+def test_tokens_loopback_and_names_to_answer_under_and_a_port_that_is_taken(bench):
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        said = f"cannot listen on 127.0.0.1 port {port}: Address already in use; --port 0 takes any"
+        with pytest.raises(InputError, match=said):
+            DashboardServer(bench, "/bench", "127.0.0.1", port)
     tokens = {Access("127.0.0.1").token for _ in range(20)}
     assert len(tokens) == 20 and all(len(token) >= 22 for token in tokens)
     assert all(map(is_loopback, ("127.0.0.1", "127.0.0.2", "::1", "localhost")))
     assert not any(map(is_loopback, ("0.0.0.0", "192.168.1.7", "lab.example", "::")))
+    everywhere = ("192.168.1.7:8642", "[fe80::1]:8642", socket.gethostname(), "localhost")
     for bound, host, answers in (
-        ("0.0.0.0", "192.168.1.7:8642", True), ("0.0.0.0", "[fe80::1]:8642", True),
-        ("0.0.0.0", socket.gethostname(), True), ("0.0.0.0", "localhost", True),
-        ("0.0.0.0", "evil.example", False), ("192.168.1.7", "192.168.1.7:8642", True),
-        ("192.168.1.7", "192.168.1.8:8642", False),
+        *(("0.0.0.0", host, True) for host in everywhere), ("0.0.0.0", "evil.example", False),
+        ("192.168.1.7", "192.168.1.7:8642", True), ("192.168.1.7", "192.168.1.8:8642", False),
     ):  # fmt: skip
         access = Access(bound)
         assert (access.refusal(host, None, access.token) == "") == answers, host
@@ -72,10 +77,9 @@ def test_tokens_loopback_and_names_to_answer_under():
 
 def test_without_its_token_under_another_name_or_from_another_page_nothing_is_answered(bench, url):
     wrong = urlsplit(url).path.strip("/")[:-1] + "_"
-    foreign = [
-        {"Host": "evil.example:8642"}, {"Host": "127.0.0.1.evil.example"}, {"Host": ""},
-        {"Host": "[::"}, {"Origin": "http://evil.example"}, {"Origin": "null"},
-    ]  # fmt: skip
+    hosts = ("evil.example:8642", "127.0.0.1.evil.example", "", "[::")
+    foreign = [{"Host": host} for host in hosts]
+    foreign += [{"Origin": origin} for origin in ("http://evil.example", "null", "http://[")]
     for name in ("", "dashboard.js", "live", "stop"):
         method = "POST" if name == "stop" else "GET"
         for token in (wrong, "%00", ".."):

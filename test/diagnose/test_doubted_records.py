@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import sma_bench
-from sma_bench.records.trust import mended, under_suspicion
+from sma_bench.records.check import mended, under_suspicion
 
 LAB = {
     "bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind": "clamped",
@@ -15,9 +15,10 @@ LAB = {
     "wire.mass": 0.09e-3, "wire.surface_area": 236e-6, "environment.ambient_temperature": 296.0,
     "uncertainty.wire.heat_transfer_coefficient": 20.0, "uncertainty.wire.specific_heat": 100.0,
 }  # fmt: skip
+STAIRCASE = np.repeat([0.0, 0.4, 0.8, 1.0, 0.8, 0.4, 0.0], 150)
 
 
-def record_of(volts):
+def record_of(volts=STAIRCASE):
     """A wire of the lab's numbers under volts (n,) at 10 Hz, as its sensors read it."""
     time = np.arange(len(volts)) / 10.0
     run = sma_bench.simulate((time, volts[:, None]), LAB)
@@ -28,61 +29,47 @@ def record_of(volts):
     )
 
 
-def staircase():
-    return np.repeat([0.0, 0.4, 0.8, 1.0, 0.8, 0.4, 0.0], 150)
+@pytest.fixture(scope="module")
+def record():
+    return record_of()
 
 
-def late_clock(record, off):
-    """The thermometer's stamps on a clock of its own."""
-    own = record["wire.temperature"]
-    return replace(
-        record, signals=record.signals | {"wire.temperature": replace(own, time=own.time + off)}
-    )
+def with_signals(record, **changes):
+    """The record with signals of its wire that differ so."""
+    changed = {f"wire.{n}": replace(record[f"wire.{n}"], **more) for n, more in changes.items()}
+    return replace(record, signals=record.signals | changed)
 
 
-@pytest.mark.parametrize("off", [37.0, -37.0])
-def test_a_clock_of_another_time_is_moved_back_by_when_messages_came(off):
-    record = record_of(staircase())
-    sound, found = mended(late_clock(record, off))
-    assert [f.subject for f in found] == ["wire.temperature"]
-    assert found[0].numbers["offset"] == pytest.approx(-off, abs=0.01)
-    assert sound["wire.temperature"].time == pytest.approx(record["wire.temperature"].time)
-    assert not mended(record)[1]
+def test_a_clock_of_another_time_is_moved_back_and_a_variance_that_scatter_contradicts_left_out(
+    record,
+):
+    own = record["wire.temperature"].time
+    for off in (37.0, -37.0):
+        sound, (found,) = mended(with_signals(record, temperature={"time": own + off}))
+        assert found.subject == "wire.temperature"
+        assert found.numbers["offset"] == pytest.approx(-off, abs=0.01)
+        assert sound["wire.temperature"].time == pytest.approx(own)
     # A picture that takes its time keeps its right stamp.
-    own = record["wire.temperature"]
-    late = {"wire.temperature": replace(own, received=own.time + 0.4)}
-    sound, found = mended(replace(record, signals=record.signals | late))
-    assert not found and sound["wire.temperature"].time is own.time
+    sound, found = mended(with_signals(record, temperature={"received": own + 0.4}))
+    assert not found and sound["wire.temperature"].time is own
+    sound, (found,) = mended(with_signals(record, temperature={"std": np.full(len(own), 1e-6)}))
+    assert sound["wire.temperature"].std is None and found.subject == "wire.temperature"
+    honest = np.full(len(own), found.numbers["scatter"])
+    assert not mended(with_signals(record, temperature={"std": honest}))[1]
 
 
-def test_a_diagnosis_mends_the_clock_says_so_and_names_no_lag():
-    found = sma_bench.diagnose(late_clock(record_of(staircase()), 37.0), LAB)
-    assert found.cause == ()
-    (line,) = found.to_json()["record"]
-    assert "wire.temperature" in line and "37.0" in line
-    assert line in " ".join(str(found).split())
-
-
-def test_readings_of_two_values_within_a_pwm_hold_every_effect_back():
-    record = record_of(staircase())
-    rng = np.random.default_rng(1)
-    read = {
-        name: replace(
-            record[name],
-            values=np.where(
-                rng.random(len(record[name])) < 0.15 * (record["wire.voltage"].values > 0.1),
-                top,
-                0.0,
-            ),
-        )
-        for name, top in (("wire.voltage", 12.0), ("wire.current", 4.0))
-    }
-    switched = replace(record, signals=record.signals | read)
-    assert {f.subject for f in under_suspicion(switched)} == set(read)
-    found = sma_bench.diagnose(switched, LAB)
-    assert found.cause == ()
-    assert {c.name for c in found.candidates} <= {"recalibration", "no_gap", "unexplained"}
-    assert any("PWM" in line for line in found.record)
+@pytest.mark.parametrize("wrong", [999.9, 0.0])
+def test_single_readings_far_off_are_left_out_and_named(record, wrong):
+    own, at = record["wire.temperature"].values, [200, 700]
+    values = own.copy()
+    values[at] = wrong
+    sound, (found,) = mended(with_signals(record, temperature={"values": values}))
+    assert sound["wire.temperature"].values == pytest.approx(np.delete(own, at))
+    assert found.numbers["outliers"] == 2.0
+    # A reading of few digits flickers by its last one, which is none.
+    slow = 296.1 + 0.1 * (np.arange(len(own)) * 5 // len(own))
+    slow[[100, 300, 800]] += 0.1
+    assert not mended(with_signals(record, temperature={"values": np.round(slow, 1)}))[1]
 
 
 @pytest.mark.parametrize("hold", [20, 50])
@@ -91,57 +78,42 @@ def test_a_random_binary_drive_is_no_switched_supply(hold):
     assert not list(under_suspicion(record_of(volts)))
 
 
-def test_a_clipped_thermometer_holds_the_effects_of_its_sensor_back():
-    record = record_of(staircase())
-    own = record["wire.temperature"]
-    top = float(np.quantile(own.values, 0.8))
-    clipped = replace(own, values=np.minimum(own.values, top))
-    found = sma_bench.diagnose(
-        replace(record, signals=record.signals | {"wire.temperature": clipped}), LAB
-    )
-    assert "temperature_lag" not in " ".join(c.name for c in found.candidates)
-    assert any("clipped" in line for line in found.record)
+def turned(record):
+    """A current that runs against its voltage."""
+    return with_signals(record, current={"values": -record["wire.current"].values})
 
 
-def test_a_variance_that_the_scatter_contradicts_is_left_out_and_said():
-    record = record_of(staircase())
-    own = record["wire.temperature"]
-    stated = replace(own, std=np.full(len(own), 1e-6))
-    sound, found = mended(replace(record, signals=record.signals | {own.name: stated}))
-    assert sound["wire.temperature"].std is None
-    assert found[0].subject == "wire.temperature"
-    honest = replace(own, std=np.full(len(own), found[0].numbers["scatter"]))
-    assert not mended(replace(record, signals=record.signals | {own.name: honest}))[1]
+def clipped(record):
+    kelvin = record["wire.temperature"].values
+    values = np.minimum(kelvin, np.quantile(kelvin, 0.8))
+    return with_signals(record, temperature={"values": values})
 
 
-def test_a_current_that_runs_against_its_voltage_is_turned_and_said():
-    record = record_of(staircase())
-    own = record["wire.current"]
-    turned = {"wire.current": replace(own, values=-own.values)}
-    sound, found = mended(replace(record, signals=record.signals | turned))
-    assert sound["wire.current"].values == pytest.approx(own.values)
-    assert [f.subject for f in found] == ["wire.current"]
-    found = sma_bench.diagnose(replace(record, signals=record.signals | turned), LAB)
-    assert found.cause == () and "wire.current" in found.record[0]
+def switched(record):
+    """Readings of two values, within the PWM of a supply."""
+    driven = record["wire.voltage"].values > 0.1
+    random = np.random.default_rng(1).random((2, len(driven)))
+    volts, amperes = np.where(random < 0.15 * driven, [[12.0], [4.0]], 0.0)
+    return with_signals(record, voltage={"values": volts}, current={"values": amperes})
 
 
-@pytest.mark.parametrize("name, wrong", [("wire.temperature", 999.9), ("wire.temperature", 0.0)])
-def test_single_readings_far_off_are_left_out_and_named(name, wrong):
-    record = record_of(staircase())
-    own = record[name]
-    values = own.values.copy()
-    values[[200, 700]] = wrong
-    outlying = {name: replace(own, values=values)}
-    sound, found = mended(replace(record, signals=record.signals | outlying))
-    assert len(sound[name]) == len(own) - 2 and sound[name].values == pytest.approx(
-        np.delete(own.values, [200, 700])
-    )
-    assert [f.numbers["outliers"] for f in found] == [2.0]
-    # A reading of few digits flickers by its last one, which is none.
-    slow = 296.1 + 0.1 * (np.arange(len(own)) * 5 // len(own))
-    slow[[100, 300, 800]] += 0.1
-    flickering = {name: replace(own, values=np.round(slow, 1))}
-    assert not mended(replace(record, signals=record.signals | flickering))[1]
+@pytest.mark.parametrize(
+    ("changed", "said", "held_back"),
+    [
+        (turned, "wire.current", ()),
+        (clipped, "clipped", ("temperature_lag",)),
+        (switched, "PWM", ("temperature_lag", "supply_drop", "latent_heat")),
+    ],
+)
+def test_a_diagnosis_says_what_is_wrong_with_a_record_and_names_no_effect_for_it(
+    record, changed, said, held_back
+):
+    found = sma_bench.diagnose(changed(record), LAB)
+    assert found.cause == ()
+    line = found.to_json()["record"][0]
+    assert said in line and line.split("held back")[0] in " ".join(str(found).split())
+    assert not set(held_back) & {c.name for c in found.candidates}
+    assert (changed is switched) == (len(found.candidates) == 3)
 
 
 def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_them():

@@ -1,68 +1,60 @@
 """An effect planted in a record is named, and its size found, whatever is measured; and where none
 is, none is declared, whatever colour the noise has."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
-from planted import ALL, FEW, believed, few_effects, planted_pair
+from planted import ALL, FEW, believed, few_effects, planted_pair, planted_record
 
 from sma_bench.diagnose import diagnose
+from sma_bench.diagnose.decision import weigh
+from sma_bench.diagnose.next_experiment import next_experiment
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.protocols import parse_protocol
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-PLANTED = {
-    "residual_strain": {"effect.residual_strain.share": 0.12},
-    "viscoelastic_matrix": {
-        "effect.viscoelastic_matrix.relaxation": 0.25,
-        "effect.viscoelastic_matrix.time_constant": 5.0,
-    },
-}
-CASES = [("viscoelastic_matrix", ALL), ("residual_strain", ("deflection",))]
-DEVIATIONS = 4.0
+VISCOUS = "effect.viscoelastic_matrix"
+CASES = [
+    ({f"{VISCOUS}.relaxation": 0.25, f"{VISCOUS}.time_constant": 5.0}, ALL, FEW),
+    # With the whole library, and motion alone.
+    ({"effect.residual_strain.share": 0.12}, ("deflection",), tuple(EFFECTS)),
+]
+COUPLING = {"effect.side_heat_coupling.conductance": 0.002}
 
 
-def expect(result, name, numbers):
-    assert (result.decision.verdict, result.decision.cause) == ("effect", (name,))
+def expect(result, numbers):
+    name = next(iter(numbers)).split(".")[1]
+    assert (result.verdict, result.cause) == ("effect", (name,))
     first = result.to_json()["candidates"][0]
     assert first["stage"] == EFFECTS[name].stage
     for number, true in numbers.items():
         found = first["parameters"][number]
-        assert abs(found["value"] - true) < DEVIATIONS * found["std"], number
+        assert abs(found["value"] - true) < 4.0 * found["std"], number
         assert found["std"] < 0.15 * true, number
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "quantities"), CASES, ids=[f"{n}-{'all' if q == ALL else q[0]}" for n, q in CASES]
-)
-def test_a_planted_effect_is_named_and_measured(name, quantities, tmp_path):
-    seen, unseen = planted_pair(tmp_path, PLANTED[name], quantities=quantities)
-    with few_effects():
+@pytest.mark.parametrize(("numbers", "quantities", "library"), CASES, ids=["viscous", "strained"])
+def test_a_planted_effect_is_named_and_measured(numbers, quantities, library, tmp_path):
+    seen, unseen = planted_pair(tmp_path, numbers, quantities=quantities)
+    with few_effects(library):
         result = diagnose(seen, believed(), unseen)
-    expect(result, name, PLANTED[name])
+    expect(result, numbers)
     deflection = result.shrinkage["deflection"]
     assert deflection.fraction > 0.8
     assert deflection.rmse_after < 0.3 * deflection.rmse_before
+    shown = {name for name in library if set(EFFECTS[name].acts_on) & set(quantities)}
+    competing = {c.name for c in result.candidates}
+    assert shown | {"recalibration", "no_gap", "unexplained"} <= competing
 
 
-@pytest.mark.slow
-def test_the_whole_library_competes(tmp_path):
-    effect = {"effect.side_heat_coupling.conductance": 0.002}
-    seen, unseen = planted_pair(tmp_path, effect, quantities=("deflection",))
-    result = diagnose(seen, believed(), unseen)
-    expect(result, "side_heat_coupling", effect)
-    names = {c.name for c in result.decision.candidates}
-    seen = {name for name, e in EFFECTS.items() if "deflection" in e.acts_on}
-    assert seen | {"recalibration", "no_gap", "unexplained"} <= names
-
-
-def test_sides_that_heat_each_other_are_found_with_every_sensor(planted_diagnosis):
-    expect(
-        planted_diagnosis, "side_heat_coupling", {"effect.side_heat_coupling.conductance": 0.002}
-    )
-    assert set(FEW) <= {c.name for c in planted_diagnosis.decision.candidates}
-
-
-def test_the_place_of_a_thermal_effect_is_found(planted_diagnosis):
+def test_sides_that_heat_each_other_are_found_with_every_sensor_and_where(planted_diagnosis):
+    expect(planted_diagnosis, COUPLING)
+    ((number, size),) = COUPLING.items()
+    assert planted_diagnosis.improved[number] == pytest.approx(size, rel=0.05)
+    assert 0.0 < planted_diagnosis.improved.std(number) < 0.5 * size
     where = planted_diagnosis.to_json()["where"]
     assert where["stage"] == "thermal"
     currents = [c for c in planted_diagnosis.where.table if c.signal.endswith("current")]
@@ -78,9 +70,7 @@ def test_the_gap_shrinks_on_the_record_that_was_held_out(planted_diagnosis):
         assert s.fraction > 0.9 and s.ci90[0] <= s.fraction <= s.ci90[1] <= 1.0
         assert s.rmse_after == pytest.approx(s.noise_floor, rel=0.15)
         assert s.rmse_before > 3.0 * s.noise_floor
-
-
-def test_what_the_effect_leaves_is_noise(planted_diagnosis):
+    # What the effect leaves is noise.
     problem, left = planted_diagnosis.model.problem, planted_diagnosis.model.left
     white = problem.whiten(left)
     assert white.std() == pytest.approx(1.0, abs=0.1)
@@ -88,22 +78,49 @@ def test_what_the_effect_leaves_is_noise(planted_diagnosis):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["coloured", "drifting"])
-def test_parameters_that_are_off_are_not_taken_for_an_effect(kind, tmp_path):
-    seen, unseen = planted_pair(tmp_path, kind=kind, quantities=("temperature", "deflection"))
+def test_parameters_that_are_off_are_not_taken_for_an_effect_by_a_sensor_that_drifts(tmp_path):
+    seen, unseen = planted_pair(tmp_path, kind="drifting", quantities=ALL[1:])
     with few_effects():
         result = diagnose(seen, believed(), unseen)
-    assert result.decision.verdict in ("recalibration", "no_gap")
-    assert result.decision.cause == ()
-    assert sum(c.probability for c in result.decision.candidates if c.effects) < 0.35
+    assert result.verdict in ("recalibration", "no_gap")
+    assert result.cause == ()
+    assert sum(c.probability for c in result.candidates if c.effects) < 0.35
 
 
 def test_a_bench_that_is_as_believed_has_no_gap(tmp_path):
     seen, unseen = planted_pair(tmp_path, quantities=("deflection",), bench=believed())
     with few_effects():
         result = diagnose(seen, believed(), unseen)
-    assert result.decision.verdict == "no_gap"
+    assert result.verdict == "no_gap"
     assert result.improved == result.parameters
     deflection = result.shrinkage["deflection"]
     assert deflection.rmse_after == deflection.rmse_before
     assert deflection.rmse_before == pytest.approx(deflection.noise_floor, rel=0.1)
+
+
+def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewise(tmp_path):
+    lab, name = believed(), "wire.stress_influence_austenite"
+    bench = lab.replace({name: lab[name] + 5.0 * lab.std(name)})
+    quantities = ("temperature", "deflection")
+    record = planted_record(tmp_path / "bag", {}, quantities=quantities, bench=bench)
+    with few_effects(("stress_dependent_transition", "side_heat_coupling")):
+        result = diagnose([record], lab)
+    assert result.verdict == "recalibration"
+    assert name in {moved.name for moved in result.moved}
+    assert result.improved[name] == pytest.approx(bench[name], abs=2.0 * lab.std(name))
+
+
+def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):
+    found = planted_diagnosis
+    smooth = found.search.flexible
+    missing = replace(smooth, gain=9.0, weights=np.ones_like(smooth.weights))
+    proposed = next_experiment(
+        "unexplained",
+        found.candidates,
+        replace(found.search, flexible=missing),
+        weigh(found.search),
+        found.observations,
+        found.parameters,
+    )
+    assert proposed.separates == () and "what no effect explains" in proposed.why
+    assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0

@@ -7,20 +7,19 @@ from hypothesis import strategies as st
 from planted import believed
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.transitions import TEMPERATURES
 from sma_bench.estimation.unknowns import (
     BACK,
     FRONT,
     SHAPES,
+    TEMPERATURES,
     number_of_effect,
     unknowns_of_records,
 )
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import LOAD_KINDS
-from sma_bench.parameters.table import BY_NAME
+from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.physics.kernel import Kernel
+from sma_bench.physics.kernel import at_rest
 
 QUANTITIES = ("current", "temperature", "deflection")
 
@@ -99,7 +98,7 @@ def test_wherever_a_fit_goes_there_is_a_bench_that_can_be_simulated(load, stated
     a_s, a_f, m_s, m_f = (there[name] for name in TEMPERATURES)
     assert a_s < a_f and m_f < m_s
     drive = np.full((40, len(there["bench.channels"])), 2.0)
-    run = simulate(there, np.arange(40) * 0.25, drive, initial=Kernel.of(there, None).rest)
+    run = simulate(there, np.arange(40) * 0.25, drive, initial=at_rest(there))
     assert np.all(np.isfinite([run.temperature, run.stress, run.martensite_fraction]))
     assert np.all(np.isfinite(unknowns.turn(x))) and np.all(np.isfinite(unknowns.slopes(x)))
 
@@ -111,44 +110,24 @@ def test_temperatures_are_as_well_known_as_they_are_stated():
     unknowns = unknowns_of_records(rig("beam", {}, stds), QUANTITIES)
     items = {item.name: item.std for item in unknowns.items}
     assert {name: items[name] for name in TEMPERATURES} == pytest.approx(stds)
-    for k, item in enumerate(unknowns.items):
-        if item.name in TEMPERATURES:
-            x = np.zeros(len(unknowns.items))
-            x[k] = 1e-3
-            moved = (unknowns.values(x) - unknowns.values(0.0 * x)) / 1e-3
-            assert moved[k] == pytest.approx(item.std, rel=1e-3)
-            assert np.max(np.abs(np.delete(moved[4:8], k - 4))) < 1e-3 * item.std
     wide = unknowns_of_records(rig("beam", {}, {TEMPERATURES[0]: 1.1}), QUANTITIES)
     found = {item.name: item.std for item in wide.items}
     assert found[TEMPERATURES[0]] == pytest.approx(1.1)
     assert all(3.0 < found[name] < 20.0 for name in TEMPERATURES[1:])
-
-
-def test_what_nobody_states_of_temperatures_keeps_a_hysteresis_in_every_draw():
+    # Of what nobody states every draw keeps a hysteresis.
     unknowns = unknowns_of_records(rig("spring"), QUANTITIES)
     at = [unknowns.names.index(name) for name in TEMPERATURES]
-    random = np.random.default_rng(3)
-    drawn = np.array([
-        unknowns.values(np.clip(random.standard_normal(len(unknowns.items)), *unknowns.bounds()))
-        for _ in range(2000)
-    ])[:, at]  # fmt: skip
-    a_s, a_f, m_s, m_f = drawn.T
-    half = (a_s + a_f - m_s - m_f) / 4.0
-    assert np.all(half > 0.0) and np.all(a_s < a_f) and np.all(m_f < m_s)
-    assert np.std(drawn.mean(axis=1)) == pytest.approx(25.0, rel=0.1)
-    assert np.std(np.log(half)) == pytest.approx(1.2, rel=0.1)
-    for width in (a_f - a_s, m_s - m_f):
-        assert np.std(np.log(width)) == pytest.approx(0.5, rel=0.1)
+    drawn = np.random.default_rng(3).standard_normal((2000, len(unknowns.items)))
+    values = [unknowns.values(np.clip(x, *unknowns.bounds()))[at] for x in drawn]
+    a_s, a_f, m_s, m_f = np.transpose(values)
+    assert np.all(a_s + a_f > m_s + m_f) and np.all(a_s < a_f) and np.all(m_f < m_s)
+    assert np.std(np.mean(values, axis=1)) == pytest.approx(25.0, rel=0.1)
 
 
-@pytest.mark.parametrize(
-    "name", [*SHAPES, "wire.resistance", FRONT, "load.stiffness", *TEMPERATURES[1:3]]
-)
-def test_a_deviation_of_0_is_exact(name):
-    unknowns = unknowns_of_records(rig("spring", {}, {name: 0.0}), QUANTITIES, unmodelled=True)
-    assert name not in unknowns.names
-    x = unknowns.start(1.0)
-    drawn = np.random.default_rng(1).standard_normal(len(x))
-    for there in (x, np.clip(drawn, *unknowns.bounds())):
-        assert unknowns.parameters(there)[name] == pytest.approx(unknowns.base[name])
-    assert ("wire.transition_spread" in unknowns.names) == (np.count_nonzero(x) == 1)
+def test_a_deviation_of_0_is_exact():
+    for name in (*SHAPES, "wire.resistance", FRONT, "load.stiffness", *TEMPERATURES[1:3]):
+        unknowns = unknowns_of_records(rig("spring", {}, {name: 0.0}), QUANTITIES, unmodelled=True)
+        assert name not in unknowns.names
+        drawn = np.random.default_rng(1).standard_normal(len(unknowns.start(1.0)))
+        there = unknowns.parameters(np.clip(drawn, *unknowns.bounds()))
+        assert there[name] == pytest.approx(unknowns.base[name])

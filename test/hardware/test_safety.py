@@ -7,59 +7,60 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sma_bench.hardware.expectation import Lasting, SharedWatch, WireModel, WireWatch
-from sma_bench.hardware.safety import (
-    CommandGate,
-    Freshness,
-    Guard,
-    Interlock,
-    Limits,
-    Watchdog,
-    command_fault,
-    current_fault,
-    temperature_fault,
-)
+from sma_bench.hardware import safety
+from sma_bench.hardware.bench_sensors import SharedWatch
+from sma_bench.hardware.safety import Wire, broken, power_rules
 from sma_bench.parameters import Parameters
 
-LIMITS = Limits.from_parameters(Parameters.defaults())
-MODEL = WireModel.from_parameters(Parameters.defaults())
-R = MODEL.resistance
+LIMITS = safety.Limits.from_parameters(Parameters.defaults())
+R = LIMITS.resistance
 PERIOD = 0.01
 NAN, INF = math.nan, math.inf
 
 
 def moments(seconds, begin=0.0):
-    """Every 10 ms after `begin`."""
     return [begin + PERIOD * k for k in range(1, round(seconds / PERIOD) + 1)]
+
+
+def is_said(expected, reason):
+    """A reason begins as expected; "" is expected where nothing is wrong."""
+    return reason.startswith(expected) and bool(reason) == bool(expected)
 
 
 def test_limits_are_those_of_the_contract_inclusive_and_nan_is_no_reading():
     assert (LIMITS.maximum_voltage, LIMITS.maximum_current) == (10.0, 3.0)
     assert (LIMITS.maximum_temperature, LIMITS.command_timeout) == (423.15, 0.5)
     assert (LIMITS.maximum_power, LIMITS.maximum_heating_rate) == (30.0, 1500.0)
-    assert temperature_fault("wire", 423.15, LIMITS) == temperature_fault("wire", NAN, LIMITS) == ""
-    assert "wire at 150.1 degC, limit 150.0 degC" in temperature_fault("wire", 423.25, LIMITS)
-    assert current_fault("wire", 3.0, LIMITS) == current_fault("wire", NAN, LIMITS) == ""
-    assert "over-current: wire at -3.10 A" in current_fault("wire", -3.1, LIMITS)
+    for rules, name, good, bad, said in (
+        (safety.temperature_rules, "kelvin", 423.15, 423.25,
+         "over-temperature: b at 150.1 degC, limit 150"),
+        (power_rules, "ampere", 3.0, -3.1, "over-current: b at -3.10 A, limit 3 A"),
+    ):
+        for value in (good, NAN):
+            assert broken(rules(Wire("b", **{name: value}), LIMITS)) == {}
+        (reason,) = broken(rules(Wire("b", **{name: bad}), LIMITS)).values()
+        assert is_said(said, reason)
 
 
 @given(st.lists(st.floats(), max_size=4))
 def test_an_accepted_command_is_as_long_and_as_large_as_the_bench_allows(command):
     good = len(command) == 2 and all(0.0 <= v <= 10.0 for v in command)
-    assert good == (command_fault(command, 2, LIMITS) == "")
-    assert "has nan" in command_fault([1.0, NAN], 2, LIMITS)
-    assert "has -0.1 V, expected 0 to 10 V" in command_fault([1.0, -0.1], 2, LIMITS)
+    gate = safety.CommandGate(2, LIMITS)
+    assert good == (gate.command(command, 1.0) == "")
+    assert gate.outputs(1.0) == (tuple(command) if good else (0.0, 0.0))
+    assert "has nan" in gate.command([1.0, NAN], 1.0)
+    assert "has -0.1 V, expected 0 to 10 V" in gate.command([1.0, -0.1], 1.0)
 
 
 def test_a_watchdog_is_never_off_and_the_gate_zeroes_its_outputs_on_silence_and_bad_commands():
     for timeout in (0.0, -1.0, INF, NAN):
         with pytest.raises(ValueError, match="positive and finite"):
-            Watchdog(timeout)
-    watchdog = Watchdog(0.5)
+            safety.Watchdog(timeout)
+    watchdog = safety.Watchdog(0.5)
     assert watchdog.expired(0.0)
     watchdog.feed(10.0)
     assert [watchdog.expired(t) for t in (10.5, 10.51, 9.9, NAN)] == [False, True, True, True]
-    gate = CommandGate(2, LIMITS)
+    gate = safety.CommandGate(2, LIMITS)
     assert gate.outputs(0.0) == (0.0, 0.0)
     assert gate.command([1.0, 2.0], 1.0) == "" and "nan" in gate.command([NAN, 2.0], 1.2)
     assert gate.outputs(1.5) == (1.0, 2.0)
@@ -71,58 +72,34 @@ def test_a_watchdog_is_never_off_and_the_gate_zeroes_its_outputs_on_silence_and_
     assert gate.outputs(10.6) == (0.0, 0.0)
 
 
-def test_the_same_reading_again_is_not_fresh_and_the_first_reason_stays():
-    fresh, interlock = Freshness("wire/power", 1.0), Interlock()
-    stale = "nothing new from wire/power for 1.10 s, limit 1 s"
+def test_the_same_reading_again_is_not_fresh():
+    fresh = safety.Freshness("wire/power", 1.0)
     assert "never received" in fresh.fault(0.0)
     for stamp, seen, now, fault in (
         (5.0, 100.0, 100.5, ""),
         (5.0, 100.9, 101.0, ""),
-        (5.0, 101.05, 101.1, stale),
+        (5.0, 101.05, 101.1, "stale feedback: nothing new from wire/power for 1.10 s, limit 1 s"),
         (1.0, 101.2, 101.3, ""),  # a restarted clock
     ):
         fresh.seen(stamp=stamp, now=seen)
-        assert fault in fresh.fault(now) and bool(fault) == bool(fresh.fault(now))
-    for reason, kept in (("", ""), ("hot", "hot"), ("stale", "hot")):
-        interlock.trip(reason)
-        assert (interlock.tripped, interlock.reason) == (bool(kept), kept)
-    interlock.reset()
-    assert not interlock.tripped
+        assert is_said(fault, fresh.fault(now))
 
 
 class Bench:
     """A guard, and readings of its channels at a moment: `now` s, also their stamp."""
 
     def __init__(self, channels=("a",), feedback=("power", "temperature")):
-        self.guard, self.channels = Guard(list(channels), list(feedback), 1.0), channels
+        self.guard = safety.Guard(list(channels), list(feedback), 1.0)
+        self.channels = channels
 
-    def read(self, now, volt=None, ampere=None, kelvin=None, channels=None):
-        for channel in channels or self.channels:
+    def read(self, now, volt=None, ampere=None, kelvin=None):
+        for channel in self.channels:
             if kelvin is not None:
                 self.guard.temperature(channel, kelvin, stamp=now, now=now, limits=LIMITS)
             if volt is not None:
                 ampere = volt / R if ampere is None else ampere
                 self.guard.power(channel, volt, ampere, stamp=now, now=now, limits=LIMITS)
         return self.guard.fault(now)
-
-
-def test_guard_is_content_with_fresh_cool_wires_and_names_the_one_that_is_not():
-    for wrong, fault in (
-        ({}, ""),
-        ({"kelvin": 430.0, "channels": "b"}, "over-temperature: b"),
-        ({"volt": 9.0, "ampere": 3.3, "channels": "a"}, "over-current: a"),
-    ):
-        bench = Bench("ab")
-        assert bench.read(1.0, 1.0, 0.5, 300.0) == ""
-        bench.read(1.1, **wrong)
-        assert bench.guard.fault(1.5).startswith(fault) and bool(bench.guard.fault(1.5)) == bool(
-            fault
-        )
-    bench = Bench()
-    for said, fault in (("bag: no space left", "recording failed: bag: no space left"), ("", "")):
-        bench.read(1.0, 1.0, kelvin=300.0)
-        bench.guard.recorder(said)
-        assert bench.guard.fault(1.5) == fault
 
 
 def test_guard_without_a_camera_goes_by_the_model_only_where_no_temperature_comes():
@@ -158,7 +135,7 @@ def test_one_reading_beyond_all_measure_does_not_blind_the_model_rule(volt):
 @pytest.mark.parametrize("wrong", [NAN, INF, -INF])
 def test_what_is_no_number_makes_nothing_fresh(wrong):
     bench = Bench("ab")
-    bench.read(1.0, 1.0, 0.5, 300.0)
+    assert bench.read(1.0, 1.0, 0.5, 300.0) == ""
     for k in range(1, 30):
         bench.read(1.0 + 0.1 * k, 1.0, wrong if math.isnan(wrong) else 0.5, wrong)
     stale = "stale feedback: nothing new from a/temperature" if math.isnan(wrong) else ""
@@ -167,7 +144,7 @@ def test_what_is_no_number_makes_nothing_fresh(wrong):
 
 
 def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_volts():
-    gate, one, other = CommandGate(1, LIMITS), "/bench/experiment#1", "/bench/experiment#2"
+    gate, one, other = safety.CommandGate(1, LIMITS), "/bench/experiment#1", "/bench/experiment#2"
     for now in (0.02 * k for k in range(100)):
         assert gate.command([3.0], now, one) == ""
         said = "/bench/experiment: /bench/experiment commands already"
@@ -179,7 +156,8 @@ def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_vo
     assert gate.command([6.0], now + 0.51, other) == ""
     assert gate.outputs(now + 0.51) == (6.0,)
     assert gate.command([3.0], now + 0.52, one) != ""
-    gate = CommandGate(1, LIMITS)
+    # 0 V is obeyed from anybody, as long as a command is.
+    gate = safety.CommandGate(1, LIMITS)
     gate.command([3.0], 0.0, one)
     for now in moments(0.8):
         assert gate.command([0.0], now, other) == gate.command([3.0], now, one) == ""
@@ -188,46 +166,53 @@ def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_vo
     for now in moments(0.8, 0.8):
         gate.command([3.0], now, one)
     assert gate.outputs(now) == (3.0,)
-    gate = CommandGate(1, LIMITS)
+    # Whoever holds it with 0 V lets go by clearing.
+    gate = safety.CommandGate(1, LIMITS)
     gate.command([0.0], 0.0, one)
     assert "commands already" in gate.command([3.0], 0.1, other)
     gate.clear()
     assert gate.command([3.0], 0.2, other) == ""
 
 
-# --- one wire against its model -------------------------------------------------------------------
+# --- one wire against its model
 
 
-def watched(commanded, *readings, model=MODEL):
-    """A wire's watch after (volt, ampere, s) each, ten ms apart; `said` is its last reason."""
-    wire, now = WireWatch("wire", 1.0), 0.0
-    wire.commanded(commanded)
+def watched(commanded, *readings, limits=LIMITS, unseen=False):
+    wire, now = Wire("wire"), 0.0
+    wire.commands.append(commanded)
     for volt, ampere, seconds in readings:
         for _ in range(round(seconds / PERIOD)):
             now += PERIOD
-            wire.said = wire.power(volt, ampere, now, now, model)
-    return wire
+            wire.power(volt, ampere, now, limits)
+            reasons = broken(power_rules(wire, limits, 1.0, unseen), now, wire.since)
+    return reasons
 
 
-def powered(commanded, volt, ampere, seconds=1.12, model=MODEL):
-    return watched(commanded, (volt, ampere, seconds), model=model).said
+def powered(commanded, volt, ampere, seconds=1.12, limits=LIMITS):
+    reasons = watched(commanded, (volt, ampere, seconds), limits=limits)
+    return reasons.get("follows") or reasons.get("conducts", "")
 
 
 def test_a_deviation_must_last_without_a_gap():
-    lasting = Lasting(1.0)
-    assert [lasting.note("far", 0.1 * k) for k in range(11)] == [""] * 10 + ["far"]
-    assert lasting.note("", 1.1) == lasting.note("far", 1.2) == ""
-    assert lasting.note("far", 20.0) == ""
+    since = {}
+
+    def noted(value, now):
+        return broken({"far": safety.Rule(value, 1.0, lambda: "far", hold=1.0)}, now, since)
+
+    assert [noted(2.0, 0.1 * k) for k in range(11)] == [{}] * 10 + [{"far": "far"}]
+    assert noted(NAN, 1.05) == {} and noted(2.0, 1.06) == {"far": "far"}
+    assert noted(1.0, 1.1) == noted(2.0, 1.2) == noted(2.0, 20.0) == {}
 
 
 def test_a_wire_that_does_as_commanded_is_left_alone_and_one_that_does_not_disagrees():
     """Small voltages too; broken and shorted wires by their resistance."""
     for commanded, volt, ampere in ((3.0, 3.0, 3.0 / R), (3.0, 3.0, NAN), (0.9, 0.9, 0.0)):
         assert powered(commanded, volt, ampere, 3.0) == ""
-    wire = WireWatch("wire", 1.0)
+    wire = Wire("wire")
     for k, now in enumerate(moments(3.0)):
-        wire.commanded(6.0 if k % 2 else 0.0)
-        assert wire.power(6.0, 6.0 / R, now, now, MODEL) == ""
+        wire.commands.append(6.0 if k % 2 else 0.0)
+        wire.power(6.0, 6.0 / R, now, LIMITS)
+        assert broken(power_rules(wire, LIMITS, 1.0), now, wire.since) == {}
     for commanded, volt in ((0.4, 0.0), (0.0, 0.2), (0.4, 0.6), (8.0, 8.6), (8.0, 7.4)):
         said = f"disagreement: wire gets {volt:.2f} V, commanded {commanded:.2f} V, tolerance"
         assert powered(commanded, volt, volt / R).startswith(said)
@@ -239,17 +224,17 @@ def test_a_wire_that_does_as_commanded_is_left_alone_and_one_that_does_not_disag
 
 
 def test_the_model_heats_as_equation_1_with_its_leads():
-    steady = MODEL.ambient + 9.0 / R / MODEL.heat_loss
-    assert MODEL.warmed(MODEL.ambient, 3.0, 100.0) == pytest.approx(steady)
-    early = MODEL.warmed(MODEL.ambient, 3.0, 1e-3) - MODEL.ambient
-    assert early == pytest.approx(1e-3 * 9.0 / R / MODEL.heat_capacity, rel=0.01)
+    steady = LIMITS.ambient + 9.0 / R / LIMITS.heat_loss
+    assert LIMITS.warmed(LIMITS.ambient, 3.0, 100.0) == pytest.approx(steady)
+    early = LIMITS.warmed(LIMITS.ambient, 3.0, 1e-3) - LIMITS.ambient
+    assert early == pytest.approx(1e-3 * 9.0 / R / LIMITS.heat_capacity, rel=0.01)
     leads = Parameters.defaults().replace({"bench.lead_resistance": R})
-    model, volt, ampere = WireModel.from_parameters(leads), 6.0, 6.0 / (2.0 * R)
-    rise = (0.5 * volt) ** 2 / R / MODEL.heat_loss
-    assert model.warmed(MODEL.ambient, volt, 100.0) == pytest.approx(MODEL.ambient + rise)
-    assert model.heating_voltage(volt, ampere) == pytest.approx(volt)
+    limits, volt, ampere = safety.Limits.from_parameters(leads), 6.0, 6.0 / (2.0 * R)
+    rise = (0.5 * volt) ** 2 / R / LIMITS.heat_loss
+    assert limits.warmed(LIMITS.ambient, volt, 100.0) == pytest.approx(LIMITS.ambient + rise)
+    assert limits.heating_voltage(volt, ampere) == pytest.approx(volt)
     assert "disagreement" in powered(volt, volt, ampere)
-    assert powered(volt, volt, ampere, model=model) == ""
+    assert powered(volt, volt, ampere, limits=limits) == ""
 
 
 def test_a_wire_that_nobody_sees_is_as_hot_as_its_readings_allow():
@@ -266,39 +251,39 @@ def test_a_wire_that_nobody_sees_is_as_hot_as_its_readings_allow():
         (0, rest, hot, rest, hot),
         (0, (7.0, 7.0 / R, 0.05)),
     ):
-        reason = watched(3.0, *readings).heat(MODEL)
-        said = f"over-temperature by the model: wire at {celsius}" if celsius else ""
-        assert reason.startswith(said) and bool(reason) == bool(said)
+        reason = watched(3.0, *readings, unseen=True).get("heat", "")
+        assert is_said(f"over-temperature by the model: wire at {celsius}" * bool(celsius), reason)
         assert not reason or "limit 150.0 degC" in reason
-    wire = WireWatch("wire", 1.0)
+    wire = Wire("wire")
     for stamp, volt in ((0.0, 0.0), (5.0, 9.0), (7.0, 0.0)):  # far apart: the last one's volts
-        wire.power(volt, volt / R, stamp, stamp, MODEL)
-    assert wire.heat(MODEL).startswith("over-temperature by the model: wire at 21")
+        wire.power(volt, volt / R, stamp, LIMITS)
+    (reason,) = broken(power_rules(wire, LIMITS, unseen=True)).values()
+    assert reason.startswith("over-temperature by the model: wire at 21")
 
 
 def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told():
-    wire = WireWatch("wire", 1.0)
-    assert all(wire.temperature(400.0, 0.1 * k, MODEL) == "" for k in range(50))
-    wire, reasons = WireWatch("wire", 1.0), []
-    wire.commanded(6.0)
+    bench = Bench(feedback=[])
+    assert all(bench.read(0.1 * k, kelvin=400.0) == "" for k in range(50))
+    bench, reasons = Bench(feedback=[]), []
     for now in moments(2.0):
-        wire.power(6.0, 6.0 / R, now, now, MODEL)
-        reasons.append(wire.temperature(MODEL.ambient, now, MODEL))
+        bench.read(now, 6.0)
+        reasons.append(bench.read(now, kelvin=LIMITS.ambient))
     assert reasons[50] == ""
-    assert reasons[-1].startswith("disagreement: wire measured at 23 degC, the model says 107 degC")
+    assert reasons[-1].startswith("disagreement: a measured at 23 degC, the model says 107 degC")
     # A stamp that jitters is no warming.
-    for kelvin, now in ((300.0, 0.0), (340.0, 0.001)):
-        assert wire.rate(kelvin, now, 1000.0) == ""
-    reason = wire.rate(400.0, 0.05, 1000.0)
-    assert reason == "heating rate: wire rises by 2000 K/s, limit 1000 K/s"
-    assert wire.rate(300.0, 0.10, 1000.0) == wire.rate(NAN, 0.2, 1000.0) == ""
+    bench = Bench(feedback=[])
+    for kelvin, now, fault in (
+        (300.0, 0.0, ""), (340.0, 0.001, ""),
+        (400.0, 0.05, "heating rate: a rises by 2000 K/s, limit 1500 K/s"),
+        (300.0, 0.10, ""), (NAN, 0.2, ""),
+    ):
+        assert bench.read(now, kelvin=kelvin) == fault
 
 
-# --- two wires behind one sensor ------------------------------------------------------------------
+# --- two wires behind one sensor
 
 
 def found_open(volts, broken, seed, seconds):
-    """What is found of two wires as one noisy sensor shares them out; phases follow in 0.3 s."""
     draw, austenite = np.random.default_rng(seed), np.zeros(2)
     watch = SharedWatch(("front_1", "front_2"))
     for k in range(round(seconds / PERIOD)):
@@ -309,28 +294,23 @@ def found_open(volts, broken, seed, seconds):
         total = math.hypot(*v) or 1.0
         amperes = (float(conductance @ v**2) / total + draw.normal(0.0, 0.06)) * v / total
         amperes = np.where((v > 0.0) & (v < 0.3), np.nan, amperes)
-        if reason := watch.power(v, amperes, PERIOD * k, MODEL):
+        if reason := watch.power(v, amperes, PERIOD * k, LIMITS.circuit):
             return reason
     return ""
 
 
-def weak_beside_strong(draw):
-    return 6.0, float(draw.choice([0.0, 1.5, 2.0]))
+DRIVES = {
+    "weak beside strong": lambda draw: (6.0, float(draw.choice([0.0, 1.5, 2.0]))),
+    "apart": lambda draw: (float(draw.uniform(3.0, 8.0)), float(draw.uniform(0.0, 2.5))),
+    "alike": lambda draw: float(draw.uniform(0.0, 8.0)) * np.array([1.0, 1.0 / 3.0]),
+}
 
 
-def apart(draw):
-    return float(draw.uniform(3.0, 8.0)), float(draw.uniform(0.0, 2.5))
-
-
-def alike(draw):
-    volt = float(draw.uniform(0.0, 8.0))
-    return volt, volt / 3.0
-
-
-@pytest.mark.parametrize("volts", [weak_beside_strong, apart, alike])
-def test_an_open_wire_is_found_by_its_steps_and_a_sound_one_is_not_wherever_its_phases_are(volts):
+@pytest.mark.parametrize("drive", DRIVES)
+def test_an_open_wire_is_found_by_its_steps_and_a_sound_one_is_not_wherever_its_phases_are(drive):
+    volts = DRIVES[drive]
     assert found_open(volts, None, 0, 60.0) == found_open(volts, None, 1, 30.0) == ""
-    if volts is alike:  # those that always step alike cannot be told apart
+    if drive == "alike":  # those that always step alike cannot be told apart
         assert found_open(volts, 1, 0, 30.0) == ""
         return
     for seed in range(4):

@@ -1,51 +1,44 @@
-"""The camera: Planck's law in its band, pixels, frames to be held back, synthetic pictures."""
+"""The camera: Planck's law, pixels, frames to be held back, synthetic pictures, its reports."""
+
+from functools import partial
 
 import numpy as np
 import pytest
 import thermal_scene
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.synthetic_camera import SyntheticCamera, SyntheticWire
+from sma_bench.hardware import thermal_image
+from sma_bench.hardware.thermal_camera import CameraReport, FrameJudge, wire_gauges
 from sma_bench.hardware.thermal_image import (
-    FrameFormat,
-    FrameJudge,
     Surface,
-    band_radiance,
+    SyntheticCamera,
+    SyntheticWire,
     kelvin_from_raw,
-    radiance_of_raw,
-    raw_from_kelvin,
-    slope_at,
-    spread,
-    temperature_of,
 )
+from sma_bench.hardware.thermal_wire import WireReading
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
 
-KELVIN = np.array([250.0, 296.15, 353.15, 423.15, 600.0])
 
-
-def test_band_radiance_is_plancks_law_and_temperature_reads_it_backwards():
-    np.testing.assert_allclose(band_radiance(KELVIN), thermal_scene.radiance(KELVIN), rtol=2e-7)
+def test_band_radiance_is_plancks_law_and_pixels_are_tenths_of_a_degree():
+    kelvin = np.array([250.0, 296.15, 353.15, 423.15, 600.0])
+    band, back = thermal_image.band_radiance, thermal_image.temperature_of
+    np.testing.assert_allclose(band(kelvin), thermal_scene.radiance(kelvin), rtol=2e-7)
     kelvin = np.linspace(180.0, 1500.0, 4567)
-    np.testing.assert_allclose(temperature_of(band_radiance(kelvin)), kelvin, atol=1e-4)
-    assert np.isnan(temperature_of([-1.0, 0.0])).all()
-    kelvin, std = Surface(0.1, 400.0).temperature(float(band_radiance(300.0)), 0.1)
-    assert np.isnan(kelvin) and np.isnan(std)
-
-
-def test_pixels_are_tenths_of_a_degree_and_the_slope_the_derivative():
-    assert raw_from_kelvin(273.15 + 80.0) == pytest.approx(1800.0)
+    np.testing.assert_allclose(back(band(kelvin)), kelvin, atol=1e-4)
+    assert np.isnan(back([-1.0, 0.0])).all()
+    assert np.isnan(Surface(0.1, 400.0).temperature(float(band(300.0)), 0.1)).all()
+    assert thermal_image.raw_from_kelvin(273.15 + 80.0) == pytest.approx(1800.0)
     assert kelvin_from_raw(1234) == pytest.approx(273.15 + 23.4)
     pixels = np.array([[1230, 1800]], np.uint16)
-    np.testing.assert_allclose(
-        radiance_of_raw(pixels), band_radiance(kelvin_from_raw(pixels)), rtol=1e-6
-    )
-    step = band_radiance([349.0, 351.0])
-    assert slope_at(350.0) == pytest.approx((step[1] - step[0]) / 2.0, rel=1e-4)
-    exponents = [kelvin * slope_at(kelvin) / float(band_radiance(kelvin)) for kelvin in (300, 400)]
-    assert exponents == pytest.approx([4.85, 3.81], abs=0.01)
+    read = thermal_image.radiance_of_raw(pixels)
+    np.testing.assert_allclose(read, band(kelvin_from_raw(pixels)), rtol=1e-6)
+    slope = thermal_image.slope_at(350.0)
+    assert slope == pytest.approx(np.diff(band([349.0, 351.0]))[0] / 2.0, rel=1e-4)
 
 
 def test_emissivity_and_reflection_are_undone_and_the_deviation_is_that_of_many_draws():
-    for emissivity, reflected in ((1.0, 280.0), (0.95, 320.0), (0.3, 320.0)):
+    for emissivity, reflected in ((1.0, 280.0), (0.3, 320.0)):
         apparent = emissivity * thermal_scene.radiance(360.0)
         apparent += (1 - emissivity) * thermal_scene.radiance(reflected)
         kelvin, std = Surface(emissivity, reflected).temperature(float(apparent), 0.0)
@@ -53,7 +46,7 @@ def test_emissivity_and_reflection_are_undone_and_the_deviation_is_that_of_many_
     random = np.random.default_rng(5)
     believed = Surface(0.3, 300.0, emissivity_std=0.01, reflected_std=1.5)
     apparent = float(Surface(0.3, 300.0).apparent(370.0))
-    noise = 0.02 * slope_at(370.0)
+    noise = 0.02 * thermal_image.slope_at(370.0)
     kelvin, std = believed.temperature(apparent, noise)
     drawn = [
         Surface(0.3 + 0.01 * a, 300.0 + 1.5 * b).temperature(apparent + noise * c, 0.0)[0]
@@ -63,101 +56,153 @@ def test_emissivity_and_reflection_are_undone_and_the_deviation_is_that_of_many_
     assert std == pytest.approx(np.std(drawn), rel=0.06)
 
 
-FORMAT = FrameFormat(6, 4)
-PIXELS = np.arange(24, dtype=np.uint16).reshape(4, 6) * 1000
-
-
-def test_pictures_of_either_byte_order_and_padded_rows_are_read():
-    padded = np.pad(PIXELS.astype("<u2"), ((0, 0), (0, 3)), constant_values=9)
+def test_pictures_of_either_byte_order_and_padded_rows_are_read_and_a_wrong_one_is_one_line():
+    pixels = np.arange(24, dtype=np.uint16).reshape(4, 6) * 1000
+    padded = np.pad(pixels.astype("<u2"), ((0, 0), (0, 3)), constant_values=9)
+    decode = partial(thermal_image.decode_frame, (6, 4))
     for step, big, data in (
-        (12, False, PIXELS.astype("<u2")), (12, True, PIXELS.astype(">u2")), (18, False, padded),
+        (12, False, pixels.astype("<u2")), (12, True, pixels.astype(">u2")), (18, False, padded),
     ):
-        frame = FORMAT.decode("mono16", 6, 4, step, big, data.tobytes())
-        np.testing.assert_array_equal(frame, PIXELS)
+        frame = decode("mono16", 6, 4, step, big, data.tobytes())
+        np.testing.assert_array_equal(frame, pixels)
         assert frame.dtype == np.uint16
-
-
-def test_a_wrong_picture_is_one_line():
     for fields, expected in (
         (("bgr8", 6, 4, 12, False, bytes(48)), "encoding 'bgr8', expected 'mono16'"),
         (("mono16", 8, 4, 16, False, bytes(64)), "is 8 x 4, expected 6 x 4"),
         (("mono16", 6, 4, 6, False, bytes(48)), "step 6, expected 12 or more"),
         (("mono16", 6, 4, 12, False, bytes(40)), "40 bytes, expected 48"),
     ):
-        with pytest.raises(InputError, match=expected) as error:
-            FORMAT.decode(*fields)
-        assert "\n" not in str(error.value)
+        with pytest.raises(InputError, match=f"^[^\n]*{expected}[^\n]*$"):
+            decode(*fields)
 
 
-@pytest.fixture
-def camera():
-    return SyntheticCamera(120, 80, [], unevenness=5.0)
+def test_frames_that_are_frozen_stale_or_warned_of_are_held_back():
+    camera = SyntheticCamera(120, 80, [], unevenness=5.0)
+    judge = FrameJudge(stale_limit=0.25, shutter_spread=1.0, shutter_settle=0.1)
 
+    def is_said(said, stamp, now, frame=None):
+        objection = judge.objection(camera.empty() if frame is None else frame, stamp, now)
+        return said in objection and bool(said) == bool(objection)
 
-@pytest.fixture
-def judge():
-    return FrameJudge(stale_limit=0.25, shutter_spread=1.0, shutter_settle=0.1)
-
-
-def test_frames_that_are_frozen_stale_or_warned_of_are_held_back(camera, judge):
     frozen = camera.empty()
-    for frame, stamp, now, said in (
-        (camera.empty(), 0.0, 0.02, ""), (frozen, 0.1, 0.1, ""),
-        (frozen.copy(), 0.2, 0.2, "frozen"), (frozen.copy(), 0.3, 0.3, "frozen"),
-        (camera.empty(), 0.4, 0.4, ""), (camera.empty(), 1.0, 1.5, "0.5 s old"),
-        (camera.empty(), 1.6, 1.6, ""), (camera.empty(), 1.6, 1.65, "there before"),
-        (camera.empty(), 1.55, 1.66, "there before"), (camera.empty(), 9.0, 1.7, "in the future"),
-        (camera.empty(), 1.75, 1.75, ""),
+    for stamp, now, said, *frame in (
+        (0.0, 0.02, ""), (0.1, 0.1, "", frozen), (0.2, 0.2, "frozen", frozen.copy()),
+        (0.3, 0.3, "frozen", frozen.copy()), (0.4, 0.4, ""), (1.0, 1.5, "0.5 s old"),
+        (1.6, 1.6, ""), (1.6, 1.65, "there before"), (1.55, 1.66, "there before"),
+        (9.0, 1.7, "in the future"), (1.75, 1.75, ""),
     ):
-        objection = judge.objection(frame, stamp, now)
-        assert said in objection and bool(said) == bool(objection)
+        assert is_said(said, stamp, now, *frame)
     # The shutter, by its flag and by a uniform picture, which settles after it.
-    assert spread(camera.shutter()) < 1.0 < spread(camera.empty())
+    assert np.ptp(camera.shutter()) < 10 < np.ptp(camera.empty())  # tenths of a kelvin
     judge.flag(closed=True)
-    assert "shutter" in judge.objection(camera.empty(), 1.8, 1.8)
+    assert is_said("shutter", 1.8, 1.8)
     judge.flag(closed=False)
-    for frame, now, said in (
-        (camera.empty(), 2.0, ""), (camera.shutter(), 2.1, "shutter"),
-        (camera.empty(), 2.15, "shutter"), (camera.empty(), 2.25, ""),
-    ):
-        objection = judge.objection(frame, now, now)
-        assert said in objection and bool(said) == bool(objection)
+    assert is_said("", 2.0, 2.0) and is_said("shutter", 2.1, 2.1, camera.shutter())
+    assert is_said("shutter", 2.15, 2.15) and is_said("", 2.25, 2.25)
 
 
 WIDTH, HEIGHT = 40, 60
 
 
-def quiet(wire, **options):
-    return SyntheticCamera(WIDTH, HEIGHT, [wire], noise=0.0, **options)
-
-
-@pytest.mark.parametrize(("thickness", "sideways"), [(0.3, 8.0), (0.75, 0.0), (5.0, 8.0)])
-def test_pictures_agree_with_brute_force(thickness, sideways):
+@pytest.mark.parametrize(("thickness", "sideways"), [(0.3, 8.0), (5.0, 8.0)])
+def test_synthetic_pictures_agree_with_brute_force(thickness, sideways):
     wire = SyntheticWire((15.0, -20.0), (15.0, 80.0), thickness)
-    camera = quiet(wire, surface=Surface(0.9, thermal_scene.ROOM))
+    surface = Surface(0.9, thermal_scene.ROOM)
+    camera = SyntheticCamera(WIDTH, HEIGHT, [wire], surface, noise=0.0)
     frame = kelvin_from_raw(camera.picture([360.0], sideways))
     way = thermal_scene.bent(15.0, sideways, 100.0)
     truth = thermal_scene.scene(
         WIDTH, HEIGHT, lambda y: way(y + 20.0), thickness, 360.0, emissivity=0.9
     )
-    excess = truth.max() - thermal_scene.ROOM
-    assert np.abs(frame - truth).max() < 0.06 + 0.03 * excess
-    assert frame.sum() == pytest.approx(truth.sum(), abs=0.01 * (truth - thermal_scene.ROOM).sum())
+    excess = truth - thermal_scene.ROOM
+    assert np.abs(frame - truth).max() < 0.06 + 0.03 * excess.max()
+    assert frame.sum() == pytest.approx(truth.sum(), abs=0.01 * excess.sum())
 
 
 def test_a_wire_along_rows_is_the_picture_turned_and_one_outside_leaves_no_trace():
     upright = SyntheticWire((20.3, 5.0), (22.0, 55.0), 0.8)
     lying = SyntheticWire((5.0, 20.3), (55.0, 22.0), 0.8)
-    turned = SyntheticCamera(HEIGHT, WIDTH, [lying], noise=0.0)
     assert lying.along_x and not upright.along_x
-    np.testing.assert_array_equal(
-        turned.picture([350.0], 4.0), quiet(upright).picture([350.0], 4.0).T
-    )
-    camera = quiet(SyntheticWire((-20.0, 5.0), (-20.0, 55.0), 1.0))
+    turned = SyntheticCamera(HEIGHT, WIDTH, [lying], noise=0.0).picture([350.0], 4.0)
+    camera = SyntheticCamera(WIDTH, HEIGHT, [upright], noise=0.0)
+    np.testing.assert_array_equal(turned, camera.picture([350.0], 4.0).T)
+    with pytest.raises(InputError, match="2 temperatures for 1 wires"):
+        camera.picture([300.0, 300.0])
+    outside = SyntheticWire((-20.0, 5.0), (-20.0, 55.0), 1.0)
+    camera = SyntheticCamera(WIDTH, HEIGHT, [outside], noise=0.0)
     np.testing.assert_array_equal(camera.picture([400.0], -5.0), camera.empty())
     assert camera.picture([400.0], 60.0).max() > camera.empty().max()
-    with pytest.raises(InputError, match="2 temperatures for 1 wires"):
-        quiet(SyntheticWire((20.0, 5.0), (20.0, 55.0), 1.0)).picture([300.0, 300.0])
     camera = SyntheticCamera(200, 200, [], noise=0.5)
     one, other = kelvin_from_raw(camera.empty()), kelvin_from_raw(camera.empty())
     assert (one - other).std() == pytest.approx(0.5 * 2**0.5, rel=0.03)
+
+
+# --- what the camera's node says, and what it refuses at the start
+
+GOOD = WireReading(kelvin=353.15, std=0.8, seen=True, background=297.0)
+UNSEEN = WireReading(reason="no wire stands out from the background of 23.0 degC")
+
+
+def reporting(frames, reading=GOOD):
+    report = CameraReport(["wire"], silence_limit=0.25, now=100.0)
+    for k in range(frames):
+        report.arrived(100.0 + k / 80.0)
+        report.read((reading,), latency=0.004, now=100.0 + k / 80.0)
+    return report, 100.0 + frames / 80.0
+
+
+def test_a_running_camera_gives_its_rates_and_its_silence_is_an_error_that_grows():
+    report, end = reporting(80)
+    camera, wire = report.reports(end)
+    assert (camera.level, camera.message) == ("ok", "running")
+    assert camera.values["frame_rate"] == "80.0" == wire.values["reading_rate"]
+    assert camera.values["latency_mean_s"] == "0.0040"
+    assert wire.message == "80.0 degC +- 0.8" and wire.values["standard_deviation_K"] == "0.80"
+    camera, wire = report.reports(end + 1.0)
+    assert camera.level == wire.level == "error" and camera.values["frame_rate"] == "0.0"
+    assert camera.message == "no frame for 1.0 s" and wire.message == "no good frames"
+    said = [r.message for r in reporting(0)[0].reports(102.0)]
+    assert said == ["no frame for 2.0 s since the start", "no frame yet"]
+
+
+def test_held_frames_and_wires_are_counted_and_an_error_once_all_are_held():
+    report, end = reporting(8)
+    report.arrived(end)
+    report.held("shutter: the flag covers the detector")
+    camera, _ = report.reports(end)
+    assert camera.level == "warn" and "1 of 9 frames held: shutter" in camera.message
+    for k in range(40):
+        report.arrived(end + k / 80.0)
+        report.held("frozen: frame equal to the one before")
+    camera, wire = report.reports(end + 0.5)
+    assert camera.level == wire.level == "error" and camera.message.startswith("frozen: ")
+    assert camera.values["held_frozen"] == "40" and camera.values["held_shutter"] == "1"
+    report, end = reporting(8, UNSEEN)
+    camera, wire = report.reports(end)
+    assert (camera.level, wire.level, wire.message) == ("ok", "error", UNSEEN.reason)
+    assert wire.values["held_readings"] == "8" and wire.values["reading_rate"] == "0.0"
+
+
+def settings(node, **changes):
+    return {p.name: p.default for p in NODE_TABLES[node]} | changes
+
+
+def test_wires_have_a_camera_and_a_region_each_and_bad_ones_are_one_line():
+    paper = Parameters.of_paper()
+    (gauge,) = wire_gauges(paper, settings("ir_camera"))
+    picture = SyntheticCamera.of(paper, settings("synthetic_camera")).picture([345.0])
+    reading = gauge.read(picture, 0.0)
+    assert abs(reading.kelvin - 345.0) < 0.3 < reading.std and reading.fill < 0.45
+    sides = ("front", "front", "back", "back")
+    four = paper.replace({"bench.channels": tuple("abcd"), "bench.channel_sides": sides})
+    regions = tuple(thermal_image.regions_side_by_side(4, 382, 288))
+    kelvin = [320.0, 340.0, 360.0, 380.0]
+    frame = SyntheticCamera.of(four, settings("synthetic_camera")).picture(kelvin, 12.0)
+    gauges = wire_gauges(four, settings("ir_camera", regions=regions))
+    assert [gauge.read(frame, 0.0).kelvin for gauge in gauges] == pytest.approx(kelvin, abs=0.3)
+    for wires, said in (
+        (("1 2 3",), "wires: '1 2 3', expected 'X0 Y0 X1 Y1'"),
+        (("1 2 30 4", "1 2 30 4"), "wires has 2 entries"),
+    ):
+        with pytest.raises(InputError, match=said):
+            SyntheticCamera.of(paper, settings("synthetic_camera", wires=wires))

@@ -4,35 +4,24 @@ a wire painted on pixels divided by eight, blurred and averaged."""
 from functools import cache
 
 import numpy as np
+from scipy.constants import c, h, k
+from scipy.integrate import trapezoid
 from scipy.ndimage import gaussian_filter
 
 FINE = 8
-WAVELENGTHS = np.linspace(7.5e-6, 13e-6, 4001)
+WAVELENGTHS = np.linspace(7.5e-6, 13e-6, 2001)
 ROOM = 296.15
 
 
 def radiance(kelvin):
-    """Band radiance, W/(m2 sr), of temperatures of any shape."""
-    exponent = 6.62607015e-34 * 299792458.0 / 1.380649e-23 / WAVELENGTHS
-    factor = 2 * 6.62607015e-34 * 299792458.0**2 / WAVELENGTHS**5
-    spectral = factor / (np.exp(exponent / np.asarray(kelvin)[..., None]) - 1)
-    return (
-        np.trapezoid(spectral, WAVELENGTHS)
-        if hasattr(np, "trapezoid")
-        else np.trapz(spectral, WAVELENGTHS)
-    )
+    exponent = h * c / (k * WAVELENGTHS * np.asarray(kelvin)[..., None])
+    return trapezoid(2 * h * c**2 / WAVELENGTHS**5 / np.expm1(exponent), WAVELENGTHS)
 
 
 @cache
 def grid():
-    """Temperatures and their radiances."""
     kelvin = np.arange(220.0, 640.0, 0.25)
     return kelvin, radiance(kelvin)
-
-
-def temperature(value):
-    kelvin, radiances = grid()
-    return np.interp(value, radiances, kelvin)
 
 
 def scene(
@@ -46,12 +35,12 @@ def scene(
     blurred = gaussian_filter(wire, blur * FINE, mode="nearest")
     share = blurred.reshape(height, FINE, width, FINE).mean(axis=(1, 3))
     surface = emissivity * radiance(kelvin) + (1 - emissivity) * radiance(reflected)
-    behind = radiance(background)
-    return temperature(behind + share * (surface - behind))
+    temperatures, radiances = grid()
+    behind = np.interp(background, temperatures, radiances)
+    return np.interp(behind + share * (surface - behind), radiances, temperatures)
 
 
 def photograph(kelvin, random, noise=0.08):
-    """Pixel values of true temperatures: noise, then steps of 0.1 K."""
     noisy = kelvin + noise * random.standard_normal(kelvin.shape)
     return np.rint((noisy - 273.15) * 10 + 1000).astype(np.uint16)
 
@@ -61,5 +50,4 @@ def straight(x, slope=0.0):
 
 
 def bent(x, sideways, length):
-    """Moved by `sideways` at y = length, with constant curvature."""
     return lambda y: (x + sideways * (y / length) ** 2, 2 * sideways * y / length**2)

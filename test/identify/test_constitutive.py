@@ -1,15 +1,13 @@
 """E9: the joint fit on synthetic truth and on the measured alloys."""
 
-from collections.abc import Callable
-from pathlib import Path
-
 import numpy as np
 import pytest
-from loops import isobaric
+from loops import SEVEN_CYCLES, alloy, isobaric
 
-from sma_bench.identify.constitutive.joint_fit import fit_constitutive
+from sma_bench.identify.constitutive import fit_constitutive
 from sma_bench.parameters import Parameters
-from sma_bench.records.isobaric import IsobaricRecord, read_isobaric
+from sma_bench.records import open_record
+from sma_bench.records.instruments import IsobaricRecord
 
 STRESSES = (20e6, 80e6, 150e6, 220e6)
 BASE = {
@@ -18,62 +16,42 @@ BASE = {
     "wire.martensite_start_temperature": 338.0,
     "wire.martensite_finish_temperature": 322.0,
 }
-FITTED = (
-    *BASE,
-    "wire.stress_influence_austenite",
-    "wire.stress_influence_martensite",
-    "wire.maximum_recoverable_strain",
-    "wire.thermal_expansion_factor",
-)
+# Of these, the ranges that benches are drawn from.
+RANGES = {
+    "wire.stress_influence_austenite": (5e6, 12e6),
+    "wire.stress_influence_martensite": (5e6, 12e6),
+    "wire.maximum_recoverable_strain": (0.02, 0.05),
+    "wire.thermal_expansion_factor": (-0.5e6, -0.1e6),
+}
+FITTED = (*BASE, *RANGES)
 
 
-def record(
-    stress: float, truth: Parameters, seed: int = 1, growth: float = 0.0, zero: float = 0.01
-) -> IsobaricRecord:
-    return isobaric(
-        stress,
-        truth,
-        seed=seed,
-        noise=5e-5,
-        growth=growth,
-        zero=zero,
-        span=(293.15, 423.15),
-        points=500,
-    )
+def record(stress: float, truth: Parameters, seed: int = 1, **more: float) -> IsobaricRecord:
+    options = {"noise": 5e-5, "zero": 0.01, "span": (293.15, 423.15), "points": 500} | more
+    return isobaric(stress, truth, seed=seed, **options)
 
 
 def draw(seed: int) -> Parameters:
     rng = np.random.default_rng(seed)
     values = {name: value + float(rng.uniform(-4.0, 4.0)) for name, value in BASE.items()}
-    values["wire.stress_influence_austenite"] = float(rng.uniform(5e6, 12e6))
-    values["wire.stress_influence_martensite"] = float(rng.uniform(5e6, 12e6))
-    values["wire.maximum_recoverable_strain"] = float(rng.uniform(0.02, 0.05))
-    values["wire.thermal_expansion_factor"] = float(rng.uniform(-0.5e6, -0.1e6))
+    values |= {name: float(rng.uniform(*ends)) for name, ends in RANGES.items()}
     moduli = {"wire.martensite_modulus": 0.0, "wire.austenite_modulus": 0.0}
     return Parameters.of_paper().replace(values, moduli)
 
 
-def test_contract_material_comes_back_with_the_contract_law() -> None:
-    truth = draw(3)
-    experiment = fit_constitutive([record(s, truth, k) for k, s in enumerate(STRESSES)], truth)
-    assert all("contract law" in e.method for e in experiment.estimates.values())
-    for name in FITTED:
-        estimate = experiment.estimates[name]
-        assert abs(estimate.value - truth[name]) < 4.0 * estimate.std, name
-        assert estimate.std < 0.1 * abs(truth[name]), name
-
-
 @pytest.mark.slow
-def test_intervals_cover_the_truth() -> None:
+def test_intervals_cover_the_truth_of_a_material_of_the_contracts_law() -> None:
     scores = []
-    for seed in range(8):
+    for seed in range(4):
         truth = draw(seed)
         tests = [record(s, truth, 10 * seed + k, zero=0.001 * k) for k, s in enumerate(STRESSES)]
         estimates = fit_constitutive(tests, truth).estimates
         scores += [(estimates[n].value - truth[n]) / estimates[n].std for n in FITTED]
-    assert len(scores) == 64
-    assert np.mean(np.abs(scores) < 1.96) >= 0.88  # 2.5 deviations of a binomial below 95 %
-    assert abs(np.mean(scores)) < 0.3
+        assert all("contract law" in estimate.method for estimate in estimates.values())
+        assert all(estimates[n].std < 0.1 * abs(truth[n]) for n in FITTED)
+    assert len(scores) == 32
+    assert np.mean(np.abs(scores) < 1.96) >= 0.85  # 2.5 deviations of a binomial below 95 %
+    assert abs(np.mean(scores)) < 0.4
 
 
 def test_growing_strain_is_fitted_by_the_extended_law_and_said() -> None:
@@ -98,20 +76,26 @@ def test_one_stress_takes_the_influences_as_given() -> None:
     assert "wire.stress_influence_austenite" not in experiment.estimates
     a_s = experiment.estimates["wire.austenite_start_temperature"]
     assert a_s.value == pytest.approx(truth["wire.austenite_start_temperature"], abs=0.5)
-    shift_std = (
-        150e6
-        / truth["wire.stress_influence_austenite"] ** 2
-        * truth.std("wire.stress_influence_austenite")
-    )
-    assert a_s.std >= shift_std
+    c_a = "wire.stress_influence_austenite"
+    assert a_s.std >= 150e6 / truth[c_a] ** 2 * truth.std(c_a)
     assert any("taken as given" in f.text for f in experiment.findings)
 
 
-def test_a_measured_alloy_is_met_within_five_percent_at_every_stress(
-    alloy: Callable[[int], list[IsobaricRecord]],
-) -> None:
+def test_a_direction_that_was_not_measured_is_left_out() -> None:
+    truth = draw(3)
+    tests = [
+        isobaric(s, truth, noise=5e-5, span=(293.15, 423.15), points=200, directions=("heating",))
+        for s in (80e6, 220e6)
+    ]
+    found = fit_constitutive(tests, truth).estimates
+    start = "wire.austenite_start_temperature"
+    assert found[start].value == pytest.approx(truth[start], abs=1.0)
+    assert not {name for name in found if "martensite_" in name and "temperature" in name}
+
+
+def test_a_measured_alloy_is_met_within_five_percent_at_every_stress() -> None:
     tests = alloy(2)
-    experiment = fit_constitutive(tests)
+    experiment = fit_constitutive(tests, Parameters.defaults())
     contract, extended = (f for f in experiment.findings if f.subject == "fit error")
     assert len(extended.numbers) == len(tests)
     assert max(extended.numbers.values()) < 0.05
@@ -123,9 +107,8 @@ def test_a_measured_alloy_is_met_within_five_percent_at_every_stress(
     assert experiment.details["extended: alpha_M"].value == pytest.approx(9.4, abs=1.5)
 
 
-def test_seven_cycles_do_not_fit_one_set_and_each_its_own(measured_data: Path) -> None:
-    path = measured_data / "sma_react/input/preprocessor_samples/isobaric_7cycle.txt"
-    experiment = fit_constitutive([read_isobaric(path)], law="extended")
+def test_seven_cycles_do_not_fit_one_set_and_each_its_own() -> None:
+    experiment = fit_constitutive([open_record(SEVEN_CYCLES)], Parameters.defaults())
     (finding,) = [f for f in experiment.findings if f.subject == "cycles"]
     assert finding.numbers["joint"] > 0.05
     assert finding.numbers["worst_cycle"] < 0.06

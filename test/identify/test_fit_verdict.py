@@ -10,6 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
+
+from wire_records import ramp
+
 import sma_bench
 from sma_bench.cli import main
 from sma_bench.records import Record
@@ -57,7 +61,7 @@ def test_the_verdict_on_the_fit_comes_first_and_the_file_is_written_in_any_case(
     assert "--out" not in advice
 
 
-def test_a_lag_of_the_thermometer_has_a_line_of_its_own(ramp, staircase):
+def test_a_lag_of_the_thermometer_has_a_line_of_its_own(staircase):
     # Two time constants in a row: what is stated of c_p says which is the wire's.
     stated = {"wire.specific_heat": 350.0, "wire.heat_transfer_coefficient": 410.0,
               "wire.resistance": 2.75}  # fmt: skip

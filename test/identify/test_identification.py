@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from wire_records import ramp, staircase
 
-from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.table import EXACT_SENSORS
+from sma_bench.parameters.parameter import EXACT_SENSORS
 from sma_bench.records import Record, Signal, open_record
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
@@ -23,33 +23,20 @@ WEIGHED = Parameters(
 def steady_record(voltage, n=2000):
     time = 0.05 * np.arange(n)
     values = {"voltage": voltage, "current": voltage / 2.7, "temperature": 297.0}
-    return Record(
-        Path("steady"),
-        0,
-        {f"wire.{k}": Signal(f"wire.{k}", "", time, np.full(n, v)) for k, v in values.items()},
-    )
+    signals = [Signal(f"wire.{k}", "", time, np.full(n, v)) for k, v in values.items()]
+    return Record(Path("steady"), 0, {signal.name: signal for signal in signals})
 
 
-def test_result_file_has_the_form_of_the_contract(staircase, ramp):
+def test_result_file_has_the_form_of_the_contract():
     document = identify([staircase(), ramp()], DEFAULTS).to_json()
     assert set(document) == {"parameters", "experiments", "warnings", "correlation", "fit", "card"}
-    assert set(document["parameters"][R]) == {
-        "value",
-        "std",
-        "unit",
-        "method",
-        "n",
-        "statistical",
-        "systematic",
-        "informed",
-        "warnings",
-        "stated",
-    }
+    keys = "value std unit method n statistical systematic informed warnings stated"
+    assert set(document["parameters"][R]) == set(keys.split())
     assert document["parameters"][R]["unit"] == "ohm"
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistance(staircase):
+def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistance():
     record = staircase()
     del record.signals["wire.current"]
     found = identify([record], DEFAULTS.replace({R: 2.75}, {R: 0.03}))
@@ -61,7 +48,7 @@ def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistan
         identify([record], DEFAULTS, ["E2", "E3"])
 
 
-def test_default_resistance_that_nobody_measured_is_a_warning(ramp):
+def test_default_resistance_that_nobody_measured_is_a_warning():
     found = identify([ramp()], WEIGHED)
     assert any(R in w and "nobody measured it" in w for w in found.warnings)
     # A ramp is not meant for a staircase's experiment: that it gives none is no warning.
@@ -69,7 +56,7 @@ def test_default_resistance_that_nobody_measured_is_a_warning(ramp):
     assert not any("E1: not identified" in warning for warning in found.warnings)
 
 
-def test_unmeasured_samples_are_left_out_and_counted(staircase):
+def test_unmeasured_samples_are_left_out_and_counted():
     record = staircase()
     record["wire.temperature"].values[100:150] = np.nan
     found = identify([record], DEFAULTS)
@@ -108,23 +95,3 @@ def test_what_cannot_be_identified_is_one_line_that_says_why(case):
     with pytest.raises(InputError) as caught:
         identify(records, DEFAULTS, *experiments)
     assert said in str(caught.value) and "\n" not in str(caught.value)
-
-
-def test_command_writes_both_files_prints_a_table_and_ends_on_bad_input_with_code_2(
-    shared_data, tmp_path, capsys, monkeypatch
-):
-    monkeypatch.chdir(tmp_path)
-    wire = shared_data / "foreign" / "wire"
-    step = str(shared_data / "foreign" / "composite" / "step")
-    words = [wire / "staircase", wire / "ramp", "--params", wire / "bench.yaml"]
-    files = ["--out", "identified.yaml", "--json", "result.json"]
-    assert main(["identify", *map(str, words), *files]) == 0
-    assert "wire.heat_transfer_coefficient" in capsys.readouterr().out
-    document = json.loads((tmp_path / "result.json").read_text())
-    written = read_parameters(tmp_path / "identified.yaml")
-    told = document["parameters"][CP]  # a file has the digits that the error deserves
-    assert written[CP] == pytest.approx(told["value"], abs=0.06 * told["std"])
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["identified.yaml", "result.json"]
-    for arguments in ([step], ["absent"], [step, "--params", "no.yaml"]):
-        assert main(["identify", *arguments]) == 2
-        assert len(capsys.readouterr().err.strip().splitlines()) == 1

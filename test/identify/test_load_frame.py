@@ -8,13 +8,13 @@ import pytest
 
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
-from examination.check.rigs import FINE, draw_record, draw_rig, try_rig
-from examination.simulated_lab import clamped, draw_bench, isobaric
+from examination.check.rigs import FINE, WORK, draw_record, draw_rig, try_rig
+from examination.simulated_lab import draw_bench, measured
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import find_holds
 from sma_bench.identify import identify
-from sma_bench.identify.load_frame import identify_load_frame
-from sma_bench.parameters.table import TRANSITIONS
+from sma_bench.identify.whole_model import identify_load_frame
+from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import Record, Signal
 
 SEED = 5
@@ -25,10 +25,8 @@ def lab():
     """A bench drawn at random with its isobaric and its clamped record."""
     bench = draw_bench(np.random.default_rng(SEED))
     records = {
-        experiment.__name__: Record(
-            Path(experiment.__name__), 0, {s.name: s for s in experiment(bench.truth, SEED)}
-        )
-        for experiment in (isobaric, clamped)
+        name: Record(Path(name), 0, {s.name: s for s in measured(name, bench.truth, SEED)})
+        for name in ("isobaric", "clamped")
     }
     return bench, records
 
@@ -88,4 +86,5 @@ def test_held_load_without_a_thermometer_is_fitted_all_the_same():
     record = draw_record(draw_rig("force", rng), rng)
     assert {"elongation", "force"} <= set(record.signals)
     assert "front_wire.temperature" not in record.signals
-    assert try_rig(86)["identify"] == FINE
+    found = try_rig(86)
+    assert [found[work] for work in WORK] == [FINE] * 2, found

@@ -4,23 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from wire_records import Sensors, Wire, ramp, staircase
 
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.table import EXACT_SENSORS
+from sma_bench.parameters.parameter import EXACT_SENSORS
 from sma_bench.records import Signal
 
 R, H, CP = "wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"
 TRUTH = {R: 2.75, H: 410.0, CP: 350.0}
-AMBIENT, ZERO = 297.3, 273.15
+AMBIENT = 297.3
 VOLTS, AMPERES = "sensor.voltage.gain", "sensor.current.gain"
-# What an instrument does to its readings: gains at their data sheets' limits, and a few more.
-FAULTS = {
-    "current 1.5 % low": {"current": lambda x: x / 1.015},
-    "voltage 1 % high": {"voltage": lambda x: x * 1.01},
-    "camera 5 % high": {"temperature": lambda x: (x - ZERO) * 1.05 + ZERO},
-    "camera 2 K high": {"temperature": lambda x: x + 2.0},
-}
 
 
 def read_by(fault, record):
@@ -31,29 +25,15 @@ def read_by(fault, record):
     return replace(record, signals=signals)
 
 
-def records(staircase, ramp, seed=3):
-    return staircase(seed=seed), ramp(seed=seed)
+def records():
+    return staircase(seed=3), ramp(seed=3)
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-def test_a_scale_that_no_record_shows_is_in_the_errors_of_the_data_sheets(staircase, ramp, fault):
-    read = [read_by(FAULTS[fault], one) for one in records(staircase, ramp)]
-    found = identify(read, Parameters.of_paper())
-    for name, truth in TRUTH.items():
-        estimate = found.estimates[name]
-        assert abs(estimate.value - truth) < 3.0 * estimate.std, name
-        assert estimate.std <= Parameters.of_paper().std(name) * (1.0 + 1e-9)
-        assert estimate.std**2 == pytest.approx(estimate.statistical**2 + estimate.systematic**2)
-    # A wire at rest reads off by as much as its camera's zero.
-    room = found.experiments[1].estimates["environment.ambient_temperature"]
-    assert abs(room.value - AMBIENT) < 3.0 * room.std
-
-
-def test_numbers_share_the_errors_of_their_sensors(staircase, ramp):
+def test_numbers_share_the_errors_of_their_sensors():
     known = Parameters.of_paper().replace(
         uncertainty={**EXACT_SENSORS, AMPERES: 5e-3, "sensor.temperature.spot_share": 4e-3}
     )
-    found = identify(records(staircase, ramp), known)
+    found = identify(records(), known)
     of_r, of_h, of_cp = (found.estimates[name] for name in (R, H, CP))
     assert of_r.systematic / of_r.value == pytest.approx(5e-3, rel=0.02)
     assert of_h.systematic / of_h.value == pytest.approx(np.hypot(5e-3, 4e-3), rel=0.02)
@@ -67,7 +47,7 @@ def test_numbers_share_the_errors_of_their_sensors(staircase, ramp):
     assert np.linalg.eigvalsh(correlation.matrix).min() > -1e-9
 
 
-def test_a_calibration_puts_the_readings_right(staircase, ramp):
+def test_a_calibration_puts_the_readings_right():
     wrong = {
         "current": lambda x: (x - 0.02) / 1.05,
         "voltage": lambda x: x / 0.97,
@@ -77,7 +57,7 @@ def test_a_calibration_puts_the_readings_right(staircase, ramp):
         AMPERES: 1.05, "sensor.current.offset": 0.02, VOLTS: 0.97,
         "sensor.temperature.spot_share": 0.8, "environment.ambient_temperature": AMBIENT,
     }, EXACT_SENSORS)  # fmt: skip
-    found = identify([read_by(wrong, one) for one in records(staircase, ramp)], known).estimates
+    found = identify([read_by(wrong, one) for one in records()], known).estimates
     for name, truth in TRUTH.items():
         assert abs(found[name].value - truth) < 3.0 * found[name].std < 0.03 * truth, name
 
@@ -101,7 +81,7 @@ def drifting(record, kelvin, recorded=False):
 
 
 @pytest.mark.parametrize("recorded", [False, True])
-def test_a_room_that_drifts_is_in_the_errors_or_taken_off(staircase, recorded):
+def test_a_room_that_drifts_is_in_the_errors_or_taken_off(recorded):
     found = identify([drifting(staircase(seed=5, dwell=12.0), 1.5, recorded)], KNOWN)
     h, room = found.estimates[H], found.estimates[ROOM]
     assert abs(h.value - 410.0) < 3.0 * h.std
@@ -114,20 +94,20 @@ def test_a_room_that_drifts_is_in_the_errors_or_taken_off(staircase, recorded):
         assert said[0].numbers["drift"] == pytest.approx(1.5, rel=0.1)
 
 
-def test_staircases_in_different_air_are_not_pooled_without_a_word(staircase, ramp, wire):
-    still, moved = (staircase(wire(coefficient=h), seed=7, dwell=12.0) for h in (410.0, 492.0))
+def test_staircases_in_different_air_are_not_pooled_without_a_word():
+    still, moved = (staircase(Wire(coefficient=h), seed=7, dwell=12.0) for h in (410.0, 492.0))
     found = identify([still, moved], KNOWN, ["E1", "E2"])
     assert any(H in w and "2 staircases lie" in w for w in found.warnings)
     alike = identify([still, staircase(seed=8, dwell=12.0)], KNOWN, ["E1", "E2"])
     assert alike.warnings == ()
     # A doubt about the heat loss is one about the specific heat.
-    bent = identify([staircase(wire(bend=2e-3), dwell=12.0), ramp()], KNOWN)
+    bent = identify([staircase(Wire(bend=2e-3), dwell=12.0), ramp()], KNOWN)
     assert any(CP in w and "of which E2 says" in w for w in bent.warnings)
 
 
-def test_what_the_cameras_messages_state_takes_the_data_sheets_place(staircase, ramp):
+def test_what_the_cameras_messages_state_takes_the_data_sheets_place():
     read = []
-    for record in records(staircase, ramp):
+    for record in records():
         wire = record["wire.temperature"]
         std = np.hypot(0.3, 0.01 * (wire.values - AMBIENT))
         read.append(replace(record, signals={**record.signals, wire.name: replace(wire, std=std)}))
@@ -138,3 +118,45 @@ def test_what_the_cameras_messages_state_takes_the_data_sheets_place(staircase, 
     assert found[ROOM].shares["sensor.temperature.offset"] == pytest.approx(0.3, rel=0.1)
     stated = known.replace(uncertainty=EXACT_SENSORS)
     assert identify(read, stated).estimates[H].systematic == pytest.approx(0.0, abs=1e-9)
+
+
+# --- Monte Carlo: the stated errors are true ones.
+
+TRIALS = 12
+GAIN_STD = 3e-4  # of the voltmeter; that of a calibrated one
+CALIBRATED = Parameters.of_paper().replace(
+    uncertainty={**EXACT_SENSORS, VOLTS: GAIN_STD, "sensor.temperature.lag": 0.0}
+)
+
+
+def deviation(seed):
+    """(3,) errors of R, h and c_p in stated standard errors, for a wire and a bench drawn anew."""
+    rng = np.random.default_rng(seed)
+    ranges = ((2.4, 3.2), (300.0, 500.0), (250.0, 450.0), (292.0, 303.0))
+    ohm, loss, heat, ambient = (rng.uniform(*ends) for ends in ranges)
+    truth = Wire(ohm, loss, heat, ambient=ambient)
+    # No supply hits its levels exactly, and no two benches have the same converter errors.
+    scale = rng.uniform(0.97, 1.03)
+    gain = GAIN_STD * rng.standard_normal()
+    steady = Sensors(offset=rng.normal(0.0, 0.02), scale_error=gain)
+    moving = Sensors(100.0, 80.0, offset=0.01, delay=rng.uniform(-0.005, 0.005), scale_error=gain)
+    # Nor does a supply know when it will be read: in step with the readings c_p is 0.1 % low.
+    lead = 4.0 + rng.uniform(0.0, 1.0 / moving.power_rate)
+    records = [
+        staircase(truth, steady, seed, 15.0, top=6.25 * scale, increment=0.5 * scale),
+        ramp(truth, moving, seed + 5000, top=2.5 * scale, lead=lead),
+    ]
+    found = identify(records, CALIBRATED).estimates
+    true = zip((R, H, CP), (ohm, loss, heat), strict=True)
+    return [(found[name].value - value) / found[name].std for name, value in true]
+
+
+@pytest.mark.slow
+def test_intervals_of_95_percent_hold_the_truth_as_often_as_they_say():
+    errors = np.array([deviation(s) for s in range(TRIALS)])
+    # 36 numbers: 2.5 deviations of a binomial below 95 %.
+    assert np.mean(np.abs(errors) < 1.96) >= 0.86
+    # And neither a bias that hides in the spread, by three deviations of a mean, nor errors for
+    # show.
+    assert np.all(np.abs(errors.mean(axis=0)) < 3.0 / np.sqrt(TRIALS)), errors.mean(axis=0)
+    assert 0.7 < np.sqrt(np.mean(errors**2)) < 1.2

@@ -6,7 +6,7 @@ from multiprocessing import get_context
 
 import pytest
 
-from sma_bench.estimation.side_by_side import in_threads, threads_to_spare
+from sma_bench.compiled import in_threads, threads_to_spare
 
 pytestmark = pytest.mark.usefixtures("both_cores")
 
@@ -24,13 +24,9 @@ def test_two_threads_give_results_in_order_and_what_they_call_runs_in_them():
     assert len({thread for _, thread, _ in found}) == 2
     for k, (inner, thread, spare) in enumerate(found):
         assert inner == [(k, j, thread) for j in range(3)] and spare == 0
-    assert in_threads(lambda k: threads_to_spare(), [(0,)]) == [2]
-
-
-def test_the_first_error_is_raised():
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(ZeroDivisionError):  # the first error is raised
         in_threads(lambda k: 1 / k, [(2,), (1,), (0,)])
-    assert threads_to_spare() == 2
+    assert in_threads(lambda k: threads_to_spare(), [(0,)]) == [2]
 
 
 def test_a_process_of_a_pool_and_one_that_is_told_so_keep_to_one_core(monkeypatch):

@@ -10,7 +10,7 @@ from sma_bench.diagnose.diagnosis import about_unstated
 from sma_bench.estimation.unknowns import unknowns_of_records
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.table import TRANSITIONS
+from sma_bench.parameters.parameter import TRANSITIONS
 
 TRUTH = {"A_s": 356.0, "A_f": 372.0, "M_s": 352.0, "M_f": 336.0}
 OTHER = Alloy(*TRUTH.values(), 7e6, 7e6, 60e9, 28e9, 0.035, -0.2e6)
@@ -71,7 +71,7 @@ def test_a_template_and_the_own_result_change_nothing(noisy, alone, tmp_path, mo
 def test_intervals_hold_the_truth_of_drawn_alloys():
     """`./bench check alloys` draws more."""
     # Those of few cycles, whose bootstrap is quick.
-    rows = [row for draw in (0, 1, 3, 5, 6, 7) for row in examine(5, draw)]
+    rows = [row for draw in (0, 1, 3, 5) for row in examine(5, draw)]
     assert {row["method"] for row in rows} == {"E5", "E6", "E7", "E8"}
     assert coverage(rows) > 0.8
     assert coverage([row for row in rows if row["far"] > 3.0]) > 0.8

@@ -1,13 +1,15 @@
-"""A run without ROS: it follows what is planned, and leaves the wire cold."""
+"""A run and a recording without ROS: what is planned is followed, and the wire left cold; what is
+written."""
 
 import json
 import math
+from unittest.mock import Mock
 
 import pytest
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import Guard, Limits
-from sma_bench.live.recording import RECORDER, Beside
+from sma_bench.live.recording import RECORDER, Readiness, Recording, recorded_type, recorder_state
 from sma_bench.live.run import OpenLoop, Run, Surroundings
 from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol
@@ -16,6 +18,7 @@ PARAMETERS = Parameters.defaults()
 LIMITS = Limits.from_parameters(PARAMETERS)
 RESISTANCE = PARAMETERS["wire.resistance"]
 PERIOD = 0.02
+POWER = "/bench/wire/power"
 LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
 WAITS = {
     "name": "waits",
@@ -32,16 +35,16 @@ class Bench:
 
     def __init__(self, protocol=LONG, require_recorder=False):
         self.celsius, self.deaf, self.frozen = 25.0, False, False
-        self.tells = True
-        """a step's waiting of the temperature, be it a number of the test's own"""
+        # What a step that waits for it hears of the temperature, None for nothing.
+        self.told = lambda kelvin: kelvin
         self.sent, self.marks, self.states, self.shown = [], [], [], []
         self.send, self.mark = self.sent.append, self.marks.append
         self.enter, self.show = self.states.append, self.shown.append
         self.around = Surroundings()
         self.now, self.stamp = 100.0, 0.0
         self.guard = Guard(("wire",), ("power", "temperature"), 0.5)
-        self.beside = Beside(require_recorder)
-        self.run = Run(self, OpenLoop(), self.guard, self.beside, 1)
+        self.readiness = Readiness(require_recorder)
+        self.run = Run(self, OpenLoop(), self.guard, self.readiness, 1)
         self.plan = lambda: parse_protocol(protocol, PARAMETERS)
 
     def surroundings(self):
@@ -59,9 +62,8 @@ class Bench:
         kelvin = self.celsius + 273.15
         self.guard.power("wire", volt, volt / RESISTANCE, self.stamp, self.now, LIMITS)
         self.guard.temperature("wire", kelvin, self.stamp, self.now, LIMITS)
-        if self.tells:
-            told = kelvin if self.tells is True else self.tells
-            self.run.heard("temperature", "wire", told, self.stamp, self.now)
+        if self.told:
+            self.run.heard("temperature", "wire", self.told(kelvin), self.stamp, self.now)
 
     def spend(self, seconds):
         for _ in range(round(seconds / PERIOD)):
@@ -92,7 +94,8 @@ UNHEARD = "warm waits for it: stale feedback: nothing new from temperature wire"
         (LONG, {"deaf": True}, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25"),
         (LONG, {"frozen": True}, "stale feedback: nothing new from wire/"),
         (LONG, {"celsius": math.nan}, "stale feedback: nothing new from wire/temperature"),
-        (WAITS, {"tells": False}, UNHEARD), (WAITS, {"tells": math.nan}, UNHEARD),
+        (WAITS, {"told": None}, UNHEARD),
+        (WAITS, {"told": lambda _: math.nan}, UNHEARD),
     ],
 )
 def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
@@ -108,7 +111,7 @@ def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
 
 def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
     bench = Bench(WAITS)
-    bench.tells = False
+    bench.told = None
     refused = bench.run.start(bench.now, bench.plan)
     assert refused == (False, "no feedback: wire/power was never received")
     assert bench.start() == (False, "warm waits for temperature, which nobody publishes")
@@ -125,7 +128,7 @@ def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
 
     assert bench.run.start(bench.now, missing) == (False, "p.yaml: no such file")
     bench.spend(0.5)
-    late = Run(bench, OpenLoop(), bench.guard, bench.beside, 1, autostart=True)
+    late = Run(bench, OpenLoop(), bench.guard, bench.readiness, 1, autostart=True)
     late.watch(bench.now, missing)
     assert bench.state == "aborted: not started: p.yaml: no such file"
     assert not any(map(any, bench.sent))
@@ -136,23 +139,22 @@ def test_a_start_waits_until_every_topic_is_recorded_and_is_refused_where_nothin
 
     def recorder_says(state, messages):
         said = {"state": state, "output": "bag", "failure": "", "messages": messages}
-        bench.beside.recorder(json.dumps(said), bench.now)
+        bench.readiness.recorder(json.dumps(said), bench.now)
 
     assert "no recorder is there" in bench.start()[1]
-    bench.around = Surroundings(present={RECORDER}, published=lambda: ["/a", "/b", "/c"])
+    bench.around = Surroundings(present={RECORDER}, published=lambda: ["/a", "/b", POWER])
     assert bench.start() == (False, "the recorder has not said its state")
-    recorder_says("recording", {"/a": 1})
-    assert bench.start() == (
-        True, "starts as soon as all is recorded: the recorder does not hear /b, /c yet"
-    )
+    recorder_says("recording", {"/a": 1, POWER: 0})
+    unheard = "the recorder does not hear /b, /bench/wire/power yet"
+    assert bench.start() == (True, f"starts as soon as all is recorded: {unheard}")
     for _ in range(11):
-        recorder_says("recording", {"/a": 1})
+        recorder_says("recording", {"/a": 1, POWER: 0})
         bench.spend(1.0)
-    assert_cold(bench, "not started: the recorder does not hear /b, /c yet")
+    assert_cold(bench, f"not started: {unheard}")
 
     def start():
         bench.run.reset()
-        recorder_says("recording", {"/a": 1, "/b": 0, "/c": 9})
+        recorder_says("recording", {"/a": 1, "/b": 0, POWER: 9})
         assert bench.start()[0]
 
     start()
@@ -187,3 +189,57 @@ def test_a_step_ends_when_the_wire_is_warm_or_with_its_limit_and_the_next_has_it
     assert bench.sent[-1] == [2.0]
     bench.spend(0.3)
     assert bench.sent[-1] == [0.0] and bench.marks[-1] == "waits/cool"
+
+
+# --- what a recorder writes
+
+READING, STATE = "/bench/wire/temperature", "/bench/experiment/state"
+
+
+def recording_to(bag, skip_idle=False, margin=0.0):
+    """A recording that has begun, and what tells it a message."""
+    recording = Recording("bag", skip_idle, margin, pytest.fail, lambda _: bag)
+    recording.begin("bag")
+    for topic in (READING, STATE):
+        recording.add(topic, "t")
+
+    def tell(topic, second, text="x"):
+        recording.write(topic, round(second * 1e9), text.encode(), bytes.decode)
+
+    return recording, tell
+
+
+def stamps(bag, of=READING):
+    """ns, of what was written of a topic."""
+    written = [call.args for call in bag.write.call_args_list]
+    return [stamp for topic, stamp, _ in written if topic == of]
+
+
+def test_what_is_recorded_and_that_messages_of_one_tick_keep_their_order():
+    """Bags one after another are those of test/nodes/test_recorder.py."""
+    for topic, kind in (
+        ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+        ("/bench/wire/power", "sensor_msgs/msg/BatteryState"),
+        ("/bench/experiment/progress", ""), ("/other/wire/power", ""),
+    ):
+        assert recorded_type(topic, "/bench/") == kind
+    bag = Mock(path="bag")
+    recording, tell = recording_to(bag)
+    for _ in range(3):
+        tell(READING, 1.0)
+    assert recording.finish() and bag.close.called and not recording.finish()
+    tell(READING, 2.0)  # not written
+    assert stamps(bag) == [10**9, 10**9 + 1, 10**9 + 2]
+    messages = {READING: 3, STATE: 0}
+    said = {"state": "recording", "output": "bag", "failure": "", "messages": messages}
+    assert recorder_state(recording.state("recording")) == said
+
+
+@pytest.mark.parametrize(("margin", "expected"), [(0.0, [2.0, 3.0]), (1.0, [1.0, 2.0, 3.0, 4.0])])
+def test_idle_time_is_left_out_where_asked_but_for_a_margin(margin, expected):
+    bag = Mock(path="bag")
+    _, tell = recording_to(bag, True, margin)
+    states = {0: "idle", 1.9: "running: ramp", 3.1: "done: ramp"}
+    for moment in sorted([*states, *range(1, 7)]):
+        tell(*((STATE, moment, states[moment]) if moment in states else (READING, moment)))
+    assert [stamp / 1e9 for stamp in stamps(bag)] == expected

@@ -38,13 +38,17 @@ class RunningNode:
     """A process, its output in a file."""
 
     def __init__(self, process, log):
-        self.process = process
-        self.log = log
+        self.process, self.log = process, log
 
     def end(self, number=signal.SIGINT):
         """Send a signal and return the exit status."""
         self.process.send_signal(number)
         return self.process.wait(PATIENCE)
+
+    def ended_with(self, status, said):
+        """It ends by itself, in one line about its reason."""
+        ended = self.process.wait(PATIENCE)
+        return ended == status and said in self.output and "Traceback" not in self.output
 
     @property
     def output(self):
@@ -61,9 +65,8 @@ class TestBench:
         self.node = rclpy.create_node("test", namespace=NAMESPACE)
         self._executor = OneThreadExecutor()
         self._executor.add_node(self.node)
-        self._folder = folder
-        self._processes = []
-        self._clients = {}
+        self._folder, self._processes, self._clients = folder, [], {}
+        self.diagnostics = self.hear("/diagnostics")
 
     def start(self, name, *files, options=None, remap=None, **parameters):
         """Start a node; `__` in a parameter's name stands for a dot."""
@@ -86,12 +89,11 @@ class TestBench:
 
     def run(self, name, command, **options):
         """Start something else of Python's."""
-        log = self._log(name)
-        with log.open("wb") as stream:
+        log, words = self._log(name), [sys.executable, *command]
+        with log.open("wb") as out:
             process = subprocess.Popen(
-                [sys.executable, *command], stdout=stream, stderr=subprocess.STDOUT, cwd=ROOT,
-                **options,
-            )  # fmt: skip
+                words, stdout=out, stderr=subprocess.STDOUT, cwd=ROOT, **options
+            )
         return self._running(process, log)
 
     def _log(self, name):
@@ -121,6 +123,16 @@ class TestBench:
             self.node.create_subscription(kind, topic, messages.append, *(qos or [10_000]))
         return heard if len(heard) > 1 else heard[0]
 
+    def status(self, part):
+        """Newest that a part of a node says of itself, `twin: gap`; None before the first."""
+        found = (s for a in reversed(self.diagnostics) for s in a.status)
+        return next((s for s in found if s.name == f"{NAMESPACE}/{part}"), None)
+
+    def value(self, key):
+        """Newest diagnostic text under a key, "" before the first."""
+        values = (v for a in reversed(self.diagnostics) for s in a.status for v in s.values)
+        return next((v.value for v in values if v.key == key), "")
+
     def talk(self, topic, kind):
         """A publisher that has its reader."""
         publisher = self.node.create_publisher(kind, topic, 100)
@@ -133,6 +145,11 @@ class TestBench:
     def trigger_later(self, service):
         """The future of a call that takes its time."""
         return self.know(service).call_async(Trigger.Request())
+
+    def refused(self, service, said):
+        """It is, in one line."""
+        answer = self.trigger(service)
+        return not answer.success and said in answer.message and "\n" not in answer.message
 
     def set_parameter(self, node, name, value):
         """Result of setting one parameter: successful, reason."""

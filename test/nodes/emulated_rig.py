@@ -26,16 +26,13 @@ class Commander:
     second: as the wire's readings, or at another `place` for a synthetic camera."""
 
     def __init__(self, bench, hardware, place="temperature"):
-        self.bench = bench
-        self.hardware = hardware
+        self.bench, self.hardware = bench, hardware
         self.states, self.power = bench.hear("serial_bridge/state", "wire/power")
         self._command = bench.node.create_publisher(Float64MultiArray, "voltage_command", 100)
         self._camera = bench.node.create_publisher(Temperature, f"wire/{place}", 100)
         self._due = 0.0
-        self.voltage = (0.0,)
-        """V of each wire; None where nobody commands"""
-        self.fever = 0.0
-        """K that the camera is wrong by; None without a camera"""
+        # V of each wire, K that the camera is wrong by; None where nobody commands or looks.
+        self.voltage, self.fever = (0.0,), 0.0
         self.kelvin = None
         """what the camera sees instead of the wire"""
 
@@ -78,7 +75,6 @@ class BridgedRig(Commander):
 
     def __init__(self, bench, hardware, camera=False, **parameters):
         super().__init__(bench, hardware, "true_temperature" if camera else "temperature")
-        self.diagnostics = bench.hear("/diagnostics")
         self.node = bench.start("serial_bridge", port=hardware.path, **parameters)
         self.seen = None
         bench.until(self._command.get_subscription_count)
@@ -92,28 +88,14 @@ class BridgedRig(Commander):
         self.refusal = ""
         """what a fault was answered"""
         self.said = b""
-        """all bytes from the host"""
-        # Only what comes through the port; what a fault writes is not said by the host.
-        write = hardware.uno.write
+        """all bytes from the host, through the port: what a fault writes is not said by it"""
+        uno = hardware.uno
 
         def tapped(data):
             self.said += data
-            write(data)
+            uno.write(data)
 
-        hardware.port.device = SimpleNamespace(
-            run=hardware.uno.run, read=hardware.uno.read, write=tapped
-        )
-
-    def value(self, key):
-        """Newest diagnostic value, "" before the first."""
-        values = (v for a in reversed(self.diagnostics) for v in a.status[0].values)
-        return next((v.value for v in values if v.key == key), "")
-
-    def camera_says(self):
-        """Newest message of `ir_camera` about its pictures, "" before the first."""
-        statuses = (s for a in reversed(self.diagnostics) for s in a.status)
-        said = (s.message for s in statuses if s.name == "/bench/ir_camera: camera")
-        return next(said, "")
+        hardware.port.device = SimpleNamespace(run=uno.run, read=uno.read, write=tapped)
 
     def for_a_while(self, seconds):
         end = time.monotonic() + seconds
@@ -159,21 +141,19 @@ class BridgedRig(Commander):
         resource.prlimit(self.recorder.process.pid, resource.RLIMIT_FSIZE, limits)
 
     def off_after(self, moment, patience=30.0):
-        """s of the Uno's clock from `moment` until its last pulse; 0 when none came after it.
-
-        Waits until there was none for 0.5 s.
-        """
+        """s of the Uno's clock from `moment` until its last pulse; 0 when none came after it. Waits
+        until there was none for 0.5 s."""
         pins = self.hardware.pins
         self.until(lambda: self.hardware.uno.time - max(moment, pins.last_on) > 0.5, patience)
         return max(0.0, pins.last_on - moment)
 
 
 @contextmanager
-def bridged_rig(bench, uno, parameters=None, camera=False, **settings):
+def bridged_rig(bench, uno, camera=False, **settings):
     """The wire rig behind a serial_bridge, enabled by nobody yet."""
     # The emulator's thread must get its turn between two slices, every half a millisecond.
     sys.setswitchinterval(1e-4)
-    with emulated_bench(parameters or Parameters.defaults(), uno) as hardware:
+    with emulated_bench(Parameters.defaults(), uno) as hardware:
         rig = BridgedRig(bench, hardware, camera, **settings)
         try:
             yield rig

@@ -15,9 +15,8 @@ class FakeBench:
 
     def __init__(self, bench, driver="experiment", channels=("wire",)):
         self.celsius, self.ampere, self.silent = 25.0, None, set()
-        self.bench = bench
+        self.bench, self._channels = bench, len(channels)
         self.commands, self.states = bench.hear("voltage_command", f"{driver}/state")
-        self._channels = len(channels)
         self._publishers = []
         for k, channel in enumerate(channels):
             self._tell("power", BatteryState, f"{channel}/power", partial(self._power, k))
@@ -39,14 +38,11 @@ class FakeBench:
     def volts(self):
         return list(self.commands[-1].data) if self.commands else [0.0] * self._channels
 
-    def last(self, n):
-        return [list(m.data) for m in self.commands[-n:]]
-
     def until_sent(self, *volts, count=5):
         """Wait for that many commands, of which the last three have these volts."""
         seen = len(self.commands)
         self.bench.until(lambda: len(self.commands) > seen + count)
-        assert self.last(3) == [list(volts)] * 3
+        assert [list(m.data) for m in self.commands[-3:]] == [list(volts)] * 3
 
     def until_zero(self):
         self.until_sent(*[0.0] * self._channels)

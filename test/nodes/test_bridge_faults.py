@@ -39,8 +39,11 @@ def rows(title):
 
 
 def do(job):
-    """A fault that is made between two slices of the bench's time."""
+    """A fault that is made between two slices of the bench's time; the moment of it."""
     return lambda rig: rig.hardware.do(lambda: job(rig))
+
+
+now = do(lambda rig: None)
 
 
 def send(number):
@@ -51,16 +54,14 @@ def poke(register):
     return do(lambda rig: rig.hardware.uno.poke(register, 0))
 
 
-def electrics(channel=0, **values):
+def electrics(channel=0, supply=None, **values):
     """Numbers at the pins; of wires at one channel."""
 
     def change(rig):
         pins = rig.hardware.uno.electrics
+        pins.supply = supply or pins.supply
         for name, value in values.items():
-            if name == "supply":
-                pins.supply = value
-            else:
-                getattr(pins, name)[channel] = value
+            getattr(pins, name)[channel] = value
 
     return do(change)
 
@@ -68,9 +69,6 @@ def electrics(channel=0, **values):
 def seen(**values):
     """What the test commands (`voltage`, V) and its camera sees (`kelvin`, `fever`) from now on."""
     return do(lambda rig: vars(rig).update(values))
-
-
-now = do(lambda rig: None)
 
 
 def hang(interrupts):
@@ -83,14 +81,13 @@ def hang(interrupts):
 
 def noise(rig):
     """Garbage that leaves no pause for a command, for half a second of the Uno's time."""
-    draw = random.Random(1)
-    noise = bytes(b for _ in range(12000) if (b := draw.randrange(256)) not in (STOP, 10, 13))
-    rig.hardware.uno.write(noise)
+    garbage = random.Random(1).randbytes(12000)
+    rig.hardware.uno.write(garbage.translate(None, bytes((STOP, 10, 13))))
 
 
 def replay(rig):
     """All that the host said so far, again, after a stop and a reset."""
-    said = bytes(b for b in rig.said if b != STOP)
+    said = rig.said.translate(None, bytes((STOP,)))
     assert b"V " in said
     rig.ask("stop")
     rig.ask("reset")
@@ -133,8 +130,7 @@ def enable_with(kind):
     def make(rig):
         break_switch(rig, kind)
         rig.voltage = (0.0,)
-        moment = now(rig)
-        answer = rig.ask("enable")
+        moment, answer = now(rig), rig.ask("enable")
         assert not answer.success
         rig.refusal = answer.message
         return moment
@@ -189,10 +185,10 @@ def refusal(rig):
 
 def after_restart(rig):
     """What a new bridge knows, whose opening of the port has reset the device."""
-    rig.diagnostics.clear()
+    rig.bench.diagnostics.clear()
     rig.node = rig.bench.start("serial_bridge", port=rig.hardware.path)
-    rig.until(lambda: rig.value("last_reset"))
-    return f"{rig.state}, last reset: {rig.value('last_reset')}"
+    rig.until(lambda: rig.bench.value("last_reset"))
+    return f"{rig.state}, last reset: {rig.bench.value('last_reset')}"
 
 
 def after_waking(rig):
@@ -203,15 +199,16 @@ def after_waking(rig):
 
 def seen_by(rig):
     """What the bridge says, and what the camera's node does."""
-    rig.until(lambda: rig.camera_says() not in ("", "running"))
-    return f"{rig.state} (ir_camera: {rig.camera_says()})"
+    part = "ir_camera: camera"
+    rig.until(lambda: rig.bench.status(part) and rig.bench.status(part).message != "running")
+    return f"{rig.state} (ir_camera: {rig.bench.status(part).message})"
 
 
 def value(key):
     def told(rig):
-        known, end = len(rig.diagnostics), time.monotonic() + 5.0
-        rig.until(lambda: len(rig.diagnostics) > known + 1 or time.monotonic() > end)
-        return f"{key}: {rig.value(key)}"
+        known, end = len(rig.bench.diagnostics), time.monotonic() + 5.0
+        rig.until(lambda: len(rig.bench.diagnostics) > known + 1 or time.monotonic() > end)
+        return f"{key}: {rig.bench.value(key)}"
 
     return told
 

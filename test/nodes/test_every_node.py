@@ -1,6 +1,7 @@
 """What holds of every node, seen on the nodes themselves, made in this process."""
 
 import gc
+import math
 import time
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from sma_bench.ros.node import OneThreadExecutor, layout_fault, voltage_command
 # Made by rclpy before a node's parameters can be.
 ROS_OWN = ("/parameter_events", "/rosout", "/clock")
 COMPOSITE = Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml"
+COMMANDS = "qos_overrides./bench/voltage_command.publisher"
 QOS = "qos_overrides./bench/{}.reliability:=best_effort"
 CHANNELS = ("front_1", "back_1")
 
@@ -98,6 +100,30 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
     listener.destroy_node()
 
 
+HOSTILE = {
+    str: ["x" * 300, "hold at 1 V" * 40, "a/" * 3000, "/" + "y" * 300 + ".yaml", "a\nb", "\0",
+          "/dev/zero", "/proc/self/mem", "../../etc/passwd",
+          "'\"{}[]", "é" * 200, "x" * 100_000, "."],
+    float: [math.nan, math.inf, -1e300, 1e300], int: [-(2**63), 2**63 - 1], bool: [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", sorted(NODE_TABLES))
+def test_whatever_a_parameter_is_set_to_the_node_answers_in_a_line_and_goes_on(make, name):
+    node = make(name, "--params-file", str(COMPOSITE), "-p", "regions:=['', '', '', '']")
+    for parameter in {p.name for p in NODE_TABLES[name]} | {"bench.channels", "wire.resistance"}:
+        before = node.get_parameter(parameter).value
+        if isinstance(before, list):
+            hostile = [[value] for value in HOSTILE[str]] + [["a"] * 10_000]
+        else:
+            hostile = HOSTILE[type(before)]
+        for value in hostile:
+            (answer,) = node.set_parameters([RosParameter(parameter, value=value)])
+            assert answer.successful or "\n" not in answer.reason and len(answer.reason) < 1000
+            if answer.successful:
+                node.set_parameters([RosParameter(parameter, value=before)])
+
+
 @pytest.mark.usefixtures("ros_domain")
 def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
     state = "experiment/state"
@@ -112,11 +138,22 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
         BenchClient("/bench", ros_arguments=["--ros-args", "-p", "nothing"])
 
 
-@pytest.mark.parametrize(("policy", "value"), [("reliability", "rather"), ("depth", "-3")])
-def test_an_override_that_is_no_qos_is_one_line(make, policy, value):
-    with pytest.raises(InputError, match="^[^\n]*voltage_command[^\n]*$"):
-        topic = "qos_overrides./bench/voltage_command.publisher"
-        make("experiment", "-p", f"{topic}.{policy}:={value}")
+@pytest.mark.parametrize(
+    ("name", "given", "said"),
+    [
+        ("experiment", f"{COMMANDS}.reliability:=rather", "voltage_command"),
+        ("experiment", f"{COMMANDS}.depth:=-3", "voltage_command"),
+        ("serial_bridge", "telemetry_rate:=300", "telemetry_rate is 300 Hz, expected a divisor"),
+        ("serial_bridge", "use_sim_time:=true", "but hardware runs in real time"),
+        ("deflection_controller", "wire.count:=1", "clamped"),
+        ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
+        ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
+    ],
+)  # fmt: skip
+def test_a_node_that_cannot_be_so_says_why_in_one_line(make, name, given, said):
+    with pytest.raises(InputError, match=f"^[^\n]*{said}[^\n]*$"):
+        node = make(name, "-p", given)
+        raise node.failure or AssertionError("it can")
 
 
 def test_a_command_says_which_channels_it_is_for_and_one_for_others_is_refused():

@@ -51,14 +51,16 @@ def running(bench, protocol):
 def assert_ends_cold(bench, fake, node, number):
     """A signal ends it cleanly, with 0 V as its last word."""
     assert fake.volts == [3.0] and node.end(number) == 0
-    bench.until(lambda: fake.last(1) == [[0.0]])
+    bench.until(lambda: fake.volts == [0.0])
     bench.until(lambda: fake.state == "aborted: the node was ended")
     assert "Traceback" not in node.output
 
 
 def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
-    markers, states = bench.hear("experiment/marker", "experiment/state")
-    commands = bench.hear("voltage_command")
+    """In lockstep: simulated time takes a step of 50 ms for each command."""
+    markers, states, commands = bench.hear(
+        "experiment/marker", "experiment/state", "voltage_command"
+    )
     bench.start("simulator", speed=50.0)
     node = bench.start("experiment", protocol=protocol(SHORT), use_sim_time=True)
     bench.until(lambda: states and states[-1].data == "idle")
@@ -87,8 +89,8 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
         bench.until(lambda: fake.state.startswith(f"aborted: {line}"))
         fake.until_zero()
         fake.celsius, fake.ampere = 25.0, None
-        refused = bench.trigger("experiment/start")
-        assert not refused.success and line in refused.message and "reset first" in refused.message
+        assert bench.refused("experiment/start", line)
+        assert bench.refused("experiment/start", "reset first")
         assert bench.trigger("experiment/reset").message == "idle"
 
     def start():
@@ -121,10 +123,8 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
     start()  # without it
 
     second = bench.start("experiment")
-    bench.until(lambda: second.process.poll() is not None)
-    assert second.process.returncode == 2
-    said = "/bench/experiment is there already in ROS domain"
-    assert said in second.output and f"process {node.process.pid}" in second.output
+    assert second.ended_with(2, "/bench/experiment is there already in ROS domain")
+    assert f"process {node.process.pid}" in second.output
     fake.until_sent(3.0, count=20)
     node.end(signal.SIGKILL)  # whoever was killed holds no name
     recorder.publish(String(data=""))
@@ -138,28 +138,22 @@ def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_th
     # Stated: a default would make way.
     stated = {"wire__austenite_finish_temperature": 353.61}
     bench.start("experiment", protocol_root=str(tmp_path), **stated)
-
-    def refused_for_want_of_feedback():
-        """Once it has found the test, which listens to its commands."""
-        answer = bench.trigger("experiment/start")
-        return not answer.success and "no feedback: wire/power was never" in answer.message
-
-    bench.until(refused_for_want_of_feedback)
+    # Once it has found the test, which listens to its commands.
+    unfed = "no feedback: wire/power was never"
+    bench.until(lambda: bench.refused("experiment/start", unfed))
     pipe, link, huge = (tmp_path / f"{name}.yaml" for name in ("pipe", "link", "huge"))
     os.mkfifo(pipe)
     link.symlink_to("/dev/zero")
     huge.write_bytes(b"#" * (1 << 20) + b"\n")
-    for name, value, reason in (
-        ("protocol", "stairs", "not one of"),
-        ("protocol", protocol(HOT), "level is 12 V, expected 0 to 10 V"),
-        ("protocol", str(pipe), "expected a regular file"),
-        ("protocol", str(link), "lies outside protocol_root"),
-        ("protocol", str(huge), "larger than 1048576 bytes"),
-        ("protocol", f"{tmp_path}/../x.yaml", "lies outside protocol_root"),
-        ("wire.austenite_start_temperature", 400.0, "must lie below"),
-    ):
-        result = bench.set_parameter("experiment", name, value)
+    for value, reason in (
+        ("stairs", "not one of"), (protocol(HOT), "level is 12 V, expected 0 to 10 V"),
+        (pipe, "expected a regular file"), (link, "lies outside protocol_root"),
+        (huge, "larger than 1048576 bytes"), (f"{tmp_path}/../x.yaml", "lies outside protocol_r"),
+    ):  # fmt: skip
+        result = bench.set_parameter("experiment", "protocol", str(value))
         assert not result.successful and reason in result.reason
+    result = bench.set_parameter("experiment", "wire.austenite_start_temperature", 400.0)
+    assert not result.successful and "must lie below" in result.reason
     assert bench.trigger("experiment/stop").success
 
 

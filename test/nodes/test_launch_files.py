@@ -1,9 +1,10 @@
-"""Launch and parameter files: what they start and refuse, and the beam that RViz shows.
+"""Launch files, parameter files and command lines of nodes: what they start and refuse, and the
+beam that RViz shows.
 
 A stand-in of the few classes of ROS's `launch` keeps what it is given, and starts nothing.
 """
 
-import math
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -12,11 +13,12 @@ from xml.etree import ElementTree as Xml
 
 import numpy as np
 import pytest
+import yaml
 
 from sma_bench.errors import InputError
 from sma_bench.nodes import bench_plan
-from sma_bench.nodes.arguments import check_arguments
 from sma_bench.nodes.bench_plan import COMPOSITE, PIECES, WIRE, plan_bench, plan_replay
+from sma_bench.nodes.start import check_arguments, start
 from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import load_kind
@@ -31,12 +33,13 @@ RIGS = {
     for name in ("wire", "composite", "weight", "spring", "antagonist")
 }
 REST = ["experiment", "recorder", "identification"]
+CASES = yaml.safe_load(Path(__file__).with_name("launch.yaml").read_text())
 LAUNCH = {
-    "launch": ("LaunchDescription", "LaunchContext"),
-    "launch.actions": ("DeclareLaunchArgument", "OpaqueFunction", "ExecuteProcess", "Shutdown"),
-    "launch_ros": (),
-    "launch_ros.actions": ("Node",),
-    "launch_ros.parameter_descriptions": ("ParameterValue",),
+    "launch": "LaunchDescription",
+    "launch.actions": "DeclareLaunchArgument OpaqueFunction ExecuteProcess Shutdown",
+    "launch_ros": "",
+    "launch_ros.actions": "Node",
+    "launch_ros.parameter_descriptions": "ParameterValue",
 }
 
 
@@ -47,24 +50,20 @@ class Recorded:
         self.args, self.given = args, SimpleNamespace(**kwargs)
 
 
-KINDS = {name: type(name, (Recorded,), {}) for names in LAUNCH.values() for name in names}
+KINDS = {name: type(name, (Recorded,), {}) for name in " ".join(LAUNCH.values()).split()}
 
 
 @pytest.fixture
 def built(monkeypatch):
     """What a launch file would start with some arguments."""
-    ours = "sma_bench.nodes.bench_launch"
     for module, names in LAUNCH.items():
         made = ModuleType(module)
-        vars(made).update({name: KINDS[name] for name in names})
+        vars(made).update({name: KINDS[name] for name in names.split()})
         monkeypatch.setitem(sys.modules, module, made)
-    monkeypatch.setitem(sys.modules, ours, None)
 
     def build(name, **arguments):
-        sys.modules.pop(ours)
         file = runpy.run_path(str(ROOT / "launch" / f"{name}.launch.py"))
-        (entities,) = file["generate_launch_description"]().args
-        *declared, start = entities
+        *declared, start = file["generate_launch_description"]().args[0]
         defaults = {one.args[0]: one.given.default_value for one in declared}
         context = SimpleNamespace(launch_configurations=defaults | arguments)
         return start.given.function(context)
@@ -100,23 +99,10 @@ def test_every_launch_file_simulates_its_rig_with_a_protocol_that_fits_it(built)
         assert load_protocol(rig.protocol, parameters).channels == parameters["bench.channels"]
 
 
-SIMULATED = ["simulator", "experiment", "recorder"]
-NODES = {  # of arguments
-    "record:=false": ["simulator", "experiment", "identification"],
-    "camera:=true": ["simulator", "synthetic_camera", "ir_camera", *REST],
-    "nodes:=identification,diagnosis": [*SIMULATED, "identification", "diagnosis"],
-    "nodes:=none": SIMULATED,
-    "twin:=true": [*SIMULATED, "twin", "identification"],
-    "nodes:=investigation": ["simulator", "experiment", "investigation"],
-    "mode:=hardware": ["serial_bridge", "ir_camera", *REST],
-    "mode:=hardware camera:=false": ["serial_bridge", *REST],
-}
-
-
 @pytest.mark.parametrize("rig", [WIRE, COMPOSITE], ids=["wire", "composite"])
-@pytest.mark.parametrize("words", NODES)
+@pytest.mark.parametrize("words", CASES["nodes"])
 def test_a_bench_is_what_its_arguments_say_and_every_node_knows_its_parameters(rig, words):
-    expected = NODES[words]
+    expected = CASES["nodes"][words].replace("rest", " ".join(REST)).split()
     arguments = dict(word.split(":=") for word in words.split())
     nodes = plan_bench(rig, arguments)
     assert [planned.executable for planned in nodes] == expected
@@ -175,35 +161,12 @@ def bag(tmp_path):
     return path
 
 
-REFUSED = {
-    "speed:=fast": "speed is 'fast'",
-    "speed:=10 mode:=hardware": "expected 1.0",
-    "mode:=hardware autostart:=true": "enabled by hand",
-    "mode:=real": "mode is 'real'",
-    "mode:=emulated": "./bench check hardware",
-    "record:=yes": "record is 'yes'",
-    "nodes:=twin": "nodes: 'twin'",
-    "camera:=true params:=none.yaml": "none.yaml",
-    "protocol:=stairs": "protocol stairs: not one of",
-    "protocl:=ramp": "unknown argument protocl, did you mean protocol?",
-    "managed:=true": "they start active",
-    "bag:=": "expected a record",
-    "bag:=nothing": "nothing",
-    "bag:=bag rate:=-1": "rate is '-1'",
-    "bag:=bag nodes:=experiment": "'experiment', expected identification, diagnosis",
-    "bag:=bag": "list of topics",
-}
-
-
-@pytest.mark.parametrize("words", REFUSED)
+@pytest.mark.parametrize("words", CASES["refused"])
 def test_what_cannot_be_started_or_played_is_one_line(words, bag, monkeypatch):
-    changed, said = dict(word.split(":=") for word in words.split()), REFUSED[words]
+    changed, said = dict(word.split(":=") for word in words.split()), CASES["refused"][words]
     monkeypatch.chdir(bag.parent)
-    if said == "list of topics":
-        (bag / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
-    with pytest.raises(InputError) as refused:
+    with pytest.raises(InputError, match=f"^[^\n]*{re.escape(said)}[^\n]*$"):
         plan_replay(changed) if "bag" in changed else plan_bench(WIRE, changed)
-    assert said in str(refused.value) and "\n" not in str(refused.value)
 
 
 def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_file(
@@ -270,27 +233,102 @@ def test_the_beam_is_described_when_asked_with_the_frames_of_the_messages_and_en
     def numbers(joint, element, attribute):
         return [float(word) for word in joints[joint].find(element).get(attribute).split()]
 
-    links = [link.get("name") for link in beam.findall("link")]
+    links = {link.get("name") for link in beam.findall("link")}
     children = [joint.find("child").get("link") for joint in joints.values()]
-    assert {joint.find("parent").get("link") for joint in joints.values()} <= set(links)
-    assert sorted([*children, "clamp"]) == sorted(set(links))
-    assert {"front_range", "back_range", *rig["bench.channels"]} <= set(links)
-    assert numbers("front_range_mount", "origin", "xyz")[0] > 0.0
-    assert numbers("front_range_mount", "origin", "rpy")[2] == pytest.approx(math.pi)  # looks back
+    assert {joint.find("parent").get("link") for joint in joints.values()} <= links
+    assert sorted([*children, "clamp"]) == sorted(links)
+    assert {"front_range", "back_range", *rig["bench.channels"]} <= links
     assert joints["tip"].get("type") == "prismatic"
     assert numbers("tip", "axis", "xyz") == [1.0, 0.0, 0.0]
-    assert numbers("tip", "origin", "xyz") == [0.0, 0.0, length]
+    bends = [f"bend_{k}" for k in range(1, PIECES + 1)]
+    mimics = [joints[bend].find("mimic") for bend in bends]
+    assert {m.get("joint") for m in mimics} == {"tip"}
+    along = [numbers(bend, "origin", "xyz")[2] for bend in bends] + [length / PIECES]
+    turns = np.cumsum([0.0, *(float(m.get("multiplier")) for m in mimics)])  # rad a metre
     for deflection in (-0.01, 0.0, 1e-4, 0.02):
-        x = z = angle = 0.0
-        for k in range(1, PIECES + 1):
-            assert numbers(f"bend_{k}", "axis", "xyz") == [0.0, 1.0, 0.0]
-            along = numbers(f"bend_{k}", "origin", "xyz")[2]
-            x, z = x + along * math.sin(angle), z + along * math.cos(angle)
-            mimic = joints[f"bend_{k}"].find("mimic")
-            assert mimic.get("joint") == "tip" and float(mimic.get("offset")) == 0.0
-            angle += float(mimic.get("multiplier")) * deflection
-        x, z = x + length / PIECES * math.sin(angle), z + length / PIECES * math.cos(angle)
-        assert x == pytest.approx(deflection, rel=0.02)
+        assert along @ np.sin(turns * deflection) == pytest.approx(deflection, rel=0.02)
         # Eq. (16), constant curvature: delta = l angle / 2, but for the half piece at the clamp.
-        assert angle == pytest.approx(2.0 * deflection / length, rel=0.05)
-        assert 0.95 * length < z <= length * (1.0 + 1e-12)
+        assert turns[-1] * deflection == pytest.approx(2.0 * deflection / length, rel=0.05)
+
+
+# --- What a node's command line may bring, checked before ROS starts.
+
+
+@pytest.fixture
+def given(tmp_path):
+    """Arguments with a parameter file."""
+
+    def given(text, *more):
+        path = tmp_path / "rig.yaml"
+        path.write_text(f"/**:\n  ros__parameters:\n    {text}\n")
+        return ["--ros-args", "--params-file", str(path), *more]
+
+    return given
+
+
+SLIPS = CASES["parameters"]
+
+
+@pytest.mark.parametrize("text", SLIPS)
+def test_a_slip_in_a_parameter_file_is_one_line_with_the_file(given, text):
+    with pytest.raises(InputError, match=f"^[^\n]*rig.yaml[^\n]*{re.escape(SLIPS[text])}[^\n]*$"):
+        check_arguments("simulator", given(text))
+
+
+def test_a_node_reads_its_own_section_and_later_sources_win(given):
+    others = "wire.resistance: 2.0\n/**/experiment:\n  ros__parameters: {speeed: 1}"
+    check_arguments("simulator", given(others))
+    as_launch_writes = "feedback: !!python/tuple [power]"
+    check_arguments("experiment", given(as_launch_writes))
+    two = given("bench: {channels: [a, b], channel_sides: [front, back]}")
+    check_arguments("simulator", [*two, "-p", "bench.channel_sides:=[back, front]"])
+    of_others = "use_sim_time: true\n    protocol: ramp"
+    sources = check_arguments("simulator", given(of_others, "-p", "wire.resistance:=3.0"))
+    assert sources == {"wire.resistance": "-p"}
+    for arguments, said in (
+        (given(others, "-p", "wire.resistance:=-1.0"), "wire.resistance is -1"),
+        (["--ros-args", "-p", "bench.chanels:=[a]"], "unknown parameter bench.chanels"),
+        # ROS would pass over these.
+        (["--ros-args", "-p", "gain:=2"], "unknown parameter gain"),
+        (["--ros-args", "-r", "__ns:=/bench", "--", "x"], "unknown argument 'x'"),
+        (["speed:=2.0"], "after --ros-args"),
+        (["--ros-args", "--params-file", "none.yaml"], "none.yaml: cannot read"),
+    ):
+        with pytest.raises(InputError, match=said):
+            check_arguments("simulator", arguments)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("/bench/serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}", ""),
+        ("/**/serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}", ""),
+        ("/bench/*: {ros__parameters: {bench.maximum_voltage: 3.0}}", ""),
+        ("bench: {serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}}", ""),
+        ("serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}",
+         "no section for /bench/serial_bridge, found /serial_bridge, expected /\\*\\* or /bench/s"),
+        ("{}", "no section for /bench/serial_bridge, found none"),
+        ("/**: {ros__parameters: {bench: {maximum_voltage: 3.0, maximum_voltage: 9.0}}}",
+         "maximum_voltage stands twice"),
+        ("/**: {ros__parameters: {bench.maximum_voltage: 3.0}}\n"
+         "/bench/serial_bridge: {ros__parameters: {bench.maximum_voltage: 9.0}}",
+         "bench.maximum_voltage is 3.0 in /\\*\\* and 9.0 in /bench/serial_bridge"),
+    ],
+)  # fmt: skip
+def test_a_parameter_file_is_obeyed_or_refused(tmp_path, text, said):
+    path = tmp_path / "limits.yaml"
+    path.write_text(text)
+    given = ["--ros-args", "-r", "__ns:=/bench", "--params-file", str(path)]
+    if not said:
+        assert check_arguments("serial_bridge", given) == {"bench.maximum_voltage": str(path)}
+        return
+    with pytest.raises(InputError, match=f"^[^\n]*limits.yaml: [^\n]*{said}[^\n]*$"):
+        check_arguments("serial_bridge", given)
+
+
+@pytest.mark.parametrize("node", sorted(NODE_TABLES))
+def test_help_ends_at_once_and_lists_the_nodes_own_parameters(node, capsys):
+    assert start(node, ["--help"]) == 0
+    printed = capsys.readouterr().out
+    assert printed.startswith(f"usage: {node} ")
+    assert [p.name for p in NODE_TABLES[node] if f"  {p.name} " not in printed] == []

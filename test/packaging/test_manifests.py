@@ -1,4 +1,5 @@
-"""package.xml, setup.py and the requirements say the same, and all that the code imports."""
+"""package.xml, setup.py and the requirements say the same, and all that the code imports; every
+version has its hashes written down."""
 
 import ast
 import re
@@ -11,6 +12,7 @@ from xml.etree import ElementTree
 import yaml
 
 import sma_bench
+from examination.check import pins as check_pins
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -83,3 +85,7 @@ def test_every_import_is_pinned_and_declared() -> None:
     lines = [line for line in metadata.requires("sma_bench") if "extra ==" not in line]
     required = [re.match(r"[\w.-]+", line)[0].lower() for line in lines]
     assert sorted(required) == sorted(THIRD_PARTY[m][0] for m in imported() & set(THIRD_PARTY))
+
+
+def test_every_lock_is_whole_and_agrees_with_the_others() -> None:
+    assert check_pins.problems() == [], "run: ./bench check pins --write"

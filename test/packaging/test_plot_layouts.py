@@ -6,6 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree as Xml
 
 import pytest
+import yaml
 from rosbags.typesys import Stores, get_typestore
 
 from sma_bench.parameters import read_parameters
@@ -64,3 +65,14 @@ def test_a_layout_names_what_there_is_and_shows_every_reading_of_its_rig(program
     wires = {f"{c}/{what}" for c in channels for what in ("power", "temperature")}
     ranges = {"front/range", "back/range"} if rig == "composite" else set()
     assert wires | ranges | {"voltage_command", "joint_states", "ambient/temperature"} <= shown
+
+
+def test_the_view_of_rviz_shows_topics_and_frames_that_are_there():
+    view = yaml.safe_load((LAYOUTS / "rviz_composite.rviz").read_text())["Visualization Manager"]
+    shown = {display["Name"]: display for display in view["Displays"]}
+    assert shown["Beam"]["Description Topic"]["Value"] == "/bench/robot_description"
+    for side in ("front", "back"):
+        topic = shown[f"{side.capitalize()} range"]["Topic"]["Value"]
+        assert place_of(topic).meaning == f"{side}/range"
+    beam = (ROOT / "sma_bench" / "nodes" / "beam.urdf.j2").read_text()
+    assert f'<link name="{view["Global Options"]["Fixed Frame"]}">' in beam

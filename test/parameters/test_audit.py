@@ -1,48 +1,30 @@
 """The audit finds what is wrong with the paper's own numbers, and nothing where all is well."""
 
 import math
+from pathlib import Path
 
 import pytest
+import yaml
 
 from sma_bench.cli import main
-from sma_bench.parameters import Parameters, audit, write_parameters
+from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters.audit import audit
 
 PAPER = Parameters.defaults().replace({"wire.thermal_expansion_factor": 23.91e6})
+H, CP = "wire.heat_transfer_coefficient", "wire.specific_heat"
 SOUND = Parameters.defaults().replace(
     {
         "wire.mass": 6450.0 * math.pi * 0.3e-3**2 / 4 * 0.2,
         "wire.surface_area": math.pi * 0.3e-3 * 0.2,
-        "wire.heat_transfer_coefficient": 68.0,
-        "wire.specific_heat": 450.0,
+        H: 68.0,
+        CP: 450.0,
         "wire.martensite_start_temperature": 330.0,
         "wire.martensite_finish_temperature": 318.0,
         "bench.maximum_voltage": 8.0,
     }
 )
-# Subject, its number, and that number of the paper's wire: all of these are warnings.
-ERRATA = [
-    ("wire length", "length_from_mass", pytest.approx(0.200, abs=5e-4)),
-    ("wire length", "length_from_area", pytest.approx(0.420, abs=5e-4)),
-    ("wire length", "heat_transfer_coefficient_for_length_from_mass", pytest.approx(847, abs=2)),
-    ("heat transfer", "still_air_low", pytest.approx(55, abs=1)),
-    ("heat transfer", "still_air_high", pytest.approx(69, abs=1)),
-    ("time constant", "time_constant", pytest.approx(0.196, abs=1e-3)),
-    ("transition order", "overlap", pytest.approx(353.39 - 331.81)),
-    ("thermal expansion", "factor", pytest.approx(23.91 / (11e-6 * 55.4e3), rel=1e-6)),
-    ("specific heat", "factor", pytest.approx(343.2 / 400)),
-    ("current", "current", pytest.approx(10.0 / 2.6987)),
-    ("current", "largest_voltage", pytest.approx(8.0961)),
-]
 FORCE = {"load.kind": "force", "load.force": 1.0}
-# Changes of the paper's numbers, and what is then said of a subject.
-JUDGED = [
-    ({}, "resistivity", "wire.mass (fits)"),
-    ({}, "resistivity", "wire.area (does not fit)"),
-    ({}, "thermal expansion", "other sign"),
-    ({"wire.specific_heat": 900.0}, "specific heat", "times the highest"),
-    (FORCE | {"load.force": 30.0}, "force", "lasts few cycles"),
-    (FORCE | {"load.kind": "spring", "load.stiffness": 10e3}, "force", "slips"),
-]
+AUDITED = yaml.safe_load(Path(__file__).with_name("audited.yaml").read_text())
 
 
 def by_subject(parameters):
@@ -51,12 +33,12 @@ def by_subject(parameters):
 
 def test_what_is_wrong_with_the_papers_numbers_is_found_and_others_are_judged_anew():
     found = by_subject(PAPER)
-    for subject, number, value in ERRATA:
+    for subject, number, value, near in AUDITED["errata"]:
         assert found[subject].severity == "warning"
-        assert found[subject].numbers[number] == value
+        assert found[subject].numbers[number] == pytest.approx(value, abs=near)
     resistivity = found["resistivity"].numbers["resistivity_from_mass_length"]
     assert resistivity * 1e8 == pytest.approx(95, abs=1)
-    for changed, subject, said in JUDGED:
+    for changed, subject, said in AUDITED["judged"]:
         assert said in by_subject(PAPER.replace(changed))[subject].text
     leads = by_subject(PAPER.replace({"bench.lead_resistance": 1.0}))
     assert leads["current"].severity == "info"
@@ -80,15 +62,8 @@ def test_suggestions_are_held_against_everything_they_change():
     assert "moving air" in finding.text and "leave specific heat" in finding.text
     assert "heat transfer explained" not in by_subject(SOUND)
     # A camera that reads low alone, on a wire that is sound: all is mended.
-    low = SOUND.replace(
-        {
-            "wire.heat_transfer_coefficient": 68.0 * 3.0,
-            "wire.specific_heat": 450.0 * 3.0,
-        }
-    )
-    (mended,) = [
-        t for t in by_subject(low)["heat transfer explained"].text.split("; ") if "read low" in t
-    ]
+    low = by_subject(SOUND.replace({H: 68.0 * 3.0, CP: 450.0 * 3.0}))
+    (mended,) = [t for t in low["heat transfer explained"].text.split("; ") if "read low" in t]
     assert "mends heat transfer, time constant and specific heat and leaves nothing" in mended
 
 

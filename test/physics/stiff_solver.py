@@ -23,7 +23,7 @@ class Wires:
     latent_heat: float = 0.0
     load: float = 0.0  # Pa on each side, borne by martensite at rest: strains count from there
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         p = self.parameters
         self.capacity = p["wire.mass"] * p["wire.specific_heat"]
         self.loss = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"]
@@ -34,7 +34,7 @@ class Wires:
         self.member = np.equal.outer(np.unique(self.side), self.side).astype(float)
         self.borne = (self.load / self.e_m / self.member.sum(axis=1)) @ self.member
 
-    def stress(self, kelvin: np.ndarray, xi: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def stress(self, kelvin, xi):
         """sigma of each wire and contraction of each side."""
         modulus = self.e_a + xi * (self.e_m - self.e_a)
         strain = self.eps_l * (1 - xi) + self.borne
@@ -46,17 +46,17 @@ class Wires:
             contraction = pull / (self.member @ modulus + self.stiffness)
         return free - modulus * (self.member.T @ contraction), contraction
 
-    def ramps(self, kelvin: float, sigma: float) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    def ramps(self, kelvin, sigma):
         """(f, df/dT, df/dsigma) and (g, dg/dT, dg/dsigma) of the contract."""
         p = self.parameters
         a_s, a_f = p["wire.austenite_start_temperature"], p["wire.austenite_finish_temperature"]
         m_s, m_f = p["wire.martensite_start_temperature"], p["wire.martensite_finish_temperature"]
         c_a, c_m = p["wire.stress_influence_austenite"], p["wire.stress_influence_martensite"]
-        f = _cosine((kelvin - a_s - sigma / c_a) / (a_f - a_s), a_f - a_s, c_a)
-        rest = _cosine((kelvin - m_f - sigma / c_m) / (m_s - m_f), m_s - m_f, c_m)
+        f = cosine((kelvin - a_s - sigma / c_a) / (a_f - a_s), a_f - a_s, c_a)
+        rest = cosine((kelvin - m_f - sigma / c_m) / (m_s - m_f), m_s - m_f, c_m)
         return f, (1 - rest[0], -rest[1], -rest[2])
 
-    def rate(self, y: np.ndarray, heating: np.ndarray, memory: list[tuple]) -> np.ndarray:
+    def rate(self, y, heating, memory):
         """d(T, xi)/dt."""
         w = len(self.side)
         kelvin, xi = y[:w], y[w:]
@@ -72,9 +72,8 @@ class Wires:
         own = (self.e_m - self.e_a) * strain - self.eps_l * modulus
         s_xi, s_t = np.diag(own), np.eye(w) * self.theta
         if self.stiffness is not None:
-            give = (
-                self.member.T @ np.diag(1 / (self.member @ modulus + self.stiffness)) @ self.member
-            )
+            stiff = 1 / (self.member @ modulus + self.stiffness)
+            give = self.member.T @ np.diag(stiff) @ self.member
             s_xi -= np.outer(modulus, own) * give
             s_t -= np.outer(modulus, np.full(w, self.theta)) * give
         # xi' = by_t T' + by_s (s_t T' + s_xi xi'),  T' = d_t + latent xi'
@@ -85,57 +84,41 @@ class Wires:
         return np.concatenate([d_t + latent * d_xi, d_xi])
 
 
-def triangle(time: np.ndarray, peak: float, period: float) -> np.ndarray:
+def triangle(time, peak, period):
     """Triangular voltage [V] from 0 to `peak` and back every `period` [s]."""
     return peak * (1.0 - np.abs(time / period % 1.0 * 2.0 - 1.0))
 
 
-def solve(
-    wires: Wires, time: np.ndarray, voltage: np.ndarray, rtol: float = 1e-10
-) -> dict[str, np.ndarray]:
-    """T, xi, sigma (n, w) and contraction (n, s) from rest."""
+def solve(wires, time, voltage, rtol=1e-10):
+    """From rest; by name of the signals, a row a sample."""
     w = len(wires.side)
     y = np.concatenate([np.full(w, wires.ambient), np.ones(w)])
-    memory: list[tuple] = [(True, 1.0, 1.0, 0.0)] * w
+    memory = [(True, 1.0, 1.0, 0.0)] * w  # rising, xi, f, g at the last reversal
     rows = [y]
     for k in range(len(time) - 1):
         heating = voltage[k] ** 2 / wires.parameters["wire.resistance"]
-        memory = _reversed(wires, y, heating, memory)
+        excess = wires.ambient + heating / wires.loss - y[:w]
+        sigma, _ = wires.stress(y[:w], y[w:])
+        for i in range(w):
+            if excess[i] != 0 and (excess[i] > 0) != memory[i][0]:
+                f, g = wires.ramps(y[i], sigma[i])
+                memory[i] = (excess[i] > 0, y[w + i], f[0], g[0])
         solution = solve_ivp(
-            lambda _, y, heating=heating, memory=memory: wires.rate(y, heating, memory),
-            (time[k], time[k + 1]),
-            y,
-            method="LSODA",
-            rtol=rtol,
-            atol=rtol * 1e-2,
-        )
-        if not solution.success:
-            raise RuntimeError(solution.message)
+            lambda _, y, heating=heating: wires.rate(y, heating, memory), (time[k], time[k + 1]), y,
+            method="LSODA", rtol=rtol, atol=rtol * 1e-2,
+        )  # fmt: skip
+        assert solution.success, solution.message
         y = solution.y[:, -1]
         rows.append(y)
-    states = np.array(rows)
-    stresses = [wires.stress(row[:w], row[w:]) for row in rows]
+    kelvin, xi = np.split(np.array(rows), 2, axis=1)
+    stress, contraction = zip(*(wires.stress(*np.split(row, 2)) for row in rows), strict=True)
     return {
-        "temperature": states[:, :w],
-        "martensite_fraction": states[:, w:],
-        "stress": np.array([sigma for sigma, _ in stresses]),
-        "contraction": np.array([contraction for _, contraction in stresses]),
-    }
+        "temperature": kelvin, "martensite_fraction": xi, "stress": np.array(stress),
+        "contraction": np.array(contraction),
+    }  # fmt: skip
 
 
-def _reversed(wires: Wires, y: np.ndarray, heating: np.ndarray, memory: list[tuple]) -> list[tuple]:
-    w = len(wires.side)
-    sigma, _ = wires.stress(y[:w], y[w:])
-    excess = wires.ambient + heating / wires.loss - y[:w]
-    updated = list(memory)
-    for i in range(w):
-        if excess[i] != 0 and (excess[i] > 0) != memory[i][0]:
-            f, g = wires.ramps(y[i], sigma[i])
-            updated[i] = (excess[i] > 0, y[w + i], f[0], g[0])
-    return updated
-
-
-def _cosine(x: float, width: float, influence: float) -> tuple[float, float, float]:
+def cosine(x, width, influence):
     if x <= 0:
         return 1.0, 0.0, 0.0
     if x >= 1:

@@ -6,14 +6,13 @@ from effect_references import refined, typical
 from numpy.testing import assert_allclose
 from stiff_solver import Wires, solve, triangle
 
-from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.audit import wire_length, wire_length_from_mass
-from sma_bench.parameters.table import BY_NAME
-from sma_bench.physics import Bench, material, simulate
+from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.parameters.parameters import wire_length, wire_length_from_mass
+from sma_bench.physics import Bench, simulate
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.physics.heat import direct_reading
+from sma_bench.physics.material import direct_reading
 
 WIRE = Parameters.of_paper()
 PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
@@ -75,10 +74,9 @@ def test_a_stiff_solver_that_knows_only_the_contract_agrees_on_a_wire_with_a_loa
     wires = Wires(rig, np.array([0]), np.array([stiffness * LENGTH / SECTION]), 8e3, held / SECTION)
     other = solve(wires, time, volts, rtol=1e-7)
     found = simulate(rig, *refined(time, volts, 20))
-    scales = {"temperature": 1.0, "martensite_fraction": 1e-2, "stress": 1e6, "contraction": 1e-4}
+    scales = {"temperature": 0.3, "martensite_fraction": 3e-3, "stress": 3e5, "contraction": 3e-5}
     for name, scale in scales.items():
-        error = np.abs(getattr(found, name)[::20] - other[name]).max() / scale
-        assert error < 0.3, (name, error)
+        assert np.abs(getattr(found, name)[::20] - other[name]).max() < scale, name
     assert found.martensite_fraction.min() < 0.6
 
 
@@ -88,23 +86,15 @@ BEAM = {
 }
 STILL = WIRE.replace({"wire.thermal_expansion_factor": 0.0})  # the cold wire would pull as it warms
 STIFFEST = BY_NAME["load.stiffness"].high
+WEIGHT, SOFT = loaded("force", force=9.0), loaded("spring", stiffness=1e-4, preload=9.0)
+ON_SPRING = loaded("spring", stiffness=1500.0)
+SLIDER = loaded("antagonist", rig=STILL.replace(PAIR), stiffness=400.0, preload=6.0)
+AGAINST_COLD = loaded("spring", rig=STILL, stiffness=400.0 + COLD, preload=6.0)
 SAME = {  # two loads on which each effect does the same: rigs, sign of the motion, accuracy
-    ("spring", "beam"): (
-        loaded("spring", stiffness=1500.0),
-        loaded("beam", rig=WIRE.replace(BEAM)),
-        *(-1.0, 1e-6),
-    ),
-    ("force", "spring"): (
-        loaded("force", force=9.0),
-        loaded("spring", stiffness=1e-4, preload=9.0),
-        *(1.0, 1e-6),
-    ),
+    ("spring", "beam"): (ON_SPRING, loaded("beam", rig=WIRE.replace(BEAM)), -1.0, 1e-6),
+    ("force", "spring"): (WEIGHT, SOFT, 1.0, 1e-6),
     ("clamped", "spring"): (WIRE, loaded("spring", stiffness=STIFFEST), None, 1e-3),
-    ("antagonist", "spring"): (
-        loaded("antagonist", rig=STILL.replace(PAIR), stiffness=400.0, preload=6.0),
-        loaded("spring", rig=STILL, stiffness=400.0 + COLD, preload=6.0),
-        *(-1.0, 1e-6),
-    ),
+    ("antagonist", "spring"): (SLIDER, AGAINST_COLD, -1.0, 1e-6),
 }
 
 
@@ -127,23 +117,6 @@ def test_an_effect_on_one_load_is_the_one_on_another_that_does_the_same(loads, e
         assert np.ptp(here.martensite_fraction[:, 0]) > 0.3
 
 
-def test_both_wires_of_an_antagonist_balance_the_slider():
-    found = run(RIGS["antagonist"])
-    assert found.force[0] == pytest.approx([6.0, 6.0], rel=1e-9)
-    assert found.deflection[0] == pytest.approx(0.0, abs=1e-12)
-    resultant = found.force[:, 0] - found.force[:, 1]
-    assert resultant == pytest.approx(400.0 * found.deflection, abs=1e-8)
-    assert found.contraction[:, 0] == pytest.approx(-found.contraction[:, 1], abs=1e-15)
-    front = material.stress(
-        found.temperature[:, 0],
-        found.martensite_fraction[:, 0],
-        found.contraction[:, 0] - 6.0 / (SECTION * 22.8e9),
-        WIRE,
-    )
-    assert found.stress[:, 0] == pytest.approx(front, rel=1e-9)
-    assert found.deflection.max() > 1e-3 and np.ptp(found.martensite_fraction[:, 0]) > 0.3
-
-
 @pytest.mark.parametrize("name", RIGS)
 def test_the_work_done_on_a_load_is_what_it_stores_and_a_live_bench_goes_there(name):
     """Of the sum of F dx over the wires, a weight and springs keep all: no force is lost."""
@@ -154,7 +127,6 @@ def test_the_work_done_on_a_load_is_what_it_stores_and_a_live_bench_goes_there(n
     held = rig["load.force"] + (rig["load.preload"] if name == "spring" else 0.0)
     stored = 0.5 * rig["load.stiffness"] * (x[-1] ** 2 - x[0] ** 2) + held * (x[-1] - x[0])
     assert work == pytest.approx(stored, abs=1e-9)
-    assert np.abs(found.energy_balance().imbalance).max() < 1e-12
     live = Bench(rig)
     for k in range(2000):
         live.advance(found.voltage[k], TIME[k + 1] - TIME[k])
@@ -168,17 +140,14 @@ SLOW = {"effect.ambient_drift.rate": 1e-12}  # takes the longer way of a step
 @pytest.mark.parametrize("effects", [{}, SLOW])
 def test_a_duty_heats_with_its_share_of_the_supplys_square(effects):
     """On 1/4 of the time at 12 V heats as 6 V do, its mean is 3 V, and a record reads 6 V."""
-    held, time = np.full(TIME.size, 1.0), TIME
-    steady = simulate(WIRE.replace(effects), time, 6.0 * held)
+    held = np.full(TIME.size, 1.0)
+    steady = simulate(WIRE.replace(effects), TIME, 6.0 * held)
     switched = WIRE.replace({"bench.drive": "duty", "bench.supply_voltage": 12.0, **effects})
-    duty = simulate(switched, time, 3.0 * held)
+    duty = simulate(switched, TIME, 3.0 * held)
     assert duty.temperature == pytest.approx(steady.temperature, rel=1e-12)
     assert duty.current[0, 0] == pytest.approx(3.0 / WIRE["wire.resistance"])
     volts, amperes = direct_reading(duty.parameters, duty.voltage, duty.current)
     assert volts == pytest.approx(6.0) and amperes == pytest.approx(steady.current)
-    if not effects:
-        electrical = duty.energy_balance().electrical.sum()
-        assert electrical == pytest.approx(0.25 * 144.0 / WIRE["wire.resistance"] * time[-1])
 
 
 def test_a_current_source_heats_more_where_the_resistance_rises_and_a_voltage_less():
@@ -204,20 +173,3 @@ def test_leads_take_their_share_of_the_voltage(effects, count):
     assert found.current[0, 0] == pytest.approx(6.0 / (ohm + 0.5))
     alone = simulate(WIRE.replace(effects), TIME, np.full(TIME.size, 6.0 * ohm / (ohm + 0.5)))
     assert found.temperature == pytest.approx(alone.temperature, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"load.kind": "rope"}, "load.kind is 'rope', expected clamped, force, spring, antagonist"),
-        ({"load.kind": "spring"}, "load.stiffness is 0 N/m"),
-        ({"load.kind": "antagonist"}, "with load.kind antagonist, expected front and back"),
-        ({"load.kind": "force", **PAIR}, "with load.kind force, expected one side"),
-        ({"bench.drive": "pwm"}, "bench.drive is 'pwm', expected voltage, duty, current"),
-        ({"wire.count": 0}, "wire.count is 0"),
-    ],
-)
-def test_a_load_that_cannot_be_is_one_line(given, said):
-    with pytest.raises(InputError) as error:
-        WIRE.replace(given)
-    assert said in str(error.value) and "\n" not in str(error.value)

@@ -8,9 +8,12 @@ from contextlib import closing
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
+from sma_bench.border import reading_budget
 from sma_bench.errors import InputError
-from sma_bench.records import read_record
+from sma_bench.records import bag, contract, read_record
 
 
 @pytest.fixture
@@ -37,30 +40,25 @@ def require_one_line(path, *named):
     assert all(text in line for text in named)
 
 
-@pytest.mark.parametrize("damage", ["zeroed", "circle"])
-def test_a_damaged_db3_is_refused_naming_what_saves_it(tmp_path, write_bag, messages, damage):
+def test_a_db3_whose_pages_lead_back_is_refused_naming_what_saves_it(tmp_path, write_bag, messages):
+    """The root of the message table, an interior page that names all the leaves, names the third
+    again: it once gave its rows for ever, until the memory was full."""
     content = []
     for k in range(3000):
         stamp = messages.start + k * 10_000_000
         content.append(("/b/wire/temperature", messages.temperature(stamp, 20 + k), stamp))
     file = next(write_bag(tmp_path / "bag", content, "sqlite3").glob("*.db3"))
     raw = bytearray(file.read_bytes())
-    if damage == "zeroed":
-        page = raw.find(messages.serialise(content[1500][1])) // 4096
-        raw[page * 4096 : (page + 1) * 4096] = bytes(4096)
-    else:
-        # The root of the message table, an interior page that names all the leaves, leads back:
-        # it once gave its rows for ever, until the memory was full.
-        root = max(
-            (at for at in range(0, len(raw), 4096) if raw[at] == 0x05),
-            key=lambda at: struct.unpack_from(">H", raw, at + 3)[0],
-        )
-        (cells,) = struct.unpack_from(">H", raw, root + 3)
-        pointers = [struct.unpack_from(">H", raw, root + 12 + 2 * k)[0] for k in range(cells)]
-        first = raw[root + pointers[2] : root + pointers[2] + 4]
-        for pointer in pointers[cells // 2 :]:
-            raw[root + pointer : root + pointer + 4] = first
-        raw[root + 8 : root + 12] = first
+    root = max(
+        (at for at in range(0, len(raw), 4096) if raw[at] == 0x05),
+        key=lambda at: struct.unpack_from(">H", raw, at + 3)[0],
+    )
+    (cells,) = struct.unpack_from(">H", raw, root + 3)
+    pointers = [struct.unpack_from(">H", raw, root + 12 + 2 * k)[0] for k in range(cells)]
+    first = raw[root + pointers[2] : root + pointers[2] + 4]
+    for pointer in pointers[cells // 2 :]:
+        raw[root + pointer : root + pointer + 4] = first
+    raw[root + 8 : root + 12] = first
     file.write_bytes(bytes(raw))
     require_one_line(file, f"sqlite3 {file.name} .recover")
 
@@ -86,25 +84,6 @@ def test_a_write_ahead_log_beside_a_db3_is_said_and_left_alone(tmp_path, write_b
     assert {file.name: file.read_bytes() for file in died.iterdir()} == before
 
 
-BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
-    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
-)
-BOMB += (
-    "rosbag2_bagfile_information:\n  relative_file_paths: [bag.mcap]\n"
-    "  topics_with_message_count: [{topic_metadata: {name: NAME}, message_count: COUNT}]\n"
-)
-METADATA = {"an open brace": "{", "a number": "rosbag2_bagfile_information: 3", "zeros": "\0\0"}
-METADATA |= {"nothing": "", "names without end": BOMB.replace("NAME", "*a11")}
-METADATA["counts without end"] = BOMB.replace("NAME", "/b/t").replace("COUNT", "*a11")
-
-
-@pytest.mark.parametrize("what", METADATA)
-def test_unreadable_metadata_does_not_hide_the_storage_file(mcap, what):
-    (mcap.parent / "metadata.yaml").write_text(METADATA[what].replace("COUNT", "1"))
-    record = read_record(mcap.parent)
-    assert voltages(record) == list(range(200)) and losses(record, "metadata.yaml")
-
-
 def test_nothing_readable_is_one_line(tmp_path, mcap, write_bag):
     (tmp_path / "folder").mkdir()
     (tmp_path / "notes.txt").write_bytes(b"no bag")
@@ -115,3 +94,37 @@ def test_nothing_readable_is_one_line(tmp_path, mcap, write_bag):
         require_one_line(tmp_path / name)
     mcap.unlink()
     require_one_line(mcap.parent, "bag.mcap")
+
+
+# --- messages: that they are what rosbags decodes, test_read_bags shows
+
+
+def decoded(blobs, kind):
+    lengths = np.array([len(blob) for blob in blobs], dtype=np.int64)
+    return list(bag.decode(b"".join(blobs), lengths, kind, reading_budget(0)))
+
+
+@settings(max_examples=100, deadline=None)
+@given(
+    blobs=st.lists(st.binary(max_size=80), max_size=6),
+    kind=st.sampled_from(sorted(bag.FIELDS)),
+    prefix=st.sampled_from([b"", b"\0\0\0\0", b"\0\1\0\0"]),
+)
+def test_random_bytes_are_decoded_or_left_out(blobs, kind, prefix):
+    blobs = [prefix + blob for blob in blobs]
+    rows = [row for batch in decoded(blobs, kind) for row in batch.rows.tolist()]
+    assert len(rows) == len(set(rows)) <= len(blobs)
+
+
+def test_encoding_writes_what_decoding_reads_and_every_truncation_is_left_out(messages):
+    arrays = {"position": np.array([1.0, 2.0]), "effort": np.array([3.0, 4.0])}
+    template = messages.serialise(messages.stamped("JointState", 5, name=["tip", "wire"], **arrays))
+    cut = [template[:length] for length in range(len(template))]
+    assert decoded(cut, contract.JOINT_STATE) == []
+    values = np.arange(6.0).reshape(3, 2)
+    blobs = bag.encode(template, contract.JOINT_STATE, {"effort": values})
+    for blob, row in zip(blobs, values, strict=True):
+        message = messages.types.deserialize_cdr(blob, contract.JOINT_STATE)
+        assert message.effort.tolist() == row.tolist() and message.name == ["tip", "wire"]
+    with pytest.raises(bag.CdrError):
+        bag.encode(template, contract.JOINT_STATE, {"effort": np.zeros((3, 1))})

@@ -1,6 +1,9 @@
 """Other people's tables: a few dialects as `./bench check tables` draws them, against the truth."""
 
+import ast
 from collections import Counter
+from pathlib import Path
+from string import Formatter
 
 import numpy as np
 import pytest
@@ -9,6 +12,8 @@ from examination.check.tables import import_one, table
 from examination.tables.dialects import HABITS, write
 from examination.tables.outcome import RIGHT, WRONG, outcome
 from examination.tables.truths import true_table
+from sma_bench.records import cells
+from sma_bench.records.cells import WORDS
 
 PLAIN = {feature: habits[0] for feature, habits in HABITS.items()}
 
@@ -35,3 +40,24 @@ def test_dialects_are_drawn_again_the_same_and_counted():
     line = next(line for line in table(found).splitlines() if line.startswith("all "))
     ends = [counts[end] for end in ("right", "asked", "refused", "wrong", "raised")]
     assert [int(n) for n in line.split()[1:]] == [20, *ends]
+
+
+READERS = "cells tables import_map instrument_files instruments"
+# Functions, and which of their arguments is a sentence.
+SAYING = {"said": 0, "sheet.refusal": 0, "self.refusal": 0, "ask": 1, "self.ask": 1}
+SAYING |= {"sheet.remark": 2}
+
+
+def test_every_sentence_is_said_with_the_values_that_it_has():
+    sentences, found = WORDS["sentences"], set()
+    for stem in READERS.split():
+        path = Path(cells.__file__).with_name(f"{stem}.py")
+        calls = (n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call))
+        for call in calls:
+            for argument in call.args[SAYING.get(ast.unparse(call.func), 99) :][:1]:
+                keys = [k.value for k in ast.walk(argument) if isinstance(k, ast.Constant)]
+                for key in (key for key in keys if key in sentences):
+                    values = {part[1] for part in Formatter().parse(sentences[key])} - {None}
+                    assert values <= {keyword.arg for keyword in call.keywords}, key
+                    found.add(key)
+    assert found == set(sentences)

@@ -11,24 +11,20 @@ import pytest
 
 from sma_bench.lifeline import tied_to_this_process
 
-_TIED = "import time; from sma_bench.lifeline import end_with_parent; end_with_parent({}); "
-_TIED += "print('here', flush=True); time.sleep(600)"
-_PATIENCE = 20.0  # s, on a busy machine
-
-_STARTS_A_NODE = """
+PATIENCE = 20.0  # s, on a busy machine
+TIED = "import time; from sma_bench.lifeline import end_with_parent; end_with_parent({}); "
+TIED += "print('here', flush=True); time.sleep(600)"
+STARTS_A_NODE = """
 import sys, time
 from pathlib import Path
 from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 private_ros_environment()
-nodes = NodeProcesses("/killed", Path(sys.argv[1]))
-nodes.start("recorder", {"output": sys.argv[1] + "/bag"})
-while not Path(sys.argv[1], "bag").exists():
-    nodes.check()
-    time.sleep(0.05)
+nodes = NodeProcesses("/killed", Path(sys.argv[1]).parent)
+nodes.start("recorder", {"output": sys.argv[1]})
 print(nodes.pid("recorder"), flush=True)
 time.sleep(600)
 """
-_STARTS_AS_LAUNCH_DOES = """
+STARTS_AS_LAUNCH_DOES = """
 import subprocess, sys, time
 node = subprocess.Popen(
     [*sys.argv[2:], sys.executable, "-m", "sma_bench.nodes.start", "recorder", "--ros-args",
@@ -38,14 +34,14 @@ node = subprocess.Popen(
 print(node.pid, flush=True)
 time.sleep(600)
 """
-_SAYS_WHEN_IT_IS_READY = """
+SAYS_WHEN_IT_IS_READY = """
 import signal, sys
 before = signal.signal
 signal.signal = lambda *given: (before(*given), print("ready", flush=True))[0]
 from sma_bench.nodes.start import start
 sys.exit(start(sys.argv[1], []))
 """
-_RUNS_A_JOB = """
+RUNS_A_JOB = """
 import sys, threading, time
 from sma_bench.parameters import Parameters
 from sma_bench.tasks.jobs import Worker, identify
@@ -62,7 +58,7 @@ time.sleep(600)
 
 
 def within(condition):
-    end = time.monotonic() + _PATIENCE
+    end = time.monotonic() + PATIENCE
     while not condition() and time.monotonic() < end:
         time.sleep(0.05)
     return condition()
@@ -70,10 +66,8 @@ def within(condition):
 
 def started(program, *words):
     """A Python program that starts a process, and the number of that one."""
-    parent = subprocess.Popen(
-        [sys.executable, "-c", program, *map(str, words)], stdout=subprocess.PIPE, text=True,
-        start_new_session=True,
-    )  # fmt: skip
+    command = [sys.executable, "-c", program, *map(str, words)]
+    parent = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     line = parent.stdout.readline()
     assert line, f"status {parent.wait()}"
     return parent, int(line)
@@ -97,38 +91,36 @@ def ends_with(parent, pid):
             os.kill(pid, signal.SIGKILL)
 
 
-def test_a_node_ends_with_its_parent_and_leaves_a_whole_bag(tmp_path):
-    pytest.importorskip("rclpy")
-    assert ends_with(*started(_STARTS_A_NODE, tmp_path))
-    assert (tmp_path / "bag" / "metadata.yaml").is_file()
-
-
-@pytest.mark.parametrize("alone", [False, True], ids=["as launch does", "setsid"])
-def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself(tmp_path, ros_domain, alone):
+@pytest.mark.parametrize(
+    ("program", "setsid"),
+    [(STARTS_A_NODE, []), (STARTS_AS_LAUNCH_DOES, []), (STARTS_AS_LAUNCH_DOES, ["setsid"])],
+    ids=["by a command", "as launch does", "setsid"],
+)
+def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself_and_leaves_a_whole_bag(
+    tmp_path, ros_domain, program, setsid
+):
     pytest.importorskip("rclpy")
     bag = tmp_path / "bag"
-    parent, pid = started(_STARTS_AS_LAUNCH_DOES, bag, *(["setsid"] if alone else []))
+    parent, pid = started(program, bag, *setsid)
     assert within(bag.exists)
-    if not alone:
+    if setsid:
+        parent.kill()
+        parent.wait()
+        time.sleep(1.0)
+        assert not is_gone(pid)
+        os.kill(pid, signal.SIGHUP)  # as the end of a terminal would
+        assert within(lambda: is_gone(pid))
+    else:
         assert ends_with(parent, pid)
-        return
-    parent.kill()
-    parent.wait()
-    time.sleep(1.0)
-    assert not is_gone(pid)
-    os.kill(pid, signal.SIGHUP)  # as the end of a terminal would
-    assert within(lambda: is_gone(pid))
     assert (bag / "metadata.yaml").is_file()
 
 
-@pytest.mark.parametrize(
-    ("number", "after"), [(signal.SIGINT, 0.25), (signal.SIGTERM, 0.6), (signal.SIGHUP, 2.0)]
-)
+@pytest.mark.parametrize(("number", "after"), [(signal.SIGINT, 0.25), (signal.SIGTERM, 0.6)])
 def test_an_impatient_end_is_silent_at_any_moment(tmp_path, ros_domain, number, after):
     pytest.importorskip("rclpy")
     log = tmp_path / "log"
     with log.open("wb") as stream:
-        command = [sys.executable, "-c", _SAYS_WHEN_IT_IS_READY, "experiment"]
+        command = [sys.executable, "-c", SAYS_WHEN_IT_IS_READY, "experiment"]
         node = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=stream)
     assert node.stdout.readline()
     time.sleep(after)
@@ -142,22 +134,22 @@ def test_an_impatient_end_is_silent_at_any_moment(tmp_path, ros_domain, number, 
 def test_the_job_of_a_node_ends_with_it(measured_data):
     # The fit of all of eqs. (6) to (11) takes a minute.
     tests = sorted((measured_data / "sma_react" / "input" / "cal_sample_1").glob("*MPa.txt"))
-    assert ends_with(*started(_RUNS_A_JOB, *tests))
+    assert ends_with(*started(RUNS_A_JOB, *tests))
 
 
 @pytest.mark.parametrize(("inherited", "lives"), [("inherited=True", True), ("", False)])
 def test_an_environment_passed_on_by_a_program_in_between(inherited, lives):
     """As if started by another process: a shell around the command, or a parent that is gone."""
     environment = tied_to_this_process() | {"SMA_BENCH_STARTED_BY": str(os.getppid())}
-    command = [sys.executable, "-c", _TIED.format(inherited)]
+    command = [sys.executable, "-c", TIED.format(inherited)]
     process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE)
     try:
         if lives:
             assert process.stdout.readline() == b"here\n"
-            time.sleep(1.0)
+            time.sleep(0.5)
             assert process.poll() is None
         else:
-            assert process.wait(_PATIENCE) == -signal.SIGTERM
+            assert process.wait(PATIENCE) == -signal.SIGTERM
     finally:
         process.kill()
         process.communicate()

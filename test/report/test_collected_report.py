@@ -4,6 +4,7 @@ import base64
 import copy
 import csv
 import hashlib
+import html
 import json
 import re
 import xml.etree.ElementTree as Xml
@@ -11,7 +12,6 @@ import xml.etree.ElementTree as Xml
 import numpy as np
 import pytest
 from test_cards import DIAGNOSED, IDENTIFIED
-from test_page import parse
 
 from sma_bench.cli import main
 from sma_bench.records import Signal
@@ -20,11 +20,16 @@ from sma_bench.report.drawing import script
 from sma_bench.report.page import digest
 
 EVIL = "<script>alert(1)</script> & $\\frac{$"
-LINK = {"block": "V -> deflection", "gap": 2.0, "ci90": [1.5, 2.5], "rms": 1e-3}
 PICTURES = {
     *("input_1_signals_over_time", "input_2_agreement", "input_2_correlation"),
-    *("input_3_candidates", "input_3_chain"),
+    "input_3_candidates",
 }
+
+
+def text_of(page):
+    """What a reader sees of a page."""
+    body = re.sub(r"<(style|script).*?</\1>", "", page, flags=re.S)
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", body)).split())
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +46,6 @@ def lab(tmp_path_factory):
     found, gap = copy.deepcopy(IDENTIFIED), copy.deepcopy(DIAGNOSED)
     found["parameters"]["wire.resistance"]["method"] = found["experiments"][0]["source"] = EVIL
     found["experiments"][0]["details"] = {"slope": {"value": 2.7, "std": 0.1, "unit": "ohm"}}
-    gap["where"]["chain"] = [LINK]
     gap["next_experiment"] = {"why": "drive " + EVIL, "separates": [], "protocol": {}}
     gap["findings"] = ["info: nothing", *gap["findings"]]
     (folder / "identified.json").write_text(json.dumps(found))
@@ -60,22 +64,18 @@ def out(lab):
     return lab / "out"
 
 
-def test_a_page_of_everything_stands_alone_and_is_escaped(out):
-    page, raw = parse(out / "index.html"), (out / "index.html").read_text()
-    text = " ".join(" ".join(page.text).split())
+def test_a_page_of_everything_stands_alone_is_escaped_and_says_what_it_is_made_of(lab, out):
+    raw = (out / "index.html").read_text()
+    text = text_of(raw)
     # The curves as data, and the one script that the page's own policy lets run.
-    scripts = [attributes for tag, attributes in page.seen if tag == "script"]
-    assert scripts == [{"type": "application/json"}, {}]
-    assert raw.count("<script>") == 1 and f"<script>{script()}</script>" in raw
-    (said,) = [a["content"] for _, a in page.seen if a.get("http-equiv")]
+    assert EVIL not in raw and "<script>alert" not in raw
+    assert re.findall(r"<script[^>]*>", raw) == ['<script type="application/json">', "<script>"]
+    assert f"<script>{script()}</script>" in raw
     allowed = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode()
-    assert "default-src 'none'" in said and f"script-src 'sha256-{allowed}'" in said
-    for tag, attributes in page.seen:
-        assert not attributes.get("src", "data:").startswith(("http", "/"))
-        assert tag not in ("link", "iframe") and "href" not in attributes
-    pictures = [attributes["src"] for tag, attributes in page.seen if tag == "img"]
-    assert len(pictures) == len(PICTURES)
-    assert all(src.startswith("data:image/png;base64,iVBOR") for src in pictures)
+    (said,) = re.findall(r'Content-Security-Policy" content="([^"]*)"', raw)
+    assert "default-src &#39;none&#39;" in said and f"script-src &#39;sha256-{allowed}" in said
+    assert not re.search(r'(?:src|href)="(?!data:)|<(?:link|iframe)', raw)
+    assert raw.count('src="data:image/png;base64,iVBOR') == len(PICTURES)
     for said in (" ".join(EVIL.split()), "2.8 ± 0.007 ± 0.024 ohm", "supply_drop", "50 mA"):
         assert said in text, said
     for said in ("0.3012 ± 0.0021 ohm", "95 to 99 %", "Provenance", "lab.yaml", "resistance"):
@@ -84,16 +84,12 @@ def test_a_page_of_everything_stands_alone_and_is_escaped(out):
     summary = text[text.index("Summary") : text.index("Identification ")]
     assert "E2: not settled" in summary and "wire.mass: odd" in summary
     assert "info: nothing" not in summary and "3 warnings" in summary
-
-
-def test_provenance_names_hashes_versions_and_the_command(lab, out):
+    # Hashes, versions and the command.
     found = json.loads((lab / "report.json").read_text())
     sha = hashlib.sha256((lab / "identified.json").read_bytes()).hexdigest()
     assert [one["kind"] for one in found["inputs"]] == ["bag", "identification", "diagnosis"]
     assert found["inputs"][1]["sha256"] == sha
     assert found["command"].startswith("sma-bench report ") and str(lab) in found["command"]
-    assert {"sma_bench", "Python", "numpy"} <= set(found["versions"])
-    text = " ".join(parse(out / "index.html").text)
     for said in (*(one["sha256"] for one in found["inputs"]), found["versions"]["numpy"]):
         assert said in text
 
@@ -138,11 +134,9 @@ def test_figures_and_tables_are_there_for_papers_and_no_number_is_told_twice(out
     ("name", "content", "said"),
     [
         ("a.json", "{", "not JSON"),
-        ("a.json", "[1]", "not a result"),
         ("a.json", b"\xff\xfe", "not a text file"),
         ("a.txt", "hello", "neither a bag"),
         ("none.json", None, "cannot read"),
-        ("a.json", json.dumps(IDENTIFIED | {"parameters": []}), "damaged result"),
         ("a.json", json.dumps(DIAGNOSED | {"verdict": 3}), "verdict"),
     ],
 )
@@ -158,6 +152,7 @@ def test_what_is_no_result_is_one_line_and_nothing_is_written(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_instrument_files_are_drawn(measured_data, tmp_path):
     folder, out = measured_data / "sma_react" / "input", tmp_path / "out"
     pulled = "".join(f"{100 * e:.5f},{4e4 * e}\n" for e in np.linspace(0.0, 0.05, 60))

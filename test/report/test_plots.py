@@ -2,19 +2,21 @@
 
 import csv
 import json
+import os
 import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 import sma_bench
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records.bag_writer import write_record
 from sma_bench.report.drawing import COLUMNS, curves_of, line_style
-from sma_bench.report.page import Section, Table, write_report
+from sma_bench.report.page import Picture, Section, Table, write_report
 
 WIRES = ["front_1", "front_2", "back_1", "back_2"]
 TIME = np.arange(0.0, 20.0, 0.05)
@@ -78,16 +80,50 @@ def test_a_column_has_its_width_and_letters_and_leaves_the_figure_as_it_was(reco
     assert plot.figure.get_size_inches().tolist() == before
 
 
-def test_tables_for_papers_hold_plain_numbers(tmp_path):
+def test_a_report_replaces_a_report_whole_and_nothing_else(tmp_path, monkeypatch):
+    figure = Figure()
+    figure.subplots().plot([0, 1], [1, 0])
+    sections = [Section("Result", pictures=[Picture("fig", "A line", "from nothing", figure)])]
+    folder = tmp_path / "r"
+    folder.mkdir()
+    (folder / "index.html").write_text("<p>my page</p>")
+    with pytest.raises(InputError, match="index.html, which is not of a report"):
+        write_report(folder, "T", "s", sections)
+    assert [p.name for p in folder.iterdir()] == ["index.html"]
+    (folder / "index.html").unlink()
+    (folder / "notes.txt").write_text("mine")
+    write_report(folder, "one", "s", sections)
+    before = {p.name: p.read_bytes() for p in folder.iterdir()}
+
+    def fail(source, target):
+        raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(InputError, match="cannot write the report: Input/output error"):
+        write_report(folder, "two", "s", sections)
+    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
+    monkeypatch.undo()
+    write_report(folder, "two", "s", sections)
+    assert "<title>two</title>" in (folder / "index.html").read_text()
+    assert (folder / "notes.txt").read_text() == "mine"
+
+
+def test_tables_for_papers_hold_plain_numbers_and_names_from_outside_are_text(tmp_path):
     rows = [["current", "20.5 mA", "82 to 100 %"], ["deflection", "0.1 mm", ""]]
-    table = Table(["q", "rms", "90 %"], rows, frozenset({1, 2}), "t")
-    sections = [Section("S", tables=[table])]
-    write_report(tmp_path / "r", "T", "s", sections, column=COLUMNS["double"])
+    hostile = "=HYPERLINK(1)\x1b[2J\udcff\u202e"
+    tables = [Table(["q", "rms", "90 %"], rows, frozenset({1, 2}), "t"),
+              Table(["name"], [[hostile], ["-1.5"]], name="names")]  # fmt: skip
+    sections = [Section("S", [hostile], tables=tables)]
+    page = write_report(tmp_path / "r", hostile, "s", sections, column=COLUMNS["double"])
     assert [list(row) for row in csv.reader((tmp_path / "r" / "t.csv").open())] == [
         ["q", "rms", "rms, unit", "90 %", "90 %, to", "90 %, unit"],
         ["current", "20.5", "mA", "82", "100", "%"],
         ["deflection", "0.1", "mm", "", "", ""],
     ]
+    text = page.read_text(encoding="utf-8")
+    assert "=HYPERLINK(1)\\x1b[2J\\udcff\\u202e" in text and "\x1b" not in text
+    names = (tmp_path / "r" / "names.csv").read_text().splitlines()
+    assert names == ["name", "'=HYPERLINK(1)\\x1b[2J\\udcff\\u202e", "-1.5"]
 
 
 # --- Records over each other.

@@ -5,7 +5,6 @@ import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,6 +21,7 @@ BOUND = {
     "peers": {"ROS_STATIC_PEERS": STRANGER},
 }  # fmt: skip
 OPEN = {"open": {RANGE: "SUBNET"}}
+NODE = [sys.executable, "-m", "sma_bench.nodes.start", "experiment"]
 PATIENCE = 90.0
 # Calls the stop of every namespace that it finds, for a while after the last one it waits for.
 CALLER = """
@@ -50,28 +50,26 @@ print(json.dumps([answers, sorted(name for name in names if f"/{name}" in seen)]
 """
 
 
-def ip(*words: str) -> None:
-    subprocess.run(["ip", *words], check=True, capture_output=True, text=True, timeout=30.0)
+def ip(words):
+    subprocess.run(["ip", *words.split()], check=True, capture_output=True, text=True, timeout=30)
 
 
 @pytest.fixture
-def two_machines() -> Iterator[tuple[str, str]]:
+def two_machines():
     """Names of two network namespaces with a cable between them."""
     if shutil.which("ip") is None or shutil.which("unshare") is None:
         pytest.skip("no ip, unshare here (Debian packages iproute2, util-linux)")
-    names = tuple(f"sma{os.getpid()}{side}" for side in "ab")
+    first, second = names = [f"sma{os.getpid()}{side}" for side in "ab"]
     try:
         try:
             for name in names:
-                ip("netns", "add", name)
-            first, second = names
-            ip("link", "add", first, "netns", first, "type", "veth", "peer", "name", second,
-               "netns", second)  # fmt: skip
+                ip(f"netns add {name}")
+            ip(f"link add {first} netns {first} type veth peer name {second} netns {second}")
             for name, address in zip(names, (BENCH, STRANGER), strict=True):
-                ip("-n", name, "addr", "add", f"{address}/24", "dev", name)
+                ip(f"-n {name} addr add {address}/24 dev {name}")
                 for device in ("lo", name):
-                    ip("-n", name, "link", "set", device, "up")
-            inside(second, ["true"], {}, own_memory=True).wait(30.0)
+                    ip(f"-n {name} link set {device} up")
+            inside(second, ["true"], own_memory=True).wait(30.0)
         except subprocess.CalledProcessError as error:
             pytest.skip(f"no network namespaces here: {error.stderr.strip()}")
         yield names
@@ -80,40 +78,42 @@ def two_machines() -> Iterator[tuple[str, str]]:
             subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
 
 
-def inside(
-    namespace: str, command: list[str], variables: dict[str, str], own_memory: bool = False
-) -> subprocess.Popen[str]:
-    """Start a program on one of the machines, without a word about discovery but `variables`."""
+def started(command, variables=None, cwd=ROOT, log=subprocess.DEVNULL):
+    """A program without a word about discovery but `variables`; ROS's log is its stderr."""
     clean = {name: value for name, value in os.environ.items() if name not in USERS_VARIABLES}
+    return subprocess.Popen(
+        command, env={**clean, "PYTHONPATH": str(ROOT), **(variables or {})},
+        stdout=subprocess.PIPE, stderr=log, text=True, cwd=cwd,
+    )  # fmt: skip
+
+
+def inside(namespace, command, variables=None, own_memory=False):
+    """Start a program on one of the machines."""
     start = ["ip", "netns", "exec", namespace]
     if own_memory:
         mount = 'mount -t tmpfs tmpfs /dev/shm && exec "$@"'
         start += ["unshare", "--mount", "sh", "-c", mount, "sh"]
-    return subprocess.Popen(
-        start + command, env={**clean, **variables}, stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL, text=True, cwd=ROOT,
-    )  # fmt: skip
+    return started(start + command, variables)
 
 
 def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
-    two_machines: tuple[str, str], ros_domain: int
-) -> None:
+    two_machines, ros_domain
+):
     here, there = two_machines
     everything = {**BOUND, **OPEN}
     names, nodes = ",".join(everything), {}
-    command = [sys.executable, "-m", "sma_bench.nodes.start", "experiment", "--ros-args", "-r"]
+    call = [sys.executable, "-c", CALLER]
     try:
         for name, variables in everything.items():
-            nodes[name] = inside(here, [*command, f"__ns:=/{name}"], variables)
-        here_too = inside(here, [sys.executable, "-c", CALLER, names, "0", names], {})
+            arguments = ["--ros-args", "-r", f"__ns:=/{name}"]
+            nodes[name] = inside(here, [*NODE, *arguments], variables)
+        here_too = inside(here, [*call, names, "0", names])
         local, _ = json.loads(here_too.communicate(timeout=PATIENCE)[0])
         ended = {name: one.returncode for name, one in nodes.items() if one.poll() is not None}
         missing = everything.keys() - local.keys()
         assert not missing, f"programs of this machine reach all of them; ended: {ended}"
-        stranger = inside(
-            there, [sys.executable, "-c", CALLER, "open", "3", names],
-            {"ROS_STATIC_PEERS": BENCH}, own_memory=True,
-        )  # fmt: skip
+        peer = {"ROS_STATIC_PEERS": BENCH}
+        stranger = inside(there, [*call, "open", "3", names], peer, own_memory=True)
         answers, seen = json.loads(stranger.communicate(timeout=PATIENCE)[0])
     finally:
         for node in nodes.values():
@@ -123,33 +123,29 @@ def test_another_machine_neither_sees_nor_stops_a_bench_unless_it_was_opened(
     assert seen == ["open"]
 
 
-def test_a_node_has_sockets_of_this_machine_alone(ros_domain: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["default", "only", "open"])
+def test_a_node_has_sockets_of_this_machine_alone(ros_domain, tmp_path, name):
     """As above where no namespaces can be made; a profile in the folder changes nothing."""
     other = tmp_path / "DEFAULT_FASTRTPS_PROFILES.xml"
     other.write_text("""<profiles xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
         <participant profile_name="p" is_default_profile="true"><rtps>
         <useBuiltinTransports>true</useBuiltinTransports></rtps></participant></profiles>""")
-    clean = {name: value for name, value in os.environ.items() if name not in USERS_VARIABLES}
-    clean["PYTHONPATH"] = str(ROOT)
-    addresses = {}
-    for name, variables in {**BOUND, **OPEN}.items():
-        node = subprocess.Popen(
-            [sys.executable, "-m", "sma_bench.nodes.start", "experiment"], cwd=tmp_path,
-            env={**clean, **variables}, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
-        try:
-            assert node.stdout is not None and any("idle" in line for line in node.stdout)
-            addresses[name] = _listening(node.pid, ros_domain)
-            # Its health check may hold the publishers: config/dds/this_machine.xml.
-            assert "/dev/shm/fastrtps" not in Path(f"/proc/{node.pid}/maps").read_text(), name
-        finally:
-            node.kill()
-            node.wait()
-    assert "00000000" in addresses.pop("open"), "0.0.0.0 where it was opened"
-    assert addresses == dict.fromkeys(BOUND, {"0100007F"}), "127.0.0.1"
+    node = started(NODE, {**BOUND, **OPEN}[name], tmp_path, subprocess.STDOUT)
+    try:
+        assert any("idle" in line for line in node.stdout)
+        addresses = listening(node.pid, ros_domain)
+        # Its health check may hold the publishers: config/dds/this_machine.xml.
+        assert "/dev/shm/fastrtps" not in Path(f"/proc/{node.pid}/maps").read_text()
+    finally:
+        node.kill()
+        node.wait()
+    if name == "open":
+        assert "00000000" in addresses, "0.0.0.0 where it was opened"
+    else:
+        assert addresses == {"0100007F"}, "127.0.0.1"
 
 
-def _listening(process: int, domain: int) -> set[str]:
+def listening(process, domain):
     """Addresses of a process's UDP sockets on the well-known ports of a ROS domain."""
     ports = range(7400 + 250 * domain, 7650 + 250 * domain)
     links = Path(f"/proc/{process}/fd").iterdir()

@@ -1,4 +1,4 @@
-"""Isobaric tests of a material that obeys the contract, for E6 and E9."""
+"""Isobaric tests for E6 and E9: of a material that obeys the contract, and measured ones."""
 
 from pathlib import Path
 
@@ -6,7 +6,17 @@ import numpy as np
 
 from sma_bench.parameters import Parameters
 from sma_bench.physics.material import cooled_fraction, heated_fraction, modulus
-from sma_bench.records.isobaric import Branch, Cycle, IsobaricRecord
+from sma_bench.records import open_record
+from sma_bench.records.instruments import Branch, Cycle, IsobaricRecord
+
+MEASURED = Path(__file__).parents[1] / "data" / "sma_react" / "input"
+SEVEN_CYCLES = MEASURED / "preprocessor_samples" / "isobaric_7cycle.txt"
+
+
+def alloy(number: int) -> list[IsobaricRecord]:
+    """Measured loops of an alloy."""
+    folder = MEASURED / f"cal_sample_{number}"
+    return [open_record(path) for path in sorted(folder.glob("*MPa.txt"))]
 
 
 def isobaric(

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from examination.blind.reality.world import Numbers, World
 from sma_bench.compiled import inlined
-from sma_bench.parameters.audit import wire_length
+from sma_bench.parameters.parameters import wire_length
 
 Array = NDArray[np.float64]
 
@@ -81,7 +81,6 @@ class Pull(NamedTuple):
 
 
 def beam(world: World) -> Beam:
-    """What the wires of a world pull against."""
     p = world.parameters
     sides = np.array([0 if side == "front" else 1 for side in world.sides], dtype=np.int64)
     # Lever [m], stiffness [Pa/m] and load [Pa] of each side, and how they oppose each other.
@@ -171,75 +170,6 @@ def detwinning(yielding, modulus, stress, detwinned, contraction):
 
 
 @inlined
-def memory_of_silicone(beam, pull, step, s):
-    """What the relaxing part of a side's stiffness is worth in this step, and its load [m]."""
-    worth, load = 0.0, 0.0
-    for j in range(2):
-        ratio = step / beam.relaxation_time[j]
-        gain = -math.expm1(-ratio) / ratio
-        worth += 0.5 * gain
-        load += 0.5 * (math.exp(-ratio) * pull.held[s, j] - gain * pull.deflection[s])
-    return worth, load
-
-
-@inlined
-def balance(beam, pull, temperature, step, scratch):
-    """Find the stresses and deflections at the end of a step; `pull` is advanced in place."""
-    wires = len(beam.side)
-    for s in range(2):
-        scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], beam.load[s]
-        relaxing = beam.features.matrix_relaxation
-        if relaxing > 0.0:
-            worth, shift = memory_of_silicone(beam, pull, step, s)
-            scratch[STIFF, s] *= 1.0 - relaxing + relaxing * worth
-            scratch[LOAD, s] += beam.stiffness[s] * relaxing * shift
-    front, back = pull.deflection[0] + pull.change[0], pull.deflection[1] + pull.change[1]
-    for i in range(wires):
-        scratch[BEFORE, i] = pull.stress[i]
-        pull.stress[i] = pull.predicted[i]
-    largest, iteration = 1.0, 0
-    while largest > CONVERGED and iteration < ITERATIONS:
-        iteration += 1
-        linearise(beam, pull, temperature, front, back, scratch)
-        a, d = scratch[SLOPE, 0] + scratch[GIVE, 0], scratch[SLOPE, 1] + scratch[GIVE, 1]
-        b, c = beam.opposing * scratch[GIVE, 0], beam.opposing * scratch[GIVE, 1]
-        determinant = a * d - b * c
-        move_front = (d * scratch[IMBALANCE, 0] + b * scratch[IMBALANCE, 1]) / determinant
-        move_back = (c * scratch[IMBALANCE, 0] + a * scratch[IMBALANCE, 1]) / determinant
-        front += move_front
-        back += move_back
-        largest = (abs(move_front) + abs(move_back)) / beam.lever
-        for i in range(wires):
-            contraction = side_contraction(beam, i, move_front, move_back)
-            change = scratch[ALONG, i] * contraction - scratch[ERROR, i]
-            pull.stress[i] += change
-            largest = max(largest, abs(change) / beam.austenite_modulus)
-    for i in range(wires):
-        pull.stress_change[i] = pull.stress[i] - scratch[BEFORE, i]
-    remember(beam, pull, temperature, step, front, back)
-
-
-@inlined
-def linearise(beam, pull, temperature, front, back, scratch):
-    """Errors of stresses and balance at these deflections, and their slopes, into `scratch`."""
-    for s in range(2):
-        d = front if s == 0 else back
-        cubic = beam.stiffness[s] * beam.features.stiffening * d * d
-        scratch[IMBALANCE, s] = -(scratch[STIFF, s] + cubic) * d - scratch[LOAD, s]
-        scratch[SLOPE, s], scratch[GIVE, s] = scratch[STIFF, s] + 3.0 * cubic, 0.0
-    for i in range(len(beam.side)):
-        s = beam.side[i]
-        contraction = side_contraction(beam, i, front, back)
-        xi, slope = fraction(pull, i)
-        stress, along_xi, along, _ = wire_stress(beam, pull, i, xi, temperature[i], contraction)
-        damping = max(1.0 - along_xi * slope, LEAST_DAMPING)
-        scratch[ERROR, i] = (pull.stress[i] - stress) / damping
-        scratch[ALONG, i] = along / damping
-        scratch[IMBALANCE, s] += pull.stress[i] - scratch[ERROR, i]
-        scratch[GIVE, s] -= scratch[ALONG, i] / beam.lever
-
-
-@inlined
 def side_contraction(beam, i, front, back):
     """Contraction of the side of wire i when the sides deflect so [m]."""
     own, against = (front, back) if beam.side[i] == 0 else (back, front)
@@ -255,9 +185,61 @@ def fraction(pull, i):
 
 
 @inlined
-def remember(beam, pull, temperature, step, front, back):
-    """Make the solved deflections the state, and keep what wires and silicone remember."""
-    for i in range(len(beam.side)):
+def balance(beam, pull, temperature, step, scratch):
+    """Find the stresses and deflections at the end of a step; `pull` is advanced in place."""
+    wires = len(beam.side)
+    for s in range(2):
+        scratch[STIFF, s], scratch[LOAD, s] = beam.stiffness[s], beam.load[s]
+        relaxing = beam.features.matrix_relaxation
+        if relaxing > 0.0:
+            # What the relaxing part of the stiffness is worth in this step, and its load [m].
+            worth, shift = 0.0, 0.0
+            for j in range(2):
+                ratio = step / beam.relaxation_time[j]
+                gain = -math.expm1(-ratio) / ratio
+                worth += 0.5 * gain
+                shift += 0.5 * (math.exp(-ratio) * pull.held[s, j] - gain * pull.deflection[s])
+            scratch[STIFF, s] *= 1.0 - relaxing + relaxing * worth
+            scratch[LOAD, s] += beam.stiffness[s] * relaxing * shift
+    front, back = pull.deflection[0] + pull.change[0], pull.deflection[1] + pull.change[1]
+    for i in range(wires):
+        scratch[BEFORE, i] = pull.stress[i]
+        pull.stress[i] = pull.predicted[i]
+    largest, iteration = 1.0, 0
+    while largest > CONVERGED and iteration < ITERATIONS:
+        iteration += 1
+        # Errors of stresses and balance at these deflections, and their slopes.
+        for s in range(2):
+            d = front if s == 0 else back
+            cubic = beam.stiffness[s] * beam.features.stiffening * d * d
+            scratch[IMBALANCE, s] = -(scratch[STIFF, s] + cubic) * d - scratch[LOAD, s]
+            scratch[SLOPE, s], scratch[GIVE, s] = scratch[STIFF, s] + 3.0 * cubic, 0.0
+        for i in range(wires):
+            s = beam.side[i]
+            contraction = side_contraction(beam, i, front, back)
+            xi, slope = fraction(pull, i)
+            stress, along_xi, along, _ = wire_stress(beam, pull, i, xi, temperature[i], contraction)
+            damping = max(1.0 - along_xi * slope, LEAST_DAMPING)
+            scratch[ERROR, i] = (pull.stress[i] - stress) / damping
+            scratch[ALONG, i] = along / damping
+            scratch[IMBALANCE, s] += pull.stress[i] - scratch[ERROR, i]
+            scratch[GIVE, s] -= scratch[ALONG, i] / beam.lever
+        a, d = scratch[SLOPE, 0] + scratch[GIVE, 0], scratch[SLOPE, 1] + scratch[GIVE, 1]
+        b, c = beam.opposing * scratch[GIVE, 0], beam.opposing * scratch[GIVE, 1]
+        determinant = a * d - b * c
+        move_front = (d * scratch[IMBALANCE, 0] + b * scratch[IMBALANCE, 1]) / determinant
+        move_back = (c * scratch[IMBALANCE, 0] + a * scratch[IMBALANCE, 1]) / determinant
+        front += move_front
+        back += move_back
+        largest = (abs(move_front) + abs(move_back)) / beam.lever
+        for i in range(wires):
+            contraction = side_contraction(beam, i, move_front, move_back)
+            change = scratch[ALONG, i] * contraction - scratch[ERROR, i]
+            pull.stress[i] += change
+            largest = max(largest, abs(change) / beam.austenite_modulus)
+    # The solved deflections are the state; wires and silicone remember.
+    for i in range(wires):
+        pull.stress_change[i] = pull.stress[i] - scratch[BEFORE, i]
         contraction = side_contraction(beam, i, front, back)
         xi = fraction(pull, i)[0]
         pull.detwinned[i] = wire_stress(beam, pull, i, xi, temperature[i], contraction)[3]

@@ -149,7 +149,6 @@ class Strip(NamedTuple):
 
 
 def strip_of(world: World) -> Strip:
-    """The strips of a world."""
     p = world.parameters
     loss = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"]
     share, conductance = world.feature("silicone_share"), world.feature("side_conductance")
@@ -201,28 +200,7 @@ def warm(strip, field, row, sources, air, gust, step, scratch):
         scratch[CAPACITY, j] = strip.capacity[j]
     scratch[CAPACITY, FRONT_WIRE] += sources[1, 0]
     scratch[CAPACITY, BACK_WIRE] += sources[1, 1]
-    factor(strip, part, front_air, back_air, scratch)
-    for j in range(NODES):
-        scratch[START, j] = field[row, j]
-    for stage in range(2):
-        for j in range(NODES):
-            scratch[RIGHT, j] = scratch[CAPACITY, j] * scratch[START, j]
-        scratch[RIGHT, 0] += part * front_air * air
-        scratch[RIGHT, NODES - 1] += part * back_air * air
-        scratch[RIGHT, FRONT_WIRE] += part * sources[0, 0]
-        scratch[RIGHT, BACK_WIRE] += part * sources[0, 1]
-        substitute(strip, part, scratch)
-        for j in range(NODES):
-            now = scratch[RIGHT, j]
-            if stage == 0:
-                scratch[START, j] += CARRIED * (now - field[row, j])
-            else:
-                field[row, j] = now
-
-
-@inlined
-def factor(strip, part, front_air, back_air, scratch):
-    """Eliminate C + part * conduction, downwards."""
+    # C + part * conduction, eliminated downwards.
     above = 0.0
     for j in range(NODES):
         diagonal = scratch[CAPACITY, j]
@@ -232,14 +210,23 @@ def factor(strip, part, front_air, back_air, scratch):
         if j < NODES - 1:
             above = part * strip.link[j] * scratch[PIVOT, j]
             scratch[UPPER, j] = above
-
-
-@inlined
-def substitute(strip, part, scratch):
-    """Solve for the right-hand side, in place."""
-    scratch[RIGHT, 0] *= scratch[PIVOT, 0]
-    for j in range(1, NODES):
-        carried = part * strip.link[j - 1] * scratch[RIGHT, j - 1]
-        scratch[RIGHT, j] = (scratch[RIGHT, j] + carried) * scratch[PIVOT, j]
-    for j in range(NODES - 2, -1, -1):
-        scratch[RIGHT, j] += scratch[UPPER, j] * scratch[RIGHT, j + 1]
+        scratch[START, j] = field[row, j]
+    for stage in range(2):
+        for j in range(NODES):
+            scratch[RIGHT, j] = scratch[CAPACITY, j] * scratch[START, j]
+        scratch[RIGHT, 0] += part * front_air * air
+        scratch[RIGHT, NODES - 1] += part * back_air * air
+        scratch[RIGHT, FRONT_WIRE] += part * sources[0, 0]
+        scratch[RIGHT, BACK_WIRE] += part * sources[0, 1]
+        scratch[RIGHT, 0] *= scratch[PIVOT, 0]
+        for j in range(1, NODES):
+            carried = part * strip.link[j - 1] * scratch[RIGHT, j - 1]
+            scratch[RIGHT, j] = (scratch[RIGHT, j] + carried) * scratch[PIVOT, j]
+        for j in range(NODES - 2, -1, -1):
+            scratch[RIGHT, j] += scratch[UPPER, j] * scratch[RIGHT, j + 1]
+        for j in range(NODES):
+            now = scratch[RIGHT, j]
+            if stage == 0:
+                scratch[START, j] += CARRIED * (now - field[row, j])
+            else:
+                field[row, j] = now

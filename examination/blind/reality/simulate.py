@@ -33,7 +33,6 @@ from examination.blind.reality.transformation import (
     grain_classes,
     grains_at_rest,
     ramp_table,
-    settle,
     transform,
     turn,
 )
@@ -108,7 +107,16 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
             step = (inputs.time[k] - inputs.time[k - 1]) / parts
             for part in range(parts):
                 share = (part + 0.5) / parts
-                electricity(rig, inputs, k - 1, wires, pull, step, scratch)
+                # Heat [W] into every wire: Joule's, and the latent heat that is still owed.
+                for i in range(len(wires.after)):
+                    voltage, xi = inputs.voltage[k - 1, i], pull.martensite[i]
+                    joule = current(rig, voltage, wires.after[i], xi, wires.driven[i])[1]
+                    if voltage != 0.0:
+                        wires.driven[i] += step
+                    paid = PAID_BACK * wires.owed[i]
+                    wires.owed[i] -= paid
+                    scratch.source[0, i] = joule + paid / step
+                    scratch.source[1, i] = rig.latent * wires.apparent[i]
                 heat(rig, inputs, k - 1, share, field, wires, step, scratch)
                 phase(rig, grains, pull, wires, step)
                 balance(rig.beam, pull, wires.after, step, scratch.beam)
@@ -124,7 +132,6 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
 
 @inlined
 def report(rig, inputs, k, field, wires, pull, values):
-    """Write what every wire is like at sample k."""
     for i in range(len(wires.after)):
         values[k, CURRENT, i] = current(
             rig, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i]
@@ -138,20 +145,6 @@ def report(rig, inputs, k, field, wires, pull, values):
             values[k, SURFACE, rig.pairs[strip, end]] = surface_temperature(
                 rig.strip, cell, inputs.ambient[k], inputs.gust[k]
             )[0]
-
-
-@inlined
-def electricity(rig, inputs, k, wires, pull, step, scratch):
-    """Heat [W] into every wire: Joule's, and the latent heat that is still owed."""
-    for i in range(len(wires.after)):
-        voltage = inputs.voltage[k, i]
-        joule = current(rig, voltage, wires.after[i], pull.martensite[i], wires.driven[i])[1]
-        if voltage != 0.0:
-            wires.driven[i] += step
-        paid = PAID_BACK * wires.owed[i]
-        wires.owed[i] -= paid
-        scratch.source[0, i] = joule + paid / step
-        scratch.source[1, i] = rig.latent * wires.apparent[i]
 
 
 @inlined
@@ -193,7 +186,11 @@ def aftermath(rig, grains, pull, wires):
     """What the step's transformation leaves behind: grains' state, fatigue, latent heat."""
     has = rig.features
     for i in range(len(wires.after)):
-        settle(grains, i, pull.stress[i] - pull.predicted[i])
+        # The stress that equilibrium has found, and not what `transform` was given.
+        loaded = pull.stress[i] - pull.predicted[i]
+        for c in range(grains.martensite.shape[1]):
+            martensite = grains.martensite[i, c] + grains.martensite_slope[i, c] * loaded
+            grains.martensite[i, c] = min(max(martensite, 0.0), 1.0)
         change = pull.martensite[i] - wires.martensite[i]
         if rig.beam.opposing > 0.0 and change < 0.0:
             # What transforms to austenite loses its detwinned strain.
@@ -217,14 +214,10 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What happened, true values on the given time grid, SI units, (n,) or (n, w) wires.
-
-    Attributes:
-        voltage: at the driver, held from each sample to the next.
-        surface: of the silicone beside each wire, which an infrared spot sees too.
-        deflection: of the tip or the slider, positive to the front, or elongation of a wire with a
-            weight or a spring; side_deflection: (n, 2), what each side does towards itself.
-    """
+    """What happened, true values on the given time grid, SI units, (n,) or (n, w) wires: voltage at
+    the driver, held from each sample to the next; surface of the silicone beside each wire, which
+    an infrared spot sees too; deflection of the tip or the slider, positive to the front, or
+    elongation of a wire with a weight or a spring; (n, 2) what each side does towards itself."""
 
     time: Array
     voltage: Array

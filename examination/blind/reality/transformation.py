@@ -44,7 +44,6 @@ class Classes(NamedTuple):
 
 
 def grain_classes(world: World) -> Classes:
-    """The grains of a world; one class where they are all alike."""
     p = world.parameters
     starts = p["wire.austenite_start_temperature"], p["wire.martensite_start_temperature"]
     finishes = p["wire.austenite_finish_temperature"], p["wire.martensite_finish_temperature"]
@@ -189,7 +188,6 @@ def other_place(classes, c, rising, temperature, stress):
 
 @inlined
 def turn(classes, table, memory, grains, i, temperature, stress):
-    """The temperature of wire i reverses at this state."""
     rising, line = not grains.rising[i], grains.line
     grains.rising[i] = rising
     for c in range(len(classes.weight)):
@@ -232,21 +230,6 @@ def draw(memory, grains, i, c, phase, own):
 
 
 @inlined
-def close_loops(memory, grains, i, c, own):
-    """Forget the loops that the ramp has run out of, each line going on from where it ended."""
-    line = grains.line
-    inside = False
-    while grains.reversals[i, c] >= 2 and not inside:
-        opened = grains.reversals[i, c] - 2
-        end = grains.reversal[i, c, opened, 1 if grains.rising[i] else 2]
-        inside = own > end
-        if not inside:
-            phase = line[i, c, AIM_PHASE] + line[i, c, SLOPE] * (end - line[i, c, AIM_RAMP])
-            grains.reversals[i, c] = opened
-            draw(memory, grains, i, c, phase, end)
-
-
-@inlined
 def transform(classes, table, memory, grains, i, temperature, stress):
     """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa].
 
@@ -256,8 +239,16 @@ def transform(classes, table, memory, grains, i, temperature, stress):
     total, total_slope = 0.0, 0.0
     for c in range(len(classes.weight)):
         own, along = ramp_of(classes, table, c, rising, temperature, stress)
-        if memory > 0.0:
-            close_loops(memory, grains, i, c, own)
+        # Forget the loops that the ramp has run out of, each line going on from where it ended.
+        inside = memory <= 0.0
+        while grains.reversals[i, c] >= 2 and not inside:
+            opened = grains.reversals[i, c] - 2
+            end = grains.reversal[i, c, opened, 1 if rising else 2]
+            inside = own > end
+            if not inside:
+                phase = line[i, c, AIM_PHASE] + line[i, c, SLOPE] * (end - line[i, c, AIM_RAMP])
+                grains.reversals[i, c] = opened
+                draw(memory, grains, i, c, phase, end)
         phase = line[i, c, AIM_PHASE] + line[i, c, SLOPE] * (own - line[i, c, AIM_RAMP])
         slope = line[i, c, SLOPE] * along
         moved_back = other_place(classes, c, rising, temperature, stress) < line[i, c, OTHER_PLACE]
@@ -279,11 +270,3 @@ def transform(classes, table, memory, grains, i, temperature, stress):
         total += classes.weight[c] * grains.martensite[i, c]
         total_slope += classes.weight[c] * grains.martensite_slope[i, c]
     return total, total_slope
-
-
-@inlined
-def settle(grains, i, loaded):
-    """Take the stress that equilibrium has found, `loaded` [Pa] above that of `transform`."""
-    for c in range(grains.martensite.shape[1]):
-        martensite = grains.martensite[i, c] + grains.martensite_slope[i, c] * loaded
-        grains.martensite[i, c] = min(max(martensite, 0.0), 1.0)

@@ -72,7 +72,6 @@ class World:
 
     @property
     def load(self) -> str:
-        """`load.kind`."""
         return load_kind(self.parameters)
 
     @property
@@ -83,7 +82,6 @@ class World:
 
     @property
     def numbers(self) -> Numbers:
-        """Of all features."""
         return Numbers(*(self.feature(name) for name in BY_NAME))
 
     def feature(self, name: str) -> float:

@@ -11,11 +11,12 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 import sma_bench
 
@@ -25,24 +26,12 @@ DATA = ROOT.parent / "shared" / "data"
 FOREIGN = DATA / "foreign"
 sys.path.insert(0, str(ROOT / "examples"))
 
-DAILY = ("identify", "simulate", "diagnose", "paper")
-SECTIONS = (*DAILY, "blind60")
+_MADE = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+REASONS: dict[str, str] = _MADE["reasons"]
+SECTIONS = tuple(_MADE["tasks"])
+DAILY = SECTIONS[:4]
 DEVELOPMENT_SEED = 1000
 BLIND = "examination.blind.command"
-# Why a number may move, and how far; kept beside the numbers.
-REASONS = {
-    "standard error": "0.1 of its standard error: optima of the same fit are nearer to each other",
-    "no error stated": "0.1 % of it",
-    "curvature": "10 % of it: a standard error is a curvature by finite differences",
-    "unseen": "5 % more, at least 0.01 % of the span: the same optimum; less is better",
-    "span": "1e-5 of what the signal spans: the order of operations",
-    "evidence": "0.02: a log evidence that is off by 0.1 moves a probability of 0.5 so far",
-    "optimum": "2 % of it: the same optimum",
-    "interval": "0.1 of its 90 % interval, at least 0.005",
-    "case": "half a case: not one more may be wrong",
-    "not worse": "2 % worse",
-    "time": "1.5 times as much: what else the machine does counts a little; less is better",
-}
 
 
 # --- numbers -----------------------------------------------------------------------------------
@@ -127,10 +116,6 @@ def is_number(value: Any) -> bool:
 # --- what is computed: identify -----------------------------------------------------------------
 
 WIRE, DEMO, COMPOSITE = (CONFIG / f"{rig}_rig.yaml" for rig in ("wire", "demo", "composite"))
-# A wire that is none of the paper's, as `demo --draw` makes them.
-DRAWN = {
-    "wire.resistance": 2.84, "wire.heat_transfer_coefficient": 377.0, "wire.specific_heat": 363.0,
-}  # fmt: skip
 
 
 def simulated_wire(*protocols: str, changed: Mapping[str, float] | None = None) -> Numbers:
@@ -155,7 +140,6 @@ def clamped_wire() -> Numbers:
 
 
 def simulated_composite() -> Numbers:
-    """E10 on a simulated composite."""
     truth = sma_bench.load_parameters(COMPOSITE)
     records = [_recorded(n, truth, 50.0, 1) for n in ("composite_step", "composite_triangle")]
     return identified(records, COMPOSITE)
@@ -172,7 +156,6 @@ def instrument_files(experiment: str, *names: str) -> Numbers:
 
 
 def measured(pattern: str, experiment: str = "") -> Numbers:
-    """Instrument files of real specimens."""
     records = sorted(str(path) for path in DATA.glob(f"sma_react/input/{pattern}"))
     return identified(records, None, [experiment] if experiment else None)
 
@@ -236,15 +219,6 @@ def _recorded(protocol: str, truth: Any, rate: float, seed: int) -> Any:
 
 # --- what is computed: simulate -----------------------------------------------------------------
 
-# Sizes that show, of every effect.
-EFFECTS = {
-    "phase_dependent_resistance": 0.15, "supply_drop": 0.3, "latent_heat": 15e3,
-    "temperature_dependent_convection": 2e-3, "matrix_thermal_mass": 0.3,
-    "side_heat_coupling": 3e-3, "ambient_drift": 5e-3, "partial_transformation": 0.4,
-    "transition_drift": 5.0, "stress_dependent_transition": 5e-8, "residual_strain": 0.1,
-    "viscoelastic_matrix": 0.15, "opposing_wires": 0.5, "side_asymmetry": 0.2, "slack": 4e-3,
-    "temperature_underfill": 0.1, "temperature_lag": 0.8, "deflection_drift": 1e-5,
-}  # fmt: skip
 SPAN = 1e-5
 INSTANTS = (29, 62, 83)  # %
 
@@ -274,33 +248,28 @@ def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
 
 # --- what is computed: diagnose -----------------------------------------------------------------
 
-# The demo's bench is off by these many of the lab's standard errors, and hides an effect.
+# The demo's bench is off by these many of the lab's standard errors.
 LAB_ERRORS = (0.8, -1.1, 0.3, 1.4, -0.6, -0.2, 1.0, -1.3, 0.5)
-HIDDEN = {
-    "none": {}, "latent_heat": {"latent_heat": 15e3}, "slack": {"slack": 5e-3},
-    "side_heat_coupling": {"side_heat_coupling": 4e-3},
-}  # fmt: skip
-CASES, DIAGNOSED, SCORED_CASES = 30, 12, 60  # a deck's cases, those of it that are diagnosed
+SCORED_CASES = 60
 PATIENCE = "600"  # s a case: on a loaded machine none is to fail for time
 
 
-def diagnosed_demo(hidden: str) -> Numbers:
-    """The demo's second act without nodes: a bench that is not quite the lab's."""
+def diagnosed_demo(hidden: Mapping[str, float]) -> Numbers:
+    """The demo's second act without nodes: a bench that is not quite the lab's, and hides this."""
     lab = sma_bench.load_parameters(DEMO)
-    errors = np.resize(LAB_ERRORS, len(lab.given_uncertainty))
-    stated = zip(errors, lab.given_uncertainty.items(), strict=True)
-    truth = lab.replace({name: float(lab[name] + error * std) for error, (name, std) in stated})
+    stated = lab.given_uncertainty
+    errors = zip(np.resize(LAB_ERRORS, len(stated)), stated.items(), strict=True)
+    truth = lab.replace({name: float(lab[name] + error * std) for error, (name, std) in errors})
     seen, unseen = (
-        sma_bench.measure(sma_bench.simulate(protocol, truth, effects=HIDDEN[hidden]), seed)
-        for seed, protocol in enumerate(
-            ("composite_diagnosis_triangles", "composite_diagnosis_steps"), 1
+        sma_bench.measure(
+            sma_bench.simulate(f"composite_diagnosis_{name}", truth, effects=hidden), seed
         )
+        for seed, name in enumerate(("triangles", "steps"), 1)
     )
     return diagnosed(seen, lab, unseen)
 
 
 def development_case(folder: str, number: int) -> Numbers:
-    """One of the development cases, as `blind run` would put it to the diagnosis."""
     case = sorted(path.parent for path in Path(folder).glob("**/nominal.yaml"))[number]
     return diagnosed(case / "record", case / "nominal.yaml", case / "hold_out")
 
@@ -351,24 +320,14 @@ def paper() -> Numbers:
     return numbers
 
 
-# Of the scorer's measures, by which way is worse: one case more may be wrong, or 2 % of it.
-MEASURES = {
-    "-": (
-        "detection of gaps above twice the noise", "first choice right, distinguishable singles",
-        "first choice right, all singles", "90 % set holds the truth",
-        "probability given to the truth", "out-of-library: abstains or flags",
-        "pairs: at least one", "pairs: both", "where: signal", "where: stage", "answered",
-    ),
-    "+": ("false alarms on no effect", "90 % set, mean size", "confident and wrong"),
-}  # fmt: skip
 IN_SHARES = ("90 % set, mean size", "probability given to the truth")
 
 
-def blind_measures(cases: str, jobs: int) -> Numbers:
+def blind_measures(cases: str, jobs: str) -> Numbers:
     """The scorer's measures of the development cases, without the follow-up experiments."""
     with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as made:
         answers, score = f"{made}/diagnosis", f"{made}/score.json"
-        asked = ("--answers", answers, "--jobs", str(jobs), "--time-limit", PATIENCE)
+        asked = ("--answers", answers, "--jobs", jobs, "--time-limit", PATIENCE)
         before = _processor_time()
         sma_bench_command("run", cases, *asked, module=BLIND)
         each = (_processor_time() - before) / SCORED_CASES
@@ -376,7 +335,7 @@ def blind_measures(cases: str, jobs: int) -> Numbers:
         sma_bench_command("score", cases, *scored, module=BLIND)
         found = json.loads(Path(score).read_text())["scores"]["diagnosis"]["measures"]
     numbers = {"processor time of a case, s": within(each, 0.5 * each, "time", "+")}
-    for side, names in MEASURES.items():
+    for side, names in _MADE["measures"].items():
         for name in names:
             value, n = found[name]["value"], found[name]["n"]
             case, share = (0.5 / max(n, 1), "case"), (0.02 * (value or 0.0), "not worse")
@@ -385,17 +344,12 @@ def blind_measures(cases: str, jobs: int) -> Numbers:
 
 
 def make_cases(folder: str, number: int, jobs: int) -> None:
-    """The first `number` development cases."""
     what = ("--seed", str(DEVELOPMENT_SEED), "--n", str(number), "--out", folder)
     sma_bench_command("make", *what, "--jobs", str(jobs), module=BLIND)
 
 
 def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
-    """Run a command quietly.
-
-    Raises:
-        RuntimeError: it failed; the last line that it said.
-    """
+    """Run a command quietly; RuntimeError with the last line that it said where it fails."""
     command = [sys.executable, "-P", "-m", module, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -408,16 +362,13 @@ def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """A result to be made: the name of a function above, and what it is called with.
-
-    `needs`: folder of measured data; `cases`: so many development cases.
-    """
+    """A result to be made: see made.yaml."""
 
     section: str
     name: str
     function: str
     arguments: tuple[Any, ...] = ()
-    named: tuple[tuple[str, Any], ...] = ()
+    named: Mapping[str, Any] = field(default_factory=dict)
     needs: str = ""
     cases: int = 0
 
@@ -428,10 +379,9 @@ class Task:
         return "" if not self.needs or folder.is_dir() else f"no measured data in {folder}"
 
     def make(self) -> Result:
-        """Compute it."""
         begin = _processor_time()
         try:
-            numbers = globals()[self.function](*self.arguments, **dict(self.named))
+            numbers = globals()[self.function](*self.arguments, **self.named)
         except Exception as error:  # one result that ends badly leaves the others theirs
             line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
             return Result({}, _processor_time() - begin, failed=line)
@@ -444,64 +394,16 @@ def _processor_time() -> float:
 
 
 def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
-    """All results of a section.
+    """All results of a section; `cases`: folder of the sets of development cases, by their number;
+    `jobs`: processes that blind60 may use."""
 
-    Args:
-        cases: folder of the sets of development cases, by their number.
-        jobs: processes that blind60 may use.
-    """
+    def filled(value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(map(filled, value))
+        return value.format(data=DATA, cases=cases, jobs=jobs) if isinstance(value, str) else value
 
-    def task(name: str, function: Any, *arguments: Any, needs: str = "", of: int = 0,
-             **named: Any) -> Task:  # fmt: skip
-        return Task(section, name, function.__name__, arguments, tuple(named.items()), needs, of)
-
-    wire, bent = FOREIGN / "wire", "foreign/composite"
-    triangle, step, nominal = (DATA / bent / n for n in ("triangle", "step", "nominal.yaml"))
-    if section == "identify":
-        frames = [f"{load}_MPa.txt" for load in (10, 50, 100)]
-        tests = ("cold_1.csv", "cold_2.csv", "hot_1.csv", "hot_2.csv")
-        folder, samples = "sma_react", "preprocessor_samples"
-        return [
-            task("foreign composite", identified, [triangle], nominal, None, step, needs=bent),
-            task("foreign spring", foreign_spring, needs="foreign/spring"),
-            task("foreign wire", identified, [wire / "staircase", wire / "ramp"],
-                 wire / "bench.yaml", needs="foreign/wire"),
-            *(task(f"SMA-REACT sample {k}, {experiment}", measured, f"cal_sample_{k}/* MPa.txt",
-                   experiment, needs=folder) for k in (1, 2) for experiment in ("E6", "E9")),
-            task("SMA-REACT seven cycles", measured, f"{samples}/isobaric_7cycle.txt",
-                 needs=folder),
-            task("SMA-REACT DSC", measured, f"{samples}/DSC.txt", needs=folder),
-            task("demo, Table I", simulated_wire, "staircase", "ramp"),
-            task("demo, quick", simulated_wire, "quick_staircase", "quick_ramp"),
-            task("demo, drawn wire", simulated_wire, "staircase", "ramp", changed=DRAWN),
-            task("E1, E2", simulated_wire, "quick_staircase"),
-            task("E4, validation", thermal_validation),
-            task("E5", instrument_files, "E5", "DSC.txt"),
-            task("E6", instrument_files, "E6", *frames),
-            task("E7", instrument_files, "E7", *tests),
-            task("E8", clamped_wire),
-            task("E9", instrument_files, "E9", *frames, "200_MPa.txt"),
-            task("E10", simulated_composite),
-        ]  # fmt: skip
-    if section == "simulate":
-        bend, hold = ("composite", "composite_triangle"), ("wire", "triangle")
-        thermal = ("latent_heat", "supply_drop", "temperature_dependent_convection")
-        of_effects = [(*bend, n) for n in EFFECTS] + [(*hold, n) for n in thermal]
-        return [
-            task("plain, composite", simulated, *bend),
-            task("plain, composite steps", simulated, "composite", "composite_step"),
-            task("plain, wire", simulated, *hold),
-            *(task(f"{name}, {rig}", simulated, rig, protocol, **{name: EFFECTS[name]})
-              for rig, protocol, name in of_effects),
-        ]  # fmt: skip
-    if section == "diagnose":
-        return [
-            task("foreign composite", diagnosed, triangle, nominal, step, needs=bent),
-            *(task(f"demo, {hidden}", diagnosed_demo, hidden) for hidden in HIDDEN),
-            *(task(f"case {k}", development_case, f"{cases}/{CASES}", k, of=CASES)
-              for k in range(DIAGNOSED)),
-        ]  # fmt: skip
-    if section == "paper":
-        return [task("all tables", paper)]
-    label = f"{SCORED_CASES} development cases"
-    return [task(label, blind_measures, f"{cases}/{SCORED_CASES}", jobs, of=SCORED_CASES)]
+    return [
+        Task(section, name, row["make"], filled(row.get("of", [])), row.get("named", {}),
+             row.get("needs", ""), row.get("cases", 0))
+        for name, row in _MADE["tasks"][section].items()
+    ]  # fmt: skip

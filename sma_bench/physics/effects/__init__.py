@@ -1,7 +1,6 @@
 """What the paper's model leaves out, one effect a file; each is off until its numbers are set.
 
-An effect's numbers are ordinary parameters (`effect.side_heat_coupling.conductance`), off at their
-defaults, so every simulation, node and file that takes parameters takes effects:
+An effect's numbers are ordinary parameters, so every simulation, node and file takes effects:
 
     parameters.replace(effect_values("side_heat_coupling", 0.01))
     simulate(parameters, time, voltage).temperature_reading
@@ -10,7 +9,7 @@ defaults, so every simulation, node and file that takes parameters takes effects
 from collections.abc import Mapping
 
 from sma_bench.errors import InputError
-from sma_bench.parameters.parameter import EFFECTS, Effect
+from sma_bench.parameters.parameter import EFFECTS as EFFECTS
 from sma_bench.parameters.parameters import unknown_parameter_message
 
 
@@ -35,6 +34,3 @@ def effect_values(name: str, size: float) -> dict[str, float]:
 def active_effects(parameters: Mapping[str, object]) -> tuple[str, ...]:
     """Names of the effects that these parameters switch on."""
     return tuple(name for name, effect in EFFECTS.items() if effect.is_on(parameters))
-
-
-__all__ = ["EFFECTS", "Effect", "active_effects", "effect_values"]

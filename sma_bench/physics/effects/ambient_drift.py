@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Air that warms or cools while the bench runs.
 
     T_inf(t) = T_inf + b t + d t^2
@@ -7,33 +6,22 @@ The parameter `environment.ambient_temperature` is that of the start. Source: a 
 that warms; two terms of its series.
 """
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-
 from sma_bench.compiled import borrowing
-from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "ambient_drift",
-    "thermal",
-    (
-        Parameter(
-            "effect.ambient_drift.rate", "K/s", 0.0, "Rise of the air around the wires; 0 is off.",
-            "assumed: 0.2 to 5 K in ten minutes", -0.2, 0.2, uncertainty=0.01,
-        ),
-        Parameter(
-            "effect.ambient_drift.bend", "K/s2", 0.0, "Growth of that rise.",
-            "assumed: of the order of the rise over some minutes", -2e-3, 2e-3, uncertainty=8e-5,
-        ),
-    ),
-    shows=(
-        "all wires' temperatures drift alike, at rest too; transformations come at a little less "
-        "power"
-    ),
-    marks=("HEATED_OTHERWISE",),
-    columns={"rate": "AMBIENT_RATE", "bend": "AMBIENT_BEND"},
+    "ambient_drift", "thermal",
+    (Parameter(
+        "effect.ambient_drift.rate", "K/s", 0.0, "Rise of the air around the wires; 0 is off.",
+        "assumed: 0.2 to 5 K in ten minutes", -0.2, 0.2, uncertainty=0.01,
+    ), Parameter(
+        "effect.ambient_drift.bend", "K/s2", 0.0, "Growth of that rise.",
+        "assumed: of the order of the rise over some minutes", -2e-3, 2e-3, uncertainty=8e-5,
+    )),
+    shows="all wires' temperatures drift alike, at rest too; transformations come at a little "
+    "less power",
+    marks=("HEATED_OTHERWISE",), columns={"rate": "AMBIENT_RATE", "bend": "AMBIENT_BEND"},
 )
 
 
@@ -43,12 +31,3 @@ def air_temperature(wires, i):
     clock = wires[i, at.CLOCK]
     change = (wires[i, at.AMBIENT_RATE] + wires[i, at.AMBIENT_BEND] * clock) * clock
     return wires[i, at.AMBIENT] + change
-
-
-def air(parameters: Parameters, time: ArrayLike) -> NDArray[np.float64]:
-    """(n,) K, temperature of the air `time` (n,) s after the start."""
-    seconds = np.asarray(time, dtype=np.float64)
-    rate = parameters["effect.ambient_drift.rate"]
-    bend = parameters["effect.ambient_drift.bend"]
-    start = parameters["environment.ambient_temperature"]
-    return np.asarray(start + (rate + bend * seconds) * seconds, dtype=np.float64)

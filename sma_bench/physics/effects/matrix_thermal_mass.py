@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Silicone around the wire that warms up with it.
 
     m c_p dT/dt = ... - G (T - E),    C_e dE/dt = G (T - E) - G_a (E - T_inf) [- G_c (E - E_other)]
@@ -16,29 +15,21 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "matrix_thermal_mass",
-    "thermal",
-    (
-        Parameter(
-            "effect.matrix_thermal_mass.heat_capacity", "J/K", 0.0,
-            "C_e, heat capacity of the silicone that a wire warms; 0 is off.",
-            "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5,
-        ),
-        Parameter(
-            "effect.matrix_thermal_mass.inner_share", "1", 0.5,
-            "Share of the resistance from wire to air that lies between wire and silicone.",
-            "assumed: half", 0.02, 0.98, uncertainty=0.2,
-        ),
-    ),
-    shows=(
-        "fast part and slow part in every heating and cooling; rests too short for the slow part "
-        "leave the wire warm"
-    ),
-    loads=("beam",),
-    marks=("HEATED_OTHERWISE", "EVOLVES"),
+    "matrix_thermal_mass", "thermal",
+    (Parameter(
+        "effect.matrix_thermal_mass.heat_capacity", "J/K", 0.0,
+        "C_e, heat capacity of the silicone that a wire warms; 0 is off.",
+        "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5,
+    ), Parameter(
+        "effect.matrix_thermal_mass.inner_share", "1", 0.5,
+        "Share of the resistance from wire to air that lies between wire and silicone.",
+        "assumed: half", 0.02, 0.98, uncertainty=0.2,
+    )),
+    shows="fast part and slow part in every heating and cooling; rests too short for the slow "
+    "part leave the wire warm",
+    loads=("beam",), marks=("HEATED_OTHERWISE", "EVOLVES"),
     columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE"},
-    state=("MATRIX_RISE",),
-    scratch=("OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),
+    state=("MATRIX_RISE",), scratch=("OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),
 )
 
 _LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be out of range

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """The passive side's wires are stretched by the bending, resist it, and detwin.
 
 A wire feels its own side's bending u and the share k of the other's: e = u - k u_o. The side o,
@@ -21,28 +20,19 @@ from sma_bench.physics import columns as at
 HARDENING = (170e6 - 100e6) / 0.067  # Pa
 
 EFFECT = Effect(
-    "opposing_wires",
-    "mechanical",
-    (
-        Parameter(
-            "effect.opposing_wires.engagement", "1", 0.0,
-            "Share of the other side's bending that reaches a wire; 0 is off.",
-            "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2,
-        ),
-        Parameter(
-            "effect.opposing_wires.detwinning_stress", "Pa", 100e6,
-            "Stress at which the passive martensite gives way.",
-            "assumed: 50 to 200 MPa", 1e6, 1e9, uncertainty=60e6,
-        ),
-    ),
-    shows=(
-        "less deflection than one side alone would give, a rest deflection after large strokes, "
-        "and a larger stroke of the other side when it is heated next"
-    ),
-    acts_on=("deflection",),
-    loads=("beam",),
-    marks=("PULLS_OTHERWISE",),
-    row="side",
+    "opposing_wires", "mechanical",
+    (Parameter(
+        "effect.opposing_wires.engagement", "1", 0.0,
+        "Share of the other side's bending that reaches a wire; 0 is off.",
+        "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2,
+    ), Parameter(
+        "effect.opposing_wires.detwinning_stress", "Pa", 100e6,
+        "Stress at which the passive martensite gives way.",
+        "assumed: 50 to 200 MPa", 1e6, 1e9, uncertainty=60e6,
+    )),
+    shows="less deflection than one side alone would give, a rest deflection after large strokes, "
+    "and a larger stroke of the other side when it is heated next",
+    acts_on=("deflection",), loads=("beam",), marks=("PULLS_OTHERWISE",), row="side",
     columns={"engagement": "ENGAGEMENT", "detwinning_stress": "DETWINNING_STRESS"},
     state=("DETWINNED", "YIELDING", "PASSIVE_FRACTION", "PASSIVE_BENDING"),
     scratch=("PASSIVE_MODULUS", "PASSIVE_LIMIT", "PASSIVE_HARDENING"),

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Heat through the matrix from one side's wires to the other's.
 
     m c_p dT_i/dt = ... - G (T_i - T_j),    T_j: mean of the wires opposite
@@ -12,21 +11,15 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "side_heat_coupling",
-    "thermal",
-    (
-        Parameter(
-            "effect.side_heat_coupling.conductance", "W/K", 0.0,
-            "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
-            "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01,
-        ),
-    ),
-    shows=(
-        "a wire without voltage warms while the other side is driven; the driven one stays cooler"
-    ),
-    loads=("beam",),
-    marks=("HEATED_OTHERWISE",),
-    columns={"conductance": "ACROSS"},
+    "side_heat_coupling", "thermal",
+    (Parameter(
+        "effect.side_heat_coupling.conductance", "W/K", 0.0,
+        "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
+        "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01,
+    ),),
+    shows="a wire without voltage warms while the other side is driven; the driven one stays "
+    "cooler",
+    loads=("beam",), marks=("HEATED_OTHERWISE",), columns={"conductance": "ACROSS"},
     scratch=("OPPOSITE",),
 )
 

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Heat transfer that grows with the surface's temperature.
 
     h(T) = h [1 + c (T - T_inf)]
@@ -12,21 +11,16 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "temperature_dependent_convection",
-    "thermal",
-    (
-        Parameter(
-            "effect.temperature_dependent_convection.rise", "1/K", 0.0,
-            "Relative rise of h a kelvin above ambient; 0 is off.",
-            "assumed: natural convection and radiation, +25 % from 320 to 420 K", -2e-3, 2e-2,
-            uncertainty=2.5e-3,
-        ),
-    ),
-    shows=(
-        "steady temperatures fall short of V^2 when hot; cooling is faster when hot than when warm"
-    ),
-    marks=("HEATED_OTHERWISE",),
-    columns={"rise": "CONVECTION_RISE"},
+    "temperature_dependent_convection", "thermal",
+    (Parameter(
+        "effect.temperature_dependent_convection.rise", "1/K", 0.0,
+        "Relative rise of h a kelvin above ambient; 0 is off.",
+        "assumed: natural convection and radiation, +25 % from 320 to 420 K", -2e-3, 2e-2,
+        uncertainty=2.5e-3,
+    ),),
+    shows="steady temperatures fall short of V^2 when hot; cooling is faster when hot than when "
+    "warm",
+    marks=("HEATED_OTHERWISE",), columns={"rise": "CONVECTION_RISE"},
     beside="wire.heat_transfer_coefficient",  # h at T_inf; a mean h would do nothing in the mean
 )
 

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """A temperature reading that lags.
 
     dT_read/dt = (T - T_read)/tau
@@ -12,22 +11,16 @@ from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
-    "temperature_lag",
-    "sensor",
-    (
-        Parameter(
-            "effect.temperature_lag.time_constant", "s", 0.0,
-            "Time constant of the temperature reading; 0 is off.",
-            "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5,
-        ),
-    ),
-    shows=(
-        "readings round off and follow late, heating and cooling alike; the deflection is on time"
-    ),
-    acts_on=("temperature",),
-    marks=("EVOLVES", "READ_OTHERWISE"),
-    columns={"time_constant": "READING_LAG"},
-    state=("SEEN",),
+    "temperature_lag", "sensor",
+    (Parameter(
+        "effect.temperature_lag.time_constant", "s", 0.0,
+        "Time constant of the temperature reading; 0 is off.",
+        "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5,
+    ),),
+    shows="readings round off and follow late, heating and cooling alike; the deflection is on "
+    "time",
+    acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),
+    columns={"time_constant": "READING_LAG"}, state=("SEEN",),
 )
 
 

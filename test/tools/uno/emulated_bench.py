@@ -109,9 +109,6 @@ class PtyBench:
         self._jobs: list[Callable[[], None]] = []
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name="emulated bench", daemon=True)
-        self.largest_lag = 0.0
-        """s that the device's time was behind the wall's: a loaded computer"""
-        self.began = time.monotonic()
         self._thread.start()
 
     def stop(self) -> None:
@@ -149,7 +146,7 @@ class PtyBench:
         # A late emulator is a device whose clock stumbles. Not everybody may ask for this.
         with contextlib.suppress(OSError):
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
-        due = soonest = self.began
+        due = soonest = time.monotonic()
         while not self._stopping.is_set():
             while self._jobs:
                 self._jobs.pop(0)()
@@ -160,7 +157,6 @@ class PtyBench:
             now = time.monotonic()
             due += SLICE
             soonest = max(soonest + SLICE / _CATCH_UP, now - _AT_ONCE)
-            self.largest_lag = max(self.largest_lag, now - due)
             time.sleep(max(0.0, max(due, soonest) - now))
 
     def _carry(self) -> None:
@@ -207,7 +203,6 @@ class EmulatedBench:
     def __init__(self, uno: EmulatedUno, parameters: Parameters) -> None:
         self.uno, self.plant, self.pins = uno, Plant(uno, parameters), PinWatch(uno)
         self.plant.run(_WARM_UP)  # compiles the physics before time begins
-        self._before = uno.time
         self.port: PtyBench
 
     def each_slice(self) -> None:
@@ -219,12 +214,6 @@ class EmulatedBench:
     def path(self) -> str:
         """The port."""
         return self.port.path
-
-    @property
-    def program_start(self) -> float:
-        """s of the monotonic clock at which the Uno's program began, which it does anew at every
-        opening of the port; its time runs with the wall's, but for a loaded computer's delays."""
-        return self.port.began - self._before + self.uno.electrics.started
 
     def do(self, job: Callable[[], object]) -> float:
         """Run `job` between two slices of time; when that was, in s of the Uno's clock."""
@@ -238,11 +227,7 @@ def emulated_bench(
     parameters: Parameters, uno: EmulatedUno | None = None
 ) -> Iterator[EmulatedBench]:
     """A bench in real time that is what the parameters say, as long as the context lasts; on an
-    Uno just powered up, built where there is none.
-
-    Raises:
-        InputError: the tools to build one are missing.
-    """
+    Uno just powered up, built where there is none. Raises InputError: without the tools to."""
     with tempfile.TemporaryDirectory(prefix="emulated_uno_") as folder:
         uno = uno or build_uno(Path(folder))
         uno.electrics.bootloader_time = BOOTLOADER

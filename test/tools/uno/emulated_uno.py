@@ -54,10 +54,21 @@ _LAYOUT = (
 )
 
 
+_FIELDS = tuple((name, kind) for names, kind in _LAYOUT for name in names.split())
+# Four wires, a 12 V supply, a relay, ACS712-20A sensors, range sensors at 1.5 V (SI units).
+NOMINAL = {
+    "supply": 12.0, "supply_limit": math.inf, "resistance": (2.7,) * CHANNELS,
+    "volts_per_ampere": (0.1, 0.1), "filter_time": 0.5e-3, "range_voltage": (1.5, 1.5),
+    "clipping": 25.0,  # where its output meets its own supply, at 100 mV/A
+    "noise": 2e-3, "divider": 4.0, "divider_time": 0.75e-6, "reference": 5.0, "bandgap": 1.1,
+    "relay_time": 10e-3,
+}
+
+
 class Electrics(ctypes.Structure):
     """What hangs on the pins; the fields mirror `struct electrics` of uno.c."""
 
-    _fields_ = tuple((name, kind) for names, kind in _LAYOUT for name in names.split())
+    _fields_ = _FIELDS
 
 
 class EmulatedUno:
@@ -79,21 +90,10 @@ class EmulatedUno:
         if not self._uno:
             raise RuntimeError(f"{image}: not an image that the emulator can load")
         self._buffer = ctypes.create_string_buffer(_CHUNK)
-        # Four wires, a 12 V supply, a relay, ACS712-20A sensors, range sensors at 1.5 V.
-        self.electrics = electrics = self._library.uno_electrics(self._uno).contents
-        electrics.supply = 12.0
-        electrics.supply_limit = math.inf
-        electrics.resistance[:] = [2.7] * CHANNELS
-        electrics.volts_per_ampere[:] = [0.1, 0.1]
-        electrics.clipping = 25.0  # where its output meets its own supply, at 100 mV/A
-        electrics.filter_time = 0.5e-3
-        electrics.range_voltage[:] = [1.5, 1.5]
-        electrics.noise = 2e-3
-        electrics.divider = 4.0
-        electrics.divider_time = 0.75e-6
-        electrics.reference = 5.0
-        electrics.bandgap = 1.1
-        electrics.relay_time = 10e-3
+        self.electrics = self._library.uno_electrics(self._uno).contents
+        for name, value in NOMINAL.items():
+            many = isinstance(value, tuple)
+            setattr(self.electrics, name, dict(_FIELDS)[name](*value) if many else value)
 
     @property
     def time(self) -> float:
@@ -154,33 +154,23 @@ def missing_tools() -> str:
 
 
 def build_uno(folder: Path) -> EmulatedUno:
-    """An Uno with the real firmware, just powered up; its binaries go to `folder`.
-
-    Raises:
-        InputError: a tool is missing, or does not compile it.
-    """
+    """An Uno with the real firmware, just powered up; its binaries go to `folder`. Raises
+    InputError: a tool is missing, or does not compile it."""
     if missing := missing_tools():
         raise InputError(missing)
     return EmulatedUno(build_emulator(folder), build_firmware(folder))
 
 
 def build_firmware(folder: Path, config: str = "") -> Path:
-    """The firmware's image (.elf) as `make` builds it, budgets included, in `folder`.
-
-    Raises:
-        InputError: it does not compile, or outgrows its budget.
-    """
+    """The firmware's image (.elf) as `make` builds it, budgets included, in `folder`. Raises
+    InputError: it does not compile, or outgrows its budget."""
     source = share_directory() / "firmware"
     _run(["make", "-s", "-C", str(source), f"BUILD={folder.resolve()}", f"CONFIG={config}"])
     return folder / "firmware.elf"
 
 
 def build_emulator(folder: Path) -> Path:
-    """The shared library of uno.c in `folder`.
-
-    Raises:
-        InputError: it does not compile.
-    """
+    """The shared library of uno.c in `folder`. Raises InputError: it does not compile."""
     library = folder / "uno.so"
     _run(
         ["cc", "-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared",

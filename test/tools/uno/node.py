@@ -24,8 +24,7 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.lifeline import end_with_starter
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.node_tables import node_groups
-from sma_bench.ros.node import MEASURED, OverridableNode, start_ros
+from sma_bench.ros.node import READINGS, OverridableNode, start_ros
 from uno.emulated_bench import emulated_bench
 
 PERIOD = 0.04
@@ -48,7 +47,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         rig = Parameters.defaults()
         if args.params:
-            rig = read_parameters(args.params, ignore=node_groups())
+            rig = read_parameters(args.params)
         start_ros(["--ros-args", "-r", f"__ns:={args.namespace}"])
         with emulated_bench(rig) as bench:
             if link.is_symlink():
@@ -71,7 +70,7 @@ def publish(rig: Parameters, bench: object, name: str) -> None:
     """The wires' and the air's temperatures for ever."""
     node = OverridableNode("emulated_bench")
     places = [*(f"{channel}/{name}" for channel in rig["bench.channels"]), "ambient/temperature"]
-    publishers = [node.create_publisher(Temperature, place, MEASURED) for place in places]
+    publishers = [node.create_publisher(Temperature, place, READINGS) for place in places]
     while True:
         kelvins = (*bench.temperature_reading, bench.ambient_temperature)
         for place, publisher, kelvin in zip(places, publishers, kelvins, strict=True):

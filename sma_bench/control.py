@@ -1,0 +1,440 @@
+"""Controllers of the bench, without ROS: readings and references in, volts out."""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME, EFFECT_TABLE
+from sma_bench.parameters.parameters import load_kind
+from sma_bench.physics import Bench, side_names
+from sma_bench.physics.linearised import (
+    SMOOTHER,
+    Branch,
+    OperatingPoint,
+    SideModel,
+    linearise,
+    maximum_deflection,
+    side_toward,
+)
+from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
+
+Array = NDArray[np.float64]
+
+TEMPERATURE_MARGIN = 10.0
+"""K below the bench's limit, which switches off: room for a model that errs by some percent"""
+CURRENT_SHARE = 0.9
+"""of the bench's largest current, which switches off: room for the noise of its sensor"""
+
+
+def require(subject: str, name: str, value: float, unit: str = "", zero: bool = False) -> None:
+    """InputError where a number is not finite, or not above 0; with `zero`, 0 is as good."""
+    if not (0.0 < value < math.inf or (zero and value == 0.0)):
+        expected = "0 or more" if zero else "positive and finite"
+        raise InputError(f"{subject}: {name} is {value}{unit}, expected {expected}")
+
+
+# --- A PI controller with anti-windup, and the rule that tunes it.
+#
+#     u = sat[u_ff + K (r - y) + I],   dI/dt = K/T_i (r - y) + (sat[u] - u)/T_i
+#
+# sat limits the output and its rate. The second term (back-calculation) leads the integral back to
+# what the output can do. I is kept in units of the output, so that gains may change without a
+# bump.
+
+
+class Gains(NamedTuple):
+    """Of a PI controller: K, output per unit of error, and T_i [s]."""
+
+    proportional: float
+    integral_time: float
+
+    @classmethod
+    def simc(
+        cls, gain: float, time_constant: float, delay: float, closed_loop_time: float = 0.0
+    ) -> Self:
+        """Tuned for gain e^(-delay s)/(time_constant s + 1) by Skogestad's rule (SIMC, 2003).
+
+        K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). The reference step response
+        then is that of a lag tau_c after the delay, without overshoot while T_i = tau.
+
+        Args:
+            gain: k, output of the plant per unit of its input.
+            time_constant: tau [s]; delay: theta [s].
+            closed_loop_time: tau_c [s]; 0 for half the time constant, or the delay if longer:
+                slow enough for T_i = tau, fast enough to halve the time.
+
+        Raises:
+            InputError: a number that no plant has.
+        """
+        require("tuning", "time_constant", time_constant)
+        require("tuning", "gain", abs(gain))
+        require("tuning", "delay", delay, " s", zero=True)
+        require("tuning", "closed_loop_time", closed_loop_time, " s", zero=True)
+        wanted = (closed_loop_time or max(0.5 * time_constant, delay)) + delay
+        return cls(time_constant / (gain * wanted), min(time_constant, 4.0 * wanted))
+
+
+class OutputLimits(NamedTuple):
+    """Range of the output, and of its rate [1/s]."""
+
+    low: float
+    high: float
+    rate: float = math.inf
+
+    def applied(self, output: float, last: float, dt: float) -> float:
+        """The output nearest to the wanted one; leaving the range's outside is never delayed."""
+        slowed = min(max(output, last - self.rate * dt), last + self.rate * dt)
+        return min(max(slowed, self.low), self.high)
+
+
+class PI:
+    """One loop. Time comes in as dt; there is no clock."""
+
+    def __init__(self, gains: Gains, limits: OutputLimits) -> None:
+        self.gains, self.limits = gains, limits
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything; the output starts from 0 or the limit nearest to it."""
+        self.take_over(0.0)
+        self._integral = 0.0
+
+    def take_over(self, output: float) -> None:
+        """Begin without a bump: without an error the next output is `output`."""
+        self._integral = self._output = min(max(output, self.limits.low), self.limits.high)
+
+    def step(
+        self, reference: float, measured: float, dt: float, feedforward: float = 0.0
+    ) -> float:
+        """The output from now until `dt` s later; InputError: a number that is not finite, or dt
+        not above 0."""
+        require("PI", "dt", dt, " s")
+        error = reference - measured
+        if not math.isfinite(error + feedforward):
+            raise InputError(
+                f"PI: reference {reference}, measured {measured}, feedforward {feedforward}, "
+                "expected finite numbers"
+            )
+        gains = self.gains
+        wanted = feedforward + gains.proportional * error + self._integral
+        self._output = self.limits.applied(wanted, self._output, dt)
+        self._integral += gains.proportional * error * dt / gains.integral_time
+        self._integral += (self._output - wanted) * min(dt / gains.integral_time, 1.0)
+        return self._output
+
+
+class Heating:
+    """Power of wires as the controlled input: v = sqrt(P R) makes eq. (2) linear.
+
+    It is limited by what voltage and current allow, and by what keeps the wires below their highest
+    temperature by the model, whatever a sensor says: an infrared spot wider than the wire reads
+    low.
+
+    Attributes:
+        temperature: (w,) K of the model, under the powers spent.
+        loss: h A_c [W/K]; time_constant: s; ambient, maximum_temperature: K.
+        maximum_power: W; power_rate: W/s.
+    """
+
+    def __init__(
+        self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0
+    ) -> None:
+        """The wires of a bench, at ambient temperature. `maximum_power` W is below what its voltage
+        and current allow, 0 for just that; `power_rate` W/s, 0 for no limit. InputError: a
+        negative limit."""
+        require("heating", "maximum_power", maximum_power, zero=True)
+        require("heating", "power_rate", power_rate, zero=True)
+        drive, self._resistance = p["bench.drive"], heated_resistance(p)
+        self._supply = p["bench.supply_voltage"] if drive == "duty" else 0.0
+        through = p["wire.resistance"] / p["wire.count"]  # of a channel
+        if drive != "current":
+            through += p["bench.lead_resistance"]
+        volt = min(
+            float(heating_voltage(p["bench.maximum_voltage"], p)),
+            through * (CURRENT_SHARE * p["bench.maximum_current"]),
+            self._supply or math.inf,
+        )
+        self.maximum_power = min(volt**2 / self._resistance, maximum_power or math.inf)
+        self.power_rate = power_rate or math.inf
+        self.loss, self.time_constant = heat_loss(p), time_constant(p)
+        self.ambient = float(p["environment.ambient_temperature"])
+        self.maximum_temperature = p["bench.maximum_temperature"] - TEMPERATURE_MARGIN
+        self.temperature = np.full(len(p["bench.channels"]), self.ambient)
+
+    def voltage(self, power: ArrayLike) -> Array:
+        """V, commanded, that heat with P [W]."""
+        square = np.asarray(power, float) * self._resistance
+        return np.asarray(square / self._supply if self._supply else np.sqrt(square))
+
+    def holding_power(self, temperature: ArrayLike) -> Array:
+        """P [W] that holds T [K]."""
+        return self.loss * (np.asarray(temperature, float) - self.ambient)
+
+    def power_toward(self, goal: ArrayLike, temperature: ArrayLike, dt: float) -> Array:
+        """P [W], of either sign, that leads from T to `goal` [K] within dt: eq. (2) inverted."""
+        decay = math.exp(-dt / self.time_constant)
+        start = np.asarray(temperature, float)
+        return self.holding_power((np.asarray(goal, float) - start * decay) / (1.0 - decay))
+
+    def highest_power(self, dt: float) -> Array:
+        """(w,) W that neither the supply nor the highest temperature forbids for dt."""
+        limit = self.power_toward(self.maximum_temperature, self.temperature, dt)
+        return np.clip(limit, 0.0, self.maximum_power)
+
+    def spend(self, power: ArrayLike, dt: float) -> None:
+        """Powers (w,) [W] were applied for dt: eq. (2) solved."""
+        steady = self.ambient + np.asarray(power, float) / self.loss
+        decay = math.exp(-dt / self.time_constant)
+        self.temperature = steady + (self.temperature - steady) * decay
+
+
+class TemperatureController:
+    """Reference and measured temperatures in, voltages out: one PI a wire, to power.
+
+    In power the wire is a lag, 1/(h A_c) over m c_p/(h A_c): the gains follow from the identified
+    parameters by Skogestad's rule.
+    """
+
+    def __init__(
+        self, parameters: Parameters, period: float, *, delay: float = 0.0,
+        closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
+    ) -> None:
+        """Tuned for steps of `period` s.
+
+        Args:
+            delay: s from a temperature to the power that answers it, beyond half a period, which
+                the held output is late by itself.
+            closed_loop_time, maximum_power, power_rate: as `Gains.simc`, `Heating`.
+
+        Raises:
+            InputError: a number out of range.
+        """
+        require("temperature control", "period", period, " s")
+        self.heating = Heating(parameters, maximum_power, power_rate)
+        self.gains = Gains.simc(
+            1.0 / self.heating.loss, self.heating.time_constant, 0.5 * period + delay,
+            closed_loop_time,
+        )
+        self._loops: list[PI | None] = [None] * len(parameters["bench.channels"])  # all off
+
+    def step(self, reference: ArrayLike, measured: ArrayLike, dt: float) -> Array:
+        """Voltages (w,) [V] from now until `dt` s later.
+
+        Args:
+            reference, measured: (w,) K; NaN switches a wire off, and so does a reference that
+                needs no heat: ambient temperature or less.
+
+        Raises:
+            InputError: wrong shape, or dt not above 0.
+        """
+        wanted, kelvin = (np.asarray(values, float) for values in (reference, measured))
+        expected = (len(self._loops),)
+        for name, values in (("reference", wanted), ("measured", kelvin)):
+            if values.shape != expected:
+                raise InputError(
+                    f"temperature control: {name} has shape {values.shape}, expected {expected}"
+                )
+        require("temperature control", "dt", dt, " s")
+        power = np.zeros(expected)
+        for i, highest in enumerate(self.heating.highest_power(dt).tolist()):
+            goal, now, loop = float(wanted[i]), float(kelvin[i]), self._loops[i]
+            if not math.isfinite(goal + now) or goal <= self.heating.ambient:
+                self._loops[i] = None
+                continue
+            limits = OutputLimits(0.0, highest, self.heating.power_rate)
+            if loop is None:
+                # A wire that is warm already goes on as it is.
+                loop = self._loops[i] = PI(self.gains, limits)
+                loop.take_over(float(self.heating.holding_power(now)))
+            loop.limits = limits
+            power[i] = loop.step(goal, now, dt)
+        self.heating.spend(power, dt)
+        return self.heating.voltage(power)
+
+    @staticmethod
+    def reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
+        """Why wire temperatures [K], one a channel, cannot be followed, or "": ambient temperature
+        or less only means that a wire is not heated."""
+        channels = len(parameters["bench.channels"])
+        highest = parameters["bench.maximum_temperature"] - TEMPERATURE_MARGIN
+        if len(reference) != channels:
+            return f"reference has {len(reference)} temperatures, expected {channels}"
+        for kelvin in reference:
+            if not math.isfinite(kelvin):
+                return f"reference has {kelvin} K, expected finite temperatures"
+            if not 0.0 < kelvin <= highest:
+                return f"reference has {kelvin:g} K, expected above 0 and at most {highest:g} K"
+        return ""
+
+
+# --- Deflection control: feed-forward by the inverse model, feedback by the linear one.
+#
+# Feed-forward. A nominal bench runs along in software. For the wanted deflection of the side in
+# charge (the other side's remaining deflection added), the inverse of the model on the present
+# branch of the hysteresis gives the wires' temperature, and eq. (2) inverted the power that brings
+# the nominal wires there within one period, as far as power can: wires only heat, V >= 0.
+#
+# Feedback. A PI on nominal minus measured deflection adds to that power. Where the nominal bench
+# cannot follow, the feedback does not ask for it. Gains are Skogestad's for the linearised model,
+# its gain interpolated along the branch between operating points.
+#
+# Positive deflections are the front wires' work, negative ones the back wires'; at zero both rest.
+# A wire with a load only shortens: its deflection is its elongation, 0 or less. Antagonists pull
+# against each other as they are at the moment.
+
+
+# Operating points of the gain schedule, as parts of the largest deflection.
+_SCHEDULE = np.linspace(0.02, 0.98, 13)
+# Near both ends of the transformation the gain goes to zero: there the loop is let slow down
+# rather than asked for as much more power.
+_LOWEST_PART = 0.5
+_LAST_REACHABLE = 0.999
+
+
+class _Side(NamedTuple):
+    """What is known of a side before it moves: its wires (w,), and by branch deflections and the
+    gain there, m/W of each wire."""
+
+    name: str
+    sign: float
+    model: SideModel
+    wires: NDArray[np.bool_]
+    schedule: dict[Branch, tuple[Array, Array]]
+
+    @classmethod
+    def of(cls, parameters: Parameters, name: str, loss: float) -> Self:
+        # The linear model is the paper's; effects that were identified are the nominal bench's.
+        beyond = (*EFFECT_TABLE, *(BY_NAME[name] for name in SMOOTHER))
+        parameters = parameters.replace({p.name: p.default for p in beyond})
+        model, largest = SideModel.of(parameters, name), maximum_deflection(parameters, name)
+        wires = np.array(parameters["bench.channel_sides"]) == name
+        sign = math.copysign(1.0, model.lever)
+        schedule: dict[Branch, tuple[Array, Array]] = {}
+        branches: tuple[Branch, ...] = ("heating", "cooling")
+        for branch in branches:
+            gains = []
+            for part in _SCHEDULE:
+                point = OperatingPoint.at_deflection(parameters, sign * part * largest, branch)
+                gains.append(float(np.abs(linearise(point).deflection_per_kelvin[wires]).sum()))
+            floor = np.maximum(np.array(gains), _LOWEST_PART * gains[len(gains) // 2])
+            schedule[branch] = (_SCHEDULE * largest, floor / loss)
+        return cls(name, sign, model, wires, schedule)
+
+
+class DeflectionController:
+    """Reference and measured deflection in, voltages out."""
+
+    def __init__(
+        self, parameters: Parameters, period: float, *, delay: float = 0.0,
+        closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
+        feedback: bool = True,
+    ) -> None:
+        """Designed for steps of `period` s.
+
+        Args:
+            delay, closed_loop_time, maximum_power, power_rate: as `TemperatureController`.
+            feedback: False leaves the feed-forward alone, an open loop.
+
+        Raises:
+            InputError: the rig does not move, or a number out of range.
+        """
+        require("deflection control", "period", period, " s")
+        self.parameters, self._feedback = parameters, feedback
+        self.heating = Heating(parameters, maximum_power, power_rate)
+        loss = self.heating.loss
+        self._sides = [_Side.of(parameters, name, loss) for name in side_names(parameters)]
+        self.gains = Gains.simc(
+            1.0, self.heating.time_constant, 0.5 * period + delay, closed_loop_time
+        )
+        self._coupled = load_kind(parameters) == "antagonist"
+        self._nominal = Bench(parameters)  # taken to be at rest
+        self._active: _Side | None = None
+        self._ahead = 0.0
+        self._loop = PI(self.gains, OutputLimits(0.0, self.heating.maximum_power))
+
+    @property
+    def nominal_deflection(self) -> float:
+        """Deflection [m] of the nominal bench, which the feedback follows."""
+        return self._nominal.deflection
+
+    def step(
+        self, reference: float, measured: float, dt: float, upcoming: float | None = None
+    ) -> Array:
+        """Voltages (w,) [V] from now until `dt` s later.
+
+        Args:
+            reference: m, positive toward the front, wanted now.
+            measured: m; NaN leaves the feed-forward alone.
+            upcoming: m, wanted dt later; the reference when not known.
+
+        Raises:
+            InputError: a reference that is not finite, or dt not above 0.
+        """
+        goal = reference if upcoming is None else upcoming
+        if not math.isfinite(reference + goal):
+            raise InputError(f"deflection control: reference is {reference} m, expected finite")
+        require("deflection control", "dt", dt, " s")
+        side = next((side for side in self._sides if side.sign * goal > 0.0), None)
+        if side is not self._active:
+            self._active, self._ahead = side, 0.0
+            self._loop.reset()
+        nominal = np.zeros(len(self.parameters["bench.channels"]))
+        applied = nominal.copy()
+        if side is not None:
+            # Contraction that is wanted of this side, and the branch that leads there.
+            model, others = side.model, 0.0
+            now = dict(zip([s.name for s in self._sides], self._nominal.contraction, strict=True))
+            if self._coupled:
+                model = SideModel.of(self.parameters, side.name, state=self._nominal.state)
+            else:
+                others = float(sum(now[name] for name in now if name != side.name))
+            wanted = abs(goal) / abs(model.lever) + max(others, 0.0)
+            wanted = min(wanted, _LAST_REACHABLE * model.largest_contraction())
+            branch: Branch = "heating" if wanted >= now[side.name] else "cooling"
+
+            # Power [W] of each of its wires toward it, as far as power can.
+            state, wire = self._nominal.state, int(np.argmax(side.wires))
+            kelvin, sigma = float(state.temperature[wire]), float(state.stress[wire])
+            share = model.share(kelvin, sigma, float(state.martensite_fraction[wire]), branch)
+            warm, _ = model.at_contraction(wanted, branch, share)
+            toward = float(self.heating.power_toward(warm, kelvin, dt))
+            highest = float(self.heating.highest_power(dt)[side.wires].min())
+            limits = OutputLimits(0.0, highest, self.heating.power_rate)
+            # What the feed-forward cannot have must not wind up the feedback.
+            self._ahead = limits.applied(toward, self._ahead, dt)
+            nominal[side.wires] = applied[side.wires] = self._ahead
+            if self._feedback and math.isfinite(measured):
+                followed = side.sign * self.nominal_deflection
+                gain = float(np.interp(followed, *side.schedule[branch]))
+                self._loop.limits = limits
+                self._loop.gains = Gains(self.gains.proportional / gain, self.gains.integral_time)
+                applied[side.wires] = self._loop.step(
+                    followed, side.sign * measured, dt, self._ahead
+                )
+        self._nominal.advance(self.heating.voltage(nominal), dt)
+        self.heating.spend(applied, dt)
+        return self.heating.voltage(applied)
+
+    @staticmethod
+    def reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
+        """Why a deflection [m], the only element, cannot be followed, or ""."""
+        (metres,) = reference
+        if not math.isfinite(metres):
+            return f"reference is {metres} m, expected a finite deflection"
+        if metres == 0.0:
+            return ""
+        try:
+            side = side_toward(parameters, metres)
+        except InputError as error:
+            return f"reference: {error}"
+        if side not in parameters["bench.channel_sides"]:
+            return f"reference is {metres:g} m, but there is no wire on the {side}"
+        largest = maximum_deflection(parameters, side)
+        if abs(metres) > largest:
+            return f"reference is {metres:g} m, expected at most {largest:.4g} m to the {side}"
+        return ""

@@ -1,0 +1,378 @@
+"""Where one branch of strain over temperature begins to transform and where it ends.
+
+By tangents (practice of ASTM F2082 and E3097): three straight lines are drawn, along the branch
+before it transforms, along its steepest part and along the branch after it has transformed. Their
+crossings are the start and the finish. And by the cosine of eqs. (10), (11) between the outer two.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from sma_bench.estimation.noise_model import autocorrelation, inflation
+from sma_bench.identify.estimate import MODULI, Array, Line, scatter, straight_line
+from sma_bench.identify.result import refusal
+from sma_bench.parameters import Parameters
+from sma_bench.records.instruments import Branch
+
+_COSINE_WIDTH = 0.5 * math.pi  # of the steepest tangent's, which takes 2/pi of a cosine's
+_FEWEST_BINS = 30
+# Shares of the strain: how far points may lie off an outer line, and how much of the material
+# transforms along the steep one. The first choices are reported, the others tell their error.
+_STRAIGHT = (0.015, 0.010, 0.025)
+_STEEP = (0.4, 0.3, 0.6)
+_SMALLEST_STEP = 12.0  # of the scatter
+_SHORTEST_LINE = 5  # points
+_SHORT, _TOO_STEEP = 0.10, 0.10  # shares of the branch, and of its largest slope
+_LAG, _LAG_STRAIN = 0.10, 0.05  # shares of the branch and its strain, in which a specimen lags
+_NARROWEST = 0.2  # K
+# How far beyond the range points are used, in its widths: where the choice matters, the branch is
+# no cosine between straight lines, and its ends are not better known than that.
+_MARGINS = (1.0, 0.5)
+Number = tuple[float, float]  # value and standard error
+
+
+class Bins(NamedTuple):
+    """Even intervals of a branch's temperature, `which` (n,) each reading is in. Dwells do not
+    outweigh the rest, and a law is averaged as the data are: the mean of a bend is not the bend of
+    the mean."""
+
+    which: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, t: Array, most: int = 200, rising: bool = True) -> "Bins":
+        """At most `most` of t (n,) K, numbered from the cold end, or from the hot one."""
+        width = float(np.ptp(t)) / most
+        index = np.floor((t - t.min() if rising else t.max() - t) / width).astype(int)
+        return cls(np.unique(index, return_inverse=True)[1])
+
+    def mean(self, values: Array) -> Array:
+        """(m,) means of (n,) values."""
+        return np.asarray(np.bincount(self.which, values) / np.bincount(self.which))
+
+
+class StrainTangents(NamedTuple):
+    """What the tangents of one branch give: start and finish in K, in the order of transformation
+    (on cooling the start is the higher one), whose errors hold the scatter of the points and what
+    other stretches for the lines would give; `step` of the strain by which the outer lines differ
+    half-way; `short` where the straight stretch of the cold or the hot line is so short or so steep
+    that the branch may not have been complete."""
+
+    start: Number
+    finish: Number
+    step: Number
+    cold: Line
+    hot: Line
+    short: tuple[bool, bool]
+
+    def polyline(self, branch: Branch) -> Array:
+        """(4, 2) K and strain: the three tangents from the branch's cold end to its hot one."""
+        low, high = sorted((self.start[0], self.finish[0]))
+        ends = np.array([min(branch.temperature.min(), low), max(branch.temperature.max(), high)])
+        t = np.array([ends[0], low, high, ends[1]])
+        return np.column_stack([t, np.concatenate([self.cold(t[:2]), self.hot(t[2:])])])
+
+    def cosine_ends(self) -> tuple[float, float]:
+        """Start and finish in K of the cosine of eqs. (10), (11) with the same tangent."""
+        middle = 0.5 * (self.start[0] + self.finish[0])
+        half = 0.5 * _COSINE_WIDTH * (self.finish[0] - self.start[0])
+        return middle - half, middle + half
+
+
+def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTangents:
+    """Start, finish and transformation strain of one branch.
+
+    Args:
+        companion: the other branch of the cycle. Where this branch has no straight stretch at one
+            of its ends, as when it was turned round before it had transformed, the line there
+            goes through its end with the companion's slope.
+
+    Raises:
+        InputError: too few points, or no transformation stands out of the scatter.
+    """
+    # Means over narrow intervals of temperature, rising.
+    binned = []
+    for one in filter(None, (branch, companion)):
+        bins = Bins.of(one.temperature)
+        binned.append((bins.mean(one.temperature), bins.mean(one.strain)))
+    (t, strain), *others = binned
+    way, span, noise = branch.direction, float(np.ptp(strain)), 0.0
+    if len(t) < _FEWEST_BINS:
+        raise refusal("few temperatures", way=way, count=len(t), least=_FEWEST_BINS)
+    noise = scatter(strain)
+    if span < _SMALLEST_STEP * noise:
+        raise refusal("no transformation", way=way, span=span, noise=noise)
+
+    # All ways to draw the lines; the first one is the best, the others tell its error.
+    drawn = []
+    for straight in _STRAIGHT:
+        outer = _outer_lines(t, strain, others, straight)
+        tries = (_draw(t, strain, outer[0][0], outer[1][0], share) for share in _STEEP)
+        drawn += [(outer, found) for found in tries if found is not None]
+    if not drawn:
+        raise refusal("no straight stretches", way=way, low=t[0], high=t[-1])
+    ((cold, hot), short), (values, variances) = zip(*drawn[0][0], strict=True), drawn[0][1]
+    error = np.hypot(np.std([found[0] for _, found in drawn], axis=0), np.sqrt(variances))
+    low, high, step = zip(values.tolist(), error.tolist(), strict=True)
+    low, high = ((v, math.hypot(std, _gap_at(t, v) / math.sqrt(12.0))) for v, std in (low, high))
+    start, finish = (low, high) if way == "heating" else (high, low)
+    return StrainTangents(start, finish, step, cold, hot, short)
+
+
+def _gap_at(t: Array, where: float) -> float:
+    """By how much the two points around a crossing lie further apart than points usually do."""
+    steps = np.diff(t)
+    here = steps[(t[:-1] <= where) & (t[1:] >= where)]
+    return max(float(np.max(here, initial=0.0)) - 2.0 * float(np.median(steps)), 0.0)
+
+
+def _outer_lines(
+    t: Array, strain: Array, others: list[tuple[Array, Array]], straight: float
+) -> list[tuple[Line, bool]]:
+    """Cold and hot line of a rising branch and whether they are short; `others`: the other branch
+    of the cycle, if any."""
+    found = []
+    for sign in (1, -1):
+        # The hot line is the cold one of the branch read backwards, its temperature negated.
+        x, y = sign * t[::sign], strain[::sign]
+        line, is_short = _outer_line(x, y, straight)
+        for other, other_strain in others if is_short else ():
+            beside, _ = _outer_line(sign * other[::sign], other_strain[::sign], straight)
+            if abs(beside.slope) < abs(line.slope):  # that slope, through this branch's end
+                x, y = x[:_SHORTEST_LINE], y[:_SHORTEST_LINE]
+                line = replace(
+                    beside, at=float(x.mean()), value=float(y.mean()),
+                    value_variance=float(y.var()) / _SHORTEST_LINE,
+                )
+        found.append((replace(line, at=sign * line.at, slope=sign * line.slope), is_short))
+    return found
+
+
+def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
+    """Line along the beginning of a rising branch, as far as it is straight."""
+    # Where points are few, second differences are bends, not scatter: hence the limit.
+    span = float(np.ptp(strain))
+    tolerance = max(straight * span, min(3.0 * scatter(strain), 2.0 * straight * span))
+    # First point to use: after a reversal a lagging specimen goes on the old way for a while.
+    near = np.flatnonzero(t <= t[0] + _LAG * (t[-1] - t[0]))
+    middle = 0.5 * (strain[0] + strain[-1])
+    furthest = int(np.argmax(np.abs(strain[near] - middle)))
+    lags = abs(strain[furthest] - strain[0]) > _LAG_STRAIN * span
+    first = min(furthest, len(t) // 4) if lags else 0
+    t, strain = t[first:], strain[first:]
+    # How many points from the beginning one straight line describes.
+    longest = _SHORTEST_LINE
+    for count in range(_SHORTEST_LINE, len(t) - _SHORTEST_LINE):
+        left = strain[:count] - straight_line(t[:count], strain[:count])(t[:count])
+        # A run of points on one side tells a bend long before the largest residual does.
+        run = abs(float(np.mean(left[-max(count // 5, 3) :])))
+        if run < 0.5 * tolerance and np.max(np.abs(left)) < 2.0 * tolerance:
+            longest = count
+        elif count > 3 * longest:
+            break
+    line = straight_line(t[:longest], strain[:longest])
+    # Against the largest slope over a few points.
+    times, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
+    centred = times - times.mean(axis=1, keepdims=True)
+    slopes = np.sum(centred * strains, axis=1) / np.sum(centred**2, axis=1)
+    is_steep = abs(line.slope) > _TOO_STEEP * float(np.max(np.abs(slopes)))
+    return line, is_steep or float(np.ptp(t[:longest])) < _SHORT * float(np.ptp(t))
+
+
+def _draw(
+    t: Array, strain: Array, cold: Line, hot: Line, width: float
+) -> tuple[Array, Array] | None:
+    """With the steep line where the share `width` of the material transforms: cold and hot crossing
+    [K] and the step of strain, (3,), and their variances; None where the lines do not cross so."""
+    # The steepest stretch in which that share transforms.
+    gap = cold(t) - hot(t)
+    share = np.divide(strain - hot(t), gap, out=np.full_like(gap, np.nan), where=gap != 0.0)
+    best, steepest = None, 0.0
+    for first in np.flatnonzero((share < 1.0) & (share > width)):
+        done = np.flatnonzero(share[first:] <= share[first] - width)
+        if not len(done):
+            continue
+        last = first + int(done[0])
+        steepness = (share[first] - share[last]) / (t[last] - t[first])
+        if steepness > steepest:
+            best, steepest = slice(int(first), last + 1), float(steepness)
+    if best is None or not float(np.var(strain[best])) > 0.0:  # or too small for their squares
+        return None
+    # Where the curve is steep the error is in temperature: regress it on strain.
+    x, y = t[best], strain[best]
+    inverse = straight_line(y, x)
+    if inverse.slope == 0.0:
+        return None
+    n, slope, value, of_slope = (
+        len(x), 1.0 / inverse.slope, inverse.value_variance, inverse.slope_variance
+    )
+    if n <= 3:  # two points leave no scatter: a third of their distance stands for it
+        variance = float(np.ptp(x) / 3.0) ** 2
+        value, of_slope = variance / n, variance / float(n * np.var(y))
+    steep = Line(float(x.mean()), float(y.mean()), slope, value * slope**2, of_slope * slope**4)
+
+    low, high = steep.crossing(cold), steep.crossing(hot)
+    if not t[0] - np.ptp(t) < low < high < t[-1] + np.ptp(t):
+        return None
+    variances = [
+        (steep.variance(x) + side.variance(x)) / (slope - side.slope) ** 2
+        for x, side in ((low, cold), (high, hot))
+    ]
+    middle = 0.5 * (low + high)
+    step = float(cold(np.array(middle)) - hot(np.array(middle)))
+    return np.array([low, high, step]), np.array(
+        [*variances, cold.variance(middle) + hot.variance(middle)]
+    )
+
+
+# --- The cosine of eqs. (10), (11) that one branch follows.
+
+
+class BranchCosine(NamedTuple):
+    """The cosine of one branch: start, finish in K, in the order of transformation; `step` of the
+    strain by which the outer lines differ in mid-range; `rms` of what the cosine leaves, over the
+    step; temperature (n,) K and the fitted strain (n,) for figures."""
+
+    start: Number
+    finish: Number
+    step: Number
+    rms: float
+    temperature: Array
+    strain: Array
+
+
+def fit_cosine(
+    branch: Branch, tangents: StrainTangents, parameters: Parameters, stress: float
+) -> BranchCosine:
+    """Least squares of one branch; the tangents give the start of the search.
+
+    Where the branch has no straight stretch of its own at one end, the slope there is that of the
+    tangents (the other branch's). Errors hold scatter with its autocorrelation, the choice of the
+    points, what the moduli's errors do to the bow, and gaps of the logging at the ends.
+
+    Args:
+        parameters: E_A, E_M.
+        stress: Pa; 0 where strain has no unit.
+    """
+    bins = Bins.of(branch.temperature)
+    t = bins.mean(branch.temperature)
+    given = [
+        line.slope if short else None
+        for line, short in zip((tangents.cold, tangents.hot), tangents.short, strict=True)
+    ]
+    begin = np.sort(tangents.cosine_ends())
+    ends, variances, slopes, step, model, left = _fit(
+        branch, bins, begin, given, parameters, stress
+    )
+
+    # Other choices of the points, with the lines as they are; and without the bow.
+    tried, steps = [ends], [step[0]]
+    for margin in _MARGINS:
+        window = ends + margin * float(np.ptp(ends)) * np.array([-1.0, 1.0])
+        own, _, _, own_step, *_ = _fit(branch, bins, ends, slopes, parameters, stress, window)
+        tried.append(own)
+        steps.append(own_step[0])
+    doubt = math.hypot(*(parameters.std(name) / parameters[name] for name in MODULI))
+    plain = _fit(branch, bins, ends, given, parameters, 0.0)[0] if stress else ends
+    gaps = np.array([_gap_at(t, float(end)) for end in ends]) / math.sqrt(12.0)
+    std = np.sqrt(variances + np.var(tried, axis=0) + (doubt * (ends - plain)) ** 2 + gaps**2)
+
+    low, high = zip(ends.tolist(), std.tolist(), strict=True)
+    start, finish = (low, high) if branch.direction == "heating" else (high, low)
+    rms = float(np.sqrt(np.mean(left**2))) / max(abs(step[0]), 1e-12)
+    whole = (step[0], math.hypot(step[1], float(np.std(steps))))
+    return BranchCosine(start, finish, whole, rms, t, model)
+
+
+def _fit(
+    branch: Branch, bins: Bins, begin: Array, slopes: Sequence[float | None],
+    parameters: Parameters, stress: float, window: Array | None = None,
+) -> tuple[Array, Array, list[float], Number, Array, Array]:
+    """Between the line along martensite and the line along austenite strain follows the fraction:
+    eps = xi cold(T) + (1 - xi) hot(T) + sigma [1/E(xi) - xi/E_M - (1 - xi)/E_A]. The bracket is the
+    bow of eq. (7): compliance is no straight line in xi, which shifts the middle of the range in
+    proportion to stress and would pass for 1 % of C_A.
+
+    Args:
+        begin: (2,) K, ends from which the search starts.
+        slopes: of the lines that are given, None where free.
+        window: (2,) K between which points count, all when None.
+
+    Returns:
+        Ends (2,) K and their variances, the slopes of both lines, the step, the model (n,) and
+        what it leaves (n,).
+    """
+    from scipy.optimize import least_squares  # half a second to load
+
+    raw, (soft, stiff) = branch.temperature, (parameters[name] for name in MODULI)
+    t, strain = bins.mean(raw), bins.mean(branch.strain)
+    span, at, scale = float(np.ptp(t)), float(np.mean(begin)), float(np.ptp(strain))
+    inside = np.ones(len(t), dtype=bool)
+    if window is not None:
+        inside = (t >= window[0]) & (t <= window[1])
+
+    def parts(x: Array) -> tuple[Array, Array]:
+        """(n,) known strain and (n, k) columns of the free parts; `x` lower end and width, K."""
+        xi = 0.5 + 0.5 * np.cos(np.pi * np.clip((raw - x[0]) / x[1], 0.0, 1.0))
+        straight = xi / soft + (1.0 - xi) / stiff
+        known = stress * (1.0 / (stiff + xi * (soft - stiff)) - straight)
+        free = []
+        for share, slope in ((xi, slopes[0]), (1.0 - xi, slopes[1])):
+            free.append(bins.mean(share))
+            if slope is None:
+                free.append(bins.mean(share * (raw - at) / span))
+            else:
+                known = known + share * (raw - at) * slope
+        return bins.mean(known), np.column_stack(free)
+
+    def eliminated(x: Array) -> tuple[Array, Array]:
+        """(n,) residual at the best free parts, and these."""
+        known, columns = parts(x)
+        left = strain - known
+        weights = np.asarray(np.linalg.lstsq(columns[inside], left[inside], rcond=None)[0])
+        return left - columns @ weights, weights
+
+    first = np.array([begin[0], max(float(begin[1] - begin[0]), 2.0 * _NARROWEST)])
+    bounds = ([t[0] - span, _NARROWEST], [t[-1] + span, 3.0 * span])
+    x = least_squares(
+        lambda x: eliminated(x)[0][inside] / scale, np.clip(first, *bounds), bounds=bounds,
+        x_scale=np.full(2, first[1]), xtol=1e-6, max_nfev=60,
+    ).x
+    residual, weights = eliminated(x)
+    known, columns = parts(x)
+    model = known + columns @ weights
+
+    # Each point with its own scatter (it is larger where strain is steep), all with one
+    # autocorrelation.
+    moves = []
+    for k in range(2):
+        moved_known, moved_columns = parts(x + np.where(np.arange(2) == k, 1e-4 * x[1], 0.0))
+        moves.append((moved_known + moved_columns @ weights - model) / (1e-4 * x[1]))
+    design, left = np.column_stack([*moves, columns])[inside], residual[inside]
+    n, count = design.shape
+    size = np.sqrt(np.sum(design**2, axis=0))
+    size = np.where(size > 0.0, size, 1.0)
+    scaled = design / size
+    bread = np.linalg.pinv(scaled.T @ scaled)
+    correlated = inflation(autocorrelation([left])) * n / max(n - count, 1)
+    rows = scaled * left[:, None]
+    covariance = bread @ (rows.T @ rows) @ bread * correlated / np.outer(size, size)
+
+    # Ends, and the distance of the lines in the middle; slopes that are given add to it.
+    to_ends = np.array([[1.0, 0.0], [1.0, 1.0]])
+    ends = to_ends @ x
+    middle, remaining = float(np.mean(ends)), weights.tolist()
+    to_step, value, found = [0.0, 0.0], 0.0, []
+    for sign, slope in zip((1.0, -1.0), slopes, strict=True):
+        to_step += [sign, sign * (middle - at) / span][: 2 if slope is None else 1]
+        value += sign * (slope or 0.0) * (middle - at)
+        remaining.pop(0)
+        found.append(remaining.pop(0) / span if slope is None else slope)
+    of_step = np.array(to_step)
+    step = (float(of_step[2:] @ weights) + value, math.sqrt(of_step @ covariance @ of_step))
+    return ends, np.diag(to_ends @ covariance[:2, :2] @ to_ends.T), found, step, model, residual

@@ -1,0 +1,532 @@
+"""E9 on isobaric tests: one constitutive law fitted to all loops of a material at once.
+
+Solved for strain under constant stress, eqs. (6) to (11) say
+
+    eps = eps_ref + sigma/E(xi) - Theta_T (T - T_inf)/E(xi) - eps_L (1 - xi),
+
+with the cosines of eqs. (10), (11) shifted by sigma/C_A, sigma/C_M and with the contract's rule for
+incomplete loops. That is the law "contract". The law "extended" replaces what real, untrained
+material does not obey:
+
+- eps_L becomes H(sigma) = H_min + (H_sat - H_min)(1 - exp(-k sigma)), the current transformation
+  strain of Lagoudas (Shape memory alloys, 2008, ch. 3) without its critical stress;
+- A_s, A_f, M_s, M_f each have a slope of their own against stress, and each direction a bend,
+  T = T_0 + slope sigma + bend sigma^2: by Clausius and Clapeyron dT/dsigma goes with the
+  transformation strain, which is no constant;
+- expansion is alpha_A + xi (alpha_M - alpha_A) instead of -Theta_T/E(xi), which would make
+  martensite expand more than austenite because it is softer;
+- martensite's strain fades by a share per kelvin of warming, H (1 - fading (T - T_ref)): variants
+  reorient and the least stable ones transform long before A_s;
+- irrecoverable strain grows in proportion to the material transformed (Lagoudas and Entchev,
+  2004), by one number a loop.
+
+eps_ref is free in every loop: an extensometer's zero means nothing. It and the irrecoverable
+strain enter linearly and are eliminated exactly (Golub and Pereyra, 1973).
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.noise_model import autocorrelation, inflation
+from sma_bench.findings import Finding
+from sma_bench.identify.branches import Bins, strain_tangents
+from sma_bench.identify.estimate import MODULI, SYMBOLS, Array
+from sma_bench.identify.isobaric import SMALLEST_STRESS_RANGE, with_scales
+from sma_bench.identify.result import Correlation, Experiment, remark
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
+from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION
+from sma_bench.progress import Report, part, silent
+from sma_bench.records.instruments import STRONGEST, Branch, Cycle, IsobaricRecord
+
+Law = Literal["contract", "extended"]
+# Transitions of a direction, the colder one first.
+_ENDS = {"heating": ("A_s", "A_f"), "cooling": ("M_f", "M_s")}
+_REFERENCE_STRESS = 100e6  # Pa, unit of stress within the fit
+_TOLERANCE = 0.05  # rms over the recovered strain
+_STARTS, _SEED = 5, 7
+_BINS = 150  # of a branch
+_NARROWEST = 0.2  # K
+_AT_BOUND = 1e-3  # of the distance of the bounds
+_STRONG = 0.9  # correlation
+_SIGNIFICANT = 2.0  # standard errors
+_STIFFEST = 90e9  # Pa, of any NiTi
+_UNITS = {
+    **dict.fromkeys(TRANSITIONS, "K"), "eps_L": "1", "H_min": "1", "dH": "1", "k": "1/(100 MPa)",
+    "alpha_A": "1e-6/K", "alpha_M": "1e-6/K", "Theta_T": "MPa/K", "fading": "1e-3/K",
+    "bend_A": "K/(100 MPa)^2", "bend_M": "K/(100 MPa)^2",
+}
+_SLOPE_UNIT = "K/(100 MPa)"
+# Of the time that everything takes; the rest is for cycles fitted one by one.
+_SHARES: dict[Law, tuple[float, float]] = {"contract": (0.0, 0.2), "extended": (0.2, 0.8)}
+
+
+class Loop(NamedTuple):
+    """One cycle at one stress [Pa]: branches with the bins of their temperature in order of time,
+    `temperature` (n,) K and `strain` (n,) as means over these; `ends` A_s ... M_f [K] and `steps`
+    of strain by the tangents. Residuals count in units of `recovered`, what heating recovers."""
+
+    label: str
+    stress: float
+    branches: tuple[tuple[Branch, Bins], ...]
+    temperature: Array
+    strain: Array
+    ends: dict[str, float]
+    steps: dict[str, float]
+    recovered: float
+    is_relative: bool
+
+
+def loop_of(record: IsobaricRecord, cycle: Cycle) -> Loop:
+    """A cycle in bins, with what its tangents tell."""
+    branches = tuple(
+        (b, Bins.of(b.temperature, _BINS, b.direction == "heating")) for b in cycle.branches
+    )
+    ends: dict[str, float] = {}
+    steps: dict[str, float] = {}
+    for branch in cycle.branches:
+        way, other = branch.direction, "cooling" if branch.direction == "heating" else "heating"
+        with suppress(InputError):
+            found = strain_tangents(branch, cycle.get(other))
+            ends.update(zip(_ENDS[way], sorted(found.cosine_ends()), strict=True))
+            steps[way] = found.step[0]
+    kelvin, strain = (
+        np.concatenate([bins.mean(getattr(b, name)) for b, bins in branches])
+        for name in ("temperature", "strain")
+    )
+    recovered = steps.get("heating", steps.get("cooling", 0.0))
+    return Loop(
+        f"{record.name}, cycle {cycle.number}", record.stress, branches, kelvin, strain, ends,
+        steps, recovered if recovered > 0.0 else float(np.ptp(strain)), record.strain_unit != "1",
+    )
+
+
+class LawFit(NamedTuple):
+    """The fitted law: unknowns (p,), covariance (p, p) in K, strain, 1e-6/K, MPa/K (Theta_T), and
+    per 100 MPa (slopes in K, k); `at_bound` those that a bound stopped; `fixed` what the data
+    cannot give; `left` (n,) of every loop's strain."""
+
+    law: Law
+    names: tuple[str, ...]
+    values: Array
+    covariance: Array
+    at_bound: tuple[str, ...]
+    fixed: dict[str, float]
+    loops: tuple[Loop, ...]
+    left: tuple[Array, ...]
+
+    @property
+    def std(self) -> Array:
+        """(p,) standard errors."""
+        return np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
+
+    @property
+    def rms(self) -> list[float]:
+        """Root mean square residual of every loop over its recovered strain."""
+        each = zip(self.left, self.loops, strict=True)
+        return [float(np.sqrt(np.mean(left**2))) / loop.recovered for left, loop in each]
+
+    @property
+    def errors(self) -> dict[float, float]:
+        """The same of the loops at each stress [Pa]."""
+        each = [(loop.stress, rms) for loop, rms in zip(self.loops, self.rms, strict=True)]
+        return {
+            stress: float(np.sqrt(np.mean([rms**2 for own, rms in each if own == stress])))
+            for stress in sorted({own for own, _ in each})
+        }
+
+    def all_with(self, values: Array) -> dict[str, float]:
+        """Numbers of the law by name, its unknowns at `values`."""
+        return {**self.fixed, **dict(zip(self.names, values.tolist(), strict=True))}
+
+
+def fit_constitutive(
+    records: Sequence[IsobaricRecord], parameters: Parameters, report: Report = silent
+) -> Experiment:
+    """Fit the law to isobaric tests of one material, all stresses and cycles at once: the
+    contract's where its rms is below 5 % of the recovered strain at every stress, else the extended
+    one, with both errors in the findings.
+
+    `details` holds every fitted number and the fit error per stress, as rms over the strain
+    recovered at that stress; `curves` `<record, cycle>/temperature`, `/strain` and `/model`.
+
+    Args:
+        parameters: E_A and E_M with their uncertainties (isobaric tests cannot tell them from
+            eps_L), and C_A, C_M in case all tests are at one stress.
+
+    Raises:
+        InputError: no records, or too few points.
+    """
+    if not records:
+        raise InputError("constitutive fit: no records")
+    loops = [loop_of(record, cycle) for record in records for cycle in record.cycles]
+    loops.sort(key=lambda loop: loop.stress)
+    fits: list[LawFit] = []
+    for law, shares in _SHARES.items():
+        fits.append(_fit_law(loops, law, parameters, part(report, *shares)))
+        if max(fits[-1].errors.values()) < _TOLERANCE:
+            break
+    chosen = fits[-1]
+    findings = [finding for record in records for finding in record.findings]
+    findings.extend(_about_fits(fits))
+
+    def fit_error(error: float, n: int) -> Estimate:
+        return Estimate(error, error / math.sqrt(2.0 * n), "1", "rms over recovered strain", n)
+
+    details = {}
+    for fit in fits:
+        n = sum(map(len, fit.left))
+        for name, value, std in zip(fit.names, fit.values.tolist(), fit.std.tolist(), strict=True):
+            unit = _UNITS.get(name, _SLOPE_UNIT)
+            details[f"{fit.law}: {name}"] = Estimate(value, std, unit, "joint fit", n)
+        for stress, error in fit.errors.items():
+            n = sum(len(loop.strain) for loop in loops if loop.stress == stress)
+            details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = fit_error(error, n)
+
+    # Where cycles of one record do not fit one set of numbers, each gets its own.
+    for record in records:
+        mine = [k for k, own in enumerate(loops) if own.label.startswith(f"{record.name}, cycle ")]
+        joint = float(np.sqrt(np.mean([chosen.rms[k] ** 2 for k in mine])))
+        if len(mine) < 3 or joint < _TOLERANCE:
+            continue
+        errors = []
+        for loop in (loops[k] for k in mine):
+            own, n = _fit_law([loop], "extended", parameters), len(loop.strain)
+            stds = dict(zip(own.names, own.std.tolist(), strict=True))
+            for name in (*TRANSITIONS, "eps_L"):
+                details[f"{loop.label}: {name}"] = Estimate(
+                    own.all_with(own.values)[name], stds.get(name, 0.0), _UNITS[name],
+                    "fit of this cycle alone", n,
+                )
+            errors.append(own.rms[0])
+            details[f"{loop.label}: fit error"] = fit_error(errors[-1], n)
+        findings.append(remark(
+            "material changes", record=record.name, joint=joint, best_cycle=min(errors),
+            worst_cycle=max(errors),
+        ))
+
+    estimates, correlation = _estimates(chosen, parameters, findings)
+    curves: dict[str, Array] = {}
+    for loop, left in zip(loops, chosen.left, strict=True):
+        curves |= {
+            f"{loop.label}/temperature": loop.temperature, f"{loop.label}/strain": loop.strain,
+            f"{loop.label}/model": loop.strain - left,
+        }
+    return Experiment(
+        "E9", "Joint fit of the constitutive law (eqs. 6 to 11)", estimates, tuple(findings),
+        curves, "; ".join(str(record.path) for record in records), details, correlation,
+    )
+
+
+# --- The law and its least squares.
+
+
+def _grown(p: Mapping[str, float], s: float) -> float:
+    """Transformation strain at the stress s, in units of the reference."""
+    return p["H_min"] + p["dH"] * (1.0 - math.exp(-p["k"] * s)) if "k" in p else p["eps_L"]
+
+
+def _slopes(law: Law, ends: Sequence[str]) -> list[str]:
+    """Names of the slopes against stress of two transitions."""
+    return [f"slope_{ends[0][0]}"] * 2 if law == "contract" else [f"slope_{end}" for end in ends]
+
+
+def _strain(
+    law: Law, p: Mapping[str, float], loop: Loop, elastic: tuple[float, float, float]
+) -> tuple[Array, Array]:
+    """Strain (n,) without its free parts, and those parts' columns (n, 1 or 2): the reference
+    strain and, of the extended law, the material transformed so far, to which irrecoverable strain
+    is proportional. `elastic`: E_A, E_M in Pa and the temperature of zero expansion, K."""
+    stiff, soft, ambient = elastic
+    s = loop.stress / _REFERENCE_STRESS
+    grown, strains, columns, transformed = _grown(p, s), [], [], 0.0
+    xi_reversed = 1.0 if loop.branches[0][0].direction == "heating" else 0.0
+    for branch, bins in loop.branches:
+        # Ends of the transformation range at this stress; xi from where the last branch ended.
+        rising, t, ends = branch.direction == "heating", branch.temperature, _ENDS[branch.direction]
+        bend = p.get(f"bend_{ends[0][0]}", 0.0) * s**2
+        low, high = (p[e] + p[n] * s + bend for e, n in zip(ends, _slopes(law, ends), strict=True))
+        width = max(high - low, _NARROWEST)
+        left = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - low) / width, 0.0, 1.0))
+        if not rising:  # eq. (11) is martensite; what vanishes on cooling is austenite
+            left = 1.0 - left
+        share = left / left[0] if left[0] > 1e-9 else left
+        xi = xi_reversed * share if rising else 1.0 - (1.0 - xi_reversed) * share
+        xi_reversed = float(xi[-1])
+
+        modulus = stiff + xi * (soft - stiff)
+        strain = -grown * (1.0 - xi)
+        if not loop.is_relative:
+            strain = strain + loop.stress / modulus
+        if law == "contract":
+            strain = strain - p["Theta_T"] * 1e6 * (t - ambient) / modulus
+        else:
+            expansion = p["alpha_A"] + xi * (p["alpha_M"] - p["alpha_A"])
+            fading = p.get("fading", 0.0) * 1e-3 * (t - p["T_ref"])
+            strain = strain + expansion * 1e-6 * (t - ambient) - grown * xi * fading
+        strains.append(bins.mean(strain))
+        progress = transformed + np.abs(xi - xi[0])
+        transformed = float(progress[-1])
+        columns.append(np.column_stack([np.ones(len(strains[-1])), bins.mean(progress)]))
+    return np.concatenate(strains), np.concatenate(columns)[:, : 1 if law == "contract" else 2]
+
+
+def _fit_law(
+    loops: Sequence[Loop], law: Law, parameters: Parameters, report: Report = silent
+) -> LawFit:
+    """Fit one law to all loops, each loop's residual in units of the strain it recovers; `report`
+    is called at every start.
+
+    Standard errors hold the scatter in every loop with its autocorrelation (a misfit of the law
+    is no white noise), and the uncertainty of E_A and E_M, which the data do not give.
+
+    Raises:
+        InputError: fewer points than unknowns, or no loop that shows a transformation.
+    """
+    from scipy.optimize import least_squares  # half a second to load
+
+    unknowns, fixed = _unknowns(loops, law, parameters)
+    total = sum(len(loop.strain) for loop in loops)
+    if total <= 2 * len(unknowns):
+        raise InputError(f"{total} points for {len(unknowns)} unknowns of the {law} law")
+    names = tuple(unknowns)
+    first, low, high, size = np.array(list(unknowns.values())).T
+    soft, stiff = (parameters[name] for name in MODULI)
+    ambient = parameters["environment.ambient_temperature"]
+
+    def left_of(x: Array, loop: Loop, moduli: tuple[float, float] = (stiff, soft)) -> Array:
+        """What the law leaves of a loop's strain at its best free parts."""
+        p = {**fixed, **dict(zip(names, x.tolist(), strict=True))}
+        strain, columns = _strain(law, p, loop, (*moduli, ambient))
+        columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
+        left = loop.strain - strain
+        return np.asarray(left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0])
+
+    def residuals(x: Array, moduli: tuple[float, float] = (stiff, soft)) -> Array:
+        return np.concatenate([left_of(x, loop, moduli) / loop.recovered for loop in loops])
+
+    rng = np.random.default_rng(_SEED)
+    margin, solutions = 1e-6 * (high - low), []
+    for k in range(_STARTS):
+        report(k / _STARTS, f"{law} law, start {k + 1} of {_STARTS}")
+        start = first + size * rng.standard_normal(len(first)) if k else first
+        solutions.append(least_squares(
+            residuals, np.clip(start, low + margin, high - margin), bounds=(low, high),
+            x_scale=size, max_nfev=300,
+        ))
+    x = min(solutions, key=lambda s: s.cost).x
+    left = tuple(left_of(x, loop) for loop in loops)
+
+    # Sandwich: each loop with its own scatter, all with one autocorrelation.
+    columns = []
+    for i, step in enumerate(1e-3 * size):
+        up, down = x.copy(), x.copy()
+        up[i], down[i] = min(x[i] + step, high[i]), max(x[i] - step, low[i])
+        columns.append((residuals(up) - residuals(down)) / (up[i] - down[i]))
+    jacobian = np.column_stack(columns)
+    bread = np.linalg.pinv(jacobian.T @ jacobian)
+    pieces = []
+    for loop, own in zip(loops, left, strict=True):
+        ends = np.cumsum([int(bins.which.max()) + 1 for _, bins in loop.branches])[:-1]
+        pieces.extend(np.split(own / loop.recovered, ends))
+    freedom = total / (total - len(names) - 2 * len(loops))
+    correlated, meat = inflation(autocorrelation(pieces)), np.zeros_like(bread)
+    begins = np.cumsum([len(own) for own in left])[:-1]
+    for loop, own, rows in zip(loops, left, np.split(jacobian, begins), strict=True):
+        meat += correlated * freedom * np.mean(own**2) / loop.recovered**2 * (rows.T @ rows)
+    covariance = bread @ meat @ bread
+    # What the uncertainty of E_A and E_M adds.
+    for name, moved in zip(MODULI, ((stiff, 1.001 * soft), (1.001 * stiff, soft)), strict=True):
+        step = 1e-3 * parameters[name]
+        slope = -bread @ jacobian.T @ ((residuals(x, moved) - residuals(x)) / step)
+        covariance += np.outer(slope, slope) * parameters.std(name) ** 2
+    near = np.minimum(x - low, high - x) < _AT_BOUND * (high - low)
+    at_bound = tuple(np.array(names)[near].tolist())
+    return LawFit(law, names, x, covariance, at_bound, fixed, tuple(loops), left)
+
+
+def _unknowns(
+    loops: Sequence[Loop], law: Law, parameters: Parameters
+) -> tuple[dict[str, tuple[float, float, float, float]], dict[str, float]]:
+    """Of every unknown where the search starts (by the tangents), its bounds and a typical size;
+    and what is fixed because the data cannot tell it."""
+    steps = np.abs([step for loop in loops for step in loop.steps.values()])
+    if not len(steps):
+        raise InputError("constitutive fit: no loop shows a transformation")
+    stress = np.array([loop.stress for loop in loops])
+    several = float(np.ptp(stress)) >= SMALLEST_STRESS_RANGE
+    bends = law == "extended" and len(np.unique(np.round(stress / 2e6))) >= 3
+    unknowns: dict[str, tuple[float, float, float, float]] = {}
+    fixed: dict[str, float] = {}
+    for ends in _ENDS.values():
+        slopes, influence = _slopes(law, ends), SYMBOLS[f"C_{ends[0][0]}"]
+        # A stress beyond belief must not shift anything: temperatures stay as measured.
+        slope = _REFERENCE_STRESS / parameters[influence] if stress.max() <= STRONGEST else 0.0
+        read = [
+            (loop.stress / _REFERENCE_STRESS, loop.ends[ends[0]], loop.ends[ends[1]])
+            for loop in loops if ends[0] in loop.ends
+        ]
+        if not read:
+            # A direction without a branch plays no part; any numbers will do.
+            fixed |= {n: parameters[TRANSITIONS[n]] for n in ends} | dict.fromkeys(slopes, slope)
+            continue
+        s, *kelvin = np.array(read).T
+        if several:  # their common slope
+            away = s - s.mean()
+            power = max(2.0 * float(away @ away), 1e-12)
+            slope = sum(float(away @ k) for k in kelvin) / power
+        low, high = (float(np.median(k - slope * s)) for k in kelvin)
+        for name, value in zip(ends, (low, max(high, low + 1.0)), strict=True):
+            unknowns[name] = (value, value - 80.0, value + 80.0, 4.0)
+        if several:  # C from 1 MPa/K on
+            first = float(np.clip(slope, 1.0, 90.0))
+            unknowns |= dict.fromkeys(slopes, (first, -5.0, 100.0, 2.0))
+        else:
+            fixed |= dict.fromkeys(slopes, slope)
+
+    # The transformation strain, expansion, and what only the extended law has.
+    largest, least = max(float(steps.max()), 1e-4), max(float(steps.min()), 1e-6)
+    top = 3.0 * max(largest, *(loop.recovered for loop in loops))
+    if bends:
+        unknowns["H_min"] = (0.5 * least, 0.0, top, 0.1 * largest)
+        unknowns["dH"] = (largest, 0.0, top, 0.1 * largest)
+        unknowns["k"] = (1.0, 0.01, 30.0, 0.3)
+    else:
+        unknowns["eps_L"] = (largest, 0.0, top, 0.1 * largest)
+    is_relative = loops[0].is_relative  # 3000e-6 of the strain's range per K is a typical size
+    if law == "contract":
+        of_relative, own = (0.0, -1e4, 1e4, 10.0), (-0.2, -50.0, 50.0, 0.2)
+        return {**unknowns, "Theta_T": of_relative if is_relative else own}, fixed
+    expansion = (0.0, -30_000.0, 30_000.0, 3000.0) if is_relative else (8.0, -200.0, 200.0, 5.0)
+    unknowns |= dict.fromkeys(("alpha_A", "alpha_M"), expansion)
+    fixed["T_ref"] = float(np.mean(np.concatenate([loop.temperature for loop in loops])))
+    if bends:
+        unknowns["fading"] = (0.5, -20.0, 20.0, 0.5)
+        for start, _ in (ends for ends in _ENDS.values() if ends[0] in unknowns):
+            unknowns[f"bend_{start[0]}"] = (0.0, -30.0, 30.0, 0.5)
+    return unknowns, fixed
+
+
+# --- What the fitted law says.
+
+
+def _estimates(
+    fit: LawFit, parameters: Parameters, findings: list[Finding]
+) -> tuple[dict[str, Estimate], Correlation]:
+    """The contract's parameters, as far as records show them, in their ranges, and the correlation
+    of their errors."""
+    largest = max(loop.stress for loop in fit.loops)
+    if largest > STRONGEST:
+        findings.append(remark("no constitutive law"))
+        return {}, Correlation((), np.zeros((0, 0)))
+    top, extended = largest / _REFERENCE_STRESS, fit.law == "extended"
+
+    def contract(values: Array) -> dict[str, float]:
+        """By the law's numbers; of C_A and C_M the slope, K per 100 MPa."""
+        p = fit.all_with(values)
+        found = {name: p[name] for name in TRANSITIONS}
+        for ends in _ENDS.values():
+            # The secant from zero to the largest stress: with a bend there is no one slope.
+            slope = sum(p[name] for name in _slopes(fit.law, ends)) / 2.0
+            found[f"C_{ends[0][0]}"] = slope + p.get(f"bend_{ends[0][0]}", 0.0) * top
+        # Theta_T; of the extended law -alpha_M E_M, as it is below A_s.
+        theta = -1e-6 * p["alpha_M"] * parameters[MODULI[0]] if extended else 1e6 * p["Theta_T"]
+        return found | {"eps_L": _grown(p, top), "Theta_T": theta}
+
+    values, steps = contract(fit.values), 1e-6 * np.maximum(np.abs(fit.values), 1.0)
+    sides = [
+        [np.array([*contract(fit.values + sign * step).values()]) for sign in (1.0, -1.0)]
+        for step in np.diag(steps)
+    ]
+    turn = np.array([up - down for up, down in sides]).T / (2.0 * steps)
+    covariance = turn @ fit.covariance @ turn.T
+    error = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+
+    n, method = sum(map(len, fit.left)), f"joint fit of {len(fit.loops)} loops, {fit.law} law"
+    found: dict[str, Estimate] = {}
+    for ends in _ENDS.values():
+        label, shift_std, where = f"C_{ends[0][0]}", 0.0, ""
+        if (one_stress := _slopes(fit.law, ends)[0] not in fit.names):
+            # The error of the given C enters the stress-free temperatures.
+            held, c = float(np.mean([loop.stress for loop in fit.loops])), SYMBOLS[label]
+            shift_std = held * parameters.std(c) / parameters[c] ** 2
+            where = f", referred to zero stress with the given {label}"
+        for name in (name for name in ends if name in fit.names):
+            std = math.hypot(error[name], shift_std)
+            found[name] = Estimate(values[name], std, "K", method + where, n)
+        slope, std = values[label], error[label]
+        if not one_stress and slope > _SIGNIFICANT * std:
+            value = _REFERENCE_STRESS / slope
+            found[label] = Estimate(value, value * std / slope, "Pa/K", method, n)
+        elif not one_stress:
+            findings.append(
+                remark("influence not told", subject=label, label=label, slope=slope, std=std)
+            )
+    if not fit.loops[0].is_relative:
+        where = "" if "eps_L" in fit.names else f", at the largest stress {largest / 1e6:.0f} MPa"
+        found["eps_L"] = Estimate(values["eps_L"], error["eps_L"], "1", method + where, n)
+        # Thermal expansion is negative, and of the size of alpha E.
+        value, std = values["Theta_T"], error["Theta_T"]
+        if extended:
+            std = math.hypot(std, value * parameters.std(MODULI[0]) / parameters[MODULI[0]])
+        most = CONVECTION_FACTOR * NITI_EXPANSION[1] * _STIFFEST
+        is_told = not extended or abs(value) > _SIGNIFICANT * std
+        if is_told and -most - std < value < 2.0 * std and std < most:
+            words = f"{method}, -alpha_M E_M" if extended else method
+            found["Theta_T"] = Estimate(value, std, "Pa/K", words, n)
+        else:
+            findings.append(remark("expansion not told", value=value, std=std))
+
+    # A parameter file holds no number that is out of its range.
+    for symbol in [symbol for symbol in SYMBOLS if symbol in found]:
+        name, e = SYMBOLS[symbol], found.pop(symbol)
+        low, high = BY_NAME[name].low, BY_NAME[name].high
+        if (low is not None and e.value < low) or (high is not None and e.value > high):
+            findings.append(
+                remark("out of range", subject=name, name=name, value=e.value, unit=e.unit)
+            )
+        else:
+            found[symbol] = e
+    chosen = [list(values).index(symbol) for symbol in found]
+    sign = np.array([-1.0 if symbol in ("C_A", "C_M") else 1.0 for symbol in found])
+    sigma = sign * np.sqrt(np.diag(covariance)[chosen])
+    matrix = covariance[np.ix_(chosen, chosen)] / np.outer(sigma, sigma)
+    named = {SYMBOLS[symbol]: e for symbol, e in found.items()}
+    return with_scales(named, parameters), Correlation(tuple(named), matrix)
+
+
+def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
+    """The error of each law at each stress, and whether the contract's constant eps_L suffices; of
+    the last one bounds, what was taken as given, and correlations."""
+    for fit in fits:
+        errors = fit.errors
+        more, fails = "", max(errors.values()) >= _TOLERANCE
+        if fails:
+            more = f"; above {_TOLERANCE:.0%}"
+        if fails and fit.law == "contract" and len(errors) > 1:
+            more += ": a constant eps_L and constant C_A, C_M do not suffice for this material"
+        yield remark(
+            "fit error", "warning" if fails else "info", law=fit.law, more=more,
+            numbers={f"{s / 1e6:.0f} MPa": e for s, e in errors.items()},
+            table=", ".join(f"{e:.1%} at {s / 1e6:.0f} MPa" for s, e in errors.items()),
+        )
+    if fit.at_bound:
+        yield remark("at a bound", names=", ".join(fit.at_bound))
+    if given := {name: value for name, value in fit.fixed.items() if name != "T_ref"}:
+        listed = ", ".join(f"{name} = {value:.4g}" for name, value in given.items())
+        yield remark("taken as given", numbers=given, listed=listed)
+    correlation = fit.covariance / np.outer(fit.std, fit.std)
+    pairs = {
+        f"{one}, {other}": float(correlation[i, j])
+        for i, one in enumerate(fit.names) for j, other in enumerate(fit.names[:i])
+        if abs(correlation[i, j]) > _STRONG
+    }
+    if pairs:
+        listed = "; ".join(f"{pair} {c:+.2f}" for pair, c in pairs.items())
+        yield remark("correlated numbers", numbers=pairs, listed=listed)

@@ -1,1 +1,0 @@
-"""E9 on isobaric tests: the whole constitutive law at once."""

@@ -1,1 +1,0 @@
-"""E5 to E8: transitions, stiffness and strain from the instruments' files."""

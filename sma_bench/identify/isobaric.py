@@ -1,0 +1,422 @@
+"""E6: UPFR and isobaric tests: eps_L, the transition temperatures of eqs. (10), (11), C_A and C_M.
+
+Heating and cooling under constant stress. The cosine of every branch gives the temperatures that a
+simulation takes; tangents (practice of ASTM F2082 and E3097) cross inside its range and stand
+beside it under their own names, as tables and the paper have them. One stress gives the
+temperatures at that stress; several give their stress-free values and C_A, C_M (Clausius and
+Clapeyron).
+"""
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.observation import find_rig
+from sma_bench.findings import Finding
+from sma_bench.identify.branches import (
+    BranchCosine,
+    Number,
+    StrainTangents,
+    fit_cosine,
+    strain_tangents,
+)
+from sma_bench.identify.estimate import (
+    GAUGE,
+    MODULI,
+    SYMBOLS,
+    Array,
+    diameter_error,
+    fit_linear,
+    mean_and_deviation,
+    mean_of_repeats,
+)
+from sma_bench.identify.result import Experiment, remark
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import TRANSITIONS
+from sma_bench.parameters.parameters import wire_length, wire_section
+from sma_bench.records.instruments import (
+    SMALLEST_RANGE,
+    STRONGEST,
+    Branch,
+    IsobaricRecord,
+    find_cycles,
+)
+from sma_bench.records.record import Record, samples
+
+# Start, finish and influence of stress of a direction.
+PHASES = {"heating": ("A_s", "A_f", "C_A"), "cooling": ("M_s", "M_f", "C_M")}
+STRAIN, EXPANSION = SYMBOLS["eps_L"], SYMBOLS["Theta_T"]
+# What no test shows by itself: class 1 of IEC 60584 is 1.5 K, and a wire in a chamber or under a
+# camera follows its thermometer by some seconds, which has the other sign on the way back.
+_THERMOMETER_STD, _LAG_STD = 0.9, 0.7  # K
+SMALLEST_STRESS_RANGE = 5e6  # Pa
+_SAME_STRESS = 0.03  # share
+_ELASTIC = "elastic part"
+_SIGNIFICANT = 3.0  # standard errors
+_SMALLEST_STD = 0.3  # K: a temperature is told no better than a thermocouple tells it
+_RISES = 2.0  # standard errors of a slope against stress that is worth a C
+_FEWEST_CYCLES, _TREND, _SMALLEST_DRIFT = 4, 0.8, 3.0  # correlation, K
+_ROUGH = 0.02  # of the strain
+_CLIPPED = 20  # readings
+_SHORTEST_TEST = 10.0  # s, of a load that a frame held
+Convention = Literal["cosine", "tangent"]
+
+
+class Reading(NamedTuple):
+    """The tangents and the cosine of one branch."""
+
+    record: IsobaricRecord
+    cycle: int
+    branch: Branch
+    tangents: StrainTangents
+    cosine: BranchCosine
+
+    def ends(self, convention: Convention) -> tuple[Number, Number]:
+        """Start and finish in K."""
+        drawn = self.cosine if convention == "cosine" else self.tangents
+        return drawn.start, drawn.finish
+
+
+Level = tuple[float, dict[str, list[Reading]]]  # stress in Pa, and its readings by direction
+
+
+def identify_isobaric(
+    records: Sequence[IsobaricRecord], parameters: Parameters | None = None,
+) -> Experiment:
+    """Evaluate isobaric tests of one material.
+
+    Cycles and records at the same stress are repeats, of which mean and deviation are given.
+    `details` holds every stress and cycle, the tangents' crossings as "A_s (tangent) ...";
+    `curves` the branches with tangents and cosine (`<record>/<cycle>/<direction>/temperature`,
+    `/strain`, `/tangents` (4, 2) and `/cosine` (n, 2) K and strain) and the stress-temperature
+    diagram (`diagram/A_s/stress`, ...).
+
+    Args:
+        parameters: moduli for the elastic part of the strain, and C_A, C_M to refer a single
+            stress to zero; the table's when None.
+
+    Raises:
+        InputError: no records, or no branch with a transformation.
+    """
+    parameters = parameters or Parameters.defaults()
+    if not records:
+        raise InputError("isobaric test: no records")
+    findings = [finding for record in records for finding in record.findings]
+
+    # Tangents and cosine of every branch; one without a transformation becomes a finding.
+    readings: list[Reading] = []
+    for record in records:
+        believable = record.strain_unit == "1" and record.stress <= STRONGEST
+        stress = record.stress if believable else 0.0
+        for cycle, branch in ((c, b) for c in record.cycles for b in c.branches):
+            other = cycle.get("cooling" if branch.direction == "heating" else "heating")
+            try:
+                tangents = strain_tangents(branch, other)
+            except InputError as error:
+                findings.append(remark(
+                    "no tangents", record=record.name, cycle=cycle.number, error=error
+                ))
+            else:
+                cosine = fit_cosine(branch, tangents, parameters, stress)
+                readings.append(Reading(record, cycle.number, branch, tangents, cosine))
+    if not readings:
+        raise InputError(f"{records[0].path}: no branch shows a transformation")
+
+    # Readings at the same stress together, in order of stress.
+    groups: list[list[Reading]] = []
+    for reading in sorted(readings, key=lambda r: r.record.stress):
+        stress = reading.record.stress
+        if groups and abs(stress - groups[-1][0].record.stress) <= max(_SAME_STRESS * stress, 1e6):
+            groups[-1].append(reading)
+        else:
+            groups.append([reading])
+    levels = [
+        (float(np.mean([r.record.stress for r in group])),
+         {way: [r for r in group if r.branch.direction == way] for way in PHASES})
+        for group in groups
+    ]
+
+    # Stress-free temperatures by both conventions, and the temperatures at every stress.
+    estimates, details, diagram = _temperatures(levels, "cosine", parameters, findings)
+    crossings = _temperatures(levels, "tangent", parameters, [])[0]
+    method = "tangents, referred to zero stress: inside the range of eqs. (10), (11)"
+    details |= {
+        f"{symbol} (tangent), stress free": replace(crossings[name], method=method)
+        for symbol, name in TRANSITIONS.items() if name in crossings
+    }
+    for stress, along in levels:
+        for direction, (*ends, _) in PHASES.items():
+            found = along[direction]
+            n = sum(len(r.branch.strain) for r in found)
+            for end, name in enumerate(ends if found else ()):
+                conventions: tuple[Convention, ...] = ("tangent", "cosine")
+                for convention in conventions:
+                    details[f"{name} ({convention}) at {stress / 1e6:.0f} MPa"] = Estimate(
+                        *mean_and_deviation([r.ends(convention)[end] for r in found]), "K",
+                        f"{convention}, {len(found)} readings: mean and deviation", n,
+                    )
+                for r in found if len(found) > 1 else ():
+                    details[f"{name}, {r.record.name}, cycle {r.cycle}, {direction}"] = Estimate(
+                        *r.ends("tangent")[end], "K", "tangent", len(r.branch.strain)
+                    )
+    estimates |= _strains(levels, parameters, details, findings)
+    findings.extend(_about_branches(records, readings))
+
+    curves: dict[str, Array] = {}
+    for r in readings:
+        stem = f"{r.record.name}/{r.cycle}/{r.branch.direction}"
+        curves |= {
+            f"{stem}/temperature": r.branch.temperature, f"{stem}/strain": r.branch.strain,
+            f"{stem}/tangents": r.tangents.polyline(r.branch),
+            f"{stem}/cosine": np.column_stack([r.cosine.temperature, r.cosine.strain]),
+        }
+    for name, points in diagram.items():
+        for kind, curve in zip(("stress", "temperature", "std"), points, strict=False):
+            curves[f"diagram/{name}/{kind}"] = curve
+    return Experiment(
+        "E6", "UPFR and isobaric tests (Fig. 8)", with_scales(estimates, parameters),
+        tuple(findings), curves, "; ".join(str(record.path) for record in records), details,
+    )
+
+
+def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
+    """The loops of a load-frame bag as isobaric tests, one a held load: elongation over the wire's
+    length, force over its section. Raises InputError without voltage, temperature or elongation."""
+    rig = find_rig(record, parameters)
+    time, elongation = samples(record, "elongation")
+    kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
+    tests: list[IsobaricRecord] = []
+    for hold in rig.holds:
+        inside = (time >= hold.start) & (time <= hold.stop)
+        short = hold.clamped or hold.stop - hold.start < _SHORTEST_TEST
+        if short or np.ptp(kelvin[inside]) < SMALLEST_RANGE:
+            continue
+        stress = hold.value / wire_section(parameters)
+        name = f"{record.path.name} {stress / 1e6:.0f} MPa"
+        strain = elongation[inside] / wire_length(parameters)
+        cycles, remarks = find_cycles(kelvin[inside], strain, 0.0 * strain + stress, name)
+        tests.append(IsobaricRecord(record.path, name, stress, "1", tuple(cycles), tuple(remarks)))
+    return tuple(tests)
+
+
+def with_scales(
+    estimates: Mapping[str, Estimate], parameters: Parameters
+) -> dict[str, Estimate]:
+    """The same with what thermometer, gauge length and section are off by."""
+    shares: dict[str, dict[str, float]] = {}
+    section = 2.0 * diameter_error(parameters)
+    for sign, (*ends, label) in zip((1.0, -1.0), PHASES.values(), strict=True):
+        for symbol in ends:
+            shares[SYMBOLS[symbol]] = {"thermometer": _THERMOMETER_STD, "lag": -sign * _LAG_STD}
+        if SYMBOLS[label] in estimates:
+            value = estimates[SYMBOLS[label]].value
+            shares[SYMBOLS[label]] = {"wire.diameter": -section * value}
+    if STRAIN in estimates:
+        shares[STRAIN] = {GAUGE: parameters.std(GAUGE) * estimates[STRAIN].value}
+    return {n: e.with_shares({**e.shares, **shares.get(n, {})}) for n, e in estimates.items()}
+
+
+def _temperatures(
+    levels: Sequence[Level], convention: Convention, parameters: Parameters,
+    findings: list[Finding],
+) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, Array]]:
+    """Stress-free temperatures, C_A and C_M; the slope of each temperature by itself; and A_s, A_f,
+    M_s, M_f against stress, (4, n): stress in Pa, value, error in K, and the part of the error by
+    which cycles differ, which moves start and finish together."""
+    estimates: dict[str, Estimate] = {}
+    details: dict[str, Estimate] = {}
+    points: dict[str, Array] = {}
+    believable = levels[-1][0] <= STRONGEST
+    if not believable:
+        findings.append(remark("stress beyond belief", stress=levels[-1][0]))
+    for direction, (start, finish, label) in PHASES.items():
+        pair, influence = (start, finish), SYMBOLS[label]
+        shown = [(stress, along[direction]) for stress, along in levels if along[direction]]
+        for end, name in enumerate(pair):
+            repeats = [(stress, [r.ends(convention)[end] for r in own]) for stress, own in shown]
+            # Cycles differ at one stress as at the other: all of them tell by how much.
+            freedom = sum(len(c) - 1 for _, c in repeats)
+            squares = sum(len(c) * float(np.var([v for v, _ in c])) for _, c in repeats)
+            between = squares / freedom if freedom else None
+            each = [(stress, *mean_of_repeats(c, between, freedom)) for stress, c in repeats]
+            stress, value, own, common = np.array(each, dtype=np.float64).reshape(-1, 4).T
+            points[name] = np.array([stress, value, np.hypot(own, common), common])
+        if not believable:
+            continue
+        if not shown:
+            listed = f"{start}, {finish}, {label}"
+            findings.append(remark("no branch", subject=listed, direction=direction, names=listed))
+            continue
+        n, stress = sum(len(r.branch.strain) for _, own in shown for r in own), points[start][0]
+        if float(np.ptp(stress)) < SMALLEST_STRESS_RANGE:
+            # One stress: referred to zero with what is known of C.
+            c, doubt, held = parameters[influence], parameters.std(influence), float(stress.mean())
+            unstated = ", which nobody stated" if influence not in parameters.given else ""
+            findings.append(remark(
+                "one stress", subject=label, label=label, stress=held, shift=held / c, c=c,
+                doubt=doubt, unstated=unstated,
+            ))
+            method = f"cosine at {held / 1e6:.3g} MPa, referred to zero stress with {label}"
+            for name in pair:
+                _, kelvin, std, _ = points[name].mean(axis=1).tolist()
+                estimate = Estimate(kelvin - held / c, std, "K", method, n)
+                estimates[SYMBOLS[name]] = estimate.with_shares({influence: held * doubt / c**2})
+            continue
+
+        # Several: T = T_0 + sigma/C, lines with one slope through start and finish, and a slope of
+        # each by itself. Cycles that differ move start and finish together.
+        both = np.hstack([points[name] for name in pair])
+        value, std, common = both[1], np.maximum(both[2], _SMALLEST_STD), both[3]
+        scale = float(np.max(np.abs(stress)))
+        zero, along_stress = np.repeat(np.eye(2), len(stress), axis=0), both[0] / scale
+        together = (both[0][:, None] == both[0]) & (zero @ zero.T == 0.0)
+        covariance = np.diag(std**2) + np.where(together, np.outer(common, common), 0.0)
+        fit = fit_linear(np.column_stack([zero, along_stress]), value, covariance)
+        slope, slope_std = float(fit.beta[2]) / scale, float(fit.std[2]) / scale
+        method = f"cosines at {len(stress)} stresses, line to zero stress"
+        own_slopes = []
+        for k, name in enumerate(pair):
+            part = zero[:, k] > 0.0
+            design = np.column_stack([np.ones(part.sum()), along_stress[part]])
+            line = fit_linear(design, value[part], np.diag(std[part] ** 2))
+            own_slopes.append((float(line.beta[1]) / scale, float(line.std[1]) / scale))
+            details[f"d{name}/dsigma"] = Estimate(
+                *own_slopes[k], "K/Pa", "line through this transition alone", n
+            )
+            estimates[SYMBOLS[name]] = Estimate(
+                float(fit.beta[k]), float(fit.std[k]), "K", method, n
+            )
+        facts: dict[str, Any] = {"start": start, "finish": finish, "label": label}
+        if slope > _RISES * slope_std:
+            # C = 1/slope; the error is that of a 90 % interval's two sides in the mean, which an
+            # inverse has at unlike distances.
+            relative = slope_std / slope
+            sides = 1.0 - (1.645 * min(relative, 1.0 / _RISES)) ** 2
+            low, high = stress.min() / 1e6, stress.max() / 1e6
+            estimates[influence] = Estimate(
+                1.0 / slope, relative / (slope * sides), "Pa/K",
+                f"common slope of {start} and {finish} over {low:.0f} to {high:.0f} MPa", n,
+            )
+        else:
+            findings.append(remark("no rise", subject=label, slope=slope, std=slope_std, **facts))
+        if fit.misfit > _SIGNIFICANT:
+            findings.append(remark(
+                "off the line", subject=f"{label}, {start}, {finish}", misfit=fit.misfit,
+                worst=float(np.max(np.abs(fit.residuals))), **facts,
+            ))
+        (first, first_std), (last, last_std) = own_slopes
+        if abs(first - last) > _SIGNIFICANT * math.hypot(first_std, last_std):
+            findings.append(remark("range widens", subject=label, first=first, last=last, **facts))
+    return estimates, details, points
+
+
+def _strains(
+    levels: Sequence[Level], parameters: Parameters, details: dict[str, Estimate],
+    findings: list[Finding],
+) -> dict[str, Estimate]:
+    """eps_L of the contract; the recovered strain at each stress goes into `details`."""
+    transformed: list[tuple[float, Estimate]] = []
+    for held, along in levels:
+        readings = along["heating"] or along["cooling"]
+        is_relative = readings[0].record.strain_unit != "1"
+        value, *errors = mean_of_repeats([r.cosine.step for r in readings])
+        std, n = math.hypot(*errors), sum(len(r.branch.strain) for r in readings)
+        details[f"recovered strain at {held / 1e6:.0f} MPa"] = Estimate(
+            value, std, "relative" if is_relative else "1", "distance of the outer lines half-way",
+            n,
+        )
+        if is_relative or held > STRONGEST:
+            continue
+        # Strain by which martensite gives more than austenite at this stress and temperature.
+        middle = float(np.mean([r.cosine.start[0] + r.cosine.finish[0] for r in readings])) / 2
+        warmer = middle - parameters["environment.ambient_temperature"]
+        stress = held - parameters[EXPANSION] * warmer
+        soft, stiff = (stress / parameters[name] for name in MODULI)
+        of_soft, of_stiff = (parameters.std(name) / parameters[name] for name in MODULI)
+        expansion = parameters.std(EXPANSION) * warmer * (soft - stiff) / stress if stress else 0.0
+        elastic_std = math.hypot(soft * of_soft, stiff * of_stiff, expansion)
+        estimate = Estimate(
+            value - (soft - stiff), std, "1",
+            f"recovered strain at {held / 1e6:.3g} MPa less "
+            "[sigma - Theta_T (T - T_inf)] (1/E_M - 1/E_A)", n,
+        ).with_shares({_ELASTIC: elastic_std})
+        transformed.append((held, estimate))
+        details[f"eps_L at {held / 1e6:.0f} MPa"] = estimate
+    if not transformed:
+        return {}
+
+    # Does one eps_L describe all stresses? The same moduli stand behind both ends.
+    (_, least), (high, most) = transformed[0], transformed[-1]
+    moduli = most.shares[_ELASTIC] - least.shares[_ELASTIC]
+    error = math.hypot(most.statistical, least.statistical, moduli)
+    if most.value - least.value > _SIGNIFICANT * error:
+        table = ", ".join(f"{e.value:.2%} at {s / 1e6:.0f} MPa" for s, e in transformed)
+        numbers = {f"{s / 1e6:.0f} MPa": e.value for s, e in transformed}
+        findings.append(remark("strain grows with stress", numbers=numbers, table=table))
+    elastic = high * (1.0 / parameters[MODULI[0]] - 1.0 / parameters[MODULI[1]])
+    if not set(MODULI) <= parameters.given and elastic > 0.02 * most.value:
+        findings.append(remark("moduli of the table", elastic=elastic, stress=high))
+    largest = max((estimate for _, estimate in transformed), key=lambda e: e.value)
+    return {STRAIN: largest} if largest.value > 0.0 else {}
+
+
+def _about_branches(
+    records: Sequence[IsobaricRecord], readings: Sequence[Reading]
+) -> Iterator[Finding]:
+    """Strain that is clipped, branches turned round early, no cosines, and
+    cycles that are no repeats."""
+    # Strain that stays at its extreme to the last digit: the extensometer has no more travel.
+    for record in records:
+        strain = np.concatenate([b.strain for c in record.cycles for b in c.branches])
+        runs = np.split(strain, np.flatnonzero(np.diff(strain)) + 1)
+        for value, which in ((strain.max(), "highest"), (strain.min(), "lowest")):
+            longest = max((len(run) for run in runs if run[0] == value), default=0)
+            if longest >= _CLIPPED:
+                yield remark(
+                    "strain clipped", record=record.name, which=which, value=value, count=longest
+                )
+
+    early: dict[tuple[str, str, str], list[int]] = {}
+    rough: dict[str, list[Reading]] = {}
+    for r in readings:
+        way = r.branch.direction
+        sides = (("cold", "M_f", "A_s"), ("hot", "M_s", "A_f"))
+        for short, (side, on_cooling, on_heating) in zip(r.tangents.short, sides, strict=True):
+            if short:
+                name = on_cooling if way == "cooling" else on_heating
+                early.setdefault((r.record.name, name, side), []).append(r.cycle)
+        if r.cosine.rms > _ROUGH:
+            rough.setdefault(way, []).append(r)
+    for (where, name, side), cycles in early.items():
+        yield remark(
+            "turned round early", subject=name, record=where, side=side, name=name,
+            numbers={"cycles": float(len(cycles))}, cycles=", ".join(map(str, cycles)),
+        )
+    for direction, found in rough.items():
+        worst = max(found, key=lambda r: r.cosine.rms)
+        yield remark(
+            "no cosine", count=len(found), direction=direction, rms=worst.cosine.rms,
+            record=worst.record.name,
+        )
+
+    # Temperatures that drift from cycle to cycle of one record are no repeats.
+    for record in {r.record.name: r.record for r in readings}.values():
+        for direction, (*ends, _) in PHASES.items():
+            mine = [r for r in readings if r.record is record and r.branch.direction == direction]
+            if len(mine) < _FEWEST_CYCLES:
+                continue
+            cycle = np.array([float(r.cycle) for r in mine])
+            for end, name in enumerate(ends):
+                kelvin = np.array([r.ends("tangent")[end][0] for r in mine])
+                correlation = float(np.corrcoef(cycle, kelvin)[0, 1])
+                if abs(correlation) >= _TREND and np.ptp(kelvin) >= _SMALLEST_DRIFT:
+                    yield remark(
+                        "cycles drift", subject=name, record=record.name, name=name,
+                        first=kelvin[0], first_cycle=mine[0].cycle, last=kelvin[-1],
+                        last_cycle=mine[-1].cycle,
+                    )

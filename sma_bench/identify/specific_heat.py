@@ -1,0 +1,457 @@
+"""E3, specific heat: ramps below A_s (eq. 5, Figs. 4 and 5), the heat equation alone fitted."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.noise_model import noise_floor
+from sma_bench.estimation.nuisances import DELAY, OFFSET
+from sma_bench.estimation.observation import Observation, observe, shared_bin
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.result import Result, result_of
+from sma_bench.estimation.solver import fit, recalibrate
+from sma_bench.estimation.unknowns import Unknown, Unknowns
+from sma_bench.findings import Finding, Severity
+from sma_bench.identify.estimate import Array
+from sma_bench.identify.heat_transfer import scale_of_gain
+from sma_bench.identify.result import Experiment, refusal, remark
+from sma_bench.identify.signals import (
+    AMBIENT,
+    CAMERA_LAG,
+    COEFFICIENT,
+    KNOWN_LAG,
+    LAG,
+    RESISTANCE,
+    SPECIFIC_HEAT,
+    ChannelDrive,
+    one_wire,
+)
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.records import Record
+from sma_bench.records.record import Signal, first_order_lag, samples
+
+_BEFORE, _AFTER, _HISTORY = 3.0, 12.0, 10.0  # s around a ramp, and before the first window
+_FEWEST_SAMPLES = 30
+_CLEARLY = 3.0  # of the noise, below A_s: where a cut falls must not hang on the noise
+_SMALLEST_RISE = 10.0  # of the noise
+_AMBIENT_STD = 2.0  # K; of the camera's zero in each record, too
+_LEAST = 1e-6  # s
+_ANY = 1.0  # of the logarithm of what nobody knows
+_STARTS = (0.0, -1.0, 1.0)
+_NEAR = 3.0  # prior deviations
+_MOVES = 4
+_SIGNIFICANT = 3.0  # standard errors
+_SMALL_DELAY = 1e-3  # s
+_SMALL = 0.01  # of c_p, of the steady rise or of the rise of a ramp: what is not worth a warning
+_BAD_MISFIT, _FEWEST_IN_BIN, _COLD = 6.0, 3, 0.02  # standard errors, samples, of the rise
+_FILTER_TIME, _MOST_CELLS = 0.1, 1_000_000  # s, of the differentiator
+
+
+class Window(NamedTuple):
+    """One stretch of a record: a drive with what comes before and after it; s, V, K."""
+
+    voltage_time: Array
+    voltage: Array
+    temperature_time: Array
+    temperature: Array
+
+
+class HeatLoss(NamedTuple):
+    """What E1 and E2, or the parameters, know of R (as it heats: with the leads in it) and h.
+    `gain` 1/(R h A_c) in K/V^2 comes from E2 and is independent of R. `known` is False where h is
+    nobody's measurement: the ramps themselves must tell it."""
+
+    resistance: Estimate
+    coefficient: Estimate
+    gain: Estimate | None = None
+    known: bool = True
+
+
+def identify_specific_heat(
+    drives: Sequence[tuple[Record, ChannelDrive]], parameters: Parameters, heat_loss: HeatLoss
+) -> Experiment:
+    """Specific heat from voltage ramps, with the rest before and the cooling after each.
+
+    The most probable c_p of eq. (2) on the voltage as read, freed of its noise: noise of the
+    voltage heats a model but no wire, and a wire that is taken to be slower smooths it away. The
+    paper's slope of dT/dt over f(T, V) is in `details` as "differentiator"; differentiated noise
+    biases it. c_p is conditional on wire.mass: only m c_p enters the equation. Unknown beside it
+    are ambient and the camera's zero, delay (of the size of a sample period) and lag; the standard
+    error includes these, R and h, coloured noise and that of the voltage.
+
+    Raises:
+        InputError: no ramp, no temperature, or no rise of it below A_s.
+    """
+    limit = float(parameters["wire.austenite_start_temperature"])
+    chosen, where, findings = _windows(drives, limit)
+    windows = [window for of_drive in chosen for window in of_drive]
+    rise = max(float(np.ptp(_median_of_five(w.temperature))) for w in windows)
+    noise = float(np.median([np.std(np.diff(w.temperature)) for w in windows])) / math.sqrt(2.0)
+    if rise < _SMALLEST_RISE * noise:
+        raise refusal("no rise of ramps", where=where, rise=rise, noise=noise, times=_SMALLEST_RISE)
+
+    # One observation a drive: the readings within its windows, with the voltage from some time
+    # before. Stamps may be off by the longer sample period; every record has a room of its own.
+    used = [(*drive, own) for drive, own in zip(drives, chosen, strict=True) if own]
+    lean = []
+    for record, drive, own in used:
+        volts, kelvin = (f"{drive.channel}.{kind}" for kind in ("voltage", "temperature"))
+        time, values = samples(record, volts)
+        begin = own[0].voltage_time[0] - _HISTORY
+        inside = (time >= begin) & (time <= own[-1].voltage_time[-1])
+        read = np.concatenate([w.temperature_time for w in own])
+        degrees = np.concatenate([w.temperature for w in own])
+        alone = Record(record.path, record.start_ns, {
+            volts: Signal(volts, "V", time[inside], values[inside]),
+            kelvin: Signal(kelvin, "K", read, degrees),
+        })
+        lean.append((alone, one_wire(parameters, drive.channel)))
+    shortest = max(shared_bin([record], rig, 0.0) for record, rig in lean)
+    observations = []
+    for record, rig in lean:
+        observation = observe(record, rig, shortest, ("temperature",))
+        (signal,) = observation.signals
+        delay = max(one.period for one in record.signals.values())
+        sensor = replace(signal.sensor, zero_std=_AMBIENT_STD, clock_std=delay)
+        observations.append(replace(observation, signals=(replace(signal, sensor=sensor),)))
+    cold = float(np.median([np.percentile(w.temperature, 5) for w in windows]))
+    result, blind = _fitted(observations, cold, parameters, heat_loss)
+    off = {kind: [o for o in result.off if o.kind == kind] for kind in (DELAY, OFFSET)}
+    models = []
+    for (_, _, of_drive), observation, zero in zip(
+        used, result.fit.problem.observations, off[OFFSET], strict=True
+    ):
+        simulation = observation.simulate(result.fit.parameters)
+        predicted = observation.course(observation.signals[0], simulation)
+        models += [
+            np.asarray(zero.value + np.interp(window.temperature_time, observation.grid, predicted))
+            for window in of_drive
+        ]
+
+    # The numbers. Random errors grow with the misfit; what the checks doubt comes on top.
+    n, mass, area = (
+        sum(len(w.temperature) for w in windows), parameters["wire.mass"],
+        parameters["wire.surface_area"],
+    )
+    numbers = {number.name: number for number in result.numbers}
+    cp, h, lag = (numbers[name] for name in (SPECIFIC_HEAT, COEFFICIENT, LAG))
+    both = [list(numbers).index(name) for name in (SPECIFIC_HEAT, COEFFICIENT)]
+    logs = np.array([cp.std / cp.value, h.std / h.value])
+    logs = result.correlation[np.ix_(both, both)] * np.outer(logs, logs)
+    tau = mass / area * cp.value / h.value
+    of_tau = math.sqrt(logs[0, 0] + logs[1, 1] - 2.0 * logs[0, 1])
+    remarks, factor, doubt = _checks(result, blind, tau, parameters, heat_loss)
+    of_r = heat_loss.resistance.statistical / heat_loss.resistance.value if heat_loss.gain else 0.0
+    relative = math.hypot(math.sqrt(logs[0, 0]) * factor, of_r, doubt)
+    method = f"output-error fit of eq. (2) to the ramps, m = {mass * 1e3:.4g} g taken as exact"
+
+    # Systematic errors: time is told well, so m c_p goes with h A_c as these sensors make it. With
+    # an h of others they have no part in it.
+    resistance, loss, _, known = heat_loss
+    if known:
+        scales = {name: share / loss.value for name, share in loss.shares.items()}
+    else:
+        scales = {name: -share / resistance.value for name, share in resistance.shares.items()}
+        for name, share in scale_of_gain(parameters).items():
+            scales[name] = scales.get(name, 0.0) - share
+    of_cp, of_h = ({n: e.value * share for n, share in scales.items()} for e in (cp, h))
+    estimate = Estimate(cp.value, cp.value * relative, "J/(kg K)", method, n)
+    estimates = {SPECIFIC_HEAT: estimate.with_shares(of_cp)}
+    paper, rates = slope_of_rates(
+        windows, [float(model.min()) for model in models], resistance.value, loss.value * area, mass
+    )
+    late = min(off[DELAY], key=lambda o: o.std)  # of the record that tells it best
+    details = {
+        "differentiator": paper,
+        "time_constant": Estimate(tau, tau * of_tau, "s", "m c_p/(h A_c)", n),
+        "delay": Estimate(late.value, late.std, "s", "stamps of temperature - voltage", n),
+        "lag": Estimate(lag.value, lag.std, "s", "lag of the temperature", n, 0.0, lag.informed),
+    }
+    if lag.value > _SIGNIFICANT * lag.std:
+        estimates[CAMERA_LAG] = details["lag"]
+    if not known:
+        # c_p and h belong together: a file with this c_p and another h has the wrong tau.
+        estimates[COEFFICIENT] = Estimate(
+            h.value, h.std, "W/(m2 K)", "output-error fit of eq. (2) to the ramps", n
+        ).with_shares(of_h)
+    # Measured and fitted temperature, one window after the other, NaN in between.
+    columns = {
+        "time": [w.temperature_time for w in windows],
+        "temperature": [w.temperature for w in windows], "model": models,
+        "voltage": [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows],
+    }
+    curves = {
+        name: np.concatenate([piece for part in parts for piece in (part, [np.nan])])
+        for name, parts in columns.items()
+    }
+    return Experiment(
+        "E3", "Specific heat", estimates, (*findings, *remarks), curves | rates, where, details
+    )
+
+
+# --- Windows around the ramps, in which the wire stays below A_s.
+
+
+def _windows(
+    drives: Sequence[tuple[Record, ChannelDrive]], limit: float
+) -> tuple[list[list[Window]], str, list[Finding]]:
+    """Of each drive the ramps that stay below `limit` [K], the cold beginnings of hot ones where
+    there are no others; where they are from; and a remark."""
+    # Windows with how many samples were cut off, and the highest temperature in K.
+    cuts: list[list[tuple[Window, int, float]]] = []
+    for record, drive in drives:
+        voltage_time, voltage = samples(record, f"{drive.channel}.voltage")
+        time, temperature = samples(record, f"{drive.channel}.temperature")
+        clear, ramps = limit - _CLEARLY * noise_floor(temperature), drive.segments.ramps
+        cuts.append([])
+        for k, ramp in enumerate(ramps):
+            # Stretches do not overlap.
+            start = max(ramp.start - _BEFORE, ramps[k - 1].stop if k else -math.inf)
+            after = ramps[k + 1].start if k + 1 < len(ramps) else math.inf
+            stop = min(ramp.stop + _AFTER, max(after - _BEFORE, ramp.stop))
+            inside = (time >= start) & (time <= stop)
+            t, y = time[inside], temperature[inside]
+            if len(t) < _FEWEST_SAMPLES:
+                continue
+            # Once above A_s the latent heat of both ways is in the curve until the wire is cold.
+            smooth = _median_of_five(y)
+            kept = int(np.argmax(smooth > clear)) if (smooth > limit).any() else len(t)
+            first = max(int(np.searchsorted(voltage_time, start)) - 1, 0)
+            last = int(np.searchsorted(voltage_time, t[kept - 1] if kept else start)) + 2
+            window = Window(voltage_time[first:last], voltage[first:last], t[:kept], y[:kept])
+            cuts[-1].append((window, len(t) - kept, float(smooth.max())))
+    every = [cut for of_drive in cuts for cut in of_drive]
+    hot = [cut for cut in every if cut[1]]
+    some_cold = len(hot) < len(every)
+    chosen = [
+        [w for w, cut_off, _ in of_drive
+         if not (some_cold and cut_off) and len(w.temperature) >= _FEWEST_SAMPLES]
+        for of_drive in cuts
+    ]
+    where = "; ".join(
+        f"{record.path}: {drive.channel}, {len(cut)} ramps"
+        for (record, drive), cut in zip(drives, cuts, strict=True)
+    )
+    if not any(chosen):
+        raise refusal("no cold ramp", where=where, least=_FEWEST_SAMPLES, limit=limit)
+    findings = [remark(
+        "some ramps too hot" if some_cold else "ramps too hot", limit=limit, ramps=len(hot),
+        of=len(every), excluded=sum(cut[1] for cut in hot), highest=max(cut[2] for cut in hot),
+    )] if hot else []
+    return chosen, where, findings
+
+
+# --- The fit: what is observed, what is unknown.
+
+
+def _median_of_five(values: Array) -> Array:
+    """(n,) of values (n,), which drops single wild samples."""
+    windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5)
+    return np.asarray(np.median(windows, axis=-1))
+
+
+def _fitted(
+    observations: Sequence[Observation], cold: float, parameters: Parameters, heat_loss: HeatLoss
+) -> tuple[Result, Result | None]:
+    """With what is known of h; and by the ramps alone, with the noise that this leaves. Where
+    nobody knows h the latter only. `cold`: K, of the wire before the ramps."""
+    believed, camera = _lag(parameters)
+    free = _unknowns(parameters, heat_loss, cold, camera, known=False)
+    place = free.names.index(SPECIFIC_HEAT)
+    starts = [np.where(np.arange(len(free.items)) == place, x, 0.0) for x in _STARTS]
+    problem = Problem.of(observations, voltage_noise=True)
+    blind, tried = recalibrate(problem, free.parameters(starts[0]), free, starts)
+    found = dict(zip(free.names, free.values(blind.x).tolist(), strict=True))
+    if found[LAG] > believed + _SIGNIFICANT * camera:
+        # A camera as slow as that is not one of those that were thought of. Of two time constants
+        # in a row no reading says which is the wire's: that whose c_p is nearer to what is known.
+        loss = found[COEFFICIENT] * parameters["wire.surface_area"] / parameters["wire.mass"]
+        swapped = {**found, SPECIFIC_HEAT: found[LAG] * loss, LAG: found[SPECIFIC_HEAT] / loss}
+        expected = float(parameters[SPECIFIC_HEAT])
+        values = min(found, swapped, key=lambda v: abs(math.log(v[SPECIFIC_HEAT] / expected)))
+        camera = values[LAG]
+        free = _unknowns(parameters, heat_loss, cold, camera, known=False)
+        blind = fit(blind.problem, free, free.x_of(values.values()))
+    for _ in range(_MOVES):
+        blind = fit(blind.problem.moved(blind.parameters, blind.z), free, blind.x, rounds=2)
+    if not heat_loss.known:
+        return result_of(blind, tried), None
+    unknowns = _unknowns(parameters, heat_loss, cold, camera, known=True)
+    first = np.clip(unknowns.x_of(free.values(blind.x)), -_NEAR, _NEAR)
+    known = fit(blind.problem, unknowns, first, keep_noise=True)
+    return result_of(known, [known]), result_of(blind, tried)
+
+
+def _lag(parameters: Parameters) -> tuple[float, float]:
+    """What is believed of the camera's, s."""
+    mean = float(parameters[LAG] or parameters[CAMERA_LAG])
+    return mean, max(parameters.std(CAMERA_LAG), _LEAST)
+
+
+def _unknowns(
+    parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_std: float, known: bool
+) -> Unknowns:
+    """Where E2 has measured the gain, the ramps share it whatever R is: R is held, its error
+    added in the end."""
+    own, loss, gain, _ = heat_loss
+    of_h = _ANY
+    if known:
+        of_h = gain.statistical / gain.value if gain else loss.relative_std
+    believed = {
+        COEFFICIENT: (loss.value, of_h * loss.value),
+        SPECIFIC_HEAT: (float(parameters[SPECIFIC_HEAT]), _ANY * parameters[SPECIFIC_HEAT]),
+        AMBIENT: (ambient, _AMBIENT_STD),
+        LAG: (_lag(parameters)[0], lag_std),
+    }
+    if gain is None:
+        # What the scales of these sensors do to R they do to h too, where these ramps tell it.
+        of_r = own.relative_std if known else own.statistical / own.value
+        believed[RESISTANCE] = (float(parameters[RESISTANCE]), of_r * parameters[RESISTANCE])
+    items = tuple(
+        Unknown(
+            name, mean, std, float(BY_NAME[name].low or 0.0), float(BY_NAME[name].high or np.inf),
+            log=name not in (AMBIENT, LAG),
+        )
+        for name, (mean, std) in believed.items() if std > 0.0
+    )
+    base = parameters.replace({COEFFICIENT: loss.value})
+    return Unknowns(base, items, len(items), len(items))
+
+
+# --- What may be wrong with a fit of the heat equation, and by how much c_p is then in doubt.
+
+
+def _checks(
+    result: Result, blind: Result | None, tau: float, parameters: Parameters, heat_loss: HeatLoss
+) -> tuple[list[Finding], float, float]:
+    """Remarks, a factor of the random error and a relative doubt of c_p. `blind`: the fit without
+    what is known of h; `tau`: s of the wire."""
+    findings: list[Finding] = []
+    factor, doubts = 1.0, [0.0]
+
+    # An offset between the stamps, a small lag of the camera's in it, that was resolved? Delay and
+    # lag of the record that tells them best: their sum is known better than they.
+    fitted, delays = result.fit, [off for off in result.off if off.kind == DELAY]
+    best = min(range(len(delays)), key=lambda k: delays[k].std)
+    items = [item for own in fitted.problem.nuisances for item in own.items]
+    place = [k for k, item in enumerate(items) if item.kind == DELAY][best]
+    weights, k = np.zeros(len(fitted.joint)), fitted.unknowns.names.index(LAG)
+    weights[len(fitted.x) + place], weights[k] = items[place].std, fitted.unknowns.items[k].std
+    numbers = {number.name: number for number in result.numbers}
+    lag, cp = numbers[LAG], numbers[SPECIFIC_HEAT]
+    late = delays[best].value + lag.value
+    std = math.sqrt(float(weights @ fitted.joint @ weights))
+    assumed = min(off.prior_std for off in delays)
+    if std > 0.5 * assumed:
+        severity: Severity = "warning" if std > _SMALL * tau else "info"
+        findings.append(
+            remark("delay not told", severity, delay=late, delay_std=std, assumed=assumed)
+        )
+    else:
+        far = abs(late) > _SIGNIFICANT * math.hypot(assumed, _lag(fitted.parameters)[1])
+        told = abs(late) >= max(_SIGNIFICANT * std, _SMALL_DELAY)
+        more = "; taken at face value they would pass for thermal inertia" if told else ""
+        severity = "warning" if far else "info"
+        findings.append(remark("delay", severity, delay=late, delay_std=std, more=more))
+
+    # A second time constant: the camera's, or the wire's own?
+    believed, std = _lag(parameters)
+    own_std = lag.std / math.sqrt(max(lag.informed, _LEAST))  # by the ramps alone
+    if abs(lag.value - believed) >= max(_SIGNIFICANT * max(lag.std, std), _SMALL * tau):
+        findings.append(remark(
+            "two time constants", tau=tau, lag=lag.value, lag_std=lag.std,
+            swapped=lag.value / tau * cp.value,
+        ))
+        # Where the two differ clearly, a lag is the smaller one; near each other they trade places.
+        doubts.append(min(lag.value / tau, tau / lag.value) ** 2)
+    elif own_std >= KNOWN_LAG * tau:
+        findings.append(remark(
+            "lag not told", believed=believed, std=std, lag_std=own_std, time_constant=tau
+        ))
+
+    # Residuals that stay on one side over a time constant: the largest mean of them in K, over
+    # what such means scatter by where the wire is cold, and over the rise.
+    means: list[tuple[float, float, float]] = []
+    for block in fitted.problem.blocks:
+        left, model, signal = fitted.left[block.rows], fitted.predicted[block.rows], block.signal
+        width, rise = max(tau, _FEWEST_IN_BIN * signal.period), float(np.ptp(model))
+        which = np.floor((signal.time - signal.time[0]) / width).astype(np.intp)
+        _, which, count = np.unique(which, return_inverse=True, return_counts=True)
+        mean = np.bincount(which, left) / count
+        cold = np.bincount(which, model - model.min() < _COLD * rise) == count
+        scatter = float(np.sqrt(np.mean(mean[cold] ** 2))) if cold.any() else 0.0
+        error = np.maximum(scatter, signal.noise / np.sqrt(count))
+        worst = int(np.argmax(np.where(count >= _FEWEST_IN_BIN, np.abs(mean) / error, 0.0)))
+        largest = float(mean[worst])
+        means.append((largest, abs(largest) / float(error[worst]), abs(largest) / rise))
+    misfit, errors, share = max(means, key=lambda one: one[1])
+    if errors >= _BAD_MISFIT and share >= _SMALL:
+        factor = errors / _SIGNIFICANT
+        findings.append(
+            remark("heat equation misses", misfit=misfit, standard_errors=errors, share=share)
+        )
+
+    # Do the ramps by themselves ask for the steady rise that E2 measured?
+    if blind is not None:
+        alone = {number.name: number for number in blind.numbers}
+        known, free = numbers[COEFFICIENT], alone[COEFFICIENT]
+        scales = 0.0 if heat_loss.gain else math.hypot(*scale_of_gain(parameters).values())
+        difference = math.log(known.believed / free.value)
+        doubt = math.hypot(free.std / free.value, known.prior_std / known.believed, scales)
+        if abs(difference) >= max(_SIGNIFICANT * doubt, _SMALL):
+            other = alone[SPECIFIC_HEAT].value
+            doubts.append(abs(math.log(other / cp.value)))
+            findings.append(remark(
+                "another steady rise", gain_difference=difference, gain_difference_std=doubt,
+                other=other, free=free.value,
+            ))
+    return findings, factor, math.hypot(*doubts)
+
+
+# --- The paper's own way to the specific heat: slope of dT/dt over f(T, V) (eq. 5, Fig. 5).
+
+
+def slope_of_rates(
+    windows: Sequence[Window], ambient: Sequence[float], resistance: float, heat_loss: float,
+    mass: float,
+) -> tuple[Estimate, dict[str, Array]]:
+    """c_p in J/(kg K) from 1/slope of dT/dt over f(T, V) = (V^2/R - h A_c (T - T_inf))/m, and the
+    driven samples: "force" f in W/kg and "rate" dT/dt in K/s.
+
+    A differentiator of 0.1 s gives dT/dt; f passes the same filter, so that both lag alike. The
+    camera's noise is in both f and dT/dt and biases the slope.
+
+    Args:
+        ambient: K, one a window; resistance: ohm; heat_loss: h A_c in W/K; mass: kg.
+    """
+    rates, forces = [], []
+    for w, surrounding in zip(windows, ambient, strict=True):
+        period = float(np.median(np.diff(w.temperature_time)))
+        period = max(period, float(np.ptp(w.temperature_time)) / _MOST_CELLS)
+        grid = np.arange(w.temperature_time[0], w.temperature_time[-1], period)
+        temperature = np.interp(grid, w.temperature_time, w.temperature)
+        voltage = np.interp(grid, w.voltage_time, w.voltage)
+        force = (voltage**2 / resistance - heat_loss * (temperature - surrounding)) / mass
+        kept = float(np.exp(-period / _FILTER_TIME))
+        smooth = first_order_lag(temperature, kept, temperature[0])
+        driven = (voltage > 0.05 * voltage.max()) & (grid > grid[0] + 5.0 * _FILTER_TIME)
+        rates.append(((temperature - smooth) / _FILTER_TIME)[driven])
+        forces.append(first_order_lag(force, kept, force[0])[driven])
+    rate, force = np.concatenate(rates), np.concatenate(forces)
+    slope = float(force @ rate) / float(force @ force) if len(rate) else 0.0
+    if slope == 0.0:
+        raise InputError("the ramps do not heat the wire for longer than the filter's time")
+    # Filtered samples repeat each other over the filter's time.
+    effective = max(len(rate) * period / (2.0 * _FILTER_TIME), 2.0)
+    scatter = float(np.std(rate - slope * force)) / float(np.sqrt(np.mean(force**2)))
+    estimate = Estimate(
+        1.0 / slope, scatter / math.sqrt(effective) / slope**2, "J/(kg K)",
+        "slope of filtered dT/dt over f(T, V) as in the paper; biased by noise", len(rate),
+    )
+    return estimate, {"force": force, "rate": rate}

@@ -1,0 +1,406 @@
+"""E7: E_M and E_A from tensile tests at constant temperature (Fig. 9, Table III).
+
+Martensite: slack (the toe), a short elastic rise, detwinning at nearly constant stress up to some
+4 %, then the elastic rise of detwinned martensite, which is what the law's E_M means: xi = 1 with
+all of eps_L in it. Austenite: the rise before the plateau of stress-induced martensite. The curve
+is cut into straight pieces and the right one is told by its slope and by where the plateau lies.
+
+Which phase a test shows is a matter of the wire's own M_f and A_f or of what its file or the user
+says: the paper's wire does not tell it of another.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatch
+from typing import NamedTuple
+
+import numpy as np
+
+from sma_bench.errors import InputError
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.load_frame import find_pulls
+from sma_bench.estimation.noise_model import autocorrelation, inflation
+from sma_bench.findings import Finding
+from sma_bench.identify.branches import Bins
+from sma_bench.identify.estimate import (
+    GAUGE,
+    SYMBOLS,
+    Array,
+    Line,
+    diameter_error,
+    mean_and_deviation,
+    mean_of_repeats,
+    scatter,
+    straight_line,
+)
+from sma_bench.identify.result import Experiment, refusal, remark
+from sma_bench.identify.signals import about_length
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import wire_length, wire_section
+from sma_bench.records.instruments import FEWEST_ROWS, PHASES, STEADY, Phase, TensileRecord
+from sma_bench.records.record import Record, has_samples, samples
+
+SYMBOL = {"martensite": "E_M", "austenite": "E_A"}
+# Pa: martensite after detwinning 20 to 50 GPa, austenite 40 to 90 GPa in the literature.
+_NITI_MODULUS = {"martensite": (17e9, 60e9), "austenite": (35e9, 100e9)}
+_FINISH = {"martensite": SYMBOLS["M_f"], "austenite": SYMBOLS["A_f"]}
+_PLATEAU_SLOPE, _PLATEAU_STRAIN = 0.35, 0.004  # of the steepest, least length
+_GRID = 240
+_MOST_PIECES, _SHORTEST_PIECE, _STRAIGHT = 9, 4, 0.004  # points, share of the stress
+_TRIM = 0.1  # of a rise, at either end
+_SAME_SLOPE = 0.8
+_SHORTEST_RISE, _SHORTEST_AFTER = 0.0008, 0.003  # strain
+_UNLOADED = (0.9, 0.5)  # of the largest stress
+_REVERSAL = 0.03  # of the ranges of strain and stress, which both fall
+_ROWS = 60  # of a pull in a bag, each a mean
+_PARTS = 5
+_NOISE_OF_PARTS = 4.0 * 1.25 * _PARTS  # the median of their slopes, in standard errors of the whole
+
+
+# --- What one tensile curve shows: toe, elastic rises, plateau, unloading.
+
+
+class Rise(NamedTuple):
+    """An elastic part: modulus and its error in Pa, from n readings."""
+
+    modulus: float
+    std: float
+    n: int
+
+
+class TensileReading(NamedTuple):
+    """What one curve shows: rises before and after the plateau and on unloading, where there are
+    any; `plateau` (strain, strain, mean stress Pa); `toe` the strain at which the initial rise,
+    extended, begins; `pieces` (m, 2) the ends of its straight pieces."""
+
+    initial: Rise
+    after: Rise | None
+    unloading: Rise | None
+    plateau: tuple[float, float, float] | None
+    toe: float
+    pieces: Array
+
+
+def read_curve(record: TensileRecord) -> TensileReading:
+    """Toe, elastic rises and plateau of one curve; InputError where no elastic part is found."""
+    # The first loading ends at the first reversal: inner loops and repeats come after it.
+    back = np.ones(len(record.strain), dtype=bool)
+    for values in (record.strain, record.stress):
+        back &= np.maximum.accumulate(values) - values > _REVERSAL * np.ptp(values)
+    last = int(np.argmax(back)) if back.any() else len(back)
+    top = int(np.argmax(record.stress[:last]))
+    # Means over narrow intervals of strain, in straight pieces (first, last point).
+    strain, stress = record.strain[: top + 1], record.stress[: top + 1]
+    x = y = strain[:0]
+    if np.ptp(strain) > 0.0:
+        bins = Bins.of(strain, _GRID)
+        x, y = bins.mean(strain), bins.mean(stress)
+    if len(x) < 20:
+        raise InputError(f"{record.path}: {len(x)} points while loading, expected 20 or more")
+    pieces = _straight_pieces(x, y, max(_STRAIGHT * float(np.ptp(y)), 1.2 * scatter(y)))
+    lines = {(a, b): straight_line(x[a : b + 1], y[a : b + 1]) for a, b in pieces}
+
+    def long(chosen: Sequence[tuple[int, int]]) -> Sequence[tuple[int, int]]:
+        """Those long enough to be a rise, all where none is."""
+        return [p for p in chosen if x[p[1]] - x[p[0]] >= _SHORTEST_RISE] or chosen
+
+    def steepest(chosen: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
+        """The steepest piece, joined with neighbours of nearly its slope."""
+        if not chosen:
+            return None
+        at = chosen.index(max(long(chosen), key=lambda p: lines[p].slope))
+        like = [lines[p].slope > _SAME_SLOPE * lines[chosen[at]].slope for p in chosen]
+        first, last = at, at
+        while first > 0 and like[first - 1]:
+            first -= 1
+        while last + 1 < len(chosen) and like[last + 1]:
+            last += 1
+        return chosen[first][0], chosen[last][1]
+
+    def rise(piece: tuple[int, int]) -> Rise:
+        low, high = float(x[piece[0]]), float(x[piece[1]])
+        for trim in (_TRIM * (high - low), 0.0):
+            chosen = (strain >= low + trim) & (strain <= high - trim)
+            if np.sum(chosen) >= 5:
+                break
+        return _modulus(strain[chosen], stress[chosen])
+
+    # The plateau: the longest run of flat pieces after the first steep one.
+    steep = max(lines[p].slope for p in long(pieces))
+    rising = [k for k, p in enumerate(pieces) if lines[p].slope > 0.5 * steep]
+    runs: list[tuple[int, int]] = []
+    for first, last in pieces[rising[0] :] if rising else ():
+        if lines[first, last].slope > _PLATEAU_SLOPE * steep:
+            continue
+        if runs and runs[-1][1] + 1 == first:
+            runs[-1] = (runs[-1][0], last)
+        else:
+            runs.append((first, last))
+    flat = [run for run in runs if x[run[1]] - x[run[0]] > _PLATEAU_STRAIN]
+    plateau = max(flat, key=lambda run: float(x[run[1]] - x[run[0]]), default=None)
+    initial = steepest([p for p in pieces if plateau is None or p[1] < plateau[0]])
+    if initial is None:
+        raise InputError(f"{record.path}: no elastic rise before the plateau")
+    after, level = None, None
+    if plateau is not None:
+        first, last = plateau
+        level = (float(x[first]), float(x[last]), float(np.mean(y[first : last + 1])))
+        found = steepest([p for p in pieces if p[0] > last])
+        if found is not None and x[found[1]] - x[found[0]] >= _SHORTEST_AFTER:
+            after = rise(found)
+
+    # Unloading: from 90 to 50 % of the largest stress on the way down.
+    unloading = None
+    down, way = record.stress[top:], record.strain[top:]
+    high, low = (share * float(down[0]) for share in _UNLOADED)
+    if len(down) >= 10 and down.min() <= low:
+        chosen = np.flatnonzero(down[: int(np.argmax(down <= low)) + 1] <= high)
+        if len(chosen) >= 5 and np.ptp(way[chosen]) > 0.0:
+            unloading = _modulus(way[chosen], down[chosen])
+    a, b = initial
+    line = straight_line(x[a : b + 1], y[a : b + 1])
+    ends = [[x[k], float(lines[p](x[k]))] for p in pieces for k in p]
+    return TensileReading(
+        rise(initial), after, unloading, level, line.crossing(Line(0.0, 0.0, 0.0)), np.array(ends)
+    )
+
+
+def _straight_pieces(x: Array, y: Array, tolerance: float) -> list[tuple[int, int]]:
+    """First and last point of the fewest straight pieces, at most nine, whose rms distance from y
+    (n,) over x (n,), increasing, is below the tolerance: dynamic programming (Bellman, 1961)."""
+    # (n + 1, n + 1) sum of squared distances from the line through points first..end - 1.
+    n, u, v = len(x), x - x.mean(), y - y.mean()
+    sums = [np.append(0.0, np.cumsum(w)) for w in (np.ones(n), u, v, u * u, u * v, v * v)]
+    m, sx, sy, sxx, sxy, syy = (s[None, :] - s[:, None] for s in sums)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        vxx, vxy, vyy = sxx - sx * sx / m, sxy - sx * sy / m, syy - sy * sy / m
+        cost = np.maximum(vyy - np.where(vxx > 0.0, vxy * vxy / vxx, 0.0), 0.0)
+    cost[m < _SHORTEST_PIECE] = np.inf
+
+    best = np.full((_MOST_PIECES + 1, n + 1), np.inf)
+    best[0, 0] = 0.0
+    origin = np.zeros((_MOST_PIECES + 1, n + 1), dtype=int)
+    for count in range(1, _MOST_PIECES + 1):
+        for end in range(_SHORTEST_PIECE, n + 1):
+            begins = slice(0, end - _SHORTEST_PIECE + 1)
+            totals = best[count - 1, begins] + cost[begins, end]
+            origin[count, end] = int(np.argmin(totals))
+            best[count, end] = totals[origin[count, end]]
+        if best[count, n] <= n * tolerance**2:
+            break
+    pieces: list[tuple[int, int]] = []
+    end = n
+    for k in range(count, 0, -1):
+        pieces.insert(0, (int(origin[k, end]), end - 1))
+        end = pieces[0][0]
+    return pieces
+
+
+def _modulus(strain: Array, stress: Array) -> Rise:
+    """Slope, its error from coloured scatter, and from the curvature that halves would show."""
+    line, n = straight_line(strain, stress), len(strain)
+    variance = line.slope_variance * inflation(autocorrelation([stress - line(strain)]))
+    lower = strain <= 0.5 * (strain.min() + strain.max())
+    bend = 0.0
+    if min(np.sum(lower), np.sum(~lower)) >= 8:
+        low, high = (straight_line(strain[h], stress[h]).slope for h in (lower, ~lower))
+        # Halves of noise alone differ by 4 sqrt(2) standard errors of the whole.
+        bend = max(abs(high - low) - 8.0 * math.sqrt(variance), 0.0) / 4.0
+    if n >= 8 * _PARTS:
+        # A slip is in one or two of the parts, and in the slope of the whole.
+        order = np.argsort(strain, kind="stable")
+        parts = np.array_split(order, _PARTS)
+        median = float(np.median([straight_line(strain[k], stress[k]).slope for k in parts]))
+        noise = scatter(stress[order]) / math.sqrt(n * float(np.var(strain)))
+        bend = max(bend, abs(median - line.slope) - _NOISE_OF_PARTS * noise)
+    return Rise(line.slope, math.hypot(math.sqrt(variance), bend), n)
+
+
+# --- The experiment.
+
+
+def identify_tensile(
+    records: Sequence[TensileRecord], parameters: Parameters | None = None, *,
+    phases: Mapping[str, Phase] | None = None,
+) -> Experiment:
+    """Evaluate tensile tests of one material; tests of one phase are repeats.
+
+    `details` holds plateau stresses, toe, other rises; `curves` `<phase>/<file>/strain`, `/stress`
+    and `/pieces` (m, 2).
+
+    Args:
+        parameters: M_f and A_f of this wire, given or identified, which with the test's
+            temperature tell the phase, and its length and diameter where a file has elongation and
+            force; those of the table of defaults do not count.
+        phases: phase by file name or pattern of names, before everything else.
+
+    Raises:
+        InputError: no records, a test whose phase is not known, or a curve without elastic part.
+    """
+    parameters = parameters or Parameters.defaults()
+    if not records:
+        raise InputError("tensile test: no records")
+    records = [_of_specimen(record, parameters) for record in records]
+    findings = [finding for record in records for finding in record.findings]
+    for pattern, phase in (phases or {}).items():
+        if phase not in PHASES:
+            raise InputError(f"phase of {pattern} is {phase!r}, expected {' or '.join(PHASES)}")
+        if not any(fnmatch(record.path.name, pattern) for record in records):
+            names = ", ".join(record.path.name for record in records)
+            raise InputError(f"phase of {pattern}: no such tensile test among {names}")
+    tests: dict[Phase, list[tuple[TensileRecord, TensileReading]]] = {}
+    curves: dict[str, Array] = {}
+    for record in records:
+        phase, reading = _phase(record, phases or {}, parameters), read_curve(record)
+        tests.setdefault(phase, []).append((record, reading))
+        stem = f"{phase}/{record.path.name}"
+        curves |= {
+            f"{stem}/strain": record.strain, f"{stem}/stress": record.stress,
+            f"{stem}/pieces": reading.pieces,
+        }
+    estimates: dict[str, Estimate] = {}
+    details: dict[str, Estimate] = {}
+    for phase, group in tests.items():
+        symbol, (part, rises) = SYMBOL[phase], _chosen(phase, group, findings)
+        value, *errors = mean_of_repeats([(rise.modulus, rise.std) for rise in rises])
+        kelvin = [record.temperature for record, _ in group if record.temperature]
+        at = f" at {np.mean(kelvin):.2f} K" if kelvin else ""
+        repeats = f"mean of {len(rises)} tests" if len(rises) > 1 else "one test"
+        estimates[SYMBOLS[symbol]] = Estimate(
+            value, math.hypot(*errors), "Pa", f"slope on {part}{at}, {repeats}",
+            sum(r.n for r in rises),
+        ).with_shares({
+            GAUGE: -parameters.std(GAUGE) * value,
+            "wire.diameter": -2.0 * diameter_error(parameters) * value,
+        })
+        low, high = _NITI_MODULUS[phase]
+        if not low <= value <= high:
+            findings.append(
+                remark("no NiTi's modulus", symbol=symbol, modulus=value, low=low, high=high)
+            )
+
+        # Everything else that the curves show, as mean and deviation of the tests.
+        every = [reading for _, reading in group]
+        plateaus = [r.plateau for r in every if r.plateau]
+        flat, toe = "longest flat part", "first rise extended to zero stress"
+        shown: list[tuple[str, str, str, list[Rise]]] = [
+            (f"{symbol} before the plateau", "Pa", "slope", [r.initial for r in every]),
+            (f"{symbol} after the plateau", "Pa", "slope", [r.after for r in every if r.after]),
+            (f"{symbol} on unloading", "Pa", "slope", [r.unloading for r in every if r.unloading]),
+        ]
+        shown += [
+            (f"{phase} plateau {what}", unit, flat, [Rise(p[k], 0.0, 1) for p in plateaus])
+            for k, (what, unit) in enumerate((("begin", "1"), ("end", "1"), ("stress", "Pa")))
+        ]
+        shown.append((f"{phase} toe", "1", toe, [Rise(r.toe, 0.0, 1) for r in every]))
+        for name, unit, method, found in shown:
+            if found:
+                mean = mean_and_deviation([one[:2] for one in found])
+                details[name] = Estimate(*mean, unit, method, sum(one.n for one in found))
+    # Martensite that is stiffer than austenite: the tests' phases are probably swapped.
+    soft, stiff = (estimates.get(SYMBOLS[SYMBOL[phase]]) for phase in ("martensite", "austenite"))
+    if soft and stiff and soft.value - stiff.value > 3.0 * math.hypot(soft.std, stiff.std):
+        findings.append(remark("moduli swapped", E_M=soft.value, E_A=stiff.value))
+    return Experiment(
+        "E7", "Tensile tests (Fig. 9, Table III)", estimates, tuple(findings), curves,
+        "; ".join(str(record.path) for record in records), details,
+    )
+
+
+def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord:
+    """Strain and stress, of elongation and force by the wire's own length and section."""
+    if record.is_extension and not {"wire.length", "wire.mass"} & parameters.given:
+        raise InputError(f"{record.path}: elongation instead of strain, give wire.length")
+    if record.is_force and "wire.diameter" not in parameters.given:
+        raise InputError(f"{record.path}: force instead of stress, give wire.diameter")
+    length = wire_length(parameters) if record.is_extension else 1.0
+    section = wire_section(parameters) if record.is_force else 1.0
+    about = [about_length(parameters)] if record.is_extension else []
+    return replace(
+        record, strain=record.strain / length, stress=record.stress / section,
+        findings=(*record.findings, *about), is_extension=False, is_force=False,
+    )
+
+
+def _phase(
+    record: TensileRecord, phases: Mapping[str, Phase], parameters: Parameters
+) -> Phase:
+    """What was asked for, what the file says, or what the wire's own temperatures tell."""
+    asked = [phase for pattern, phase in phases.items() if fnmatch(record.path.name, pattern)]
+    if len(set(asked)) > 1:
+        raise InputError(f"{record.path}: said to be {' and to be '.join(dict.fromkeys(asked))}")
+    if asked:
+        return asked[0]
+    if record.phase is not None:
+        return record.phase
+    give = f"give --phase {record.path.name}=martensite or =austenite"
+    kelvin = record.temperature
+    if kelvin is None:
+        raise refusal("phase without temperature", path=record.path, give=give)
+    own = {
+        phase: parameters[name] for phase, name in _FINISH.items() if name in parameters.given
+    }
+    if kelvin <= own.get("martensite", -math.inf):
+        return "martensite"
+    if kelvin >= own.get("austenite", math.inf):
+        return "austenite"
+    cause = "phase in between" if len(own) == len(_FINISH) else "phase of an unknown wire"
+    raise refusal(cause, path=record.path, kelvin=kelvin, give=give, **own)
+
+
+def _chosen(
+    phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]], findings: list[Finding]
+) -> tuple[str, list[Rise]]:
+    """Which part of the curves is the modulus, and that part of every test that shows it."""
+    initial = [reading.initial for _, reading in group]
+    if phase == "austenite":
+        return "loading before the plateau", initial
+    after = [reading.after for _, reading in group if reading.after is not None]
+    for record, reading in group:
+        if reading.after is None:
+            where = "shows no detwinning plateau"
+            if reading.plateau:
+                where = f"ends on the detwinning plateau at {reading.plateau[1]:.2%}"
+            cause = "left out" if after else "no rise after the plateau"
+            findings.append(remark(cause, name=record.path.name, where=where))
+    if after:
+        return "loading after detwinning (xi = 1 with all of eps_L in it)", after
+    return "loading before detwinning ends", initial
+
+
+def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord, ...]:
+    """The pulls of a load-frame bag at steady temperature as tensile tests. A row is a mean over a
+    part of a pull: what an extensometer scatters within one would make the wire look softer."""
+    # What tells the temperature: the wire's own, else the room's where nothing heats it. None if
+    # neither was measured; a wire that is heated unseen may have any.
+    wires = record.channels
+    heated = any(has_samples(record, f"{c}.{q}") for c in wires for q in ("voltage", "current"))
+    names = [*(f"{c}.temperature" for c in wires), *([] if heated else ["ambient.temperature"])]
+    thermometer = next((name for name in names if has_samples(record, name)), None)
+    if len(wires) > 1 or (heated and thermometer is None):
+        return ()
+    tests = []
+    for number, (start, stop) in enumerate(find_pulls(record), 1):
+        time, elongation = samples(record, "elongation")
+        force = np.interp(time, *samples(record, "force"))
+        inside = np.flatnonzero((time >= start) & (time < stop))
+        if len(inside) < FEWEST_ROWS:
+            continue
+        kelvin = None
+        if thermometer:
+            time, read = samples(record, thermometer)
+            read = read[(time >= start) & (time < stop)]
+            means = [part.mean() for part in np.array_split(read, _ROWS) if len(part)]
+            if not means or np.ptp(means) > STEADY:
+                continue
+            kelvin = float(np.mean(means))
+        rows = [row for row in np.array_split(inside, _ROWS) if len(row)]
+        strain, stress = (
+            np.array([values[row].mean() for row in rows]) / unit
+            for values, unit in (
+                (elongation, wire_length(parameters)), (force, wire_section(parameters))
+            )
+        )
+        tests.append(TensileRecord(record.path / f"pull {number}", strain, stress, kelvin))
+    return tuple(tests)

@@ -1,0 +1,319 @@
+"""The paper redrawn as one page: its figures, its Tables I to III and numbers outside them against
+identified values, its errata."""
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from importlib import resources
+from typing import Any
+
+from sma_bench.border import load_yaml
+from sma_bench.estimation.estimate import Estimate
+from sma_bench.findings import Finding
+from sma_bench.identify.result import Experiment
+from sma_bench.paper.errata import HEADER, Erratum
+from sma_bench.paper.figures import CompositeRun, composite_pictures
+from sma_bench.parameters.parameter import BY_NAME, DSC_CYCLES, TRANSITIONS
+from sma_bench.report import experiment_figures as draw
+from sma_bench.report.drawing import FAINT
+from sma_bench.report.page import Drawing, Picture, Section, captions
+from sma_bench.report.tables import Table
+
+# Figure of the paper: kind of experiment, and how it is drawn.
+EXPERIMENT_FIGURES = {
+    2: ("E1", draw.plateau_picture), 3: ("E2", draw.plateau_picture), 4: ("E3", draw.ramp_picture),
+    5: ("E3", draw.slope_picture), 7: ("E5", draw.dsc_picture), 8: ("E6", draw.upfr_picture),
+    9: ("E7", draw.tensile_picture), 10: ("E8", draw.thermal_expansion_picture),
+}  # fmt: skip
+# Set-ups and diagrams of the paper's own rigs, as they ship.
+DRAWINGS = {
+    1: "figure_01_wire_rig", 11: "figure_11_bench", 12: "figure_12_specimen",
+    13: "figure_13_moment", 14: "figure_14_block_diagram",
+}  # fmt: skip
+# Title, figures, table.
+_SECTIONS = (
+    ("Set-up for the identification, section II.B", (1,), None),
+    ("Resistance, section II.B.1", (2,), None),
+    ("Heat transfer coefficient, section II.B.2", (3,), None),
+    ("Specific heat, section II.B.3", (4, 5), None),
+    ("Thermal parameters", (), "table_1"),
+    ("Heat transfer simulation, section II.C", (6,), None),
+    ("Transition temperatures by DSC, section III.B.1", (7,), "table_2"),
+    ("Transition temperatures by UPFR, section III.B.1", (8,), None),
+    ("Young's modulus, section III.B.2", (9,), "table_3"),
+    ("Thermal expansion factor, section III.B.3", (10,), None),
+    ("Numbers outside the tables", (), "numbers_in_the_text"),
+    ("Test bench of the composite, section IV", (11, 12), None),
+    ("Bending and block diagram, section IV.A", (13, 14), None),
+    ("Simulation and experiment of the composite, section IV.C", (15, 16), None),
+)
+CSV_HEADER = (
+    "quantity", "description", "unit", "paper", "paper_std", "identified", "standard_error",
+    "data", "source",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ExperimentResults:
+    """Results of one kind of experiment: `experiments` one a record, `estimates` joined over them,
+    `synthetic` whether the records are."""
+
+    experiments: tuple[Experiment, ...]
+    estimates: dict[str, Estimate]
+    synthetic: bool
+
+
+# --- Numbers.
+
+
+@dataclass(frozen=True)
+class Row:
+    """A number of the paper and, where a record gave it, the identified one.
+
+    Attributes:
+        printed, printed_std: in `unit`, NaN where none is printed.
+        kind: experiment that finds it; name: its estimate there or, with a star for anything, a
+            detail.
+        scale: from SI to the unit; reason: why synthetic data give another one.
+        estimate: None where it was not identified; synthetic: whether of synthetic data; source: of
+            which records, or why there is none.
+    """
+
+    symbol: str
+    description: str
+    unit: str
+    printed: float
+    printed_std: float
+    kind: str
+    name: str
+    scale: float = 1.0
+    reason: str = ""
+    estimate: Estimate | None = None
+    synthetic: bool = False
+    source: str = ""
+
+    @property
+    def value(self) -> float:
+        """Identified, in the unit of the table; NaN if there is none."""
+        return self.estimate.value * self.scale if self.estimate else math.nan
+
+    @property
+    def std(self) -> float:
+        """Its standard error, likewise."""
+        return self.estimate.std * self.scale if self.estimate else math.nan
+
+    @property
+    def cells(self) -> tuple[str, str, str]:
+        """The paper's number with its deviation, the identified one, and its standard error: as
+        many decimals as two digits of the error need."""
+        std = "" if math.isnan(self.printed_std) else f" ± {self.printed_std:g}"
+        paper = "none" if math.isnan(self.printed) else f"{self.printed:g}{std}"
+        if self.estimate is None:
+            return paper, "", ""
+        decimals = max(1 - math.floor(math.log10(self.std)), 0) if self.std > 0.0 else 4
+        return paper, f"{self.value:.{decimals}f}", f"{self.std:.{decimals}f}"
+
+    @property
+    def origin(self) -> str:
+        """Experiment, and whether its data are synthetic; why they differ then."""
+        if self.estimate is None:
+            return self.source
+        data = "synthetic" if self.synthetic else "record given"
+        why = f"; {self.reason}" if self.synthetic and self.reason else ""
+        return f"{self.kind.partition(' ')[0]}, {data}{why}"
+
+
+def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
+    text = resources.files("sma_bench.paper").joinpath("tables.yaml").read_text("utf-8")
+    found: dict[str, tuple[str, tuple[Row, ...]]] = {}
+    for table, content in load_yaml(text).items():
+        rows = []
+        for row in content["rows"]:
+            # What does not stand in the row is the parameter's.
+            value, std = row.pop("printed", None), row.pop("std", math.nan)
+            if value is None:
+                known, scale = BY_NAME[row["name"]], row.get("scale", 1.0)
+                default: Any = known.default
+                std = scale * (known.uncertainty or 0.0) if std is True else std
+                value = scale * default
+            rows.append(Row(printed=value, printed_std=std, **row))
+        found[table] = content["title"], tuple(rows)
+    cycles = [
+        Row(symbol, f"heat cycle {k}", "K", value, math.nan, "E5", f"cycle {k}, *: {symbol}")
+        for k, values in enumerate(DSC_CYCLES, start=1) for symbol, value in values.items()
+    ]  # fmt: skip
+    loaded = [
+        Row(symbol, "E6, under a held load, stress free", "K", math.nan, math.nan, "E6", name)
+        for symbol, name in TRANSITIONS.items()
+    ]
+    return found | {"table_2": (found["table_2"][0], (*cycles, *loaded))}
+
+
+TABLES = _tables()
+"""title and rows by name, in the order of tables.yaml"""
+
+
+def table_rows(name: str, outcomes: Mapping[str, ExperimentResults]) -> list[Row]:
+    """Rows of a table of TABLES with what the outcomes identified, an estimate or the first detail
+    of that name."""
+    rows = []
+    for row in TABLES[name][1]:
+        outcome = outcomes.get(row.kind)
+        if outcome is None:
+            rows.append(replace(row, source="not identified" if row.kind else "taken as given"))
+            continue
+        head, star, tail = row.name.partition("*")
+        details = (
+            estimate for e in outcome.experiments for key, estimate in e.details.items()
+            if (key.startswith(head) and key.endswith(tail) if star else key == head)
+        )  # fmt: skip
+        estimate = outcome.estimates.get(row.name) or next(details, None)
+        source = "; ".join(dict.fromkeys(e.source for e in outcome.experiments))
+        rows.append(replace(row, estimate=estimate, synthetic=outcome.synthetic, source=source))
+    return rows
+
+
+def html_table(name: str, rows: Sequence[Row]) -> Table:
+    """A table in the paper's form; Table II one line a cycle."""
+    if name != "table_2":
+        own = ("", "", "paper", "identified", "standard error", "unit", "from")
+        cells = [(r.symbol, r.description, *r.cells, r.unit, r.origin) for r in rows]
+        return Table(own, cells, frozenset({2, 3, 4}))
+    lines: list[Sequence[str]] = []
+    for description in dict.fromkeys(row.description for row in rows):
+        mine = [row for row in rows if row.description == description]
+        lines.append([description, "paper", *(row.cells[0] for row in mine)])
+        found = [" ± ".join(filter(None, row.cells[1:])) for row in mine]
+        lines.append(["", f"identified, {mine[0].origin}", *found])
+    header = ("", "", *(f"{symbol} [K]" for symbol in TRANSITIONS))
+    return Table(header, lines, frozenset(range(2, len(header))))
+
+
+def csv_table(rows: Sequence[Row]) -> Table:
+    """The rows as they are written, one number a line, full precision."""
+    lines = []
+    for row in rows:
+        data = "" if row.estimate is None else "synthetic" if row.synthetic else "record"
+        numbers = (row.printed, row.printed_std, row.value, row.std)
+        cells = ["" if math.isnan(number) else f"{number:.10g}" for number in numbers]
+        lines.append((row.symbol, row.description, row.unit, *cells, data, row.source))
+    return Table(CSV_HEADER, lines)
+
+
+# --- Figures.
+
+
+def paper_pictures(
+    outcomes: Mapping[str, ExperimentResults], validation: Picture, runs: Sequence[CompositeRun],
+    synthetic: Collection[int],
+) -> dict[int, list[Picture | Drawing]]:
+    """Pictures by figure number of the paper, captions with equation and data source; `validation`
+    is Fig. 6, `synthetic` says which of figures 6, 15 and 16 are of synthetic data."""
+    voltage, deflection = composite_pictures(runs)
+    found: dict[int, list[Picture | Drawing]] = {
+        number: [_captioned(picture, number in synthetic, number)]
+        for number, picture in ((6, validation), (15, voltage), (16, deflection))
+    }
+    for number, (kind, picture_of) in EXPERIMENT_FIGURES.items():
+        found[number] = []
+        for k, experiment in enumerate(outcomes[kind].experiments, 1):
+            picture = _captioned(picture_of(experiment), outcomes[kind].synthetic, number)
+            name = f"{picture.name}_{k}" if k > 1 else picture.name
+            found[number].append(replace(picture, name=name))
+    for number, name in DRAWINGS.items():
+        folder, text = resources.files("sma_bench.paper").joinpath("drawings"), captions()[name]
+        caption = f"{text['caption']} Data: none, the numbers are the paper's."
+        svg = folder.joinpath(f"{name}.svg").read_bytes()
+        found[number] = [Drawing(name, f"Fig. {number}: {text['title']}", caption, svg)]
+    return dict(sorted(found.items()))
+
+
+def _captioned(picture: Picture, synthetic: bool, number: int = 0) -> Picture:
+    """With its number, if it has one, and its data's source, in the picture too: the PNG may go its
+    own way."""
+    text = "synthetic data" if synthetic else "data: record given"
+    picture.figure.axes[0].set_title(text, loc="right", fontsize=8, color=FAINT, style="italic")
+    origin = captions()[picture.name]["synthetic"]
+    data = f"Data: synthetic ({origin})." if synthetic else "Data: record given."
+    caption = f"{picture.caption.rstrip('. ')}. {data}"
+    title = f"Fig. {number}: {picture.title}" if number else picture.title
+    return replace(picture, title=title, caption=caption)
+
+
+# --- The page.
+
+
+@dataclass(frozen=True)
+class PaperPage:
+    """Everything the page shows: `outcomes` by kind of experiment, `pictures` by figure of the
+    paper, rows of `tables` by name of TABLES, `errata` at the end and `notes` at the beginning."""
+
+    outcomes: Mapping[str, ExperimentResults]
+    pictures: Mapping[int, Sequence[Picture | Drawing]]
+    tables: Mapping[str, Sequence[Row]]
+    errata: Sequence[Erratum]
+    notes: Sequence[Finding] = ()
+
+    def sections(self) -> list[Section]:
+        """In the paper's order; figures and tables with warnings of the experiments behind them."""
+        text = (
+            "Figures 1 and 11 to 14 show set-ups and diagrams of the paper's own rigs. Tables are "
+            "written as CSV, figures as PNG beside this page."
+        )
+        sections = [Section("", [text], [str(note) for note in self.notes])]
+        for title, numbers, name in _SECTIONS:
+            kinds = {EXPERIMENT_FIGURES[n][0] for n in numbers if n in EXPERIMENT_FIGURES}
+            findings = dict.fromkeys(
+                f"{finding.subject}: {finding.text}"
+                for kind in kinds for experiment in self.outcomes[kind].experiments
+                for finding in experiment.findings
+                if finding.severity != "info" or finding.subject == "prestrain"
+            )  # fmt: skip
+            sections.append(Section(
+                TABLES[name][0] if name and not numbers else title,
+                notes=[*findings],
+                tables=[html_table(name, self.tables[name])] if name else [],
+                pictures=[picture for number in numbers for picture in self.pictures[number]],
+            ))  # fmt: skip
+
+        # C_A and C_M, which the paper uses and does not give; the errata.
+        stresses = self.outcomes["E6 stresses"]
+        sections.append(Section(
+            "Influence of stress, section III.B.4 (no figure in the paper)",
+            pictures=[
+                _captioned(draw.stress_temperature_picture(experiment), stresses.synthetic)
+                for experiment in stresses.experiments if draw.has_diagram(experiment)
+            ],
+        ))  # fmt: skip
+        text = (
+            "Where the paper is wrong, and what the package computes instead. Printed forms stay "
+            "callable (sma_bench.paper.printed) and are evaluated here with the paper's numbers; "
+            "geometry, C_A and C_M, which it does not give, are assumed (docs/parameters.md)."
+        )
+        sections.append(Section("Errata", [text]))
+        for e in self.errata:
+            table = Table(HEADER, [("form", e.printed, e.corrected, ""), *e.lines])
+            title = f"Erratum {e.number}: {e.place}"
+            sections.append(Section(title, tables=[table], notes=[e.remark]))
+        return sections
+
+    def to_json(self) -> dict[str, Any]:
+        """Tables, errata, captions and remarks."""
+        tables = {}
+        for name, rows in self.tables.items():
+            tables[name] = [
+                {"quantity": row.symbol, "description": row.description, "unit": row.unit,
+                 "paper": row.printed, "synthetic": row.synthetic, "source": row.source,
+                 "identified": {"value": row.value, "std": row.std} if row.estimate else None}
+                for row in rows
+            ]  # fmt: skip
+        figures = {
+            str(number): [
+                {"title": p.title, "caption": p.caption, "file": f"{p.name}.{p.kind}"}
+                for p in pictures
+            ]
+            for number, pictures in self.pictures.items()
+        }
+        warnings = [f"{note.subject}: {note.text}" for note in self.notes]
+        errata = [asdict(erratum) for erratum in self.errata]
+        return {"figures": figures, "tables": tables, "errata": errata, "warnings": warnings}

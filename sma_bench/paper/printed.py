@@ -1,0 +1,145 @@
+"""Equations as the paper prints them, where they are wrong, and the coefficients of eqs. (18) to
+(23) printed beside corrected.
+
+The derivation, from rest (sigma_0 = 0, xi_0 = 1, T_0 = T_inf) and about a point *:
+
+    sigma = E(xi)(eps - eps_0) + Theta_T (T - T_0) - eps_L E(xi)(xi - xi_0)           (6), (7), (9)
+    dsigma/deps = E(xi*) = a_1,    dsigma/dT = Theta_T,    dsigma/dxi = -eps_L E_A + a_2,
+
+so that a_2 = (E_M - E_A) [eps_L (xi_0 - 2 xi*) + eps* - eps_0], and a_3 makes the line pass through
+the point. xi = b_1 (T* - T + (sigma - sigma*)/C_A) + b_2 is eq. (10) to first order, eq. (21)
+likewise with C_M.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
+from sma_bench.physics import bending, material
+from sma_bench.physics.bending import Beam
+from sma_bench.physics.boundary import side_of_channels
+from sma_bench.physics.linearised import Branch, OperatingPoint, linearise
+from sma_bench.physics.material import heated_resistance
+
+
+def as_printed(beam: Beam) -> Beam:
+    """The beam of eqs. (14) to (17) as printed: one width, so that its wires are a sheet."""
+    return replace(beam, layer_width=beam.width)
+
+
+def bending_stiffness_as_printed(beam: Beam) -> float:
+    """EI as printed below eq. (14): the width at the first term only, 12 at E_c h_c only."""
+    matrix, layer = beam.modulus * beam.thickness, beam.layer_modulus * beam.layer_thickness
+    return bending.stiffness_terms(beam, beam.width) / (12.0 * matrix + layer)
+
+
+def deflection_as_printed(strain: float, beam: Beam) -> float:
+    """Deflection [m] as eq. (17) is printed: twice the integral of eq. (16), with one width."""
+    return beam.length**2 * bending.curvature(strain, as_printed(beam))
+
+
+def kinetics_slopes(
+    branch: Branch, kelvin: float, sigma: float, parameters: Parameters
+) -> tuple[float, float, float]:
+    """b_1 of eq. (20) or b_3 of eq. (21): as printed, a number times kelvin and pascal; corrected
+    for kelvin [1/K] and for pascal [1/Pa]."""
+    phase = {"heating": "austenite", "cooling": "martensite"}[branch]
+    ramp = {"heating": material.austenite_ramp, "cooling": material.martensite_ramp}[branch]
+    share = float(ramp(kelvin, sigma, parameters))
+    printed = math.sqrt(share * (1.0 - share))  # sin(x)/2 where the ramp is (1 +- cos x)/2
+    start, finish = (parameters[f"wire.{phase}_{end}_temperature"] for end in ("start", "finish"))
+    per_kelvin = math.pi / abs(finish - start) * printed
+    return printed, per_kelvin, per_kelvin / parameters[f"wire.stress_influence_{phase}"]
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A row of `coefficient_table`: printed and corrected values."""
+
+    name: str
+    equation: str
+    unit: str
+    printed: float
+    corrected: float
+    remark: str
+
+
+def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]:
+    """Every coefficient of eqs. (18) to (23), printed beside corrected, for one wire at a point.
+    Raises InputError: no such wire."""
+    if not 0 <= wire < point.temperature.size:
+        raise InputError(f"wire {wire}, expected 0 to {point.temperature.size - 1}")
+    parameters, number = point.parameters, int(side_of_channels(point.parameters)[wire])
+    kelvin, sigma, xi, volt = (
+        float(of_wires[wire]) for of_wires in
+        (point.temperature, point.stress, point.martensite_fraction, point.voltage)
+    )  # fmt: skip
+    stretch = float(point.boundary.stretch_of_wires(parameters)[wire])
+    strain = stretch - float(point.contraction[number])
+
+    # Eq. (18), of the constitutive law: the sign of eps* - eps_0 is flipped.
+    change = parameters["wire.martensite_modulus"] - parameters["wire.austenite_modulus"]
+    limit, modulus = parameters["wire.maximum_recoverable_strain"], float(
+        material.modulus(xi, parameters)
+    )
+    a2, a3 = (
+        [change * factor * (limit * of_xi + sign * strain) for sign in signs]
+        for factor, of_xi, signs in ((1.0, 1.0 - 2.0 * xi, (-1, 1)), (xi, xi, (1, -1)))
+    )
+    # Eq. (19), of the heating V^2/R: as printed it cools and adds a number to a voltage.
+    ohm = heated_resistance(parameters)
+    heat, per_volt = volt**2 / ohm, 2.0 * volt / ohm
+    # Eqs. (20), (21), of the kinetics.
+    b1, b1_kelvin, b1_pascal = kinetics_slopes("heating", kelvin, sigma, parameters)
+    b3, b3_kelvin, b3_pascal = kinetics_slopes("cooling", kelvin, sigma, parameters)
+    b2, b4 = (
+        float(law(kelvin, sigma, parameters))
+        for law in (material.heated_fraction, material.cooled_fraction)
+    )
+    sign = "sign of eps* - eps_0"
+    rows = [
+        ("a_1", "(18)", "Pa", modulus, modulus, "right"),
+        ("a_2", "(18)", "Pa", *a2, sign),
+        ("a_3", "(18)", "Pa", *a3, sign),
+        ("heating at V*", "(19)", "W", -volt / ohm * (1.0 + 2.0 * volt), heat,
+         "+(V*/R)(2V - V*), not -(V*/R)(1 + 2V)"),
+        ("heating per volt", "(19)", "W/V", -per_volt, per_volt, "sign"),
+        ("b_1", "(20)", "1/K", b1, b1_kelvin, "factor pi/(A_f - A_s)"),
+        ("b_1 of stress", "(20)", "1/Pa", b1, b1_pascal, "sigma needs 1/C_A"),
+        ("b_2", "(20)", "1", b2, b2, "right"),
+        ("b_3", "(21)", "1/K", b3, b3_kelvin, "factor pi/(M_s - M_f)"),
+        ("b_3 of stress", "(21)", "1/Pa", b3, b3_pascal, "sigma needs 1/C_M"),
+        ("b_4", "(21)", "1", b4, b4, "right"),
+    ]
+
+    # Eqs. (22), (23), of a beam, and what all of them give together, for one wire.
+    if point.boundary.contraction is None and load_kind(parameters) == "beam":
+        alpha, *betas = bending.bending_coefficients(parameters)
+        beta = betas[parameters["bench.channel_sides"][wire] == "back"]
+        beam = Beam.of(parameters)
+        alpha_printed = deflection_as_printed(1.0, beam)
+        beta_printed = 2.0 * bending_stiffness_as_printed(beam) / (
+            beam.offset * beam.wire_section * beam.length**2
+        )
+        together = int((side_of_channels(parameters) == number).sum())
+        # beta delta = a_1 delta/alpha + Theta T + pull xi,  xi = rate (-T + beta delta)
+        pull = a2[0] - limit * parameters["wire.austenite_modulus"]
+        rate = b1 if point.branch == "heating" else b3
+        gain = (parameters["wire.thermal_expansion_factor"] - pull * rate) / (
+            beta_printed - modulus / alpha_printed - pull * rate * beta_printed
+        )
+        rows += [
+            ("alpha", "(22)", "m", alpha_printed, alpha,
+             "3 l^2/h_c, not 6: eq. (16) integrated twice"),
+            ("strain per deflection", "(22)", "1/m", 1.0 / alpha_printed, -1.0 / alpha,
+             "the strain is a contraction"),
+            ("beta", "(23)", "Pa/m", beta_printed, beta, "EI of eq. (14): width and brackets"),
+            ("stiffness", "(22), (23)", "Pa/m", beta_printed - modulus / alpha_printed,
+             beta + together * modulus / alpha, "beta + sum E/alpha, not beta - E/alpha"),
+            ("deflection per kelvin", "(18)-(23)", "m/K", gain,
+             abs(float(linearise(point).deflection_per_kelvin[wire])),
+             "all of the above; magnitude, one wire"),
+        ]
+    return [Coefficient(*row) for row in rows]

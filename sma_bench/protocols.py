@@ -1,0 +1,533 @@
+"""Protocols and references (docs/how_to/own_protocol.md): piecewise-linear levels of every channel
+over time, read from YAML, every mistake in one line.
+
+    load: force               # optional: what a bench without load.kind holds meanwhile
+    repeat: 2                 # optional, of the whole
+    steps:
+      - {kind: triangle, name: heat, drive: front, peak: 6.0, rise: 30.0, fall: 30.0}
+      - {kind: rest, duration: 60.0, until: settled}
+
+A reference, what a controller shall follow, has `unit: K` (wire temperatures, rest at ambient) or
+`unit: m` (deflection of the tip, positive toward the front) instead of a load. How far a bench can
+go is not known here: controllers refuse what it cannot reach.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.border import read_yaml, shown
+from sma_bench.errors import InputError, did_you_mean
+from sma_bench.installation import share_directory
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import LOAD_KINDS
+
+Array = NDArray[np.float64]
+
+# s: a command clock sums periods such as 0.05 s; the rounding of that sum must not delay a step by
+# one whole period.
+_TIME_ROUNDING = 1e-6
+_PAPER_FORCE = 1.0  # N, E6 (section III.B.1)
+# What still counts as settled: the means of the two halves of a window differ by less [K, m].
+_SETTLED_WITHIN = {"temperature": 0.1, "deflection": 0.05e-3}
+
+
+@dataclass(frozen=True)
+class Until:
+    """What ends a step before its time, whichever comes first."""
+
+    # Levels by quantity: K of the hottest wire that the step drives, or m of the deflection.
+    above: Mapping[str, float] = field(default_factory=dict)
+    below: Mapping[str, float] = field(default_factory=dict)
+    # Quantities that must all have settled, over a window of s; ("",): whatever is measured.
+    settled: tuple[str, ...] = ()
+    over: float = 5.0
+
+    @property
+    def quantities(self) -> set[str]:
+        return {*self.above, *self.below, *self.settled} - {""}
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A straight line: from `start` to `stop` (levels, one per channel) in `duration` s at most.
+    `step` is what people and markers call it; `until` ends it earlier; `force` (N) is what the load
+    frame has come to by its end, None where it goes on holding what it held."""
+
+    step: str
+    duration: float
+    start: tuple[float, ...]
+    stop: tuple[float, ...]
+    until: Until | None = None
+    force: float | None = None
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """Named sequence of segments for `channels`; `rest` before its start and after its end. `load`
+    is the load.kind of a bench whose own is not given."""
+
+    name: str
+    channels: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    description: str = ""
+    rest: float = 0.0
+    load: str = ""
+
+    def bench(self, parameters: Parameters) -> Parameters:
+        """The bench that runs it: one without a stated load holds what the protocol asks for,
+        `load.force`, or the paper's 1 N."""
+        if not self.load or parameters["load.kind"] or len(parameters["bench.channels"]) > 1:
+            return parameters
+        force = parameters["load.force"] or _PAPER_FORCE
+        return parameters.replace({"load.kind": self.load, "load.force": force})
+
+    @cached_property
+    def _edges(self) -> Array:
+        return np.concatenate([[0.0], np.cumsum([s.duration for s in self.segments])])
+
+    @cached_property
+    def _levels(self) -> Array:
+        """(n, 2, w), at the start and the stop of every segment."""
+        return np.array([(s.start, s.stop) for s in self.segments], dtype=float)
+
+    @property
+    def duration(self) -> float:
+        """Length of the protocol in s; where steps wait for something, the longest."""
+        return float(self._edges[-1])
+
+    @property
+    def length(self) -> str:
+        return f"{self.duration:g} s{' at most' * self.waits}"
+
+    @property
+    def waits(self) -> bool:
+        return any(segment.until for segment in self.segments)
+
+    @property
+    def pulls(self) -> bool:
+        """Whether its steps change the force that a load frame holds."""
+        return any(segment.force is not None for segment in self.segments)
+
+    def forces(self, time: Array, first: float) -> Array:
+        """(n,) N that the load frame holds, `first` before any step says so."""
+        held = [first]
+        for segment in self.segments:
+            held.append(held[-1] if segment.force is None else segment.force)
+        return np.interp(time, self._edges, held)
+
+    def voltage(self, t: float) -> Array:
+        """Voltage (w,) in V of every channel at `t` s; at a jump, the value after it."""
+        return self.voltages(np.array([t], dtype=float))[0]
+
+    level = voltage  # of a reference, K or m
+
+    def voltages(self, time: Array) -> Array:
+        """Voltage (n, w) in V at `time` (n,) in s."""
+        time = np.asarray(time, dtype=float) + _TIME_ROUNDING
+        inside = (time >= 0.0) & (time < self.duration)
+        index = self._index(time)
+        first, last = self._edges[index], self._edges[index + 1]
+        fraction = np.clip((time - _TIME_ROUNDING - first) / (last - first), 0.0, 1.0)
+        start, stop = self._levels[index].swapaxes(0, 1)
+        return np.where(inside[:, None], start + fraction[:, None] * (stop - start), self.rest)
+
+    def sample(self, period: float) -> tuple[Array, Array]:
+        """Time (n,) in s from 0 to past the end every `period` s, and voltage (n, w) in V, the last
+        at rest. ValueError where the period is not positive."""
+        if not period > 0.0:
+            raise ValueError(f"sample period is {period} s, expected more than 0")
+        count = int(np.ceil(self.duration / period - _TIME_ROUNDING)) + 1
+        time: Array = np.arange(count, dtype=np.float64) * np.float64(period)
+        return time, self.voltages(time)
+
+    def step_at(self, t: float) -> str:
+        """Name of the step at `t` s; "" before the start and after the end."""
+        inside = 0.0 <= t + _TIME_ROUNDING < self.duration
+        return self.segments[self.place(t)[0]].step if inside else ""
+
+    def place(self, t: float) -> tuple[int, float]:
+        """Number of the segment at `t` s, and s from there to its end."""
+        index = int(self._index(np.array([t + _TIME_ROUNDING]))[0])
+        return index, float(self._edges[index + 1]) - t
+
+    def _index(self, time: Array) -> NDArray[np.intp]:
+        return np.searchsorted(self._edges[1:-1], time, side="right")
+
+
+class Waiting:
+    """Ends the steps of a protocol by what is measured: readings in, s to pass over out; its times
+    are the bench's."""
+
+    def __init__(self, protocol: Protocol) -> None:
+        self.protocol = protocol
+        self._segment, self._begun = -1, 0.0
+        # Newest value, and the last ones with their times, by quantity and channel.
+        self._last: dict[tuple[str, str], float] = {}
+        self._since: dict[tuple[str, str], deque[tuple[float, float]]] = {}
+
+    def heard(self, quantity: str, channel: str, value: float, time: float) -> None:
+        """A reading in K of a channel, or in m; NaN is none."""
+        if np.isfinite(value):
+            self._last[quantity, channel] = value
+            history = self._since.setdefault((quantity, channel), deque())
+            history.append((time, value))
+            until = self.protocol.segments[max(self._segment, 0)].until or Until()
+            while history[0][0] < time - until.over:
+                history.popleft()
+
+    def passed_over(self, elapsed: float, time: float) -> float:
+        """s of the protocol that are left out at `elapsed` s of it: a step, which lasts one call at
+        least, has found its end."""
+        index, left = self.protocol.place(elapsed)
+        if index != self._segment:
+            self._segment, self._begun = index, time
+            self._since.clear()
+            return 0.0
+        segment = self.protocol.segments[index]
+        if (until := segment.until) is None:
+            return 0.0
+
+        # Readings that count: of the wires that are driven, where any is.
+        rest = self.protocol.rest
+        levels = zip(self.protocol.channels, segment.start, segment.stop, strict=True)
+        driven = {name for name, start, stop in levels if start != rest or stop != rest}
+
+        def counting(quantity: str) -> list[tuple[str, str]]:
+            keys = [key for key in self._last if quantity in ("", key[0])]
+            own = [key for key in keys if key[0] == "deflection" or key[1] in driven]
+            return own if any(key[0] != "deflection" for key in own) else keys
+
+        def now(quantity: str) -> float:
+            return max((self._last[key] for key in counting(quantity)), default=np.nan)
+
+        over = any(now(quantity) >= level for quantity, level in until.above.items())
+        over |= any(now(quantity) <= level for quantity, level in until.below.items())
+        if until.settled and time - self._begun >= until.over:
+            keys = [key for quantity in until.settled for key in counting(quantity)]
+            over |= bool(keys) and all(self._at_rest(key, until.over, time) for key in keys)
+        return left if over else 0.0
+
+    def _at_rest(self, key: tuple[str, str], over: float, time: float) -> bool:
+        history = [(t, value) for t, value in self._since.get(key, ()) if t > time - over]
+        older = [value for t, value in history if t <= time - 0.5 * over]
+        newer = [value for t, value in history if t > time - 0.5 * over]
+        if not older or not newer:
+            return False
+        return bool(abs(np.mean(newer) - np.mean(older)) < _SETTLED_WITHIN[key[0]])
+
+
+# --- What the levels of a file are
+
+TIP = "tip"
+
+
+class Quantity(NamedTuple):
+    """What the levels of a file are."""
+
+    what: str  # how error lines call such a file
+    folder: str  # below config, where named ones lie
+    unit: str  # of the levels
+    key: str  # that the document may have besides a protocol's
+    tip: bool = False  # a step drives the tip, not channels
+
+    def targets(self, parameters: Parameters) -> tuple[str, ...]:
+        """Names that a step may drive."""
+        return (TIP,) if self.tip else tuple(parameters["bench.channels"])
+
+    def rest(self, parameters: Parameters) -> float:
+        return float(parameters["environment.ambient_temperature"]) if self.unit == "K" else 0.0
+
+
+VOLTAGE = Quantity("protocol", "protocols", "V", "load")
+TEMPERATURE = Quantity("reference", "references", "K", "unit")
+DEFLECTION = Quantity("reference", "references", "m", "unit", tip=True)
+
+
+def protocol_names(quantity: Quantity = VOLTAGE) -> list[str]:
+    """Names of the protocols, or references, that come with the package."""
+    folder = share_directory() / "config" / quantity.folder
+    return sorted(path.stem for path in folder.glob("*.yaml"))
+
+
+def is_path(name_or_path: str) -> bool:
+    """Whether a text is the path of a file rather than the name of one of the package's."""
+    path = Path(name_or_path)
+    return path.suffix in (".yaml", ".yml") or path.parent != Path(".")
+
+
+def load_protocol(
+    name_or_path: str | Path, parameters: Parameters, quantity: Quantity = VOLTAGE
+) -> Protocol:
+    """Read a protocol, or a reference, by its name (`staircase`, in the share folder's config) or
+    by the path of its file, for a bench of these parameters. Raises InputError: no such file, not
+    YAML, or a step that is wrong or above the bench's limits; the line names file and step."""
+    text, shipped = str(name_or_path), protocol_names(quantity)
+    names, path = ", ".join(shipped), Path(text)
+    if not text:
+        raise InputError(f"{quantity.what}: no name given, there are {names}")
+    if not is_path(text):
+        if text not in shipped:
+            hint = did_you_mean(text, shipped)
+            if " " in text:
+                hint = "; steps in words are not taken, see docs/how_to/own_protocol.md"
+            raise InputError(
+                f"{quantity.what} {shown(text)}: not one of {names} nor a .yaml file{hint}"
+            )
+        path = share_directory() / "config" / quantity.folder / f"{text}.yaml"
+    return parse_protocol(read_yaml(path), parameters, str(path), path.stem, quantity)
+
+
+MAXIMUM_LEVELS, MAXIMUM_REPEAT, MAXIMUM_SEGMENTS = 10_000, 10_000, 100_000
+MAXIMUM_SECONDS = 7 * 24 * 3600.0
+_LARGEST_FORCE = 1e4  # N
+
+
+def parse_protocol(
+    document: Any, parameters: Parameters, where: str = "", name: str = "",
+    quantity: Quantity = VOLTAGE,
+) -> Protocol:
+    """A Protocol from what a protocol's or reference's YAML file holds. `where` leads every error
+    line, `name` is the protocol's where the document has none; InputError as `load_protocol`."""
+    with _errors_in(where or quantity.what):
+        given = document.get("unit") if isinstance(document, dict) else quantity.unit
+        if quantity.key == "unit" and given != quantity.unit:
+            raise InputError(f"unit is {given!r}, expected {quantity.unit}")
+        keys = ("name", "description", "repeat", "steps", quantity.key)
+        _require_keys(document, keys, ("steps",))
+        steps, times = document["steps"], _repeat(document)
+        if not isinstance(steps, list) or not steps:
+            raise InputError("steps: expected a list of one step or more")
+        once: list[Segment] = []
+        for number, step in enumerate(steps, 1):
+            if not isinstance(step, dict):
+                raise InputError(f"step {number}: is {step!r}, expected a mapping with a kind")
+            label = str(step.get("name") or step.get("kind"))
+            with _errors_in(f"step {number} ({shown(label)})"):
+                once += _segments(step, label, parameters, quantity)
+            if len(once) * times > MAXIMUM_SEGMENTS:
+                raise InputError(f"more than {MAXIMUM_SEGMENTS} segments")
+        seconds = sum(segment.duration for segment in once) * times
+        if seconds > MAXIMUM_SECONDS:
+            raise InputError(f"lasts {seconds:g} s, expected at most {MAXIMUM_SECONDS:g} s")
+        load = _text(document, "load")
+        if load and load not in LOAD_KINDS:
+            raise InputError(f"load is {load!r}, expected {', '.join(LOAD_KINDS)}")
+        protocol = Protocol(
+            _text(document, "name") or name or quantity.what, quantity.targets(parameters),
+            tuple(_repeated(once, times)), _text(document, "description"),
+            quantity.rest(parameters), load,
+        )
+        if protocol.pulls and (load != "force" or protocol.waits):
+            raise InputError(
+                "a step has a force, expected load: force beside the steps, and no until"
+            )
+    return protocol
+
+
+# --- One step
+
+# Of each kind of step the levels and the seconds that it needs.
+_KINDS = {
+    "staircase": (("start", "stop", "increment"), ("dwell",)),
+    "ramp": (("start", "stop"), ("duration",)),
+    "triangle": (("peak",), ("rise", "fall")),
+    "step": (("level",), ("duration",)),
+    "hold": (("level",), ("duration",)),
+    "rest": ((), ("duration",)),
+}
+_STEP_KEYS = ("kind", "name", "drive", "repeat", "until", "force")
+
+
+def _segments(
+    step: Mapping[str, Any], label: str, parameters: Parameters, quantity: Quantity
+) -> list[Segment]:
+    # Its kind, and the numbers that such a step has.
+    kind = step.get("kind")
+    _text(step, "name")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise InputError(f"kind is {kind!r}, expected one of {', '.join(_KINDS)}")
+    levels, seconds = _KINDS[kind]
+    _require_keys(step, (*_STEP_KEYS, *levels, *seconds), (*levels, *seconds))
+    if kind == "rest" and "drive" in step:
+        raise InputError(f"drive: a {kind} drives nothing")
+    n = {key: _number(step, key, quantity.unit) for key in levels}
+    n |= {key: _number(step, key, "s", positive=True) for key in seconds}
+    for key in levels if quantity is VOLTAGE else ():
+        said, highest = f"{key} is {n[key]:g} V", parameters["bench.maximum_voltage"]
+        ohm, most = parameters["wire.resistance"], parameters["bench.maximum_current"]
+        if not 0.0 <= n[key] <= highest:
+            raise InputError(f"{said}, expected 0 to {highest:g} V")
+        if n[key] / ohm > most:
+            raise InputError(
+                f"{said}, which drives {n[key] / ohm:.3g} A through {ohm:g} ohm, expected at most "
+                f"{most:g} A"
+            )
+
+    # Its lines: label, duration, first and last level of what is driven.
+    rest = quantity.rest(parameters)
+    if kind == "staircase":
+        lines = _staircase(n, quantity.unit)
+    elif kind == "triangle":
+        lines = [("rise", n["rise"], rest, n["peak"]), ("fall", n["fall"], n["peak"], rest)]
+    else:
+        first = n.get("start", n.get("level", rest))
+        lines = [("", n["duration"], first, n.get("stop", first))]
+    times = _repeat(step)
+    if len(lines) * times > MAXIMUM_SEGMENTS:
+        raise InputError(f"more than {MAXIMUM_SEGMENTS} segments")
+
+    # The channels that it drives.
+    channels, drive = quantity.targets(parameters), step.get("drive", "all")
+    sides = () if quantity.tip else tuple(parameters["bench.channel_sides"])
+    if drive == "all":
+        driven = [True] * len(channels)
+    elif drive in ("front", "back"):
+        if drive not in sides:
+            raise InputError(
+                f"drive is {drive}, but no channel is on that side: the parameters are of "
+                f"a bench of {', '.join(channels)} ({', '.join(dict.fromkeys(sides))})"
+            )
+        driven = [side == drive for side in sides]
+    elif not isinstance(drive, list):
+        raise InputError(f"drive is {drive!r}, expected front, back, all or a list of channels")
+    else:
+        for channel in drive:
+            if channel not in channels:
+                raise InputError(f"drive: channel {channel!r} is not one of {', '.join(channels)}")
+        driven = [channel in drive for channel in channels]
+
+    # What ends it, and what the frame pulls meanwhile.
+    if "until" in step and kind == "triangle":
+        raise InputError("until: a triangle ends with its time, write ramps")
+    with _errors_in("until"):
+        until = _until(step["until"], parameters) if "until" in step else None
+    force, said = None, ""
+    if "force" in step:
+        force = _number(step, "force", "N")
+        if not 0.0 <= force <= _LARGEST_FORCE or len(lines) > 1:
+            raise InputError(
+                f"force is {force:g} N, expected 0 to {_LARGEST_FORCE:g} N in a step of one line"
+            )
+        said = f"to {force:g} N"
+    segments = [
+        Segment(
+            " ".join(word for word in (label, part, said) if word), duration,
+            tuple(start if on else rest for on in driven),
+            tuple(stop if on else rest for on in driven), until, force,
+        )
+        for part, duration, start, stop in lines
+    ]
+    return _repeated(segments, times)
+
+
+def _staircase(n: Mapping[str, float], unit: str) -> list[tuple[str, float, float, float]]:
+    """From start to stop in equal increments, each level held for dwell."""
+    span, increment = n["stop"] - n["start"], n["increment"]
+    if increment == 0.0:
+        raise InputError(f"increment is 0 {unit}, expected more")
+    count = abs(span) / increment
+    if count > MAXIMUM_LEVELS:
+        raise InputError(f"{count:.3g} levels, expected at most {MAXIMUM_LEVELS}")
+    if abs(count - round(count)) > 1e-6:
+        raise InputError(
+            f"increment {increment:g} {unit} does not divide {n['start']:g} to {n['stop']:g} {unit}"
+        )
+    steps = round(count)
+    levels = [n["start"] + span * k / max(steps, 1) for k in range(steps + 1)]
+    return [(f"{level:g} {unit}", n["dwell"], level, level) for level in levels]
+
+
+def _until(given: Any, parameters: Parameters) -> Until:
+    given = {"settled": True} if given == "settled" else given
+    thresholds = {
+        f"{quantity}_{side}": (quantity, side, unit)
+        for quantity, unit in (("temperature", "K"), ("deflection", "m"))
+        for side in ("above", "below")
+    }
+    _require_keys(given, (*thresholds, "settled", "over"), ())
+    found: dict[str, dict[str, float]] = {"above": {}, "below": {}}
+    for key in (key for key in thresholds if key in given):
+        quantity, side, unit = thresholds[key]
+        found[side][quantity] = _number(given, key, unit)
+    highest = parameters["bench.maximum_temperature"]
+    if found["above"].get("temperature", 0.0) >= highest:
+        raise InputError(
+            f"temperature_above is {found['above']['temperature']:g} K, expected less "
+            f"than bench.maximum_temperature, {highest:g} K, where the bench switches off"
+        )
+    settled = given.get("settled", False)
+    names = {True: ("",), False: (), "temperature": ("temperature",), "deflection": ("deflection",)}
+    if not isinstance(settled, bool | str) or settled not in names:
+        raise InputError(f"settled is {settled!r}, expected temperature or deflection")
+    over = _number(given, "over", "s", positive=True) if "over" in given else Until.over
+    if not any((*found.values(), names[settled])):
+        raise InputError(f"says nothing, expected {', '.join(thresholds)} or settled")
+    return Until(found["above"], found["below"], names[settled], over)
+
+
+def _repeated(segments: list[Segment], times: int) -> list[Segment]:
+    if times == 1:
+        return segments
+    rounds = range(1, times + 1)
+    return [replace(s, step=f"{s.step} {k} of {times}") for k in rounds for s in segments]
+
+
+# --- Single values
+
+
+@contextmanager
+def _errors_in(where: str) -> Iterator[None]:
+    """Error lines begin with where they were found."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{where}: {error}") from None
+
+
+def _require_keys(mapping: Any, allowed: Iterable[str], required: Iterable[str]) -> None:
+    allowed = list(allowed)
+    if not isinstance(mapping, dict):
+        raise InputError(f"expected a mapping with {', '.join(allowed)}")
+    for key in mapping:
+        if key not in allowed:
+            hint = did_you_mean(key, allowed) or f", expected {', '.join(allowed)}"
+            raise InputError(f"unknown key {key!r}{hint}")
+    for key in required:
+        if key not in mapping:
+            raise InputError(f"{key} is missing")
+
+
+def _number(step: Mapping[str, Any], key: str, unit: str, positive: bool = False) -> float:
+    value = step[key]
+    try:
+        number = math.nan if isinstance(value, (bool, str)) else float(value)
+    except (TypeError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"{key} is {value!r}, expected a number in {unit}")
+    if positive and number <= 0.0:
+        raise InputError(f"{key} is {number:g} {unit}, expected more than 0")
+    return number
+
+
+def _repeat(mapping: Mapping[str, Any]) -> int:
+    times = mapping.get("repeat", 1)
+    if isinstance(times, bool) or not isinstance(times, int) or not 1 <= times <= MAXIMUM_REPEAT:
+        raise InputError(f"repeat is {times!r}, expected 1 to {MAXIMUM_REPEAT}")
+    return times
+
+
+def _text(mapping: Mapping[str, Any], key: str) -> str:
+    value = mapping.get(key, "")
+    if not isinstance(value, str):
+        raise InputError(f"{key} is {value!r}, expected a string")
+    return value

@@ -1,0 +1,456 @@
+"""Files of instruments: runs of differential scanning calorimeters, isobaric tests (strain of a
+specimen under constant stress while its temperature cycles) and tensile ones.
+
+Of a calorimeter, text exports of PerkinElmer, TA, Netzsch, Mettler and Setaram are read, and
+anybody's table of time, temperature and heat flow. Titles have units, which TA's Universal Analysis
+writes as lines `Sig1 ...`; Pyris (PerkinElmer) writes a block a step under titles ("2) DSC
+Temperature Scan") whose columns are known. Steps of the others are cut where the measured rate
+changes its kind.
+"""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from sma_bench.border import read_bytes
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding, Severity
+from sma_bench.records import cells, instruments
+from sma_bench.records.cells import QUANTITIES, WORDS, FloatArray, parse_unit, plain_title
+from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
+from sma_bench.records.tables import Account, Column, Table, TableFile, decoded_lines
+
+_BLOCK = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
+_STEP = re.compile(
+    r"(\d{1,9})\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at "
+    r"(?P<rate>\d{1,9}+(?:\.\d*+)?+)\s*+\S?C/min)\s*$"
+)
+_SIG = re.compile(r"Sig(\d{1,9})\Z")
+_RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)
+_WINDOW = 20.0  # s over which a rate is measured
+_SHORTEST = 60.0  # s
+_LARGEST_MASS = 1e-3  # kg
+_STILL = 0.3  # of the slowest ramp
+
+# NiTi single crystals recover some 10 %: a larger span of strain is written in percent, and one
+# of less than a hundredth of that is no transformation.
+_LARGEST_SPAN = 0.12
+_CONSTANCY = 0.05  # of the stress
+_HOTTEST = 1500.0  # K
+# Coldest point of a cycle in degC: above, the values are K or degF as well.
+_COLDEST = (-150.0, 60.0)
+_UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
+_NOTES, _LARGEST_NOTE = ("source", "unit", "readme"), 100_000  # bytes
+_LARGEST = {"strain": 0.5, "stress": 3e9}  # of a tensile test, in SI units
+_PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(martensite|austenite)\b", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One table of an instrument's file, with what was stated of it in SI """
+
+    file: TableFile
+    table: Table
+    given: Mapping[str, float]
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def titles(self) -> str:
+        """Names of the columns, for a message; "" where none has a title."""
+        named = any(column.title for column in self.table.columns)
+        return ", ".join(column.name for column in self.table.columns[:12]) if named else ""
+
+    def remark(self, severity: Severity, subject: str, sentence: str, **values: Any) -> None:
+        """Note a finding: a sentence of words.yaml, whose numbers it keeps."""
+        numbers = {key: float(v) for key, v in values.items() if not isinstance(v, str)}
+        text = f"{self.file.path}: {cells.said(sentence, **values)}"
+        self.findings.append(Finding(severity, subject, text, numbers))
+
+    def refusal(self, sentence: str, **values: Any) -> InputError:
+        """A sentence of words.yaml as an error."""
+        return InputError(f"{self.file.path}: {cells.said(sentence, **values)}")
+
+    def find(self, *roles: str) -> tuple[Column, str] | None:
+        """The best column of the first of these roles that the table has, and that role."""
+        for role in roles:
+            row, is_flow, found = QUANTITIES[role], role == "heat flow", []
+            for column in self.table.columns:
+                plain, unit = plain_title(column.title), parse_unit(column.unit)
+                meant = cells.meanings(column.title, column.unit)
+                if meant in (("setpoint",), ("ambient",)) and "temp" in plain:
+                    meant = ("temperature",)  # if there is no other
+                fits = unit.quantity in row["units"] if unit else not (column.unit or is_flow)
+                if role in meant and fits and (is_flow or cells.title_meanings(column.title)):
+                    words = set(re.findall(r"[a-z]+", plain))
+                    better, worse = (
+                        sum(w in words or (len(w) > 3 and w in plain) for w in row.get(key, ()))
+                        for key in ("better", "worse")
+                    )
+                    found.append((better - 2 * worse, column))
+            if found:
+                return max(found, key=lambda pair: pair[0])[1], role
+        return None
+
+    def lacks(self, kind: str, beside: Sequence[str] = ()) -> list[str]:
+        """What a kind of test has (`instruments` in words.yaml) and the table has not."""
+        roles = WORDS["instruments"][kind].items()
+        return [what for what, names in roles if what not in beside and not self.find(*names)]
+
+    def columns(self, kind: str, beside: Sequence[str] = ()) -> dict[str, tuple[Column, str]]:
+        """Columns of a kind of test, each with its role; raises InputError where one is absent."""
+        for lacked in self.lacks(kind, beside):
+            title = f"{lacked.capitalize()} ({QUANTITIES[lacked]['example']})"
+            raise self.refusal("no_column", what=lacked, titles=self.titles or "none", title=title)
+        found = {what: self.find(*roles) for what, roles in WORDS["instruments"][kind].items()}
+        return {what: column for what, column in found.items() if column}
+
+    def titled(self, names: Sequence[str]) -> "Sheet":
+        """The table under titles that its file states elsewhere, or not at all."""
+        columns = self.table.columns
+        if len(names) != len(columns):
+            raise self.refusal("titles", columns=len(columns), titles=len(names))
+        parted = zip(columns, names, map(cells.split_title, names), strict=True)
+        named = (replace(c, name=name, title=t, unit=unit) for c, name, (t, unit) in parted)
+        return replace(self, table=replace(self.table, columns=tuple(named)))
+
+    def values(self, column: Column, role: str) -> FloatArray:
+        """(n,) in SI units; raises InputError where a cell is missing, or there is no unit."""
+        for missing in np.flatnonzero(~np.isfinite(column.values))[:1]:
+            raise self.refusal("no_number", line=self.table.lines[missing], name=column.name)
+        unit = parse_unit(column.unit)
+        if unit is None:
+            title = f"{column.title} ({QUANTITIES[role]['example']})"
+            raise self.refusal("unit_of", name=column.name, span=column.span, title=title)
+        return unit.si(column.values)
+
+    def noted(self, name: str) -> float | None:
+        """A number of `stated` in words.yaml in SI units: given, or in a line above the table."""
+        if name in self.given:
+            return self.given[name]
+        quantity = WORDS["stated"][name]["quantity"]
+        words = "|".join(map(re.escape, WORDS["stated"][name]["words"]))
+        for text in (" ".join(line).lstrip("#% ") for line in self.table.above):
+            in_key = re.match(r"[^:]*[/(\[]\s*([^\s)\]:]+)[^:]*:\D*(\d+(?:[.,]\d+)?)", text)
+            again = f" {in_key[2]} {in_key[1]}" if in_key else ""  # Mass/mg: 12
+            value = cells.number_with_unit(text + again, quantity)
+            if value and re.search(rf"(?<![a-z])(?:{words})", plain_title(text)):
+                return value
+        return None
+
+    def account(self, columns: dict[str, tuple[Column, str]], rows: int) -> Account:
+        """What became of the table's rows and columns."""
+        used = {column.name: role for column, role in columns.values()}
+        return self.file.account([self.table], rows, used, {"": "not needed"})
+
+    def is_driven(self) -> bool:
+        """Whether a title speaks of a duty, voltage or current: a bench's record."""
+        drives = (("duty",), ("current",), ("voltage",), ("supply",))
+        named = [c for c in self.table.columns if cells.title_meanings(c.title)]
+        known = (cells.meanings(c.title, c.unit) for c in named if c.unit or len(c.title) > 1)
+        return any(meant in drives for meant in known)
+
+
+# --- calorimeters
+
+
+def is_dsc(sheet: Sheet) -> bool:
+    """Whether a table has temperature and heat flow, or is an export that names them elsewhere."""
+    texts = [text for _, text in sheet.table.marks] + [" ".join(c) for c in sheet.table.above]
+    named = any(_BLOCK.match(text) or text.strip() == "StartOfData" for text in texts)
+    return named or not sheet.lacks("dsc", ["time"])
+
+
+def dsc_of(sheet: Sheet) -> DscRecord:
+    """The run in a table that `is_dsc`; its mass is stated or in a line above. Raises InputError
+    without a mass, or where a line is not what it should be."""
+    path, above = sheet.file.path, [" ".join(line) for line in sheet.table.above]
+    marks = [(0, text) for text in above] + list(sheet.table.marks)
+    header: dict[str, str] = {}
+    for line, text in zip(sheet.table.above, above, strict=True):
+        parted = len(line) > 1 and not any(":" in cell for cell in line[:3])
+        key, colon, value = text.lstrip("# ").partition(f"{line[0]} " if parted else ":")
+        if parted or colon:
+            header.setdefault((line[0] if parted else key).strip(), value.strip())
+    for text in sheet.table.left_out:
+        sheet.remark("warning", path.name, "left_out", text=text)
+    blocks = [(row, match) for row, text in marks if (match := _BLOCK.match(text))]
+    if blocks:
+        sheet = sheet.titled(WORDS["pyris"])
+        is_complete = np.isfinite([c.values for c in sheet.table.columns]).all(axis=0)
+        for row in np.flatnonzero(~is_complete)[:1]:
+            raise sheet.refusal("no_number", line=sheet.table.lines[row], name="one of its columns")
+    elif "StartOfData" in above:
+        named = {int(m[1]): " ".join(c[1:]) for c in sheet.table.above if (m := _SIG.match(c[0]))}
+        sheet = sheet.titled([named[k] for k in sorted(named)])
+    columns = sheet.columns("dsc")
+    time, temperature, flow = (sheet.values(*column) for column in columns.values())
+    kept = time >= 0.0  # TA's rows of negative time separate the steps of a method
+    time, temperature, flow = time[kept], temperature[kept], flow[kept]
+    back = np.flatnonzero(np.diff(time) < 0.0)
+    if len(back):
+        raise sheet.refusal("time_back", line=sheet.table.lines[kept][back[0] + 1])
+
+    # The mass; heat flow for a gram needs none: one of 1 mg gives the same.
+    unit, mass = parse_unit(columns["heat flow"][0].unit), sheet.noted("mass")
+    if unit is not None and unit.quantity == "specific power":
+        if mass is None:
+            mass = 1e-6
+            sheet.remark("warning", "sample mass", "for_a_gram")
+        flow = flow * mass
+    if mass is None:
+        raise sheet.refusal("no_mass")
+    if not 0.0 < mass < _LARGEST_MASS:
+        raise sheet.refusal("mass", mass=mass)
+
+    # The steps of the method: number, rate, rows.
+    baseline, program = np.zeros(len(time)), temperature
+    parts: list[tuple[int, float, slice]] = []
+    if blocks:
+        for column in sheet.table.columns:
+            if column.title in ("Baseline", "Program Temperature"):
+                columns[column.title.lower()] = column, "temperature"
+        baseline = sheet.values(columns["baseline"][0], "heat flow")
+        program = sheet.values(*columns["program temperature"])
+        # A block under its title, its rate in the method above, else by its program.
+        steps = {int(m[1]): m for line in above if (m := _STEP.match(line.strip()))}
+        ends = [row for row, _ in blocks[1:]] + [len(time)]
+        for (first, match), last in zip(blocks, ends, strict=True):
+            number, step, rate = int(match[1]), steps.get(int(match[1])), 0.0
+            if first == last:
+                raise sheet.refusal("no_segment", number=number)
+            duration = time[last - 1] - time[first]
+            if match[2] != "Isothermal" and step and step["way"]:
+                rate = (1.0 if step["way"] == "Heat" else -1.0) * float(step["rate"]) / 60.0
+            elif match[2] != "Isothermal" and not step and duration > 0.0:
+                rate = float((program[last - 1] - program[first]) / duration)
+            parts.append((number, rate, slice(first, last)))
+    else:
+        ramps = [float(m[1]) / 60.0 for _, text in marks if (m := _RAMP.search(text))]
+        parts = _cut(time, temperature, ramps)
+        if not any(rate for _, rate, _ in parts):
+            raise sheet.refusal("no_scan")
+    segments = []
+    for number, rate, part in parts:
+        values = (v[part] for v in (time, flow, baseline, temperature, program))
+        segments.append(instruments.DscSegment(number, rate, *values))
+    announced = header.get("Total Points in Run", "")
+    if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(time):
+        sheet.remark("warning", path.name, "cut_short", points=len(time), announced=announced)
+
+    # Which way exothermic is.
+    lines = [f"{key} {value}" for key, value in header.items() if key.lower().startswith("exo")]
+    text = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
+    up = re.search(r"exo\w*( direction)? (up|1)\b|\^ ?exo|endo\w* down", text)
+    down = re.search(r"exo\w*( direction)? (down|-1)\b|\^ ?endo|endo\w* up", text)
+    exotherm = "up" if up else "down" if down else ""
+    names = ("Instrument", "INSTRUMENT", "Instrument Type")
+    default = "PerkinElmer Pyris DSC" if blocks else "DSC"
+    instrument = next((header[name] for name in names if name in header), default)
+    account, findings = sheet.account(columns, len(time)), tuple(sheet.findings)
+    return DscRecord(path, mass, header, tuple(segments), findings, instrument, exotherm, account)
+
+
+def _cut(
+    time: FloatArray, temperature: FloatArray, ramps: Sequence[float]
+) -> list[tuple[int, float, slice]]:
+    """Number, rate and rows of the steps of a run, which is split where the rate, measured over
+    some seconds around each row, changes its kind; `ramps`: of the method, K/s."""
+    period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+    half = max(int(round(0.5 * _WINDOW / period)) if period > 0.0 else 3, 1)
+    padded = [np.pad(v, half, mode="edge") for v in (time, temperature)]
+    spans = [v[2 * half :] - v[: -2 * half] for v in padded]
+    rate = spans[1] / np.maximum(spans[0], 1e-9)
+    still = _STILL * min(ramps, default=1.0 / 60.0)
+    kind = np.where(np.abs(rate) > still, np.sign(rate), 0)
+    edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), len(kind)]
+    parts: list[tuple[int, float, slice]] = []
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        if time[last - 1] - time[first] < _SHORTEST:
+            continue
+        # A rate is known to half its window only; the turn itself belongs to neither step.
+        begin, end = time[first] + 0.5 * _WINDOW, time[last - 1] - 0.5 * _WINDOW
+        part = slice(int(np.searchsorted(time, begin)), int(np.searchsorted(time, end)))
+        measured = float(np.median(rate[part])) if kind[first] else 0.0
+        nearest = min(ramps, key=lambda ramp: abs(ramp - abs(measured)), default=np.inf)
+        if abs(nearest - abs(measured)) < 0.2 * abs(measured):  # the method's own
+            measured = float(np.copysign(nearest, measured))
+        parts.append((len(parts) + 1, measured, part))
+    return parts
+
+
+# --- mechanical tests
+
+
+def is_isobaric(sheet: Sheet) -> bool:
+    """Whether a table has a temperature that changes, strain or extension, and a load; or without
+    titles a first column that goes up and down, a second one, and a third that is held."""
+    columns, load = sheet.table.columns, _load_beside(sheet)
+    if sheet.titles:
+        found = sheet.find("temperature")
+        has_all = found is not None and not sheet.lacks("isobaric", ["stress"] if load else [])
+        varies = found is not None and np.ptp(found[0].values) > instruments.SMALLEST_RANGE
+        return bool(has_all and varies and not sheet.is_driven())
+    if len(columns) != (3 if load is None else 2) or len(columns[0].values) < 2:
+        return False
+    first, last = columns[0].values, np.abs(columns[-1].values)
+    steps, level = np.diff(first), float(np.median(last))
+    held = load is not None or np.mean(np.abs(last - level) < 0.2 * level) > 0.5
+    varies = np.ptp(first) > instruments.SMALLEST_RANGE and steps.max() > 0.0 > steps.min()
+    return bool(held and varies)
+
+
+def _load_beside(sheet: Sheet) -> float | None:
+    """A stress that is stated, in a line above the table or by the name of its sheet."""
+    stated = sheet.noted("stress")
+    return stated if stated is not None else cells.number_with_unit(sheet.table.name, "stress")
+
+
+def isobaric_of(sheet: Sheet) -> IsobaricRecord:
+    """The test in a table that `is_isobaric`, without titles in degC and MPa or in the units of a
+    note beside the file, such as "Data Source.txt"; `gauge_length` that of an extension. Raises
+    InputError for a malformed line (named), and without a thermal cycle."""
+    path, table, load = sheet.file.path, sheet.table, _load_beside(sheet)
+    if len(table.lines) < instruments.FEWEST_ROWS:
+        raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)
+    sheet = sheet if sheet.titles else _named(sheet, load is not None)
+    columns = sheet.columns("isobaric", ["stress"] if load is not None else [])
+    pulled, role = columns["strain"]
+    span = float(np.ptp(pulled.values))
+    if span == 0.0:
+        raise sheet.refusal("constant", what=pulled.name, value=pulled.values[0])
+    is_strain = 0.01 * _LARGEST_SPAN < span < 100.0 * _LARGEST_SPAN
+    if role == "strain" and not pulled.unit and is_strain:
+        pulled = replace(pulled, unit="%" if span > _LARGEST_SPAN else "mm/mm")
+        sheet.remark("warning", "strain unit", "strain_unit", span=span, unit=pulled.unit)
+    temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
+    stress = sheet.values(*columns["stress"]) if "stress" in columns else np.full(len(strain), load)
+    span, gauge = float(np.ptp(strain)), sheet.noted("gauge_length")
+    is_relative = role == "length" and gauge is None
+    if is_relative:
+        sheet.remark("warning", "strain", "relative", name=pulled.name, extension_range=span,
+                     millimetres=f"{span * 1e3:.4g}")
+    elif gauge is not None and role == "length":
+        strain = strain / gauge
+    elif span > _LARGEST_SPAN:
+        unit = pulled.unit
+        sheet.remark("warning", "strain unit", "percent", span=span, unit=unit, most=_LARGEST_SPAN)
+    for k in np.flatnonzero((temperature <= 0.0) | (temperature > _HOTTEST))[:1]:
+        line, value = table.lines[k], temperature[k]
+        raise sheet.refusal("temperature", line=line, value=value, most=_HOTTEST)
+
+    # Rows between loading and unloading, where stress is at its level.
+    level = float(np.median(stress))
+    away = np.abs(stress - level) > max(_CONSTANCY * abs(level), 1e6)
+    inside = np.flatnonzero(~away)
+    held = slice(int(inside[0]), int(inside[-1]) + 1)
+    if rows := len(stress) - (held.stop - held.start):
+        sheet.remark("info", "stress", "loading", rows=rows)
+    share, level_MPa = float(np.mean(away[held])), f"{level / 1e6:.4g}"
+    if share > 0.02:
+        sheet.remark("warning", "stress", "not_isobaric", share=share, level=level_MPa)
+    temperature, strain, stress = temperature[held], strain[held], stress[held]
+    if is_relative:
+        strain = (strain - strain.min()) / np.ptp(strain)
+
+    # A thermometer's spikes and noise, then the cycles.
+    good, spikes = instruments.without_spikes(temperature)
+    if count := len(spikes):
+        rows, most = len(temperature), f"{np.abs(spikes).max():.1f}"
+        sheet.remark("info", "temperature", "spikes", count=count, of=f"{rows}", most=most)
+    settled, noise, rows = instruments.without_noise(temperature[good])
+    if noise >= instruments.NOISY:
+        sheet.remark("info", "temperature", "noise", noise=noise, rows=rows)
+    cycles, remarks = instruments.find_cycles(settled, strain[good], stress[good], str(path))
+    median = float(np.median(stress))
+    if median > instruments.STRONGEST:
+        stress_MPa, most = f"{median / 1e6:.0f}", f"{instruments.STRONGEST / 1e6:.0f}"
+        sheet.remark("warning", "stress", "strongest", stress=median, shown=stress_MPa, most=most)
+    name = f"{path.parent.name}/{path.stem}"
+    name += f"/{table.name}" if len(sheet.file.tables) > 1 else ""
+    account, unit = sheet.account(columns, int(np.sum(good))), "relative" if is_relative else "1"
+    findings = (*sheet.findings, *remarks)
+    return IsobaricRecord(path, name, median, unit, cycles, findings, account)
+
+
+def _named(sheet: Sheet, is_loaded: bool) -> Sheet:
+    """A table without titles under those of the known form, with the units of a note to it."""
+    path, columns = sheet.file.path, sheet.table.columns
+    units = {"temperature": "degC", "strain": "", "stress": "MPa"}
+    noted: dict[str, str] = {}  # lines such as "Strain = %"
+    for note in sorted(n for n in path.parent.iterdir() if n.suffix in (".txt", ".md")):
+        is_one = note != path and any(word in note.stem.lower() for word in _NOTES)
+        if is_one and note.stat().st_size < _LARGEST_NOTE:
+            lines = decoded_lines(read_bytes(note, _LARGEST_NOTE))
+            found = [match for line in lines if (match := _UNIT_LINE.match(line))]
+            noted = {m[1].lower(): m[2].strip() for m in reversed(found)} | noted
+    coldest = float(np.nanquantile(columns[0].values, 0.05))
+    if "temperature" not in noted and not _COLDEST[0] < coldest < _COLDEST[1]:
+        raise sheet.refusal("celsius", coldest=coldest)
+    level = 0.0 if is_loaded else float(np.nanmedian(columns[-1].values))
+    if "stress" not in noted and 1e6 * level >= instruments.STRONGEST:
+        raise sheet.refusal("megapascal", level=level)
+    for what, unit in noted.items():
+        known = parse_unit(unit)
+        if known is None or known.quantity != {"strain": "ratio"}.get(what, what):
+            raise sheet.refusal("unit_noted", what=what, unit=unit)
+    named = [f"{what} [{unit}]" if unit else what for what, unit in (units | noted).items()]
+    return sheet.titled(named[: len(columns)])
+
+
+def is_tensile(sheet: Sheet) -> bool:
+    """Whether a table has strain or extension, and stress or force, and no drive."""
+    return not sheet.lacks("tensile") and not sheet.is_driven()
+
+
+def tensile_of(sheet: Sheet) -> TensileRecord:
+    """The test in a table that `is_tensile`. Length, section and temperature are stated, or in
+    lines above it. Raises InputError for a malformed line (named), or values that no test gives."""
+    table = sheet.table
+    if len(table.lines) < instruments.FEWEST_ROWS:
+        raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)
+    columns = sheet.columns("tensile")
+    pulled, loaded = columns["strain"], columns["stress"]
+    strain, stress = sheet.values(*pulled), sheet.values(*loaded)
+
+    # Extension counts from the first row, over the gauge length; force over the section.
+    length, section = sheet.noted("gauge_length"), sheet.noted("area")
+    diameter = sheet.noted("diameter")
+    if section is None and diameter is not None:
+        section = 0.25 * np.pi * diameter**2
+    is_extension, is_force = pulled[1] == "length", loaded[1] == "force"
+    if is_extension:
+        start = float(strain[0])
+        if abs(start) > 0.01 * float(np.ptp(strain)):
+            name, at = pulled[0].name, f"{start * 1e3:.6g}"
+            sheet.remark("info", "extension", "begins", name=name, start=start, at=at)
+        strain = strain - start
+        if length is not None:
+            strain, is_extension = strain / length, False
+    if is_force and section is not None:
+        stress, is_force = stress / section, False
+    for what, values in (("strain", strain), ("stress", stress)):
+        worst, most = int(np.argmax(np.abs(values))), _LARGEST[what]
+        if abs(values[worst]) > most:
+            line, value = table.lines[worst], values[worst]
+            raise sheet.refusal("too_large", line=line, what=what, value=value, most=most)
+        if np.ptp(values) == 0.0:
+            raise sheet.refusal("constant", what=what, value=values[0])
+
+    temperature, measured = sheet.noted("temperature"), sheet.find("temperature")
+    if "temperature" not in sheet.given and measured is not None:
+        kelvin = sheet.values(*measured)
+        columns["temperature"] = measured
+        if np.ptp(kelvin) > instruments.STEADY:
+            span = np.ptp(kelvin)
+            sheet.remark("warning", "temperature", "unsteady", span=span, most=instruments.STEADY)
+        temperature = float(np.median(kelvin))
+    noted = [m[1].lower() for c in table.above if (m := _PHASE.search(" ".join(c)))]
+    phase = next((phase for phase in instruments.PHASES if phase in noted[:1]), None)
+    account, findings = sheet.account(columns, len(strain)), tuple(sheet.findings)
+    return TensileRecord(
+        sheet.file.path, strain, stress, temperature, findings, phase, is_extension, is_force,
+        account,
+    )

@@ -1,0 +1,234 @@
+"""Records of instruments' files: runs of a calorimeter, isobaric and tensile tests, and the thermal
+cycles of a test, between the turns of its temperature without a thermometer's spikes and noise."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, get_args
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from sma_bench.drawn import Drawn
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding
+from sma_bench.records.record import FloatArray
+
+if TYPE_CHECKING:
+    from sma_bench.records.tables import Account
+
+Phase = Literal["martensite", "austenite"]
+PHASES: tuple[Phase, ...] = get_args(Phase)
+FEWEST_ROWS = 20  # of a mechanical test
+STRONGEST = 1.5e9  # Pa: cold-drawn NiTi wire breaks at 1.4 to 1.9 GPa
+STEADY = 3.0  # K
+SMALLEST_RANGE = 5.0  # K
+_SMALLEST_SPIKE = 3.0  # K
+_TURN = 0.15  # of the range, that a turn goes back
+_COMPLETE = 0.6  # of the range, that a branch spans
+_WINDOW = 11  # rows
+_FEWEST_SAMPLES = 8
+NOISY, _SMOOTH = 0.5, 0.2  # K
+
+Direction = Literal["heating", "cooling"]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One heating or cooling: temperature K, strain, stress Pa, each (n,), in order of time."""
+
+    direction: Direction
+    temperature: FloatArray
+    strain: FloatArray
+    stress: FloatArray
+
+
+@dataclass(frozen=True)
+class Cycle:
+    """One or two successive branches of opposite direction, `number` from 1."""
+
+    number: int
+    branches: tuple[Branch, ...]
+
+    def get(self, direction: str) -> Branch | None:
+        return next((b for b in self.branches if b.direction == direction), None)
+
+
+@dataclass(frozen=True)
+class DscSegment:
+    """One step of a DSC run; the sample's signal is heat_flow - baseline."""
+
+    number: int  # as counted in the file, from 1
+    rate: float  # programmed, K/s, negative when cooling, 0 when isothermal
+    time: FloatArray  # (n,) s since the start of the run
+    heat_flow: FloatArray  # (n,) W, unsubtracted, with the file's sign
+    baseline: FloatArray  # (n,) W, zeros where the file has none
+    temperature: FloatArray  # (n,) K of the sample
+    program_temperature: FloatArray  # (n,) K
+
+    @property
+    def kind(self) -> Literal["heating", "cooling", "isothermal"]:
+        return "heating" if self.rate > 0.0 else "cooling" if self.rate < 0.0 else "isothermal"
+
+
+@dataclass(frozen=True, repr=False)
+class DscRecord(Drawn):
+    """A differential scanning calorimetry run."""
+
+    path: Path
+    mass: float  # of the sample, kg
+    header: dict[str, str]  # `key: value` lines before the data, as written
+    segments: tuple[DscSegment, ...]  # in order
+    findings: tuple[Finding, ...] = ()  # remarks of the reader, a file cut short for instance
+    instrument: str = "PerkinElmer Pyris DSC"
+    exotherm: str = ""  # "up" or "down" where the file says it
+    account: "Account | None" = None  # what became of the file's rows and columns
+
+    def __repr__(self) -> str:
+        return f"<DscRecord {self.path}: {len(self.segments)} segments>"
+
+    @property
+    def sample(self) -> str:
+        names = ("Sample ID", "Sample", "Sample Name", "SAMPLE", "IDENTITY")
+        return next((self.header[name] for name in names if name in self.header), "")
+
+    def specific_heat_flow(self, segment: DscSegment) -> FloatArray:
+        """Heat flow less baseline per mass of sample, (n,) W/kg, with the file's sign."""
+        return (segment.heat_flow - segment.baseline) / self.mass
+
+    @property
+    def endothermic_up(self) -> bool | None:
+        """Whether heat into the sample counts positive; None where the run does not show it.
+
+        Where the file does not say: heating a sample takes heat and cooling it gives heat back, so
+        the mean of heat flow less baseline over the heating scans lies on the endothermic side of
+        that over the cooling scans.
+        """
+        if self.exotherm:
+            return self.exotherm == "down"
+        means = [(s.kind, float(np.mean(s.heat_flow - s.baseline))) for s in self.segments]
+        heating, cooling = ([m for k, m in means if k == kind] for kind in ("heating", "cooling"))
+        return bool(np.mean(heating) > np.mean(cooling)) if heating and cooling else None
+
+
+@dataclass(frozen=True, repr=False)
+class IsobaricRecord(Drawn):
+    """One test at one stress.
+
+    Strain has the unit "1", or is "relative" where the gauge length is unknown: the extension over
+    its own full range, so that strains can be compared within the test only.
+    """
+
+    path: Path
+    name: str  # unique among files of different folders: folder and stem, and its sheet
+    stress: float  # median over the cycles, Pa
+    strain_unit: str
+    cycles: tuple[Cycle, ...]  # heating and cooling branches in order
+    findings: tuple[Finding, ...] = ()  # what the reader noticed or assumed
+    account: "Account | None" = None  # what became of the file's rows and columns
+
+    def __repr__(self) -> str:
+        shown = f"{self.stress / 1e6:.4g} MPa, {len(self.cycles)} cycles"
+        return f"<IsobaricRecord {self.path}: {shown}>"
+
+
+@dataclass(frozen=True, repr=False)
+class TensileRecord(Drawn):
+    """One tensile test; the specimen's length and section may stand in no file."""
+
+    path: Path
+    strain: FloatArray  # (n,) in order of time, m where `is_extension`
+    stress: FloatArray  # (n,) Pa, N where `is_force`
+    temperature: float | None  # K; None where the file does not say
+    findings: tuple[Finding, ...] = ()  # what the reader noticed
+    phase: Phase | None = None  # of the specimen
+    is_extension: bool = False
+    is_force: bool = False
+    account: "Account | None" = None  # what became of the file's rows and columns
+
+    def __repr__(self) -> str:
+        return f"<TensileRecord {self.path}: {len(self.strain)} rows>"
+
+
+def without_spikes(temperature: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
+    """(n,) True for the readings of temperature (n,) K but single ones that jump away from the line
+    through those around and back, and the heights (K) of these."""
+    half, steps = _WINDOW // 2, np.diff(temperature)
+    around = sliding_window_view(np.pad(steps, (half, half + 1), mode="edge"), _WINDOW)
+    slope = np.median(around, axis=1)[: len(temperature), None]
+    windows = sliding_window_view(np.pad(temperature, half, mode="edge"), _WINDOW)
+    away = temperature - np.median(windows - slope * np.arange(-half, half + 1), axis=1)
+    scatter = 1.4826 * float(np.median(np.abs(away)))
+    bad = np.abs(away) > max(_SMALLEST_SPIKE, 6.0 * scatter)
+    # It stands out from both its neighbours: a corner or a step does not.
+    before, after = np.pad(steps, (1, 0)), np.pad(steps, (0, 1))
+    bad &= (before * after < 0.0) & (np.minimum(abs(before), abs(after)) > _SMALLEST_SPIKE)
+    return ~bad, away[bad]
+
+
+def without_noise(temperature: FloatArray) -> tuple[FloatArray, float, int]:
+    """(n,) K without the scatter of a noisy thermometer, which would pass for a wider range of
+    transformation, that scatter, and through how many rows: a parabola, at most a sixth of a
+    branch; 0 where nothing was done."""
+    from scipy.signal import savgol_filter  # half a second to load
+
+    noise = 0.0
+    if len(temperature) >= _FEWEST_SAMPLES:
+        noise = 1.4826 * float(np.median(np.abs(np.diff(temperature, 2)))) / math.sqrt(6.0)
+    smooth, width, window = temperature, 0, 5
+    # A parabola through w readings has 9/4 of the variance of their mean.
+    while noise >= NOISY and noise * math.sqrt(2.25 / max(width, 2.25)) > _SMOOTH:
+        level = 0.5 * (smooth.max() + smooth.min())
+        away = smooth[np.abs(smooth - level) > 0.15 * np.ptp(smooth)] > level
+        if window > len(temperature) / (1 + np.count_nonzero(np.diff(away))) / 6.0:
+            break
+        smooth = np.asarray(savgol_filter(temperature, window, 2))
+        width, window = window, 2 * window - 1
+    return smooth, noise, width if noise >= NOISY else 0
+
+
+def find_cycles(
+    temperature: FloatArray, strain: FloatArray, stress: FloatArray, where: str
+) -> tuple[tuple[Cycle, ...], list[Finding]]:
+    """Split a test at the reversals of temperature (n,) K, with strain (n,) and stress (n,) Pa in
+    order of time; `where` leads the messages. Raises InputError where there is no branch."""
+    span = float(np.ptp(temperature)) if len(temperature) else 0.0
+    if span < SMALLEST_RANGE:
+        least = f"expected a cycle of {SMALLEST_RANGE:g} K or more"
+        raise InputError(f"{where}: temperature changes by {span:.3g} K, {least}")
+    # Extremes that a change of more than the threshold follows, and both ends.
+    threshold = max(_TURN * span, 2.0)
+    turns, extreme, direction = [0], 0, 0
+    for i, change in ((i, t - temperature[extreme]) for i, t in enumerate(temperature)):
+        if direction == 0 and abs(change) > threshold:
+            direction, extreme = (1 if change > 0.0 else -1), i
+        elif direction and direction * change >= 0.0:
+            extreme = i
+        elif direction and abs(change) > threshold:
+            turns.append(extreme)
+            direction, extreme = -direction, i
+    turns.append(extreme)
+
+    # A branch lies between two; two of opposite direction make a cycle.
+    cycles: list[tuple[Branch, ...]] = []
+    partial = 0
+    for first, last in zip(turns[:-1], turns[1:], strict=True):
+        change = temperature[last] - temperature[first]
+        if abs(change) < _COMPLETE * span or last - first < _FEWEST_SAMPLES:
+            partial += 1
+            continue
+        way: Direction = "heating" if change > 0.0 else "cooling"
+        branch = Branch(way, *(v[first : last + 1] for v in (temperature, strain, stress)))
+        if cycles and len(cycles[-1]) == 1 and cycles[-1][0].direction != way:
+            cycles[-1] = (cycles[-1][0], branch)
+        else:
+            cycles.append((branch,))
+    if not cycles:
+        short = f"no branch spans {_COMPLETE:.0%} of the {span:.1f} K range"
+        raise InputError(f"{where}: {short}, expected a heating or cooling")
+    short = f"span less than {_COMPLETE:.0%} of the range and are left out"
+    text = f"{where}: {partial} turns of temperature {short}"
+    found = tuple(Cycle(number, branches) for number, branches in enumerate(cycles, 1))
+    findings = [Finding("info", "temperature", text, {"count": float(partial)})]
+    return found, findings if partial else []

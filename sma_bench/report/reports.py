@@ -1,0 +1,273 @@
+"""The reports: of an identification, of a diagnosis (the argument as a careful experimenter makes
+it), and of records and results of other commands, their answers first."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from sma_bench.border import read_json, read_text
+from sma_bench.diagnose import Diagnosis
+from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED
+from sma_bench.diagnose.result import DiagnosisResult, diagnosis_from
+from sma_bench.diagnose.sizes import sample_noise
+from sma_bench.errors import InputError
+from sma_bench.estimation.observation import QUANTITIES
+from sma_bench.findings import fold_audit
+from sma_bench.identify.result import Identification, identification_from
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME, TABLE
+from sma_bench.progress import Report, silent
+from sma_bench.records import Record, describe, open_record
+from sma_bench.report import plots
+from sma_bench.report.drawing import PaperColumn
+from sma_bench.report.experiment_figures import experiment_pictures
+from sma_bench.report.page import Made, Picture, Section, digest, write_report
+from sma_bench.report.tables import (
+    Table,
+    diagnosis_tables,
+    estimate_table,
+    record_line,
+    record_tables,
+    value_cell,
+)
+from sma_bench.results import LARGEST, card, scale_of, sentences, signed, with_error
+
+
+def write_identification_report(
+    directory: str | Path, result: Identification, report: Report = silent,
+    made: Made | None = None, column: PaperColumn | None = None,
+) -> Path:
+    """Write the report's index.html and figures.
+
+    Args:
+        report: hears which figure comes.
+        made: by which command and of which inputs.
+        column: of a paper, for which the figures are written as well.
+
+    Raises:
+        InputError: the folder cannot be written.
+    """
+    pictures = _present(plots.agreement_picture(result), plots.correlation_picture(result))
+    answer = card(result, numbers=True)
+    sections = [
+        Section("", notes=list(map(str, result.notes)), pictures=pictures, card=answer),
+        *(
+            Section(f"{e.name} {e.title}", [e.source], list(map(str, e.findings)),
+                    pictures=experiment_pictures(e))
+            for e in result.experiments
+        ),
+        Section("How each number was found", tables=[estimate_table(result.estimates, "numbers")]),
+    ]  # fmt: skip
+    sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))
+    return write_report(
+        directory, "Identified parameters", f"From {sources}.", sections,
+        made or Made("sma_bench.identify"), column=column, report=report,
+    )
+
+
+def write_diagnosis_report(
+    directory: str | Path, result: Diagnosis, report: Report = silent,
+    made: Made | None = None, column: PaperColumn | None = None,
+) -> Path:
+    """The same of a diagnosis."""
+    tables = diagnosis_tables(result)
+    proposed = plots.next_experiment_picture(result, result.parameters)
+    sections = [
+        Section("Is there a gap beyond the noise?", sentences(result, "is_there"),
+                tables=[_noise(result)], pictures=plots.signal_pictures(result)),
+        Section("Where is it?", sentences(result, "where"),
+                pictures=[plots.gap_picture(result)]),
+        Section("Which effect, and how sure?", [*sentences(result, "which"), *result.why],
+                tables=[tables["candidates"]],
+                pictures=[plots.candidate_picture(result), plots.evidence_picture(result)]),
+    ]
+    if result.verdict == UNEXPLAINED:
+        text = (
+            "What a further effect would have to do to the readings; what causes it, the figures "
+            "can only suggest."
+        )
+        shape = plots.missing_pictures(result)
+        sections.append(Section("The shape of what is missing", [text], pictures=shape))
+    sections += [
+        Section("How far does it shrink?", sentences(result, "how_far"),
+                tables=[tables["shrinkage"],
+                        *([] if result.verdict == NO_GAP else [improvements(result)])]),
+        Section("What next?", sentences(result, "next", None), pictures=_present(proposed)),
+        _looked_at(result),
+    ]
+    numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
+    sources = list(dict.fromkeys(view.path for view in result.observations))
+    return write_report(
+        directory, "The gap between simulation and bench", f"From {'; '.join(sources)}.",
+        [Section("", card=card(result)), *numbered], made or Made("sma_bench.diagnose", sources),
+        column=column, report=report,
+    )
+
+
+def _looked_at(result: Diagnosis) -> Section:
+    rows = []
+    parts = [("fitted", v) for v in result.fitted] + [("held out", v) for v in result.held_out]
+    for part, view in parts:
+        for s in view.signals:
+            span = f"{s.time[0]:.1f} to {s.time[-1]:.1f}"
+            rows.append((view.path, part, s.name, span, f"{int(s.count.sum())}", f"{s.period:.2g}"))
+    left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
+    paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
+    header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
+    findings, audit = (list(map(str, own)) for own in fold_audit(result.findings))
+    tables = [Table(header, rows, frozenset({4, 5}))]
+    return Section("What was looked at", paragraphs, findings, tables, folded=audit)
+
+
+def _noise(result: Diagnosis) -> Table:
+    rows = []
+    problem = result.model.problem
+    order = list(dict.fromkeys([*(q for q, _ in result.worst_first), *QUANTITIES]))
+    for name, noise in sorted(
+        problem.noise.items(), key=lambda item: order.index(item[0].rpartition(".")[2])
+    ):
+        unit, factor = scale_of(name)
+        slow = noise.drift > 0.0
+        rows.append((
+            name, f"{factor * sample_noise(problem, name):.3g} {unit}",
+            f"{factor * noise.drift:.3g} {unit}" if slow else "none found",
+            f"{noise.time:{'.2g' if noise.time < 10.0 else '.0f'}}" if slow else "",
+        ))
+    header = ("sensor", "noise of a sample", "slow part", "its memory [s]")
+    return Table(header, rows, frozenset({1, 2, 3}))
+
+
+def improvements(result: Diagnosis) -> Table:
+    """The parameters of the best model against what was believed."""
+    unknowns = result.model.unknowns
+    values, stds = unknowns.values(result.model.x), result.model.errors
+    deviations = unknowns.deviations(result.model.x)
+    rows = []
+    for item, x, value, std in zip(unknowns.items, deviations, values, stds, strict=True):
+        name, believed = item.name, item.value(0.0)  # of what the geometry gives: from there
+        effect = name.startswith("effect.") or not item.std
+        moved = "" if effect else signed(float(x), ".1f")
+        rows.append((name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved))
+    header = ("parameter", "as believed", "improved", "unit", "moved by (its own std)")
+    return Table(header, rows, frozenset({1, 2, 4}))
+
+
+# --- Records and result files on one page.
+
+
+@dataclass(frozen=True)
+class ReportedInput:
+    """One input: what it is, its sentence in the summary, its section, what to beware of, and of a
+    result its card."""
+
+    path: str
+    kind: str
+    said: str
+    section: Section
+    warnings: Sequence[str]
+    sha256: str
+    size: int
+    answer: Section | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        return {"path": self.path, "kind": self.kind, "says": self.said, "sha256": self.sha256,
+                "bytes": self.size, "warnings": list(self.warnings)}  # fmt: skip
+
+
+def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
+    """Read one input. Raises InputError: it is neither a record nor a result."""
+    name, of_file = f"input_{number}", Path(path)
+    if not path.endswith(".json"):
+        record = open_record(path, namespace)
+        described = describe(record)
+        said = record_line(described)
+        lines = [(f["severity"], f"{f['subject']}: {f['text']}") for f in described["findings"]]
+        notes = [f"{severity}: {text}" for severity, text in lines]
+        worth = [f"{path}: {text}" for severity, text in lines if severity != "info"]
+        pictures = _present(plots.record_picture(record, name))
+        tables = record_tables(described, name)
+        section = Section(f"Record {path}", [f"{said}."], notes, tables, pictures)
+        kind = "bag" if isinstance(record, Record) else "instrument file"
+        return ReportedInput(path, kind, said, section, worth, *digest(of_file))
+
+    result = read_result(path)
+    if isinstance(result, Identification):
+        # How the numbers agree with what is known, how their errors hang together, and what else
+        # each experiment gave.
+        kind, warnings = "identification", [*result.warnings]
+        tables = [estimate_table(result.estimates, f"{name}_parameters", "Parameters")]
+        shown = {key: (n.value, n.std) for key, n in result.estimates.items()}
+        for k, e in enumerate(result.experiments, 1):
+            own = {key: n for key, n in {**e.estimates, **e.details}.items()
+                   if (n.value, n.std) != shown.get(key)}  # fmt: skip
+            if own:
+                title = f"{e.name} {e.title}, from {e.source}"
+                tables.append(estimate_table(own, f"{name}_experiment_{k}", title))
+        pictures = _present(
+            plots.agreement_picture(result, f"{name}_agreement"),
+            plots.correlation_picture(result, f"{name}_correlation"),
+        )
+        section = Section(f"Identification {path}", [], warnings, tables, pictures)
+    else:
+        kind = "diagnosis"
+        warnings = [str(f) for f in result.findings if f.severity != "info"]
+        tables = [replace(t, name=f"{name}_{t.name}") for t in diagnosis_tables(result).values()]
+        pictures = [plots.candidate_picture(result, f"{name}_candidates")]
+        findings = [str(f) for f in result.findings]
+        section = Section(f"Diagnosis {path}", result.why, findings, tables, pictures)
+    (said,) = sentences(result, "headline")
+    worth = [f"{path}: {text}" for text in warnings]
+    answer = Section(path, card=card(result, numbers=True))
+    return ReportedInput(path, kind, said, section, worth, *digest(of_file), answer)
+
+
+def write_collected_report(
+    directory: str | Path, title: str, shown: Sequence[ReportedInput], parameters: Parameters,
+    given: str, made: Made, column: PaperColumn | None, report: Report,
+) -> Path:
+    """The cards of all results, one that stands alone without heading; a line an input, and folded
+    above them all their warnings; each input's own; the parameters, `given` by what. Raises
+    InputError: the folder cannot be written."""
+    cards = [one.answer for one in shown if one.answer is not None]
+    cards = cards if len(cards) > 1 else [replace(section, title="") for section in cards]
+    rows = [(str(k), one.path, one.kind, one.said) for k, one in enumerate(shown, 1)]
+    warnings = [text for one in shown for text in one.warnings]
+    table = Table(("", "input", "kind", "what it says"), rows, frozenset({0}), "summary")
+    head = f"{len(warnings)} warning{'s' if len(warnings) != 1 else ''}"
+    summary = Section(
+        "Summary", [] if warnings else ["No warnings."], tables=[table],
+        folded=[head, *warnings] if warnings else (),
+    )
+    sections = [*cards, summary, *(one.section for one in shown)]
+    if parameters.given:
+        rows = []
+        for p in TABLE:
+            if p.name in parameters.given:
+                known = p.uncertainty is not None or p.name in parameters.given_uncertainty
+                std = f"{parameters.std(p.name):.2g}" if known else ""
+                rows.append((p.name, value_cell(parameters[p.name]), std, p.unit))
+        header = ("parameter", "value", "standard deviation", "unit")
+        table = Table(header, rows, frozenset({1, 2}), "parameters")
+        text = f"As given in {given}; all others as in docs/parameters.md."
+        sections.append(Section("Parameters", [text], tables=[table]))
+    sources = "; ".join(dict.fromkeys(one.path for one in shown))
+    return write_report(
+        directory, title, f"From {sources}.", sections, made, column=column, report=report
+    )
+
+
+def read_result(path: str | Path) -> Identification | DiagnosisResult:
+    """Read a result file, whichever command has written it. Raises InputError: unreadable, not
+    JSON, or not a result; one line that names what is missing."""
+    document = read_json(read_text(path, LARGEST), str(path), LARGEST)
+    if not isinstance(document, dict) or not {"verdict", "parameters"} & {*document}:
+        raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
+                         "verdict in it")  # fmt: skip
+    if "verdict" in document:
+        return diagnosis_from(document, str(path))
+    return identification_from(document, str(path))
+
+
+def _present(*pictures: Picture | None) -> list[Picture]:
+    return [picture for picture in pictures if picture is not None]

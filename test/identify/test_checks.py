@@ -1,0 +1,86 @@
+"""The checks of identification work and can fail; a few of their plays. `./bench check` has all."""
+
+import json
+
+import numpy as np
+import pytest
+
+from examination import pieces
+from examination.attack_lab.cases import ATTACKS
+from examination.check import attacks
+from examination.check import identification as campaign
+from examination.simulated_lab import EXPERIMENTS
+from sma_bench.identify import whole_model
+
+# Each of another kind: in the errors, warned of, seen in the record, in the statements, refused.
+PLAYED = (
+    *("E1 to E3 camera gain +5 %", "E1 to E3 lead of 0.1 ohm", "E1 to E3 camera saturates"),
+    *("E5 sample lags 8 s", "E5 signal saturates", "E7 soft grips", "E7 a slip in the rise"),
+    *("E8 spot half filled", "E8 wrong diameter: 6 % too large"),
+)
+
+
+def silent(result):
+    return [n for n, x in result["numbers"].items() if attacks.verdict(x) == "silent"]
+
+
+@pytest.mark.parametrize("name", [*PLAYED, "E1 to E3 spot half filled"])
+def test_a_wrong_number_is_within_its_error_or_warned_of(name):
+    (attack,) = [a for a in ATTACKS if name == f"{a.experiment} {a.name}"]
+    result = attacks.run_attack(attack, [0])[0]
+    assert result["numbers"] or result["refused"]
+    assert silent(result) == []
+    if name.endswith("half filled") and name.startswith("E1"):  # on the numbers that it is about
+        doubted = {name for name, x in result["numbers"].items() if x["warnings"]}
+        assert doubted == {"wire.heat_transfer_coefficient", "wire.specific_heat"}
+
+
+def test_a_clean_bag_raises_no_warning():
+    result = attacks.judge(attacks.clean_bag(np.random.default_rng(1), 1))
+    assert result["warnings"] == [] and silent(result) == []
+    assert len(ATTACKS) >= 40
+
+
+def test_true_errors_pass_and_others_fail():
+    names = campaign.IDENTIFIED
+    normal = np.random.default_rng(1).standard_normal((50, len(names)))
+    drawn = [[{"truth": 1.0, "value": 1.0 + 0.1 * z, "std": 0.1} for z in row] for row in normal]
+    results = [{"parameters": dict(zip(names, row, strict=True))} for row in drawn]
+    assert campaign.passed(results)
+    assert pieces.print_coverage([("a", z) for z in normal.ravel()], pieces.Z_95) > 0.93
+    assert not campaign.passed(results, error_scale=0.6)
+    assert not campaign.passed(results, error_scale=2.0)
+    del results[3]["parameters"]["wire.resistance"]
+    assert not campaign.passed(results)
+
+
+@pytest.mark.slow
+def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
+    for name, (run, rate) in EXPERIMENTS.items():
+        monkeypatch.setitem(EXPERIMENTS, name, (run, 0.1 * rate))
+    # One drive of the composite and one start are enough for a play.
+    monkeypatch.delitem(EXPERIMENTS, "composite_step")
+    monkeypatch.setattr(whole_model, "starts", lambda unknowns: [unknowns.start()])
+    file = tmp_path / "result.json"
+    # One bench is too few for the verdict itself: all 17 inside would be too many.
+    assert campaign.main(["--draws", "1", "--seed", "11", "--json", str(file)]) in (0, 1)
+    assert "wire.mass, wire.surface_area, wire.diameter" in capsys.readouterr().out
+    (result,) = json.loads(file.read_text()).values()
+    numbers = result["parameters"].values()
+    z = np.array([abs(n["value"] - n["truth"]) / n["std"] for n in numbers])
+    assert z.size == 17 and np.mean(z < pieces.Z_95) > 0.75 and z.max() < 4.0
+    assert sum(n["std"] < 0.1 * n["prior_std"] for n in numbers) > 8
+
+
+def halved(_, number):
+    return number / 2
+
+
+def test_a_check_in_pieces_goes_on_where_it_was_left(tmp_path):
+    file = tmp_path / "kept.json"
+    arguments = ["--processes", "1", "--json", str(file)]
+    options = pieces.options_of("halves", None, arguments, **pieces.IN_PIECES)
+    jobs = [("a", 4), ("b", 6)]
+    file.write_text(json.dumps({str(jobs[0]): 7.0}))
+    assert pieces.in_pieces(halved, jobs, options) == [7.0, 3.0]
+    assert json.loads(file.read_text()) == {str(jobs[0]): 7.0, str(jobs[1]): 3.0}

@@ -1,0 +1,107 @@
+"""The controllers as processes: they track on the simulator, and leave the wires cold."""
+
+import signal
+
+import numpy as np
+import pytest
+import yaml
+from fake_bench import FakeBench
+from std_msgs.msg import Float64, Float64MultiArray
+
+from sma_bench.installation import share_directory
+
+COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
+# Few readings: the test has to keep up with them. However long a loaded machine keeps the
+# controller waiting, simulated time waits for its commands, and the test for both. At a hundred
+# times real time, not at ten, a busy machine's readings reach the controller in bunches.
+FAST = {
+    "speed": 10.0, "rate__power": 20.0, "rate__temperature": 40.0, "rate__mechanics": 40.0,
+    "lockstep_patience": 60.0,
+}
+LONG = 300.0
+FROM_A_TOPIC = {
+    # Its temperatures are what the test says, whatever is commanded.
+    "bench__temperature_tolerance": 500.0,
+    "reference": "''", "autostart": True, "feedback_timeout": 1.0,
+}
+
+
+def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
+    tip, volts, states = bench.hear(
+        "joint_states", "voltage_command", "deflection_controller/state"
+    )
+    # The controller knows the wires less well than it thinks.
+    off = {"wire__heat_transfer_coefficient": 411.0, "wire__austenite_start_temperature": 332.9}
+    bench.start("simulator", COMPOSITE_RIG, **FAST | {"speed": 4.0}, **off)
+    triangle = {"kind": "triangle", "rise": 3.0, "fall": 3.0}
+    rest = {"kind": "rest", "duration": 2.0}
+    steps = [triangle | {"peak": 0.03}, rest, triangle | {"peak": -0.03}]
+    reference = tmp_path / "short.yaml"
+    reference.write_text(yaml.safe_dump({"name": "short", "unit": "m", "steps": steps}))
+    bench.start("deflection_controller", COMPOSITE_RIG, use_sim_time=True, reference=reference)
+    # Readings are heard before the run, which takes less than a second.
+    bench.until(lambda: tip and states and states[-1].data == "idle", LONG)
+    bench.until(lambda: bench.trigger("deflection_controller/start").success, LONG)
+    bench.until(lambda: states[-1].data.startswith(("done", "aborted")), LONG)
+    assert states[-1].data == "done: short"
+    # The state may overtake readings that still wait in the test's own queues.
+    bench.until(lambda: min(m.position[0] for m in tip) < -0.025)
+
+    def moment(message):
+        return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+
+    peak = moment(max(tip, key=lambda m: m.position[0]))
+    bench.until(lambda: moment(tip[-1]) > peak + 11.0, LONG)
+    time, metres = np.array([moment(m) for m in tip]), np.array([m.position[0] for m in tip])
+    corners = [-3.0, 0.0, 3.0, 5.0, 8.0, 11.0]
+    wanted = np.interp(time - peak, corners, [0.0, 0.03, 0.0, 0.0, -0.03, 0.0])
+    part = (time > peak - 3.0) & (time < peak + 10.5)
+    assert np.sqrt(np.mean((metres - wanted)[part] ** 2)) < 1e-3
+    assert (metres.min(), metres.max()) == pytest.approx((-0.03, 0.03), abs=1e-3)
+    sent = np.array([m.data for m in volts])
+    assert not np.any((sent[:, 0] > 0.0) & (sent[:, 2] > 0.0))
+    np.testing.assert_array_equal(sent[:, 0], sent[:, 1])
+
+
+def test_temperatures_come_from_a_topic_in_celsius_and_the_rules_of_the_experiment_hold(bench):
+    name = "temperature_controller"
+    fake, setpoints = FakeBench(bench, name), bench.hear(f"{name}/setpoint")
+    node = bench.start(name, **FROM_A_TOPIC)
+    bench.until(lambda: fake.state == "running: topic")
+    topic = bench.talk(f"{name}/reference", Float64MultiArray)
+    bench.until(lambda: fake.volts == [0.0])
+    topic.publish(Float64MultiArray(data=[40.0]))
+    bench.until(lambda: fake.volts[0] > 3.0 and setpoints[-1].data[0] == pytest.approx(40.0))
+    for bad in ([200.0], [40.0, 40.0], [float("nan")]):
+        topic.publish(Float64MultiArray(data=bad))
+    bench.until(lambda: "rejected: reference has 473.15 K" in node.output)
+    fake.celsius = 45.0
+    bench.until(lambda: fake.volts == [0.0])
+    fake.celsius = 38.0
+    bench.until(lambda: fake.volts[0] > 0.5)
+    hot = bench.set_parameter(name, "reference", "deflection_triangle")
+    assert not hot.successful and "unit is 'm', expected K" in hot.reason
+    fake.silent.add("temperature")
+    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from wire/"))
+    fake.until_zero()
+    fake.silent.clear()
+    assert bench.trigger(f"{name}/reset").success
+    bench.until(lambda: bench.trigger(f"{name}/start").success)
+    # The reference of the run that was aborted is forgotten.
+    bench.until(lambda: fake.state == "running: topic")
+    fake.until_zero()
+    assert node.end(signal.SIGTERM) == 0 and "Traceback" not in node.output
+    bench.until(lambda: fake.volts == [0.0])
+
+
+def test_deflection_controller_stops_when_the_deflection_stops_coming(bench):
+    fake = FakeBench(bench, "deflection_controller", ("front_1", "front_2", "back_1", "back_2"))
+    bench.start("deflection_controller", COMPOSITE_RIG, **FROM_A_TOPIC)
+    bench.until(lambda: fake.state == "running: topic")
+    topic = bench.talk("deflection_controller/reference", Float64)
+    topic.publish(Float64(data=-0.02))
+    bench.until(lambda: fake.volts[2] > 3.0)
+    assert fake.volts[:2] == [0.0, 0.0]
+    fake.silent.add("joints")
+    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from joint"))
+    fake.until_zero()
