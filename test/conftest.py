@@ -63,8 +63,6 @@ LONGEST = (
 
 # Run again when they fail, and why; the summary names every rerun. All others have one try.
 RERUN = {
-    "test/nodes/test_bridge_faults.py::test_outputs_go_to_zero_in_time_and_the_cause_is_told":
-        "beside other work the self-test at enabling may get its answer late, and refuses",
     "test/nodes/test_dashboard.py::test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_texts":
         "failed once at nine times the load that the processors can take; cause not known",
     "test/reliability/test_campaigns.py::test_killed_recorders_lose_a_second_at_most":

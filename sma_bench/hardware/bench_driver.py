@@ -9,12 +9,13 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors, SharedWatch
 from sma_bench.hardware.safety import CommandGate, Guard, Limits
-from sma_bench.hardware.serial_link import LateAnswer, LinkError, SerialLink
+from sma_bench.hardware.serial_link import LateAnswer, LinkError, LinkStatus, SerialLink
 from sma_bench.hardware.serial_messages import (
+    STOP_CAUSE,
     TIMEOUT_CAUSE,
     TURN,
     DeviceIdentity,
@@ -33,6 +34,8 @@ _HOTTER = 1.1
 _LEAST_HOT_TIME = 0.05  # s
 _LEAST_STEP = 0.1  # A, of the peak above the mean
 
+T = TypeVar("T")
+
 NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
 """checks of the self-test without which nobody enables"""
 _TRIES = 3
@@ -41,7 +44,7 @@ _MOST_CLOCK_UNCERTAINTY = 2e-3  # s
 _CLOSED_FOR = 0.12  # s; the relay closes within 30 ms, the mean of the current needs as long
 # s, of the device's clock from the last frame before the stop: half a second of frames may wait in
 # the cable's buffers; and of this computer's, in which such frames come.
-_STOP_WITHIN, _PATIENCE = 0.6, 2.0
+_STOP_WITHIN, _PATIENCE, _LOOK_EVERY = 0.6, 2.0, 0.005
 
 
 class CheckResult(NamedTuple):
@@ -170,8 +173,9 @@ class BenchDriver:
                 raise LinkError(f"self-test: {'; '.join(failed)}")
         self.gate.clear()
         if device:
-            self._link.limit(device_limits(self._limits, device, self.supply))
-        self._link.arm()
+            numbers = device_limits(self._limits, device, self.supply)
+            self._patiently(lambda: self._link.limit(numbers))
+        self._patiently(self._link.arm)
         self.enabled = True
 
     def stop(self, reason: str) -> None:
@@ -187,7 +191,7 @@ class BenchDriver:
         self._require_stopped()
         if self.flowing:
             raise LinkError(self.state)
-        self._link.reset()
+        self._patiently(self._link.reset)
         self._stopped = ""
         self._guard.recorder("")
         self._watch_shared_sensors()
@@ -231,54 +235,62 @@ class BenchDriver:
                 rows.append((f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm"))
         found = [CheckResult(*row) for row in rows]
         for name, test in (("relay", self._relay), ("stop", self._heard_stop)):
-            for left in reversed(range(_TRIES)):
-                try:
-                    outcome = test()
-                except LinkError as error:
-                    outcome = False, str(error)
-                    if left and isinstance(error, LateAnswer):
-                        self._link.stop()
-                        self._pause(_CLOSED_FOR)
-                        with contextlib.suppress(LinkError):
-                            self._link.reset()
-                        continue
-                break
+            try:
+                outcome = self._patiently(test)
+            except LinkError as error:
+                outcome = False, str(error)
             found.append(CheckResult(name, *outcome))
         if not any(result.forbids for result in found):
             self._tested = self._link.status.connections
         return found
 
+    def _patiently(self, ask: Callable[[], T], tries: int = _TRIES) -> T:
+        """What the device answers. Where that is late it is put to rest, and asked again."""
+        try:
+            return ask()
+        except LateAnswer:
+            self._link.stop()
+            self._pause(_CLOSED_FOR)
+            with contextlib.suppress(LinkError):
+                self._link.reset()
+            if tries == 1:
+                raise
+        return self._patiently(ask, tries - 1)
+
     def _relay(self) -> tuple[bool, str]:
         """With the relay closed and nothing driven, a switch that is stuck or inverted conducts."""
         self._link.arm()
-        self._pause(_CLOSED_FOR)
-        status = self._link.status
-        if status.stopped and status.cause == TIMEOUT_CAUSE:
-            raise LateAnswer(f"closed, nothing driven: {status.cause_text}")
+        status = self._after(_CLOSED_FOR)
         if status.stopped:
             return False, f"closed, nothing driven: {status.cause_text}"
-        currents = self._sensors.board_currents(status.newest) if status.newest else (0.0,)
+        currents = self._sensors.board_currents(status.newest) if status.newest else (math.inf,)
         most = max(map(abs, currents))
         return most < _MOST_CURRENT_AT_REST, f"closed, nothing driven: at most {most:.2f} A"
 
     def _heard_stop(self) -> tuple[bool, str]:
         """The emergency stop must be heard, and be forgotten on request only."""
-        before = self._link.status.newest
         self._link.stop()
-        waited = 0.0
-        while not (status := self._link.status).stopped:
+        status = self._after(_STOP_WITHIN)
+        if not status.stopped:
+            return False, f"the device does not stop within {_STOP_WITHIN:g} s"
+        self._link.reset()
+        return status.cause == STOP_CAUSE, f"stopped by its {status.cause_text}"
+
+    def _after(self, seconds: float) -> LinkStatus:
+        """The device's state so many s of its own clock from here, or once it has stopped. Raises
+        LateAnswer: its frames do not come, or it heard no command in time, which says nothing of
+        what is tested."""
+        before = self._link.status.newest
+        for _ in range(round(_PATIENCE / _LOOK_EVERY)):
+            status, passed = self._link.status, 0.0
+            if status.stopped and status.cause == TIMEOUT_CAUSE:
+                raise LateAnswer(f"stopped by its {status.cause_text}")
             if before and status.newest:
                 passed = 1e-6 * ((status.newest.time_us - before.time_us) % TURN)
-                if passed > _STOP_WITHIN:
-                    return False, f"the device does not stop within {_STOP_WITHIN:g} s"
-            if waited > _PATIENCE:
-                raise LateAnswer("the device says nothing after the stop")
-            self._pause(0.005)
-            waited += 0.005
-        if status.cause == TIMEOUT_CAUSE:  # which says nothing about the stop
-            raise LateAnswer(f"stopped by its {status.cause_text}")
-        self._link.reset()
-        return True, f"stopped within {waited:.3f} s"
+            if status.stopped or passed > seconds:
+                return status
+            self._pause(_LOOK_EVERY)
+        raise LateAnswer("the device's readings are late")
 
     # --- What happens
 

@@ -187,6 +187,7 @@ BINARY_ABOVE = 100
 """Hz: text telemetry up to here, binary above."""
 _ASKS = 3
 _ANSWER_TIMEOUT = 0.5  # s; the device answers within a few ms
+_LATEST = 5.0  # s in which an answer that nobody waits for any more is still no other host's
 _LONGEST_WAIT = 0.1  # s of silence that one read counts for
 # s between two sendings of a command, and how long its driver may be away meanwhile.
 _REPEAT, _SPOKEN_FOR = 0.05, 0.25
@@ -237,6 +238,7 @@ class SerialLink:
         self._one_question = threading.Lock()
         self._asked = ""
         self._answers: dict[str, messages.Answer] = {}
+        self._overdue: dict[str, float] = {}  # letters of answers that were late, s
         # The session: the last command, when it was said, and the one not yet echoed.
         self._driving = threading.Lock()
         self._session: int | None = None
@@ -364,6 +366,7 @@ class SerialLink:
                 with self._heard:
                     while (found := self._answers.get(answer or letter)) is None:
                         if self._port is not port or self._now() > until:
+                            self._overdue[letter] = self._now()
                             raise LateAnswer(f"no answer to {letter}")
                         self._heard.wait(_READ_TIMEOUT)
             finally:
@@ -373,8 +376,8 @@ class SerialLink:
         return found
 
     def _receive(self, patience: float = _READ_TIMEOUT) -> tuple[list[messages.Message], float]:
-        """What came in within `patience` s, and the host time when it was read; answers go to
-        whoever asked. Raises OSError: the port is gone."""
+        """What came in within `patience` s, and the host time when it was read. Raises OSError: the
+        port is gone."""
         port = self._port
         assert port is not None
         port.timeout = max(patience, 0.0)
@@ -387,18 +390,6 @@ class SerialLink:
             except messages.ProtocolError:
                 self._status.not_understood += 1
         self._status.damaged = self._splitter.damaged
-        for answer in found:
-            if not isinstance(answer, Named | messages.Accepted | Refused):
-                continue
-            # Before it is handed over: whoever asked may be gone a moment later.
-            foreign = answer.letter in _ALWAYS_ASKED and answer.letter != self._asked
-            if isinstance(answer, Refused) and answer.letter == "V":
-                foreign = answer.reason == _NOT_OUR_SESSION
-            if foreign:
-                self._status.unasked = str(answer)
-            with self._heard:
-                self._answers[answer.letter] = answer
-                self._heard.notify_all()
         return found, now
 
     # --- The thread
@@ -495,6 +486,17 @@ class SerialLink:
 
     def _act(self, message: messages.Message, now: float) -> None:
         status = self._status
+        if isinstance(message, Named | messages.Accepted | Refused):
+            # Before it is handed over: whoever asked may be gone a moment later.
+            letter = message.letter
+            foreign = letter in _ALWAYS_ASKED and letter != self._asked
+            if isinstance(message, Refused) and letter == "V":
+                foreign = message.reason == _NOT_OUR_SESSION
+            if foreign and now - self._overdue.pop(letter, -math.inf) > _LATEST:
+                status.unasked = str(message)
+            with self._heard:
+                self._answers[letter] = message
+                self._heard.notify_all()
         if isinstance(message, messages.Pong):
             number, sent = self._ping
             if message.identity == number:

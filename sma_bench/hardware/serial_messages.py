@@ -103,7 +103,7 @@ CAUSES = (
     "current with all outputs off", "more current than the outputs explain",
     "more heat than allowed", "output interrupt lost", "an output differs from what was set",
 )
-TIMEOUT_CAUSE = CAUSES.index("command timeout")
+STOP_CAUSE, TIMEOUT_CAUSE = CAUSES.index("stop byte"), CAUSES.index("command timeout")
 REASONS = (
     "accepted", "wrong checksum", "bad format", "line too long", "not armed",
     "wrong nonce or session", "old sequence number", "above the voltage limit",

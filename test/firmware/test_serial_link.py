@@ -12,7 +12,14 @@ from host_firmware import HostFirmware
 from uno.emulated_bench import on_a_port
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.serial_link import LinkError, LinkOptions, SerialLink, find_port, open_port
+from sma_bench.hardware.serial_link import (
+    LateAnswer,
+    LinkError,
+    LinkOptions,
+    SerialLink,
+    find_port,
+    open_port,
+)
 from sma_bench.hardware.serial_messages import DeviceState, line
 
 PATIENCE = 30.0
@@ -266,6 +273,44 @@ def test_whatever_ends_the_conversation_is_told_and_the_stop_byte_is_sent(
         assert link.status.cause_text == "command timeout"
     assert link.status.cause_text == "stop byte"
     assert f"not connected: {said}" in link.events
+
+
+def test_frames_from_before_an_answer_are_no_news_after_it(link):
+    """On a busy machine they come in one reading."""
+    wait_for(lambda: link.readings)
+    # Whoever asked goes on while a frame is looked at.
+    link._on_reading = lambda frame: time.sleep(0.02 * (frame.state == DeviceState.STOPPED))
+    for _ in range(3):
+        link.arm()
+        link.stop()
+        wait_for(lambda: link.status.stopped)
+        link.change = lambda data: (time.sleep(0.1), data)[1]
+        wait_for(lambda: link.change is None)
+        time.sleep(0.05)
+        link.reset()
+        end = time.monotonic() + 0.1
+        while time.monotonic() < end:
+            assert not link.status.stopped
+
+
+def test_an_answer_that_is_late_is_no_other_hosts(link, monkeypatch):
+    say = link._say
+
+    def say_and_hear_late(letter, *numbers):
+        if letter == "A":
+            link.change = lambda data: (time.sleep(0.7), data)[1]
+            wait_for(lambda: link.change is None)
+        return say(letter, *numbers)
+
+    monkeypatch.setattr(link, "_say", say_and_hear_late)
+    with pytest.raises(LateAnswer, match="no answer to A"):
+        link.arm()
+    monkeypatch.undo()
+    with suppress(LinkError):
+        link.arm()
+    link.stop()
+    link.reset()
+    assert link.status.unasked == ""
 
 
 def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(link):

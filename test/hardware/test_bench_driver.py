@@ -1,5 +1,7 @@
 """Who may drive the bench, and what stops it: the driver on a link that obeys the test."""
 
+from collections import Counter
+
 import pytest
 
 from sma_bench.hardware.bench_driver import BenchDriver
@@ -25,16 +27,34 @@ class FakeLink:
         self.status = LinkStatus(connected=True, device=DEVICE, connections=1)
         self.sent, self.limits = [], []
         self.armed = self.deaf = self.stuck = False
-        self.late = 0
+        # Answers that are late, by the command's letter; s by which frames are.
+        self.late, self.lag = Counter(), 0.0
+        self.device_time, self.leaks = 0.0, 0.0
+        self.pass_time(0.0)
+
+    def pass_time(self, seconds):
+        """Frames of what the device has measured by then come in."""
+        self.device_time += seconds
+        if self.lag:
+            self.lag = max(self.lag - seconds, 0.0)
+            return
+        closed = self.leaks if self.armed else 0.0
+        self.status.newest = telemetry(self.device_time, closed)
+
+    def answer(self, letter):
+        if self.late[letter]:
+            self.late[letter] -= 1
+            raise LateAnswer(f"no answer to {letter}")
 
     def limit(self, numbers):
         self.limits = list(numbers)
+        self.answer("C")
 
     def arm(self):
-        self.late -= 1
-        if self.late >= 0:
-            raise LateAnswer("no answer to A")
+        if self.armed:
+            raise LinkError("device refused A: armed already")
         self.armed = True
+        self.answer("A")
         self.status.state = DeviceState.ARMED
         if self.stuck:
             self.stop()
@@ -55,6 +75,15 @@ class FakeLink:
 
     def reset(self):
         self.status.state = DeviceState.IDLE
+        self.answer("R")
+
+
+def telemetry(time, mean=0.0, duty=0.0):
+    """A frame of a device that is driven with this duty."""
+    return Telemetry(
+        0, round(1e6 * time), 0, 0, SUPPLY, (mean, 0.0), (1.5, 1.5), (duty, 0.0, 0.0, 0.0), 0,
+        time=time,
+    )
 
 
 class Bench:
@@ -68,7 +97,7 @@ class Bench:
         self.guard = Guard(["wire"], ["power", "temperature"], 1.0)
         self.driver = BenchDriver(
             self.link, BenchSensors(["front"], SETTINGS), self.guard, ["wire"], self.limits,
-            waiver=waiver, pause=lambda _: None,
+            waiver=waiver, pause=self.link.pass_time,
         )
         self.pass_time(seconds)
         if enabled:
@@ -77,11 +106,7 @@ class Bench:
     def read(self, volt=0.0, ampere=None, kelvin=300.0, leak=0.0):
         duty = (volt / SUPPLY) ** 2
         mean = leak + duty**0.5 * (volt / RESISTANCE if ampere is None else ampere)
-        telemetry = Telemetry(
-            0, 0, 0, 0, SUPPLY, (mean, 0.0), (1.5, 1.5), (duty, 0.0, 0.0, 0.0), 0,
-            time=self.now,
-        )
-        self.driver.take(telemetry, self.now)
+        self.driver.take(telemetry(self.now, mean, duty), self.now)
         self.guard.temperature("wire", kelvin, self.now, self.now, self.limits)
 
     def pass_time(self, seconds, command=None, **reading):
@@ -208,8 +233,6 @@ def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(benc
         assert broken == "stuck" or not bench.driver.self_test()[-1].passed
         bench.refuses(why)
         setattr(bench.link, broken, False)
-    bench.link.late = 5  # what is late is asked again, but not for ever
-    bench.refuses("relay: FAILED, no answer to A")
     bench.driver.enable(bench.now)
     assert bench.driver.tested == "passed"
     with pytest.raises(LinkError, match="enabled: stop first"):
@@ -217,6 +240,32 @@ def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(benc
     bench.driver.stop("a fault")
     assert bench.driver.tested == "due"
     assert Bench(waiver="no relay here").driver.tested == "waived: no relay here"
+
+
+def test_what_is_late_is_asked_again_at_rest_but_not_for_ever(bench):
+    for letter in "CAR":
+        bench.link.late[letter] = 2
+        bench.driver.enable(bench.now)
+        assert bench.link.late[letter] == 0 and bench.driver.state == "enabled"
+        bench.driver.stop("a fault")
+        bench.link.late["R"] = 1
+        bench.driver.reset()
+    for letter, why in (("A", "relay: FAILED, no answer to A"), ("C", "no answer to C")):
+        bench.link.late[letter] = 100
+        bench.refuses(why)
+        assert not bench.link.armed and bench.driver.state == "idle"
+        bench.link.late.clear()
+
+
+def test_frames_that_are_late_are_not_taken_for_those_of_a_closed_relay(bench):
+    """Of before it closed they show no current, and no stop."""
+    bench.link.leaks, bench.link.lag = 0.5, 0.4
+    bench.refuses("relay: FAILED, closed, nothing driven: at most 0.50 A")
+    bench.link.leaks, bench.link.lag = 0.0, 100.0
+    bench.refuses("relay: FAILED, the device's readings are late")
+    assert not bench.link.armed
+    bench.link.lag = 0.5
+    bench.driver.enable(bench.now)
 
 
 def test_the_device_gets_the_rigs_limits_within_its_own_and_one_beyond_is_refused():
@@ -254,7 +303,7 @@ def test_an_open_wire_beside_a_driven_one_keeps_the_drive_off_until_it_is_whole(
     made, sensors = Bench(), BenchSensors(["front", "front"], SETTINGS)
     made.driver = BenchDriver(
         made.link, sensors, Guard(["a", "b"], ["power"], 1.0), ["a", "b"],
-        Limits.from_parameters(Parameters()),
+        Limits.from_parameters(Parameters()), pause=made.link.pass_time,
     )
     made.guard.temperature = lambda *_: None
     made.read()
