@@ -217,15 +217,17 @@ def _clocks(record: Record) -> Iterator[Finding]:
     for signal in record.signals.values():
         if signal.received is None:
             continue
-        steps = np.diff(signal.received - signal.time)
+        # One clock, however late its ticks are heard, never goes back.
+        steps, back = np.diff(signal.received - signal.time), np.diff(signal.received)
         jumps = np.abs(steps[np.abs(steps) > _JUMP])
-        turns = min(int(np.sum(steps > _JUMP)), int(np.sum(steps < -_JUMP)))
+        turns = min(int(np.sum(steps > _JUMP)), int(np.sum(back < -_JUMP)))
         if turns > _FEW_TURNS:
             topic = signal.topic or signal.name
             yield _said("two_clocks", topic, turns=turns, jump=np.median(jumps))
     between = zip(record.markers, record.markers[1:], record.markers[2:], strict=False)
     turns = sum(a[1] == c[1] != b[1] and c[0] - a[0] < _TURN for a, b, c in between)
-    if turns > _FEW_TURNS:
+    # Where stamps keep pace with a recorder that no ticks have driven there is no /clock.
+    if turns > _FEW_TURNS and not (delays and abs(common_drift) <= _DRIFT_TOLERANCE):
         facts = {"steps": len(record.markers), "within": _TURN}
         yield _said("two_runs", "experiment/marker", turns=turns, **facts)
 

@@ -148,9 +148,18 @@ def test_a_record_on_two_clocks_is_told_and_a_stalled_recorder_is_not():
     for times, told in ((on_two, True), (stalled, False)):
         assert ("turns" in found(received(orderly, "wire.voltage", times)).get(
             "wire.voltage", {})) is told  # fmt: skip
-    for period, told in ((0.05, True), (10.0, False)):
+    # A simulated clock that is heard in leaps, by a recorder that has much to do.
+    room = np.arange(100.0)
+    slow = record(ambient_temperature=(room, 296.0 + 0.1 * (room % 3)))
+    assert "turns" not in found(received(
+        slow, "ambient.temperature", np.floor(room / 1.7) * 1.7)).get("ambient.temperature", {})
+    ticks = orderly
+    for name in orderly.signals:
+        ticks = received(ticks, name, np.floor(CLOCK / 0.05) * 0.05)
+    # In real time these are the steps of a protocol.
+    for made, period, told in ((ticks, 0.05, True), (ticks, 10.0, False), (orderly, 0.05, False)):
         steps = tuple((k * period, f"ramp/{k % 2}") for k in range(100))
-        assert ("experiment/marker" in found(replace(orderly, markers=steps))) is told
+        assert ("experiment/marker" in found(replace(made, markers=steps))) is told
 
 
 @pytest.mark.parametrize("rig", ["wire", "composite"])
