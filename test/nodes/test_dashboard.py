@@ -156,7 +156,7 @@ def driven(rig):
 
 @pytest.mark.acceptance
 def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
-    bench, uno, record_property
+    request, bench, uno
 ):
     with bridged_rig(bench, uno) as rig:
         shown, measured = Dashboard(bench), []
@@ -174,7 +174,7 @@ def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
             if told["serial_bridge"] == rig.state == "stopped: stopped on request":
                 measured.append(off)
     assert len(measured) >= PRESSES, "the device stopped by itself each time: a busy machine"
-    record_property("measured", measured)
+    request.node.user_properties.append(("measured", measured))
     assert min(measured) > 0.0  # it was driven when the stop was pressed
     assert statistics.median(measured) < LIMIT, measured
     assert max(measured) < LIMIT + LOADED, measured

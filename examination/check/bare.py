@@ -1,0 +1,117 @@
+"""The tests where nothing optional is installed, and something like ROS's `launch` is.
+
+`colcon test` runs wherever somebody builds the package: with what package.xml and
+requirements-robot.txt bring, without pyarrow, pandas, a browser or any tool of this checkout, and
+with `launch`, whose plugins for pytest make every logger keep its records to itself. This makes
+such an environment of links to what ./bench has installed, and runs the tests there. The rooms
+without numba are those of .ci/noble.
+
+    ./bench check bare [pytest options]
+"""
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import venv
+from collections.abc import Iterator, Sequence
+from importlib import metadata
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+# Runs the tests side by side; what no test may rely on.
+RUNNERS = ("pytest-xdist",)
+SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "8", "--dist", "loadfile", "--no-loadscope-reorder")
+
+# What importing launch.logging does to Python's own; launch_testing is a plugin of pytest.
+LAUNCH = '''\
+import logging
+
+
+class LaunchLogger(logging.getLoggerClass()):
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.propagate = False
+
+
+logging.root.setLevel(logging.INFO)
+logging.setLoggerClass(LaunchLogger)
+'''
+INFO = "launch_testing-0.dist-info"
+PLUGIN = {
+    "launch/__init__.py": "",
+    "launch/logging.py": LAUNCH,
+    f"{INFO}/METADATA": "Metadata-Version: 2.1\nName: launch_testing\nVersion: 0\n",
+    f"{INFO}/entry_points.txt": "[pytest11]\nlaunch = launch.logging\n",
+}
+
+
+def needed(names: Sequence[str]) -> dict[str, metadata.Distribution]:
+    """What these distributions need to be installed, themselves among it, by name."""
+    found: dict[str, metadata.Distribution] = {}
+    waiting = list(names)
+    while waiting:
+        name, _, extra = waiting.pop().partition("[")
+        key = re.sub(r"[-_.]+", "-", name).lower()
+        if key in found and not extra:
+            continue
+        try:
+            found[key] = metadata.distribution(name)
+        except metadata.PackageNotFoundError:  # for another Python, or another system
+            continue
+        for line in found[key].requires or ():
+            wanted = re.search(r"extra == ['\"]([\w-]+)['\"]", line)
+            if wanted is None or wanted[1] == extra.rstrip("]"):
+                waiting.append(re.match(r"[\w.-]+", line)[0])
+    return found
+
+
+def linked(folder: Path) -> list[str]:
+    """An environment in `folder`; what is missing in it."""
+    venv.create(folder, symlinks=True)
+    here = Path(metadata.distribution("sma_bench").locate_file("")).resolve()
+    there = next(folder.glob("lib/python*/site-packages"))
+    ros = [d.name for d in metadata.distributions() if d.name.startswith("ros-")]
+    chosen = needed(["sma_bench[test]", "setuptools", *RUNNERS, *ros])
+
+    def link(path: Path, target: Path) -> None:
+        if not path.exists():
+            path.symlink_to(target)
+
+    for distribution in chosen.values():
+        for top in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
+            link(there / top, here / top)
+    # The libraries of ROS's wheels, and what they share.
+    for place in ("lib", "share"):
+        (folder / place).mkdir(exist_ok=True)
+        for path in (Path(sys.prefix) / place).iterdir():
+            link(folder / place / path.name, path)
+    for name, text in PLUGIN.items():
+        (there / name).parent.mkdir(exist_ok=True)
+        (there / name).write_text(text)
+    installed = {re.sub(r"[-_.]+", "-", d.name).lower() for d in metadata.distributions()}
+    return sorted(installed - chosen.keys())
+
+
+def options(arguments: Sequence[str]) -> Iterator[str]:
+    """Side by side unless it is said how."""
+    yield from () if "-n" in arguments else SIDE_BY_SIDE
+    yield from arguments
+
+
+def main(arguments: Sequence[str]) -> int:
+    """The status of pytest."""
+    with tempfile.TemporaryDirectory() as folder:
+        without = linked(Path(folder))
+        print(f"without {', '.join(without)}; with launch's logging", flush=True)
+        command = [f"{folder}/bin/python", "-m", "pytest", *options(arguments)]
+        path = f"{folder}/bin{os.pathsep}{os.defpath}"
+        environment = dict(os.environ, VIRTUAL_ENV=folder, PATH=path)
+        for name in ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):
+            environment.pop(name, None)
+        return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
