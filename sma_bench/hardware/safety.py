@@ -442,6 +442,10 @@ class Guard:
             self.found(f"{side} board", next(iter(reasons.values()), ""))
         self.flowing = "; ".join(flowing)
 
+    def oldest(self, now: float) -> float:
+        """Age in s of the oldest of the readings that are demanded."""
+        return max((now - self._fresh[name].fed for name in self.wanted), default=0.0)
+
     def fault(self, now: float) -> str:
         """First reason not to drive the wires at `now` s, or ""."""
         stale = (self._fresh[name].fault(now) for name in self.wanted)

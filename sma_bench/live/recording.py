@@ -45,12 +45,11 @@ class Recording:
     """
 
     def __init__(
-        self, output: str, skip_idle: bool, idle_margin: float,
+        self, output: str, idle: Callable[[], tuple[bool, float]],
         failed: Callable[[InputError], None], open_bag: "Callable[[str], BagWriter]",
     ) -> None:
-        """`output`: the first bag, "" for one named after the time; `idle_margin` in s."""
-        self._open_bag, self._first, self._failed = open_bag, output, failed
-        self._skip_idle, self._margin = skip_idle, round(idle_margin * 1e9)
+        """`output`: the first bag, "" for one named after the time; `idle`: skip it, margin (s)."""
+        self._first, self._idle, self._failed, self._open_bag = output, idle, failed, open_bag
         self._bag: BagWriter | None = None
         self._running: dict[str, bool] = {}
         # Messages that wait for a run that begins; newest stamp of each topic, and of a run's, ns.
@@ -115,12 +114,14 @@ class Recording:
             self._running[topic] = text(data).startswith(_RUNNING)
         if self._bag is None:
             return
+        skip, seconds = self._idle()
+        margin = round(seconds * 1e9)
         if stamp > self._closed_at:  # nothing ran: the last seconds wait for a run that begins
-            while self._kept and self._kept[0][1] < stamp - self._margin:
+            while self._kept and self._kept[0][1] < stamp - margin:
                 self._kept.popleft()
         self._kept.append((topic, stamp, data))
-        if any(self._running.values()) or not self._skip_idle:
-            self._closed_at = stamp + self._margin
+        if any(self._running.values()) or not skip:
+            self._closed_at = stamp + margin
         if stamp > self._closed_at:
             return
         while self._kept:
@@ -175,8 +176,8 @@ class Readiness:
     ready for a run, and go on in it: else it would heat for nothing. Answers with a line for
     people, or "" when all is well."""
 
-    def __init__(self, recorder_required: bool) -> None:
-        self.required = recorder_required
+    def __init__(self, required: Callable[[], bool] = lambda: False) -> None:
+        self.required = required  # whether a recorder is
         self._recorder: dict[str, Any] | None = None
         self._heard = 0.0
         self._bridge = ""
@@ -192,16 +193,16 @@ class Readiness:
         """Why no run may start, where the topics `present` have a publisher."""
         if BRIDGE in present and self._bridge != _ENABLED:
             return f"serial_bridge is not enabled: {self._bridge or 'it has not said its state'}"
-        if self.required and RECORDER not in present:
+        if self.required() and RECORDER not in present:
             last = self._recorder or {}
             why = shown(last.get("failure", "")) or "nothing says so on recorder/state"
             return f"no recorder is there ({why}); -p require_recorder:=false starts without"
-        return self._recorder_fault(now) if self.required else ""
+        return self._recorder_fault(now) if self.required() else ""
 
     def fault(self, now: float) -> str:
         if self._bridge not in ("", _ENABLED):
             return f"serial_bridge: {self._bridge}"
-        return self._recorder_fault(now) if self.required else ""
+        return self._recorder_fault(now) if self.required() else ""
 
     def not_recorded(self, published: Iterable[str], wanted: Iterable[str]) -> list[str]:
         """Those of the bench's topics that the recorder has not subscribed to, or, where they are

@@ -18,8 +18,9 @@ from sma_bench.parameters import Parameters
 from sma_bench.protocols import Protocol, Waiting, load_protocol
 
 IDLE, RUNNING, DONE, ABORTED = "idle", "running", "done", "aborted"
-# s that a start waits for the recorder to hear every topic: discovery takes up to three.
-_RECORDER_PATIENCE = 10.0
+# s that a start waits for a recorder's discovery of all topics and for readings in time; of their
+# timeout, what is late.
+_PATIENCE, _LATE = 10.0, 0.8
 # s of 0 V before a protocol: by then a simulated bench runs in step with the commands.
 _LEAD_IN = 0.25
 _PROGRESS_EVERY = 0.25
@@ -71,14 +72,16 @@ class Run:
 
     def __init__(
         self, outputs: Outputs, loop: OpenLoop, guard: Guard, readiness: Readiness, channels: int,
-        autostart: bool = False, feedback_timeout: float = 1.0,
+        autostart: bool = False, feedback_timeout: float = 1.0, steady: float = 0.0,
     ) -> None:
         """`autostart`: start as soon as nothing is in the way; `feedback_timeout`: s for which
-        what a step waits for may stay away."""
+        what a step waits for may stay away; `steady`: s for which readings come in time before it
+        starts, lest a computer that is busy starting other nodes ends it."""
         self._outputs, self._loop, self._guard, self._readiness = outputs, loop, guard, readiness
         self._zero = [0.0] * channels
-        self._feedback_timeout = feedback_timeout
+        self._feedback_timeout, self._steady = feedback_timeout, steady
         self._autostart, self._patience = autostart, math.inf
+        self._watched = self._late = -math.inf  # the latter: when readings, or this run, were
         self._aborted = ""  # the first reason since the last reset
         # Of the run: when its steps begin, when they began by the bench's clock, and s of the
         # protocol that have been left out since.
@@ -134,9 +137,12 @@ class Run:
                     return f"{segment.step} waits for it: {faults[0]}"
         return ""
 
-    def _unheard(self) -> str:
-        """Topics of the bench that the recorder has to hear, and does not yet, or ""."""
-        if not self._readiness.required:
+    def _not_yet(self, now: float) -> str:
+        """What a start that nothing forbids still waits for: readings that come steadily, topics of
+        the bench that the recorder does not hear yet; or ""."""
+        if (steady := now - self._late) < self._steady:
+            return f"readings have come in time for {steady:.1f} s, expected {self._steady:g} s"
+        if not self._readiness.required():
             return ""
         published = self._outputs.surroundings().published()
         topics = self._readiness.not_recorded(published, self._guard.wanted)
@@ -176,15 +182,18 @@ class Run:
 
     def watch(self, now: float, plan: Callable[[], Protocol]) -> None:
         """The same care on a clock that goes on when a simulation stops."""
-        if self._autostart and self.state == IDLE and not self.obstacle(now):
-            if not (not_recorded := self._unheard()):
+        if max(self._guard.oldest(now), now - self._watched) > _LATE * self._feedback_timeout:
+            self._late = now
+        self._watched = now
+        if self._autostart and self.state == IDLE:
+            if not (reason := self.obstacle(now) or self._not_yet(now)):
                 self._autostart = False
                 try:
                     self._start(now, plan)
                 except InputError as error:  # a file that has changed since it was chosen
                     self.abort(f"not started: {error}")
             elif now > self._patience:
-                self.abort(f"not started: {not_recorded}")
+                self.abort(f"not started: {reason}")
         self.check(now)
         if self.state == ABORTED:
             self._send(self._zero)
@@ -208,16 +217,17 @@ class Run:
             self._send(self._zero)
 
     def start(self, now: float, plan: Callable[[], Protocol]) -> tuple[bool, str]:
-        """Follow what is planned, as soon as all of it is recorded; whether it is done, a line."""
+        """Follow what is planned, as soon as readings come steadily and all is recorded; whether it
+        is done, a line."""
         if self.running:
             return False, f"already running {self._name}"
         if self._aborted:
             return False, f"aborted: {self._aborted}; reset first"
         if obstacle := self.obstacle(now):
             return False, obstacle
-        if not_recorded := self._unheard():
-            self._autostart, self._patience = True, now + _RECORDER_PATIENCE
-            return True, f"starts as soon as all is recorded: {not_recorded}"
+        if reason := self._not_yet(now):
+            self._autostart, self._patience = True, now + _PATIENCE
+            return True, f"starts as soon as it can: {reason}"
         try:
             protocol = self._start(now, plan)
         except InputError as error:

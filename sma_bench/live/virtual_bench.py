@@ -199,7 +199,7 @@ class SimulatedRun:
         self._read: dict[tuple[str, str], list[tuple[float, float]]] = {}
         self._markers: list[tuple[float, str]] = []
         self._now = 0.0
-        self._run = Run(self, OpenLoop(), self._guard, Readiness(False), len(channels))
+        self._run = Run(self, OpenLoop(), self._guard, Readiness(), len(channels))
 
     def follow(self, protocol: Protocol) -> tuple[list[Signal], list[tuple[float, str]]]:
         """Signals as a recorder keeps them, and markers; InputError: the run was aborted."""

@@ -208,6 +208,20 @@ class BenchNode(OverridableNode):
 
     # --- changes of parameters -----------------------------------------------------------------
 
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """As rclpy; but, that what `ros2 param dump` wrote may be loaded, what stays is no change,
+        read-only or not, and 8e-06, of which that command makes a text, is a number."""
+        changes = []
+        for p in parameter_list:
+            before = self.get_parameter_or(p.name).value
+            if isinstance(before, float) and isinstance(p.value, str):
+                with contextlib.suppress(ValueError):
+                    p = RosParameter(p.name, value=float(p.value))
+            if str(_plain(p.value)) != str(_plain(before)):
+                changes.append(p)
+        unchanged = SetParametersResult(successful=True)
+        return super().set_parameters_atomically(changes) if changes else unchanged
+
     def _load(self, *_: Any) -> None:
         self.settings, self.parameters = self._validated({})
 

@@ -120,7 +120,6 @@ class SyntheticCameraNode(BenchNode):
         super().__init__("synthetic_camera")
         self.check_settings(self.settings)
         channels = self.parameters["bench.channels"]
-        self._camera = SyntheticCamera.of(self.parameters, self.settings)
         self._kelvin = [math.nan for _ in channels]
         self._deflection = 0.0
         self._pictures = self._reported = 0
@@ -141,6 +140,11 @@ class SyntheticCameraNode(BenchNode):
     def check_settings(self, settings: dict[str, Any]) -> None:
         if settings["fault"] not in FAULTS:
             raise InputError(f"fault: {settings['fault']!r}, expected {', '.join(FAULTS)}")
+        SyntheticCamera.of(self.parameters, settings)
+
+    def _load(self, *_: Any) -> None:
+        super()._load()
+        self._camera = SyntheticCamera.of(self.parameters, self.settings)
 
     def on_temperature(self, channel: int, message: Temperature) -> None:
         self._kelvin[channel] = message.temperature + CELSIUS_ZERO

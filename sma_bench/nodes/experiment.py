@@ -43,6 +43,7 @@ _WATCH_EVERY = 0.05  # s
 # Wall seconds for which readings of a simulation may stay away: a loaded machine may pause it, and
 # nothing is heated meanwhile.
 _SIMULATION_PAUSE = 10.0
+_STEADY = 2.0  # s; whoever starts several benches keeps the readings of one for a second and more
 
 
 class ExperimentNode(BenchNode):
@@ -61,12 +62,12 @@ class ExperimentNode(BenchNode):
         self._feedback_timeout = max(settings["feedback_timeout"], patience)
         self._labelled = partial(voltage_command, channels, signed=signature(self))
         self._guard = Guard(channels, settings["feedback"], self._feedback_timeout)
-        self._readiness = Readiness(settings["require_recorder"])
+        self._readiness = Readiness(lambda: self.settings["require_recorder"])
         self._loop = self.loop()
         self.check_settings(settings)
         self._run = Run(
             self, self._loop, self._guard, self._readiness, len(channels), settings["autostart"],
-            self._feedback_timeout,
+            self._feedback_timeout, 0.0 if self.simulated else _STEADY,
         )
         self._command = self.create_publisher(Float64MultiArray, COMMAND, READINGS)
         self.mark = self.line("experiment/marker")
@@ -96,7 +97,8 @@ class ExperimentNode(BenchNode):
         """The limits always, everything that is said of the bench while it is driven."""
         run: Run | None = getattr(self, "_run", None)  # ROS asks while the node is made, too
         driving = run is not None and run.running
-        return {name for name in self._contract if driving or name.startswith("bench.")}
+        names = (*self._contract, "require_recorder")
+        return {name for name in names if driving or name.startswith("bench.")}
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """A protocol must be readable before it becomes the parameter's value."""

@@ -34,13 +34,12 @@ class Recorder(BenchNode):
     """Subscribes to what it finds in the graph and writes the bytes as they came; records from its
     start, or `~/start`, to `~/stop` or its end, each time into a bag of its own."""
 
-    frozen = True
-
     def __init__(self) -> None:
         super().__init__("recorder")
-        settings = self.settings
         self._recording = Recording(
-            settings["output"], settings["skip_idle"], settings["idle_margin"], self.fail, BagWriter
+            self.settings["output"],
+            lambda: (self.settings["skip_idle"], self.settings["idle_margin"]),
+            self.fail, BagWriter,
         )
         self._said = "idle"
         self._publish = self.line("~/state")

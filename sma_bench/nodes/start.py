@@ -44,7 +44,7 @@ _CLOSING, _LEAVING = 30.0, 2.5
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node until SIGINT, SIGTERM or the end of its ROS context: 0 at a clean end, 2 after bad
-    input, of which one line goes to standard error.
+    input, or without what it imports, of which one line is logged.
 
     The signals are handled here and not by rclpy, whose handler invalidates the context before a
     node can send its last message.
@@ -61,17 +61,17 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     if asks_for_help:
         print(node_help(name), end="")
         return 0
-    kind: Any = node_class(name)
     import rclpy
     from rclpy.executors import ExternalShutdownException
 
     from sma_bench.ros.node import start_ros
 
-    end_with_starter(signal.SIGINT)
-    for number in ending_signals():  # asked twice it is no more
-        signal.signal(number, lambda *_: asked.set())
     node: Any = None
     try:
+        kind: Any = node_class(name)
+        end_with_starter(signal.SIGINT)
+        for number in ending_signals():  # asked twice it is no more
+            signal.signal(number, lambda *_: asked.set())
         sources = check_arguments(name, arguments)
         start_ros(arguments)
         # A node that simulates waits once after an installation; others have no compiler loaded.
@@ -101,9 +101,9 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
             executor.shutdown(timeout_sec=1.0)
         if node.failure is not None:
             raise node.failure
-    except InputError as error:
-        with contextlib.suppress(OSError):  # nobody may be left to read it
-            print(f"{name}: {' '.join(str(error).split())}", file=sys.stderr)
+    except (InputError, ImportError) as error:
+        logger = node.get_logger() if node else rclpy.logging.get_logger(name)
+        logger.fatal(" ".join(str(error).split()))
         return 2
     except (ExternalShutdownException, KeyboardInterrupt):  # the latter of what it waited for
         pass
@@ -152,7 +152,7 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
     # would leave a default in force, a safety limit's too.
     from sma_bench.border import load_yaml
     from sma_bench.errors import InputError
-    from sma_bench.parameters.node_tables import NODE_TABLES, refuse_unknown
+    from sma_bench.parameters.node_tables import NODE_TABLES, OF_NODES, refuse_unknown
     from sma_bench.parameters.parameter import BY_NAME
     from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
     from sma_bench.parameters.yaml_file import flatten, read_parameter_names
@@ -189,9 +189,9 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
                 values = flatten({name.split(":")[-1]: load_yaml(text)})
             except InputError as error:
                 raise InputError(f"-p {value:.80}: {error}") from None
-        refuse_unknown(
-            [n for n in values if n.removeprefix(UNCERTAINTY_PREFIX) not in BY_NAME], where
-        )
+        # A file may be for several nodes, what a command line says is for this one.
+        shared = option == "--params-file" or ":" in name
+        refuse_unknown(values, where, OF_NODES if shared else own)
         for name, given in values.items():
             parameter = own.get(name) or BY_NAME.get(name)
             if parameter is None and name.removeprefix(UNCERTAINTY_PREFIX) not in BY_NAME:

@@ -53,7 +53,7 @@ class TwinNode(BenchNode):
                         for s in MEASURED_STAGES}
         compile_model(self.parameters)
         self._twin = Twin(self.parameters, self.settings, self._predict, self._part)
-        self._loaded = self.parameters, self.settings
+        self._loaded = self.parameters
         self._judged = self._twin.verdict
         self._said = ""
         self._heard, self._restarts = time.monotonic(), 0
@@ -105,12 +105,10 @@ class TwinNode(BenchNode):
             self._residual.joint(stamp, value if self._moves else NAN, held)
 
     def _step(self) -> None:
-        parameters, settings = self._loaded
-        if parameters is not self.parameters:
-            self._loaded = self.parameters, self.settings
-            if settings != self.settings:
-                self._twin.tune(self.settings)
-            if parameters != self.parameters:
+        if (before := self._loaded) is not self.parameters:
+            self._loaded = self.parameters
+            self._twin.tune(self.settings)
+            if before != self.parameters:
                 self._twin.change(self.parameters)
         self._twin.advance()
         if self._restarts != self._twin.restarts:

@@ -1,7 +1,7 @@
 """Each node's own parameters, besides the contract's: what nodes.yaml declares; and the pages of
 documentation that the tables of parameters and effects generate."""
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from sma_bench.errors import InputError
 from sma_bench.parameters.parameter import (
@@ -13,7 +13,7 @@ from sma_bench.parameters.parameter import (
     declared,
     read_declarations,
 )
-from sma_bench.parameters.parameters import unknown_parameter_message
+from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, unknown_parameter_message
 
 _TREE = read_declarations("nodes.yaml")
 _SHARED = _TREE.pop("shared")
@@ -30,14 +30,15 @@ GONE = {
 }
 
 
-def refuse_unknown(names: Iterable[str], where: str) -> None:
-    """InputError for the first name of a source of parameters that is in no table, nor ROS's."""
+def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF_NODES) -> None:
+    """InputError for the first name of a source that is not the contract's, known, or ROS's own."""
     for name in names:
-        if name in OF_NODES or name.split(".")[0] in _ROS_GROUPS:
+        contracts = name.removeprefix(UNCERTAINTY_PREFIX) in BY_NAME
+        if contracts or name in known or name.split(".")[0] in _ROS_GROUPS:
             continue
         if name in GONE:
             raise InputError(f"{where}: {name} is gone: {GONE[name]}")
-        raise InputError(f"{where}: {unknown_parameter_message(name, (*BY_NAME, *OF_NODES))}")
+        raise InputError(f"{where}: {unknown_parameter_message(name, (*BY_NAME, *known))}")
 
 
 # --- Pages.

@@ -167,7 +167,8 @@ class NodeProcesses:
             if process.poll() is not None:
                 said = (self._logs / f"{name}.log").read_text(errors="replace").split("\n")
                 last = next((line for line in reversed(said) if line.strip()), "without a word")
-                raise InputError(f"node {name} ended: {last}")
+                words = last.partition("]: ")[2] if last.startswith("[") else last
+                raise InputError(f"node {name} ended: {words}")
 
     def pid(self, name: str) -> int:
         return self._running[name].pid

@@ -31,11 +31,13 @@ class MeasuredVoltages:
 
     Attributes:
         dropped: readings left out by reason.
+        timeout: s; a longer hole between two readings of a channel hides what drove it.
     """
 
-    def __init__(self, wires: int, timeout: float) -> None:
-        """`timeout` s: a longer hole between two readings of a channel hides what drove it."""
-        self._wires, self._timeout = wires, timeout
+    timeout: float
+
+    def __init__(self, wires: int) -> None:
+        self._wires = wires
         self.dropped = {"not a number": 0, "out of order": 0}
         self._forget()
 
@@ -57,7 +59,7 @@ class MeasuredVoltages:
             return ""
         if passed < 0.0:
             reason = f"time went back by {-passed:.3g} s"
-        elif self._timeout < passed < math.inf:
+        elif self.timeout < passed < math.inf:
             reason = f"no voltages for {passed:.3g} s"
         if reason:
             self._forget()

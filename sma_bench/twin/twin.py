@@ -100,11 +100,10 @@ class Twin:
     ) -> None:
         """`settings` are the twin node's own parameters; the callbacks get the output."""
         self._parameters = as_recorded(parameters)  # readings are direct volts, whatever switches
-        self._settings = settings
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]
-        self._period = 1.0 / settings["publish_rate"]
-        self._voltages = MeasuredVoltages(len(self._channels), settings["voltage_timeout"])
+        self._voltages = MeasuredVoltages(len(self._channels))
+        self.tune(settings)
         self._judge = Judge(side_names(parameters))
         self._origin: int | None = None
         self._ignored = 0
@@ -112,7 +111,8 @@ class Twin:
         self._begin_anew()
 
     def tune(self, settings: Settings) -> None:
-        self._settings = settings
+        self._settings, self._period = settings, 1.0 / settings["publish_rate"]
+        self._voltages.timeout = settings["voltage_timeout"]
 
     def _begin_anew(self) -> None:
         self._run: FreeRun | None = None

@@ -2,13 +2,17 @@
 
 import gc
 import math
+import signal
 import time
 from pathlib import Path
 
 import pytest
 import rclpy
+import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.parameter import parameter_dict_from_yaml_file
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from sma_bench.dashboard.live_state import LiveState
@@ -25,6 +29,16 @@ COMPOSITE = Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml
 COMMANDS = "qos_overrides./bench/voltage_command.publisher"
 QOS = "qos_overrides./bench/{}.reliability:=best_effort"
 CHANNELS = ("front_1", "back_1")
+FILLED = ("-p", "regions:=['', '', '', '']")
+# What the plant, the camera's eye and the bridge are made of, or limit wires by.
+FROZEN = ("simulator", "serial_bridge", "ir_camera")
+CHANGES = {
+    "experiment": {"require_recorder": True, "protocol": "composite_step"},
+    "temperature_controller": {"require_recorder": True, "delay": 0.1},
+    "recorder": {"skip_idle": True, "idle_margin": 2.0},
+    "synthetic_camera": {"noise": 1e-05, "sway": 0.0, "fault": "moved"},
+    "twin": {"publish_rate": 10.0, "voltage_timeout": 1.0, "window": 20.0},
+}
 
 
 @pytest.fixture
@@ -64,7 +78,7 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
     marker, progress = "experiment/marker", "experiment/progress"
     for name in NODE_TABLES:
         node = nodes[name] = make(
-            name, "--params-file", str(COMPOSITE), "-p", "regions:=['', '', '', '']",
+            name, "--params-file", str(COMPOSITE), *FILLED,
             "-p", QOS.format(f"{progress}.publisher"),
         )  # fmt: skip
         executor.add_node(node)
@@ -100,6 +114,65 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
     listener.destroy_node()
 
 
+@pytest.mark.parametrize("name", sorted(NODE_TABLES))
+def test_what_param_dump_writes_param_load_sets_and_what_need_not_stay_may_change(
+    make, tmp_path, name
+):
+    """As these commands of ros2 do: the file's values become texts, and what these look like."""
+    node = make(name, "--params-file", str(COMPOSITE), *FILLED, "-p", "wire.mass:=9.0e-5")
+    executor = OneThreadExecutor()
+    executor.add_node(node)
+    client = node.create_client(SetParameters, f"{name}/set_parameters")
+
+    def dumped():
+        names = sorted(node.list_parameters([], 0).names)
+        return {p.name: p.value for p in node.get_parameters(names)}
+
+    def load(values):
+        file = tmp_path / f"{name}.yaml"
+        plain = {n: list(v) if isinstance(v, (list, tuple)) else v for n, v in values.items()}
+        file.write_text(yaml.safe_dump({f"/bench/{name}": {"ros__parameters": plain}}))
+        parameters = list(parameter_dict_from_yaml_file(str(file)).values())
+        future = client.call_async(SetParameters.Request(parameters=parameters))
+        executor.spin_until_future_complete(future, 30.0)
+        results = zip(parameters, future.result().results, strict=True)
+        return {p.name: result.reason for p, result in results if not result.successful}
+
+    before = dumped()
+    assert len(before) > 80 and str(before["wire.mass"]) == "9e-05"  # YAML takes it for a text
+    assert load(before) == {}
+    assert dumped() == before
+    changes = CHANGES.get(name, {}) | ({} if name in FROZEN else {"wire.mass": 8e-05})
+    assert load(changes) == {}
+    assert {n: dumped()[n] for n in changes} == changes
+    held = {"use_sim_time": True} | ({"wire.mass": 8e-05} if name in FROZEN else {})
+    assert load(held).keys() == held.keys()
+    executor.shutdown()
+
+
+def test_every_node_says_once_that_it_is_ready_and_its_name_where_it_cannot_be(bench, tmp_path):
+    given = {"ir_camera": {"regions": [""] * 4}, "recorder": {"output": tmp_path / "bag"}}
+    nodes = {name: bench.start(name, COMPOSITE, **given.get(name, {})) for name in NODE_TABLES}
+    bench.until(lambda: all("ready\n" in node.output for node in nodes.values()), 60.0)
+    for node in nodes.values():
+        node.process.send_signal(signal.SIGINT)
+    for name, node in nodes.items():
+        assert node.process.wait(60.0) == 0
+        assert node.output.count("ready") == node.output.count(f"[bench.{name}]: ready\n") == 1
+    for name, arguments, said in (
+        ("twin", ["--params-file", "none.yaml"], "[twin]: none.yaml: cannot read"),
+        ("ir_camera", ["-p", "wires:=['']"], "[ir_camera]: -p: unknown parameter wires"),
+        ("recorder", ["-r", "a:b:c"], "[recorder]: "),
+        ("recorder", ["-p", f"output:={tmp_path}"], f"[recorder]: {tmp_path}: exists already"),
+    ):
+        node = bench.start_with(name, ["--ros-args", *arguments])
+        assert node.ended_with(2, said)
+        assert node.output.splitlines()[-1].startswith("[FATAL] ")
+    broken = "sys.modules['sma_bench.nodes.twin'] = None; start._run('twin', [])"
+    node = bench.run("twin", ["-c", f"import sys; from sma_bench.nodes import start; {broken}"])
+    assert node.ended_with(2, "[twin]: import of sma_bench.nodes.twin halted")
+
+
 HOSTILE = {
     str: ["x" * 300, "hold at 1 V" * 40, "a/" * 3000, "/" + "y" * 300 + ".yaml", "a\nb", "\0",
           "/dev/zero", "/proc/self/mem", "../../etc/passwd",
@@ -110,7 +183,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", sorted(NODE_TABLES))
 def test_whatever_a_parameter_is_set_to_the_node_answers_in_a_line_and_goes_on(make, name):
-    node = make(name, "--params-file", str(COMPOSITE), "-p", "regions:=['', '', '', '']")
+    node = make(name, "--params-file", str(COMPOSITE), *FILLED)
     for parameter in {p.name for p in NODE_TABLES[name]} | {"bench.channels", "wire.resistance"}:
         before = node.get_parameter(parameter).value
         if isinstance(before, list):

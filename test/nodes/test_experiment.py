@@ -3,13 +3,17 @@
 import json
 import os
 import signal
+import time
 
 import pytest
 import yaml
 from fake_bench import FakeBench
 from std_msgs.msg import String
 
+from sma_bench.installation import share_directory
 from sma_bench.ros.node import LATCHED
+
+COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
 
 SHORT = {
     "name": "short",
@@ -129,6 +133,27 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
     node.end(signal.SIGKILL)  # whoever was killed holds no name
     recorder.publish(String(data=""))
     assert_ends_cold(bench, fake, start_another(), signal.SIGTERM)
+
+
+def test_an_autostart_of_a_composite_waits_until_its_readings_are_in_time(bench):
+    """As while four other benches start on the same computer: a second is missing now and then."""
+    fake = FakeBench(bench, channels=("front_1", "front_2", "back_1", "back_2"))
+    bench.start("experiment", COMPOSITE_RIG, protocol="composite_step", autostart=True)
+
+    def spend(seconds):
+        end = time.monotonic() + seconds
+        bench.until(lambda: time.monotonic() > end)
+
+    bench.until(lambda: fake.state == "idle")
+    for _ in range(3):
+        spend(1.0)
+        fake.silent = {"power", "temperature"}
+        spend(1.1)
+        fake.silent = set()
+    assert [m.data for m in fake.states] == ["idle"] and fake.commands == []
+    since = time.monotonic()
+    bench.until(lambda: fake.state == "running: composite_step")
+    assert time.monotonic() - since > 1.5
 
 
 def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_the_reason(

@@ -5,7 +5,7 @@ import array
 import numpy as np
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
-from sensor_msgs.msg import BatteryState, Image
+from sensor_msgs.msg import BatteryState, Image, Temperature
 
 from sma_bench.hardware.thermal_image import Surface, SyntheticCamera, SyntheticWire
 from sma_bench.nodes.bench_plan import WIRE, plan_bench
@@ -57,6 +57,26 @@ def test_planned_nodes_read_a_wire_by_its_pictures_until_the_camera_freezes(
     bench.until(lambda: "stale feedback" in states[-1].data)
     assert "temperature" in states[-1].data
     bench.until(lambda: power[-1].voltage < 0.1)
+
+
+def test_the_synthetic_scene_may_change_while_pictures_are_taken(bench):
+    bench.start("synthetic_camera", **SMALL)
+    seen = []
+    bench.node.create_subscription(Image, "thermal_image", seen.append, 10)
+    wire = bench.talk("wire/true_temperature", Temperature)
+    bench.node.create_timer(0.1, lambda: wire.publish(Temperature(temperature=60.0)))
+
+    def spread():
+        """Levels of 0.1 K in the corner of the newest picture."""
+        corner = np.frombuffer(seen[-1].data, "<u2").reshape(80, 120)[:20, :20]
+        return int(np.ptp(corner))
+
+    bench.until(lambda: seen and spread() > 3)
+    for name in ("noise", "unevenness"):
+        assert bench.set_parameter("synthetic_camera", name, 0.0).successful
+    bench.until(lambda: spread() == 0)
+    answer = bench.set_parameter("synthetic_camera", "wires", ["1 2 3"])
+    assert not answer.successful and "expected 'X0 Y0 X1 Y1'" in answer.reason
 
 
 class Camera:

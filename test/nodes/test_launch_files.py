@@ -169,6 +169,12 @@ def test_what_cannot_be_started_or_played_is_one_line(words, bag, monkeypatch):
         plan_replay(changed) if "bag" in changed else plan_bench(WIRE, changed)
 
 
+def test_a_bad_protocol_is_refused_before_launch_has_anything_to_start(built):
+    for name in RIGS:
+        with pytest.raises(InputError, match="protocol bogus: not one of"):
+            built(name, protocol="bogus", autostart="true")
+
+
 def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_file(
     built, monkeypatch
 ):
@@ -290,6 +296,7 @@ def test_a_node_reads_its_own_section_and_later_sources_win(given):
         (["--ros-args", "-p", "bench.chanels:=[a]"], "unknown parameter bench.chanels"),
         # ROS would pass over these.
         (["--ros-args", "-p", "gain:=2"], "unknown parameter gain"),
+        (["--ros-args", "-p", "wires:=['']"], "-p: unknown parameter wires"),  # another node's
         (["--ros-args", "-r", "__ns:=/bench", "--", "x"], "unknown argument 'x'"),
         (["speed:=2.0"], "after --ros-args"),
         (["--ros-args", "--params-file", "none.yaml"], "none.yaml: cannot read"),

@@ -286,3 +286,17 @@ def test_noise_as_large_as_a_sensor_may_have_is_no_gap_and_a_step_beyond_it_is_s
         assert largest and max(largest) < twin_alarms.SURPRISING
     delay = twin_alarms.delays(random, 2.0, 0.5 * allowed, 30.0, trials=5)
     assert (delay < 10.0).all()
+
+
+def test_rates_and_patience_may_change_while_it_runs():
+    stream = Stream(CLAMPED, CLAMPED, one_wire)
+    stream.run(3.0)
+    often = len(stream.predictions)
+    stream.twin.tune(SETTINGS | {"publish_rate": 5.0, "voltage_timeout": 3.0})
+    stream.run(3.0)
+    assert 12 < len(stream.predictions) - often < 18 < 0.5 * often
+    for patience, restarts in ((3.0, 0), (0.5, 1)):
+        stream.twin.tune(SETTINGS | {"voltage_timeout": patience})
+        stream.run(1.0, heard=False)
+        stream.run(1.0)
+        assert stream.twin.restarts == restarts
