@@ -55,7 +55,9 @@ def test_the_terminals_of_the_page_record_a_bench(tmp_path, capsys, ros_domain, 
         recorder, experiment = running[1], tmp_path / "experiment.log"
         until(tmp_path / "recorder.log", "wire/temperature")
         answer = accepted([*call, "--set", f"protocol={protocol}", "--json"], capsys)
-        assert json.loads(answer)["answer"] == "short: 7 s"
+        # A busy machine's readings may have been late a moment ago.
+        assert re.match("short: 7 s|starts as soon as it can", json.loads(answer)["answer"])
+        until(experiment, "running: short")
         assert main(call) == 2
         assert "already running short" in capsys.readouterr().err
         until(experiment, "done: short")

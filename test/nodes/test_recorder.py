@@ -98,7 +98,7 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
         assert published < 200_000
     said = "cannot be written: File too large"
     assert node.ended_with(2, said)
-    assert said in [line for line in node.output.splitlines() if "recorder: " in line][-1]
+    assert said in [line for line in node.output.splitlines() if "recorder]: " in line][-1]
     bench.until(lambda: json.loads(states[-1].data)["state"] == "failed")
     bench.until(lambda: bench.status("recorder: bag").level == DiagnosticStatus.ERROR)
     assert said in bench.status("recorder: bag").message
