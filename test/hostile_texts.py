@@ -1,5 +1,7 @@
-"""Hostile texts of a kind: `topics`, `json`, `yaml`; and YAML whose merge keys multiply."""
+"""Hostile texts of a kind: `topics`, `json`, `yaml`; YAML whose merge keys multiply; and values of
+a parameter's type."""
 
+import math
 from pathlib import Path
 
 import yaml
@@ -7,6 +9,20 @@ import yaml
 MERGED = "b0: &b0 {x: 1, y: 2}\n" + "".join(
     f"b{k}: &b{k} {{<<: [*b{k - 1}, *b{k - 1}, *b{k - 1}], k{k}: 1}}\n" for k in range(1, 16)
 )
+
+VALUES = {
+    str: ["x" * 300, "hold at 1 V" * 40, "a/" * 3000, "/" + "y" * 300 + ".yaml", "a\nb", "\0",
+          "/dev/zero", "/proc/self/mem", "../../etc/passwd",
+          "'\"{}[]", "é" * 200, "x" * 100_000, "."],
+    float: [math.nan, math.inf, -1e300, 1e300], int: [-(2**63), 2**63 - 1], bool: [],
+}  # fmt: skip
+
+
+def hostile_values(usual):
+    """Values of a parameter that usually has one such as this."""
+    if isinstance(usual, list | tuple):
+        return [*([value] for value in VALUES[str]), ["a"] * 10_000]
+    return VALUES[type(usual)]
 
 
 def hostile(kind):

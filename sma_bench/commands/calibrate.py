@@ -6,6 +6,7 @@ known load after the other. The outputs stay off.
 
 import csv
 import math
+import os
 import re
 import statistics
 import sys
@@ -35,7 +36,7 @@ def run(args: SimpleNamespace) -> int:
     name, sensor = args.sensor, SENSORS[args.sensor]
     # What stays in --out, and whether it has a sensor of the same quantity.
     kept: dict[str, Any] = {}
-    if args.out and Path(args.out).exists():
+    if args.out and os.path.exists(args.out):
         if args.csv:
             options.keep_safe({"--out": (Path(args.out), options.FILE)}, [Path(args.csv)], True)
         kept = read_parameter_names(args.out)

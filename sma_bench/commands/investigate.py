@@ -4,6 +4,7 @@ import sys
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
@@ -24,6 +25,7 @@ def run(args: SimpleNamespace) -> int:
     options.one_only(args, "simulated", "namespace")
     if not args.budget > 0.0:
         raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
+    options.written_by_nobody_else([Path(args.folder)])
     case = Investigation(args.folder, args.budget, args.signals or QUANTITIES)
     case.begin(options.parameters_from_options(args), args.records)
     while True:

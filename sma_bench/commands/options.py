@@ -23,6 +23,7 @@ from click.shell_completion import CompletionItem
 from sma_bench.border import load_yaml, read_yaml
 from sma_bench.commands import COMMANDS
 from sma_bench.errors import InputError, did_you_mean
+from sma_bench.ros.processes import claimed
 
 if TYPE_CHECKING:
     from sma_bench.parameters import Parameters
@@ -165,7 +166,12 @@ class Command(click.Command):
             }  # fmt: skip
             read = [p.name for p in self.params if p.name and not isinstance(p.type, Output)]
             given = paths_in(ctx.params.get(name) for name in read)
-            keep_safe(written, given, bool(ctx.params.get("force")))
+            try:
+                written_by_nobody_else(path for path, kind in written.values() if kind != OWN)
+                keep_safe(written, given, bool(ctx.params.get("force")))
+            except InputError:
+                ctx.close()
+                raise
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -348,8 +354,11 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
         other = seen.setdefault(path.resolve(), option)
         if other != option:
             raise InputError(f"{path}: {other} and {option} name the same, expected two outputs")
-        if not path.exists() or kind == OWN:
-            continue
+        try:
+            if not path.exists() or kind == OWN:
+                continue
+        except OSError as error:  # a name too long
+            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
         for given in inputs:
             # The output is the input, a folder above it, or a part of a bag that is read.
             above = [] if kind == FILE else given.resolve().parents
@@ -371,6 +380,13 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
             raise InputError(f"{path}: {what}, expected a new path; --force replaces it")
         if kind == BAG and not (path / _BAG_FILE).is_file():
             raise InputError(f"{path}: is not a bag; --force replaces bags only")
+
+
+def written_by_nobody_else(paths: Iterable[Path]) -> None:
+    """Refuse outputs that another command is writing, and others these until this one ends."""
+    for path in {path.resolve() for path in paths}:
+        held = claimed(str(path), "being written already")
+        click.get_current_context().with_resource(held)
 
 
 def paths_in(values: Iterable[Any]) -> list[Path]:

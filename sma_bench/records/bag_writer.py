@@ -32,6 +32,7 @@ TYPES = get_typestore(Stores.ROS2_JAZZY)
 # when the next one is late.
 _FLUSH_EVERY = 0.5
 _MESSAGES_A_REPORT = 50_000
+_EXISTS = "exists already, expected a new path for the bag"
 _STILL_READABLE = "; what was written until then can be read"
 _LATEST_STAMP = 2**31  # s after 1970
 _NAN = float("nan")
@@ -60,8 +61,6 @@ class BagWriter:
         except ModuleNotFoundError:
             raise InputError("mcap is not installed, which writes bags: pip install mcap") from None
         self.path = Path(path)
-        if self.path.exists():
-            raise InputError(f"{self.path}: exists already, expected a new path for the bag")
         self._lock = threading.RLock()
         self._ended: InputError | None = None  # what every call has, once closed or failed
         self._flush_every, self._next_flush = flush_every, 0.0
@@ -72,7 +71,10 @@ class BagWriter:
         self._counts: Counter[str] = Counter()
         self._first, self._last = 2**63, 0
         with self._disk():
-            self.path.mkdir(parents=True)
+            try:
+                self.path.mkdir(parents=True)
+            except FileExistsError:
+                raise InputError(f"{self.path}: {_EXISTS}") from None
             self._file = (self.path / f"{self.path.name}.mcap").open("xb")
         with self._disk():
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
@@ -240,10 +242,10 @@ def write_record(
 @contextmanager
 def _beside(path: Path, replace: bool) -> Iterator[Path]:
     """A path to write to that becomes `path` when all went well."""
-    if path.exists() and not replace:
-        raise InputError(f"{path}: exists already, expected a new path for the bag")
     new = path
     try:
+        if path.exists() and not replace:
+            raise InputError(f"{path}: {_EXISTS}")
         path.parent.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
             new, old = Path(folder, path.name), Path(folder, f"{path.name}.replaced")
@@ -261,7 +263,9 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
         text = str(error).removesuffix(_STILL_READABLE)
         raise InputError(text.replace(str(new), str(path))) from None
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        is_there = error.errno == errno.ENOTEMPTY  # another writer was faster
+        why = _EXISTS if is_there else f"cannot be written: {error.strerror}"
+        raise InputError(f"{path}: {why}") from None
 
 
 # --- Signals to the serialised messages of the contract's topics.

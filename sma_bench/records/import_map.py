@@ -34,6 +34,9 @@ _CLEAR = 3.0  # times as far one way as the other
 _AT_REST = 0.1  # of all its way, what a position scatters before the first drive
 Proposed = tuple["ImportMap", list[str], dict[str, str]]  # a map, questions, remarks by column
 _UNKNOWN = "its title and unit say nothing of a bench"
+_MOST = 1e9  # that a number of a map may be, in its unit
+_Number = Annotated[float, msgspec.Meta(ge=-_MOST, le=_MOST)]
+_Positive = Annotated[float, msgspec.Meta(gt=0.0, le=_MOST)]
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -44,10 +47,10 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     column: str  # as the file has it
     unit: str  # of the column
     clock: str  # the column of its time
-    scale: float = 1.0
-    offset: float = 0.0  # in SI
+    scale: _Number = 1.0
+    offset: _Number = 0.0  # in SI
     sign: Literal[1, -1, "ask"] = 1
-    reference: Annotated[float, msgspec.Meta(ge=-1e9, le=1e9)] | Literal["rest", "none"] = "none"
+    reference: _Number | Literal["rest", "none"] = "none"
     form: Literal["rms", "mean", "duty", "peak"] = "rms"  # or direct; else of a switched supply
 
     @property
@@ -66,8 +69,8 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
 
     time: dict[str, str]
     signals: Annotated[tuple[Entry, ...], msgspec.Meta(min_length=1)]
-    supply_voltage: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
-    lever: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    supply_voltage: _Positive | None = None
+    lever: _Positive | None = None
     ignored: tuple[str, ...] = ()
 
     def tick(self, clock: str) -> float:
@@ -97,7 +100,8 @@ def read_map(path: str | Path) -> ImportMap:
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: not a map: {printable(str(error))}") from None
     period = "a unit of time, or of rows a period such as 0.1 s"
-    rules: Any = [(f"time: {c}: unit", t, made.tick(c) > 0.0, period) for c, t in made.time.items()]
+    rules: Any = [(f"time: {c}: unit", t, 0.0 < made.tick(c) < _MOST, period)
+                  for c, t in made.time.items()]  # fmt: skip
     names = [entry.signal for entry in made.signals]
     for k, entry in enumerate(made.signals, 1):
         where = f"signals: {k} ({printable(entry.signal)}): "

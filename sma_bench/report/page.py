@@ -4,6 +4,7 @@ import base64
 import csv
 import hashlib
 import io
+import os
 import platform
 import re
 from collections.abc import Mapping, Sequence
@@ -246,12 +247,12 @@ def _in_plain_numbers(table: Table) -> Table:
 
 def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
     """All of them, or none: then the folder is as it was."""
-    new, page = not directory.exists(), directory / _PAGE
+    new, page = not os.path.exists(directory), directory / _PAGE
     try:
         is_report = page.exists() and _MARK in read_bytes(page, _LARGEST_PAGE)
     except (InputError, OSError):
         is_report = False
-    if foreign := [] if is_report else [n for n in files if (directory / n).exists()]:
+    if foreign := [] if is_report else [n for n in files if os.path.exists(directory / n)]:
         raise InputError(
             f"{directory}: holds {foreign[0]}, which is not of a report of sma-bench; expected "
             "another folder"

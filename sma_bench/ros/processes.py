@@ -99,15 +99,17 @@ def _own_profile() -> str:
     return str(share_directory() / "config" / "dds" / "this_machine.xml")
 
 
-def claimed(name: str) -> socket.socket:
-    """Hold a name in this machine's ROS domain until the socket is closed or the process ends.
+def claimed(name: str, said: str = "") -> socket.socket:
+    """Hold a name, of this machine's ROS domain or of what is `said` of it to others, until the
+    socket is closed or the process ends.
 
     Waits a moment for one that is about to end: the graph still lists nodes that were killed.
 
-    Raises InputError: another process holds it.
+    Raises InputError: it is held already, by another process or this one.
     """
-    domain = os.environ.get("ROS_DOMAIN_ID") or "0"
-    address = f"\0sma_bench/{domain}/{hashlib.sha1(name.encode()).hexdigest()}"
+    said = said or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
+    named = hashlib.sha1(f"{said}/{name}".encode("utf-8", "surrogateescape"))
+    address = f"\0sma_bench/{named.hexdigest()}"
     end = time.monotonic() + _PATIENCE
     while True:
         held = socket.socket(socket.AF_UNIX)
@@ -124,7 +126,7 @@ def claimed(name: str) -> socket.socket:
                 size = struct.calcsize("3i")
                 peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
                 holder = str(struct.unpack("3i", peer)[0])
-            raise InputError(f"{name} is there already in ROS domain {domain}: process {holder}")
+            raise InputError(f"{name} is {said}: process {holder}")
         time.sleep(0.05)
 
 

@@ -1,5 +1,6 @@
 """Many records, each by itself: a task, and what came of it."""
 
+import asyncio
 import logging
 import os
 import re
@@ -21,7 +22,7 @@ from sma_bench.parameters import Parameters
 
 IDENTIFY, DIAGNOSE = "identify", "diagnose"
 _MOST_JOBS = 1024
-_CONNECTING = "4s"
+_CONNECTING = 3.0  # s
 
 
 @dataclass(frozen=True)
@@ -115,8 +116,16 @@ def _on_cluster(address: str) -> Iterator[None]:
         raise InputError(
             "a cluster needs dask.distributed, which is not installed: pip install distributed"
         ) from None
+
+    async def asked() -> Any:
+        async with distributed.rpc(address) as scheduler:
+            return await asyncio.wait_for(scheduler.identity(), _CONNECTING)
+
     logging.disable()  # what goes wrong is said in one line; their own accounts of it have hundreds
     try:
+        # A client that meets something else than a scheduler takes long to give up, and loudly.
+        if asyncio.run(asked()).get("type") != "Scheduler":
+            raise InputError(f"dask {address}: answers, but is no scheduler")
         with distributed.Client(address, timeout=_CONNECTING, set_as_default=False) as client:
             for worker, version in client.run(_version, on_error="return").items():
                 if version != VERSION:
@@ -128,7 +137,7 @@ def _on_cluster(address: str) -> Iterator[None]:
     except InputError:
         raise
     except Exception as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        reason = " ".join(f"{type(error).__name__}: {str(error) or 'no answer'}".split())
         raise InputError(f"dask scheduler {address}: {reason}") from None
     finally:
         logging.disable(logging.NOTSET)

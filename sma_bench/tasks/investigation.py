@@ -10,6 +10,7 @@ more would settle it, or the time is spent. Kept in a folder after every step, t
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -82,7 +83,7 @@ class Investigation:
         self.folder, self._budget, self._signals = Path(folder), budget, tuple(signals)
         self.given: list[str] = []
         self.chapters: list[Chapter] = []
-        if (path := self.folder / STORY).is_file():
+        if os.path.isfile(path := self.folder / STORY):  # False of what no file can be called, too
             import msgspec  # which a robot may lack
 
             found = read_json(read_text(path, _CHAPTER), str(path), _CHAPTER)
@@ -96,7 +97,7 @@ class Investigation:
 
     def begin(self, parameters: Parameters, given: Sequence[str]) -> None:
         """Keep what is believed and which records there are; where it has begun, what is new."""
-        begun = (self.folder / BELIEVED).is_file()
+        begun = os.path.isfile(self.folder / BELIEVED)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
             if not begun and any(self.folder.iterdir()):

@@ -1,11 +1,15 @@
 """A batch of records: order, failures of one record, interrupts, a cluster."""
 
+import contextlib
+import gc
 import json
 import os
 import re
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 
 import pytest
@@ -118,6 +122,31 @@ def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
     assert done[2].result["verdict"] and done[2].parameters is not None
     with pytest.raises(InputError, match="jobs 0: expected 1 to"):
         list(do_tasks([], 0))
+
+
+@pytest.mark.parametrize("answer", [b"HTTP/1.1 400 Bad Request\r\n\r\n", b"\xff" * 64, b""])
+def test_what_is_no_scheduler_is_one_line_within_seconds(answer, capfd):
+    """Something else answers there, or nothing."""
+    pytest.importorskip("distributed")
+    held = []
+
+    def serve():
+        with contextlib.suppress(OSError):
+            while True:
+                held.append(server.accept()[0])
+                held[-1].sendall(answer)
+
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        threading.Thread(target=serve, daemon=True).start()
+        begin = time.monotonic()
+        address = f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        with pytest.raises(InputError, match=f"^dask scheduler {address}: [^\n]+$"):
+            list(do_tasks([], 1, address))
+        assert time.monotonic() - begin < 5.0
+    gc.collect()  # a client that gave up would wait for eight seconds more, and say so
+    assert capfd.readouterr().err == "" and time.monotonic() - begin < 8.0
+    for connection in held:
+        connection.close()
 
 
 @pytest.mark.slow

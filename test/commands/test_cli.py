@@ -8,10 +8,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hostile_texts import VALUES
 
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.records import read_record
 
+LONGEST_NAME = 255  # of a file, of Linux
 ROOT = Path(__file__).resolve().parents[2]
 REFUSED = yaml.safe_load(Path(__file__).with_name("refused.yaml").read_text())
 
@@ -59,6 +61,21 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(words, tmp_path, ca
     (tmp_path / "file").write_text("not a folder")
     assert "result" in refuse(capsys, *words.split(), tmp_path / "file" / "result")
     assert os.listdir(tmp_path) == ["file"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["simulate --protocol ramp --out", "parameters --out", "audit --json", "demo --out",
+     "identify nothing --report", "example ten_tasks --out", "calibrate supply 5=6 9=10 --out",
+     "investigate nothing --simulated nothing --folder", "import nothing --out", "info",
+     "simulate --protocol ramp --out bag --params", "simulate --out bag --protocol"],
+)  # fmt: skip
+def test_a_name_that_no_file_can_have_is_one_line(words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in VALUES[str]:
+        if len(name) > LONGEST_NAME or words.endswith("--protocol"):
+            assert len(refuse(capsys, *words.split(), name)) < LONGEST_LINE + 30
+    assert os.listdir(tmp_path) == []
 
 
 def test_a_node_without_ros_says_what_is_missing(tmp_path):

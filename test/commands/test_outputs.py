@@ -1,5 +1,7 @@
 """Nothing lost by accident: no command replaces what exists without --force, and no input ever."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import click
@@ -91,6 +93,22 @@ def test_what_exists_is_not_replaced(name, option, kind, lab, refused):
     said = refused(*words_for(name, option, target, other))
     assert "exists already" in said and ("--force replaces it" in said) == (kind != NEW)
     assert content(lab) == before
+
+
+def test_of_two_commands_that_write_one_path_at_once_the_second_is_refused(lab, refused):
+    writes = f"""
+import sys
+from sma_bench.commands import terminal
+terminal.write_json = lambda *_: (print("at it", flush=True), sys.stdin.read())
+from sma_bench.cli import main
+main(["effects", "--json", {str(lab / "new.json")!r}])
+"""
+    command, pipe = [sys.executable, "-c", writes], subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True) as first:
+        assert first.stdout.readline() == "at it\n"
+        said = refused("effects", "--json", lab / ".." / lab.name / "new.json")
+        assert f"new.json is being written already: process {first.pid}" in said
+    assert main(["effects", "--json", str(lab / "new.json")]) == 0
 
 
 @pytest.mark.parametrize(("name", "option", "kind"), outputs(FILE, FOLDER, BAG, reading=True))

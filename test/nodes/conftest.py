@@ -151,12 +151,14 @@ class TestBench:
         answer = self.trigger(service)
         return not answer.success and said in answer.message and "\n" not in answer.message
 
-    def set_parameter(self, node, name, value):
-        """Result of setting one parameter: successful, reason."""
-        message = RosParameter(name, value=value).to_parameter_msg()
+    def set_parameter(self, node, name, *values):
+        """Result of setting one parameter, to several values in turn the list: successful, reason.
+        """
+        messages = [RosParameter(name, value=value).to_parameter_msg() for value in values]
         client = self.know(f"{node}/set_parameters", SetParameters)
-        future = client.call_async(SetParameters.Request(parameters=[message]))
-        return self._answer(future).results[0]
+        future = client.call_async(SetParameters.Request(parameters=messages))
+        results = self._answer(future).results
+        return results if len(values) > 1 else results[0]
 
     def _answer(self, future):
         self.until(future.done)

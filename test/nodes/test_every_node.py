@@ -1,7 +1,6 @@
 """What holds of every node, seen on the nodes themselves, made in this process."""
 
 import gc
-import math
 import signal
 import time
 from pathlib import Path
@@ -10,6 +9,7 @@ import pytest
 import rclpy
 import yaml
 from diagnostic_msgs.msg import DiagnosticArray
+from hostile_texts import hostile_values
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter import parameter_dict_from_yaml_file
@@ -173,24 +173,12 @@ def test_every_node_says_once_that_it_is_ready_and_its_name_where_it_cannot_be(b
     assert node.ended_with(2, "[twin]: import of sma_bench.nodes.twin halted")
 
 
-HOSTILE = {
-    str: ["x" * 300, "hold at 1 V" * 40, "a/" * 3000, "/" + "y" * 300 + ".yaml", "a\nb", "\0",
-          "/dev/zero", "/proc/self/mem", "../../etc/passwd",
-          "'\"{}[]", "é" * 200, "x" * 100_000, "."],
-    float: [math.nan, math.inf, -1e300, 1e300], int: [-(2**63), 2**63 - 1], bool: [],
-}  # fmt: skip
-
-
 @pytest.mark.parametrize("name", sorted(NODE_TABLES))
 def test_whatever_a_parameter_is_set_to_the_node_answers_in_a_line_and_goes_on(make, name):
     node = make(name, "--params-file", str(COMPOSITE), *FILLED)
     for parameter in {p.name for p in NODE_TABLES[name]} | {"bench.channels", "wire.resistance"}:
         before = node.get_parameter(parameter).value
-        if isinstance(before, list):
-            hostile = [[value] for value in HOSTILE[str]] + [["a"] * 10_000]
-        else:
-            hostile = HOSTILE[type(before)]
-        for value in hostile:
+        for value in hostile_values(before):
             (answer,) = node.set_parameters([RosParameter(parameter, value=value)])
             assert answer.successful or "\n" not in answer.reason and len(answer.reason) < 1000
             if answer.successful:

@@ -1,17 +1,18 @@
 """Tables of other loggers: four formats of one bench, guesses and questions, hostile files."""
 
 import json
-import zipfile
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from unfolding_tables import TEXT, shared_array, shared_texts, unfolding_tables
 
 from sma_bench import border
 from sma_bench.api import load
-from sma_bench.border import MEGABYTE
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records import describe, open_record, read_record
@@ -19,7 +20,7 @@ from sma_bench.records.import_map import read_map
 from sma_bench.records.tables import read_table_file
 
 h5py = pytest.importorskip("h5py")
-openpyxl = pytest.importorskip("openpyxl")
+pytest.importorskip("openpyxl")
 io = pytest.importorskip("scipy.io")
 sparse = pytest.importorskip("scipy.sparse")
 
@@ -145,6 +146,8 @@ def test_what_is_unsure_is_asked_in_one_line_and_in_the_map(
 
 
 @pytest.mark.parametrize(("entry", "said"), [
+    ("scale: .inf", "float. <= .* at .*scale"), ("offset: .nan", "float. >= -.* at .*offset"),
+    ("clock: t}, {signal: wire.voltage, column: w, unit: V, clock: t", "expected one column"),
     ("sign: 2", "enum value 2 - at .*sign"), ("colour: red", "unknown field `colour`"),
     ("reference: .nan", "float. >= -.* at .*reference"),
     ("clock: t2", "clock is 't2', expected one of those under time"),
@@ -208,18 +211,26 @@ def test_any_bytes_are_a_table_or_one_line(tmp_path_factory, content, magic):
         assert "\n" not in str(error) and str(path) in str(error)
 
 
-def shared_texts(source, target, texts):
-    """The workbook with its inline texts as references to the first of shared ones."""
-    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
-    kind = "application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
-    part = f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}"/></Types>'.encode()
-    with zipfile.ZipFile(source) as before, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as z:
-        for name in before.namelist():
-            content = before.read(name).replace(b"</Types>", part)
-            content = content.replace(b't="inlineStr"><is><t>x</t></is>', b't="s"><v>0</v>')
-            z.writestr(name, content)
-        z.writestr("xl/sharedStrings.xml", f'<sst xmlns="{main}">'.encode() + texts + b"</sst>")
-    return target
+INFO = """
+import resource, sys
+from sma_bench.cli import main
+statuses = [main(["info", name]) for name in sys.argv[1:]]
+own, children = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+print(*statuses, max(own.ru_maxrss, children.ru_maxrss))
+"""
+
+
+def test_what_a_table_holds_once_and_refers_to_often_ends_info_in_a_line_and_a_gigabyte(tmp_path):
+    """In their libraries these take 5.7 to 8.8 GB."""
+    pytest.importorskip("pyarrow")
+    tables = unfolding_tables(tmp_path)
+    command = [sys.executable, "-c", INFO, *map(str, tables)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    *statuses, peak = map(int, ended.stdout.split())
+    assert statuses == [2, 2, 2]
+    for line, table in zip(ended.stderr.splitlines(), tables, strict=True):
+        assert line.startswith(f"sma-bench: {table}: ")
+    assert peak * 1024 < 1 << 30
 
 
 def test_tables_that_unfold_without_end_are_refused_or_read_without_it(tmp_path, monkeypatch):
@@ -229,27 +240,17 @@ def test_tables_that_unfold_without_end_are_refused_or_read_without_it(tmp_path,
     (tmp_path / "secret").write_bytes(bytes(800))
     with h5py.File(tmp_path / "outside.h5", "w") as file:
         file.create_dataset("t", (100,), "f8", external=[(str(tmp_path / "secret"), 0, 800)])
-    with h5py.File(tmp_path / "often.h5", "w") as file:
-        shared = file.create_dataset("t", (40_000,), h5py.vlen_dtype(float))
-        shared[0] = np.arange(20_000.0)
-        first = shared.id.get_offset()
-    content = bytearray((tmp_path / "often.h5").read_bytes())
-    content[first : first + 16 * 40_000] = content[first : first + 16] * 40_000
-    (tmp_path / "often.h5").write_bytes(content)
+    shared_array(tmp_path / "often.h5")
     refused = {"claims.h5": "more than [0-9]+ MB", "outside.h5": "another file",
                "often.h5": "memory"}  # fmt: skip
     for name, said in refused.items():
         with pytest.raises(InputError, match=said):
             read_table_file(tmp_path / name)
     # One text of a megabyte in every cell of a column.
-    book = openpyxl.Workbook()
-    for k in range(1000):
-        book.active.append([k, 2.0 * k, "x"])
-    book.save(tmp_path / "small.xlsx")
-    small, one = tmp_path / "small.xlsx", b"<si><t>" + b"x" * MEGABYTE + b"</t></si>"
-    assert len(read_table_file(shared_texts(small, tmp_path / "often.xlsx", one)).columns) == 2
+    one = b"<si><t>" + TEXT + b"</t></si>"
+    assert len(read_table_file(shared_texts(tmp_path / "often.xlsx", 1000, one)).columns) == 2
     monkeypatch.setattr(border, "_SECONDS", 0.5)
-    endless = shared_texts(small, tmp_path / "endless.xlsx", b"<si><t>x</t></si>" * 1_000_000)
+    endless = shared_texts(tmp_path / "endless.xlsx", 1000, b"<si><t>x</t></si>" * 1_000_000)
     with pytest.raises(InputError, match="takes more than 1 s"):
         read_table_file(endless)
 

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -139,3 +140,29 @@ def test_a_bag_is_readable_after_every_flush_and_takes_what_was_announced(tmp_pa
     assert read_record(bag).findings == ()
     with pytest.raises(InputError, match="closed"):
         writer.write(topic, 1, b"")
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_of_many_writers_of_one_path_at_once_one_writes_and_the_others_have_a_line(tmp_path, whole):
+    gate, said = threading.Barrier(8), []
+
+    def write():
+        gate.wait()
+        try:
+            if whole:
+                write_record(tmp_path / "bag", [RAMP])
+            else:
+                BagWriter(tmp_path / "bag").close()
+            said.append("written")
+        except InputError as error:
+            said.append(str(error))
+
+    writers = [threading.Thread(target=write) for _ in range(gate.parties)]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+    line = f"{tmp_path / 'bag'}: exists already, expected a new path for the bag"
+    assert sorted(said) == sorted(["written", *[line] * (gate.parties - 1)])
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
+    assert not whole or len(read_record(tmp_path / "bag")["wire.voltage"]) == len(CLOCK)

@@ -1,0 +1,66 @@
+"""Small tables that hold one large thing and refer to it often: a text of a megabyte in the cells
+of a workbook, an array in 40,000 rows, a dictionary's text in a column."""
+
+import zipfile
+
+import numpy as np
+
+MEGABYTE, ROWS, REFERENCES = 1 << 20, 5000, 40_000
+TEXT = b"x" * MEGABYTE
+
+
+def shared_texts(target, rows, texts):
+    """A workbook of two columns of numbers and one of references to the first of shared texts."""
+    import openpyxl
+
+    book = openpyxl.Workbook()
+    for k in range(rows):
+        book.active.append([k, 2.0 * k, "x"])
+    plain = target.with_suffix(".plain.xlsx")
+    book.save(plain)
+    main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+    kind = "application/vnd.openxmlformats-officedocument.spreadsheetml.sharedStrings+xml"
+    part = f'<Override PartName="/xl/sharedStrings.xml" ContentType="{kind}"/></Types>'.encode()
+    with zipfile.ZipFile(plain) as before, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as z:
+        for name in before.namelist():
+            content = before.read(name).replace(b"</Types>", part)
+            content = content.replace(b't="inlineStr"><is><t>x</t></is>', b't="s"><v>0</v>')
+            z.writestr(name, content)
+        z.writestr("xl/sharedStrings.xml", f'<sst xmlns="{main}">'.encode() + texts + b"</sst>")
+    plain.unlink()
+    return target
+
+
+def shared_array(target):
+    """An HDF5 file whose 40,000 rows are one array of 160 kB."""
+    import h5py
+
+    with h5py.File(target, "w") as file:
+        rows = file.create_dataset("t", (REFERENCES,), h5py.vlen_dtype(float))
+        rows[0] = np.arange(20_000.0)
+        first = rows.id.get_offset()
+    content = bytearray(target.read_bytes())
+    content[first : first + 16 * REFERENCES] = content[first : first + 16] * REFERENCES
+    target.write_bytes(content)
+    return target
+
+
+def dictionary_text(target):
+    """A Parquet file with a column whose 5,000 rows are one text of a dictionary."""
+    import pyarrow
+    from pyarrow import parquet
+
+    rows, numbers = pyarrow.array(np.zeros(ROWS, "i4")), np.arange(float(ROWS))
+    text = pyarrow.DictionaryArray.from_arrays(rows, pyarrow.array([TEXT.decode()]))
+    table = pyarrow.table({"time_s": numbers, "voltage_V": numbers, "note": text})
+    parquet.write_table(table, target, compression="zstd")
+    return target
+
+
+def unfolding_tables(folder):
+    """One of each."""
+    texts = b"<si><t>" + TEXT + b"</t></si>"
+    return [
+        shared_texts(folder / "often.xlsx", ROWS, texts), shared_array(folder / "often.h5"),
+        dictionary_text(folder / "often.parquet"),
+    ]
