@@ -54,6 +54,7 @@ class Trace:
 
 
 CELSIUS_ZERO = 273.15
+_BEYOND = 1e9  # which no scale of a plot has room for
 
 
 @dataclass(frozen=True)
@@ -67,9 +68,9 @@ class ShownQuantity:
     limit: str = ""
 
     def shown(self, value: float) -> float | None:
-        """A number in the unit of the page; None where there is none."""
+        """A number in the unit of the page; None where there is none, or one beyond any bench."""
         number = self.factor * value - self.zero
-        return round(number, 5) if math.isfinite(number) else None
+        return round(number, 5) if abs(number) < _BEYOND else None
 
 
 QUANTITIES = {  # in the page's order

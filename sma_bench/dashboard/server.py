@@ -158,7 +158,8 @@ class _Guarded(tornado.web.RequestHandler):
     def prepare(self) -> None:
         headers, http = self.request.headers, self.server.http
         token = self.path_args[0] if self.path_args else ""
-        refusal = self.server.access.refusal(headers.get("Host"), headers.get("Origin"), token)
+        origin = headers.get("Origin", headers.get("Sec-WebSocket-Origin"))  # of old browsers
+        refusal = self.server.access.refusal(headers.get("Host"), origin, token)
         if refusal:
             self.refuse(403, refusal)
         else:
@@ -341,7 +342,9 @@ async def stop(bench: Any) -> dict[str, Any]:
     bench.send_zero()
     futures, answered = bench.send_stop(), dict[str, float]()
     while True:
-        wires, now = Wires(begin, bench.state.voltages(), before, bench.state.foreign()), clock()
+        voltages, now = bench.state.voltages(), clock()
+        before = voltages | before  # of a wire that was heard of since, its first reading
+        wires = Wires(begin, voltages, before, bench.state.foreign())
         for node, future in futures.items():
             if future.done():
                 answered.setdefault(node, round(now - begin, 4))

@@ -48,6 +48,7 @@ class BenchNode(OverridableNode):
     the tables and validated as a whole at every change, which is refused with a reason."""
 
     frozen = False  # whether no parameter may change while the node runs
+    limits = ""  # of a node that drives, with their sources, for people
     with_uncertainty = False  # whether it has use for the `uncertainty.` parameters
     executor_type: ClassVar[Callable[[], Executor]] = OneThreadExecutor
 
@@ -195,6 +196,8 @@ class BenchNode(OverridableNode):
     def diagnose(self) -> None:
         """Publish `health` now."""
         message = DiagnosticArray(status=self.health())
+        if self.limits:
+            message.status.append(self.status("limits", message=self.limits))
         message.header.stamp = self.stamp()
         self._diagnostics.publish(message)
 

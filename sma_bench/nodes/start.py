@@ -82,12 +82,12 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         executor = kind.executor_type()
         executor.add_node(node)
         if name in _DRIVERS:
-            limits = (
+            node.limits = ", ".join(
                 f"{limit} {node.parameters[f'bench.{limit}']:g} "
                 f"({sources.get(f'bench.{limit}', 'default')})"
                 for limit in _LIMITS
             )
-            node.get_logger().info(f"limits: {', '.join(limits)}")
+            node.get_logger().info(f"limits: {node.limits}")
         node.get_logger().info("ready")
         try:
             while rclpy.ok() and not asked.is_set() and node.failure is None:

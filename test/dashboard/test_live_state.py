@@ -10,7 +10,7 @@ import pytest
 from stand_in import StandIn
 
 from sma_bench.dashboard import server
-from sma_bench.dashboard.live_state import BUCKET, SPAN, LiveState, Seen, Trace
+from sma_bench.dashboard.live_state import BUCKET, QUANTITIES, SPAN, LiveState, Seen, Trace
 from sma_bench.dashboard.server import Wires, stop
 
 
@@ -63,6 +63,18 @@ def test_an_update_has_what_is_new_and_is_json_for_any_browser():
     assert second["signals"][0]["points"] == []
     assert second["panels"] == {"states": {"recorder": "recording"}}
     assert state.update(Seen())["panels"].keys() == {"stops", "states"}
+
+
+@pytest.mark.parametrize("value", [1e306, -1e306, 1e308, math.inf, math.nan])
+def test_numbers_beyond_any_bench_are_no_numbers_to_a_page(value):
+    clock = Clock()
+    state = LiveState(clock)
+    for clock.now in (100.0, 101.0):
+        for quantity in QUANTITIES:
+            state.reading(quantity, "tip", value)
+    update = json.loads(json.dumps(state.update(Seen()), allow_nan=False))
+    shown = [number for s in update["signals"] for _, number in [[0, s["latest"]], *s["points"]]]
+    assert len(shown) >= len(QUANTITIES) and set(shown) == {None}
 
 
 @pytest.fixture
@@ -134,6 +146,29 @@ def test_a_driver_that_hangs_and_a_clock_that_does_not_go_on_confirm_nothing(ben
     heard = bench.state.voltages()["front_1"].heard
     bench.read()
     assert (bench.state.voltages()["front_1"].heard == heard) == (stamp(1.0) == 5.0)
+
+
+@pytest.mark.parametrize("stamp", [lambda _: 5.0, lambda _: 0.0, lambda now: -now])
+def test_such_a_wire_confirms_nothing_where_it_was_first_heard_of_after_the_request(bench, stamp):
+    bench.volts, bench.stamp = dict.fromkeys(bench.volts, 0.0), stamp
+    result = stopped(bench, before=False, patience=1.0)
+    assert not result["stopped"] and result["said"].startswith("Not")
+
+
+@pytest.mark.parametrize("ahead", [1e9, -1e9])
+def test_stamps_of_another_time_confirm_a_stop_and_a_clock_that_jumps_only_once_it_goes_on(
+    bench, ahead
+):
+    """What counts is the source's own clock, whatever time it has."""
+    bench.volts = dict.fromkeys(bench.volts, 0.0)
+    bench.stamp = lambda now: now + ahead
+    assert stopped(bench)["stopped"]
+    begun = bench.state.clock()
+    bench.stamp = lambda now: now + ahead - 3600.0 * (now > begun + 0.1)
+    bench.read()
+    result = stopped(bench, before=False, patience=1.0)
+    assert not result["stopped"] and "no reading since the request" in result["said"]
+    assert stopped(bench)["stopped"]
 
 
 @pytest.mark.parametrize("stamp", [lambda _: 0.0, lambda now: 0.001 * now, lambda now: -now])

@@ -89,7 +89,7 @@ def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_t
     # Messages take most of the processor's time.
     rates = {f"rate__{kind}": 20.0 for kind in ("power", "temperature", "mechanics")}
     bench.start("simulator", bench__maximum_temperature=400.0, **rates)
-    bench.start("experiment", protocol="staircase")
+    bench.start("experiment", protocol="staircase", bench__maximum_current=2.5)
     bench.start("identification", record_root=str(tmp_path), output_root=str(tmp_path))
     talkers = [
         bench.node.create_publisher(String, topic, LATCHED)
@@ -101,6 +101,10 @@ def test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_t
     of = ["experiment", "identification", "simulator"]
     bench.until(lambda: shown.panels().get("limits", {}).get("of") == of)
     bench.until(lambda: "simulator: bench" in shown.panels().get("diagnostics", {}))
+    # Of what drives, the limits in force and where each is from.
+    bench.until(lambda: "experiment: limits" in shown.panels()["diagnostics"])
+    said = shown.panels()["diagnostics"]["experiment: limits"]["message"]
+    assert "maximum_current 2.5 (-p), maximum_temperature 423.15 (default)" in said
 
     bench.until(lambda: all(t.get_subscription_count() for t in [*talkers, diagnostics]))
     bench.until(lambda: talkers[0].get_subscription_count() >= 2)
