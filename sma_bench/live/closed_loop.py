@@ -11,6 +11,8 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import TUNING
 from sma_bench.protocols import TEMPERATURE, Protocol, Quantity, Segment, load_protocol
 
+_BEYOND = 1e4  # K or m: no reading, and one of them would leave an integral full for ever
+
 
 class ClosedLoop(OpenLoop):
     """Holds wires at temperatures (experiment E8), or bends a bench as wanted. A reference from a
@@ -84,7 +86,7 @@ class ClosedLoop(OpenLoop):
     def measured(self, name: str, value: float, stamp: float, now: float) -> None:
         """A channel's temperature, or the tip's position, acquired at `stamp` s; a gap (the
         camera's shutter) is bridged by the last one until that is stale."""
-        if math.isfinite(value):
+        if abs(value) < _BEYOND:
             self._readings[name] = value
             if self._freshness:
                 self._freshness.seen(stamp, now)

@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 from sma_bench.control import PI, DeflectionController, Gains, Heating, TemperatureController
 from sma_bench.control import OutputLimits as Limits
 from sma_bench.errors import InputError
+from sma_bench.live.closed_loop import ClosedLoop
 from sma_bench.parameters import TABLE, Parameters
+from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
 from sma_bench.physics.linearised import OperatingPoint, maximum_deflection
 from sma_bench.physics.material import direct_reading
+from sma_bench.protocols import DEFLECTION, TEMPERATURE
 from sma_bench.synthetic.bench_records import run_loop
 
 # What a lab's own identification leaves these uncertain by; those of the table are of Table I,
@@ -358,3 +361,21 @@ def test_a_bad_number_and_a_reference_out_of_reach_are_quoted():
     ):
         fault = controller.reference_fault(reference, bench)
         assert expected in fault and bool(expected) == bool(fault)
+
+
+@pytest.mark.parametrize(("quantity", "node"), [(TEMPERATURE, "temperature_controller"),
+                                               (DEFLECTION, "deflection_controller")])  # fmt: skip
+def test_one_reading_that_no_bench_has_changes_nothing(quantity, node):
+    settings = {p.name: p.default for p in NODE_TABLES[node]} | {"reference": ""}
+    wanted, now = ([330.0] * 4, 315.0) if quantity is TEMPERATURE else ([0.01], 0.009)
+    loops = [ClosedLoop(quantity, settings, COMPOSITE, lambda _: None) for _ in range(2)]
+    commanded = []
+    for loop, odd in zip(loops, ((), (math.nan, math.inf, 1e306, -1e306)), strict=True):
+        protocol = loop.plan(settings, COMPOSITE)
+        assert loop.ask(wanted, protocol, COMPOSITE) == ""
+        for k in range(40):
+            for name in quantity.targets(COMPOSITE):
+                for value in (now, *(odd if k == 20 else ())):
+                    loop.measured(name, value, PERIOD * k, PERIOD * k)
+            commanded.append(loop.volts(protocol, PERIOD * k))
+    assert commanded[:40] == commanded[40:] and max(commanded[-1]) > 1.0
