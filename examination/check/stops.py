@@ -1,0 +1,153 @@
+"""Does every node end when it is asked to? Groups of eight, Ctrl-C at random instants.
+
+Real processes: while they start, from the interpreter's first line on, or while a simulated bench
+is driven and recorded. None may be there 3 s after Ctrl-C or stay in the graph that another program
+sees, and none may say more than lines. Ten seconds a group on two free cores.
+
+    ./bench check stops --groups 250 --json stops.json
+"""
+
+import random
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+
+from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
+from sma_bench.hardware.thermal_image import regions_side_by_side
+from sma_bench.installation import share_directory
+from sma_bench.lifeline import tied_to_this_process
+from sma_bench.nodes.start import NODES
+from sma_bench.ros.processes import private_ros_environment
+
+GROUP = 8
+LIMIT = 3.0  # s
+NAMESPACE = "/stops"
+_SLOWEST_START, _LONGEST_RUN, _PATIENCE = 8.0, 3.0, 180.0  # s
+_DISCOVERY = 0.5  # s that another program may take to hear of an end
+_LOOK = 0.005  # s
+_SMALL = {"image_width": 64, "image_height": 48}
+_OWN = {
+    "experiment": {"protocol": "composite_triangle", "autostart": "true"},
+    "recorder": {"output": "bag"},
+    "ir_camera": {**_SMALL, "regions": list(regions_side_by_side(4, 64, 48))},
+    "synthetic_camera": _SMALL,
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """0 when all of them ended in time, left no ghost and said no more than lines."""
+    own = {"groups": (250, f"of {GROUP} nodes"), "seed": (1, "of all")}
+    options = options_of("stops", __doc__, argv, **own, **IN_PIECES | {"processes": (1, "at once")})
+    jobs = [(options.seed, number) for number in range(options.groups)]
+    stops = [one for group in in_pieces(stopped, jobs, options) for one in group]
+    rows = []
+    for name in (*NODES, "all"):
+        if found := [one for one in stops if name in (one["node"], "all")]:
+            seconds, wrong = [one["seconds"] for one in found], [o for o in found if o["wrong"]]
+            starting = sum(not one["ready"] for one in found)
+            times = f"{np.median(seconds):.2f}", f"{max(seconds):.2f}"
+            rows.append((name, len(found), starting, *times, len(wrong)))
+    print_table(("node", ">stops", ">of a start", ">median s", ">longest s", ">wrong"), rows)
+    for one in (one for one in stops if one["wrong"]):
+        print(f"group {one['group']}: {one['node']}: {one['wrong']}")
+    return 1 if any(one["wrong"] for one in stops) else 0
+
+
+def stopped(seed: int, number: int, size: int = GROUP) -> list[dict[str, Any]]:
+    """Start a group, stop it, and say of each of its nodes how long that took and what was wrong.
+    Every other group is stopped while it starts."""
+    rng = random.Random(f"{seed}/{number}")
+    names = rng.sample(sorted(NODES), size)
+    private_ros_environment()
+    rclpy.init(args=[])
+    node = rclpy.create_node("watcher", namespace="/elsewhere")
+    try:
+        with tempfile.TemporaryDirectory(prefix="sma_bench_stops_") as folder:
+            processes = {name: _started(name, Path(folder)) for name in names}
+            try:
+                found = _stopped(rng, number % 2 == 0, processes, Path(folder), node)
+            finally:
+                for process in processes.values():
+                    process.kill()
+                    process.wait()
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return [{"group": number, "node": name, **one} for name, one in found.items()]
+
+
+def _started(name: str, folder: Path) -> subprocess.Popen[bytes]:
+    given = ["-r", f"__ns:={NAMESPACE}"]
+    given += ["--params-file", str(share_directory() / "config" / "composite_rig.yaml")]
+    for key, value in _OWN.get(name, {}).items():
+        given += ["-p", f"{key}:={value}"]
+    with (folder / f"{name}.log").open("wb") as log:
+        return subprocess.Popen(
+            [sys.executable, "-m", "sma_bench.nodes.start", name, "--ros-args", *given],
+            stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
+            env=tied_to_this_process(),
+        )  # fmt: skip
+
+
+def _stopped(
+    rng: random.Random, while_starting: bool, processes: dict[str, subprocess.Popen[bytes]],
+    folder: Path, node: Any,
+) -> dict[str, dict[str, Any]]:
+    """By node: s until it had ended, whether it was ready, and what was wrong, "" for nothing."""
+
+    def said(name: str) -> str:
+        return (folder / f"{name}.log").read_text(errors="replace")
+
+    def ready() -> dict[str, bool]:
+        return {name: "ready" in said(name) for name in processes}
+
+    # The instant.
+    until = time.monotonic() + (rng.uniform(0.0, _SLOWEST_START) if while_starting else _PATIENCE)
+    while time.monotonic() < until and (while_starting or not all(ready().values())):
+        time.sleep(_LOOK)
+    time.sleep(0.0 if while_starting else rng.uniform(0.0, _LONGEST_RUN))
+
+    # Ctrl-C, as a terminal sends it: to all of them.
+    were, ended = ready(), dict[str, float]()
+    begin = time.monotonic()
+    for process in processes.values():
+        process.send_signal(signal.SIGINT)
+    while len(ended) < len(processes) and time.monotonic() < begin + LIMIT:
+        for name, process in processes.items():
+            if process.poll() is not None:
+                ended.setdefault(name, time.monotonic() - begin)
+        time.sleep(_LOOK)
+
+    # Whom another program still sees.
+    while ghosts := {n for n, where in node.get_node_names_and_namespaces() if where == NAMESPACE}:
+        if time.monotonic() > begin + max(LIMIT, *ended.values(), 0.0) + _DISCOVERY:
+            break
+        time.sleep(_LOOK)
+
+    found = {}
+    for name, process in processes.items():
+        text, status = said(name), process.poll()
+        wrong = [
+            f"there after {LIMIT:g} s" if name not in ended else "",
+            f"status {status}" if status else "",
+            "still in the graph" if name in ghosts and name in ended else "",
+            "not ready" if not (while_starting or were[name]) else "",
+            "a traceback" if "Traceback" in text else "",
+        ]
+        line = ", ".join(filter(None, wrong))
+        line += f" ({text[-300:]})" if line else ""
+        seconds = round(ended.get(name, LIMIT), 3)
+        found[name] = {"seconds": seconds, "ready": were[name], "wrong": line}
+    return found
+
+
+if __name__ == "__main__":
+    sys.exit(main())
