@@ -113,6 +113,8 @@ class Stage:
     """A built workspace, a ROS domain and a folder; what a test starts is gone after it."""
 
     def __init__(self, folder: Path) -> None:
+        os.environ.setdefault("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         self.folder, self.environment = folder, dict(os.environ)
         self.programs: list[Program] = []
         assert "1 package finished" in self.run("colcon", "build", *CHECKOUT)
@@ -164,8 +166,6 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    os.environ.setdefault("ROS_DOMAIN_ID", str(20 + os.getpid() % 80))
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     stage = Stage(tmp_path_factory.mktemp("workspace"))
     yield stage
     stage.run("ros2", "daemon", "stop", status=None)
