@@ -151,14 +151,16 @@ class TestBench:
         answer = self.trigger(service)
         return not answer.success and said in answer.message and "\n" not in answer.message
 
-    def set_parameter(self, node, name, *values):
-        """Result of setting one parameter, to several values in turn the list: successful, reason.
-        """
+    def set_parameter(self, node, name, value):
+        """Result of setting one parameter: successful, reason."""
+        return self.set_in_turn(node, name, [value])[0]
+
+    def set_in_turn(self, node, name, values):
+        """Results of setting one parameter to several values, in one call."""
         messages = [RosParameter(name, value=value).to_parameter_msg() for value in values]
         client = self.know(f"{node}/set_parameters", SetParameters)
         future = client.call_async(SetParameters.Request(parameters=messages))
-        results = self._answer(future).results
-        return results if len(values) > 1 else results[0]
+        return self._answer(future).results
 
     def _answer(self, future):
         self.until(future.done)

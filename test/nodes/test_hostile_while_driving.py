@@ -110,7 +110,7 @@ def test_whatever_is_set_and_said_a_node_that_drives_answers_and_its_run_goes_on
     # Parameters.
     for p in (*NODE_TABLES[name], *map(BY_NAME.get, CONTRACT)):
         usual = {**driven.given, "reference": ""}.get(p.name, p.default)
-        for answer in bench.set_parameter(name, p.name, *hostile_values(usual), usual):
+        for answer in bench.set_in_turn(name, p.name, [*hostile_values(usual), usual]):
             assert answer.successful or "\n" not in answer.reason and len(answer.reason) < 1000
         assert not driven.drives or fake.state.startswith("running")
     driven.goes_on()

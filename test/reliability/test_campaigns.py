@@ -91,6 +91,18 @@ def test_nodes_go_on_under_foreign_traffic_and_kills(
     assert failed(restarted_nodes(1, 7, tmp_path / "restarts")) == []
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_group_of_nodes_ends_while_it_starts_and_while_it_runs(ros_domain, monkeypatch, number):
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+    from examination.check import stops
+
+    monkeypatch.setattr(stops, "LIMIT", 20.0)  # beside other tests; 3 s is the check's
+    found = stops.stopped(2, number, 3)
+    assert len(found) == 3 and [one for one in found if one["wrong"]] == []
+    assert number == 0 or all(one["ready"] for one in found)
+
+
 @pytest.mark.parametrize("parser", parsers(), ids=lambda parser: parser.name)
 def test_long_runs_of_one_sign_take_no_longer_than_their_length(parser, tmp_path):
     runs = (b"9" * 20_000 + b"x", b"x" + b" " * 20_000 + b"x", b"_" * 20_000, b"temperature" * 2000)
