@@ -12,13 +12,15 @@ import struct
 import sys
 import zlib
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
+
+import numpy as np
 
 from sma_bench import border
 from sma_bench.border import Budget, OverBudget, printable
@@ -61,6 +63,15 @@ class RawTopic:
     times: "array[int]" = field(default_factory=lambda: array("q"))
     lengths: "array[int]" = field(default_factory=lambda: array("q"))
     data: bytearray = field(default_factory=bytearray)
+
+    def add(self, records: "np.ndarray") -> None:
+        """Append messages whose mcap records are the rows of an array of bytes."""
+        self.count += len(records)
+        if self.wanted:
+            begin = _RECORD.size + _MESSAGE_HEAD.size
+            self.times.frombytes(records[:, _MESSAGE_TIME : _MESSAGE_TIME + 8].tobytes())
+            self.lengths.extend([records.shape[1] - begin] * len(records))
+            self.data += records[:, begin:].tobytes()
 
 
 @dataclass
@@ -253,7 +264,12 @@ def _remark_provenance(custom: Any, topics: RawTopics) -> None:
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
+_RECORD_OF_CHANNEL = struct.Struct("<BQH")
+_ALIKE = _RECORD_OF_CHANNEL.size  # bytes that the records of like messages share
+_MESSAGE_TIME = _ALIKE + 4  # where a message's record has its time, behind the sequence number
 _CHECK_TIME_EVERY = 1 << 17  # bytes
+_LONGEST_TURN, _LEAST_TURNS = 64, 8  # messages, repetitions worth an array
+_NO_TURNS = np.empty((0, 0), np.uint8)
 _BLOCK = 512  # bytes, the smallest that disks have
 
 
@@ -276,7 +292,7 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
         """Take the records from `position` to the end of the file, or of a chunk that begins
         `inside` it at that byte. Raises _Damage, struct.error: what comes next is no record."""
         nonlocal reached, orphans, ended
-        end, unpack, checked = len(buffer), _RECORD.unpack_from, position
+        end, unpack, checked, look = len(buffer), _RECORD.unpack_from, position, position
         topic: RawTopic | None = None
         while position < end and not ended:
             if position - checked > _CHECK_TIME_EVERY:
@@ -285,6 +301,15 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
             start = position + _RECORD.size
             opcode, length = unpack(buffer, position) if start <= end else (_DATA_END, end)
             stop = start + length
+            if opcode == _MESSAGE and inside is not None and position >= look:
+                turn, turns = _turns(buffer, position, channels)
+                for channel, begin, close in turn:
+                    topic = channels[channel]
+                    topic.add(turns[:, begin:close])
+                position += turns.size
+                look = position + (0 if turn else _CHECK_TIME_EVERY // 8)
+                if turn:
+                    continue
             if not 0 < opcode < 0x80:
                 if topic is not None and topic.wanted:
                     # A message in front of zeros may have begun inside them: a computer that lost
@@ -364,6 +389,33 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
     elif not ended:
         text = "has no end: it is still being recorded, or its writer died; what is whole is read"
         topics.remark(name, text + f", {share} are not" * bool(lost), bytes=lost)
+
+
+def _turns(
+    buffer: bytes, position: int, known: Container[int]
+) -> tuple[list[tuple[int, int, int]], "np.ndarray"]:
+    """The messages of a chunk from `position` on as an array, where topics take turns with messages
+    of one length each, as a steady bench's do: channel, begin and end of every record of a turn,
+    and the bytes, shape (turns, bytes of a turn). Nothing where they do so too few times."""
+    turn: list[tuple[int, int, int]] = []
+    first, at, longest = buffer[position : position + _ALIKE], 0, len(buffer) - position
+    while not turn or buffer[position + at : position + at + _ALIKE] != first:
+        if len(turn) == _LONGEST_TURN or at + _ALIKE > longest:
+            return [], _NO_TURNS
+        opcode, length, channel = _RECORD_OF_CHANNEL.unpack_from(buffer, position + at)
+        if opcode != _MESSAGE or length < _MESSAGE_HEAD.size or channel not in known:
+            return [], _NO_TURNS
+        turn.append((channel, at, at := at + _RECORD.size + length))
+    most = longest // at
+    if most < _LEAST_TURNS:
+        return [], _NO_TURNS
+    turns = np.frombuffer(buffer, np.uint8, most * at, position).reshape(most, at)
+    alike = np.ones(most, dtype=bool)
+    for _, begin, _ in turn:
+        alike &= (turns[:, begin : begin + _ALIKE] == turns[0, begin : begin + _ALIKE]).all(axis=1)
+        alike &= turns[:, begin + _MESSAGE_TIME + 7] < 0x80  # times that fit
+    count = most if alike.all() else int(alike.argmin())
+    return (turn, turns[:count]) if count >= _LEAST_TURNS else ([], _NO_TURNS)
 
 
 def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
