@@ -11,7 +11,13 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
-from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors, SharedWatch
+from sma_bench.hardware.bench_sensors import (
+    MOST_CURRENT_AT_REST,
+    SIDES,
+    BenchReading,
+    BenchSensors,
+    SharedWatch,
+)
 from sma_bench.hardware.safety import CommandGate, Guard, Limits
 from sma_bench.hardware.serial_link import LateAnswer, LinkError, LinkStatus, SerialLink
 from sma_bench.hardware.serial_messages import (
@@ -39,7 +45,6 @@ T = TypeVar("T")
 NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
 """checks of the self-test without which nobody enables"""
 _TRIES = 3
-_MOST_CURRENT_AT_REST = 0.15  # A
 _MOST_CLOCK_UNCERTAINTY = 2e-3  # s
 _CLOSED_FOR = 0.12  # s; the relay closes within 30 ms, the mean of the current needs as long
 # s, of the device's clock from the last frame before the stop: half a second of frames may wait in
@@ -227,8 +232,8 @@ class BenchDriver:
              f"known to {1e3 * uncertainty:.2f} ms, drift {1e6 * status.drift:.0f} ppm"),
             ("supply", low <= self.supply <= high,
              f"{self.supply:.2f} V, expected {low:g} to {high:g} V"),
-            ("currents", most < _MOST_CURRENT_AT_REST,
-             f"at most {most:.2f} A at rest, expected under {_MOST_CURRENT_AT_REST:g} A"),
+            ("currents", most < MOST_CURRENT_AT_REST,
+             f"at most {most:.2f} A at rest, expected under {MOST_CURRENT_AT_REST:g} A"),
         ]
         for side, distance in zip(SIDES, newest.distances, strict=True):
             if side in self._sensors.range_sensors:
@@ -265,7 +270,7 @@ class BenchDriver:
             return False, f"closed, nothing driven: {status.cause_text}"
         currents = self._sensors.board_currents(status.newest) if status.newest else (math.inf,)
         most = max(map(abs, currents))
-        return most < _MOST_CURRENT_AT_REST, f"closed, nothing driven: at most {most:.2f} A"
+        return most < MOST_CURRENT_AT_REST, f"closed, nothing driven: at most {most:.2f} A"
 
     def _heard_stop(self) -> tuple[bool, str]:
         """The emergency stop must be heard, and be forgotten on request only."""
@@ -297,6 +302,8 @@ class BenchDriver:
     def take(self, telemetry: Telemetry, now: float) -> BenchReading:
         """Note telemetry; what it says about the bench."""
         self._supply_reading = telemetry.supply
+        if not self.enabled and not any(telemetry.duty):
+            self._sensors.rest(telemetry)
         taken = self.newest = self._sensors.reading(telemetry)
         for channel, power in zip(self._channels, taken.powers, strict=True):
             self._guard.power(channel, *power, taken.time, now, self._limits)

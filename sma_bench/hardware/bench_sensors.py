@@ -16,6 +16,9 @@ from sma_bench.hardware.serial_messages import CHANNELS, Telemetry
 SIDES = ("front", "back")
 """of the device's boards, and of its range sensors"""
 _PER_SIDE = CHANNELS // len(SIDES)
+MOST_CURRENT_AT_REST = 0.15
+"""A that a board's sensor may say while nothing is driven"""
+_RECENT = 0.05  # of the mean at rest, a reading
 _LEAST_DUTY = 1e-3  # below it a converter's step of mean current is amplified more than 30 times
 # Of a shared current sensor: s between two readings whose difference is what a step of the voltage
 # did to the power; much less than a phase change takes.
@@ -122,6 +125,7 @@ class BenchSensors:
             for name, sensor in SENSORS.items()
         }
         self.supply = self._calibrations["supply"]
+        self._at_rest: tuple[float, ...] = (0.0,) * len(SIDES)
         self._standoffs = [settings[f"range.{side}_standoff"] for side in SIDES]
         for sensor in settings["range.sensors"]:
             if sensor not in SIDES:
@@ -145,22 +149,34 @@ class BenchSensors:
         """A, mean through the front and the back board."""
         return self._calibrated("current", telemetry)
 
+    def rest(self, telemetry: Telemetry) -> None:
+        """A window in which nothing is driven: what the boards' sensors say then, if it is little,
+        is no wire's current. At a small duty it would look like one."""
+        self._at_rest = tuple(
+            rest + _RECENT * (ampere - rest)
+            for rest, ampere in zip(self._at_rest, self.board_currents(telemetry), strict=True)
+        )
+
     def reading(self, telemetry: Telemetry) -> BenchReading:
         """What a window says. Two driven wires of a board share its current like their duties:
         equal resistances."""
         duties = telemetry.duty
         supply, currents = self.supply.apply(telemetry.supply), self.board_currents(telemetry)
+        wires = [
+            ampere - rest if abs(rest) < MOST_CURRENT_AT_REST else ampere
+            for ampere, rest in zip(currents, self._at_rest, strict=True)
+        ]
         totals = sum(duties[:_PER_SIDE]), sum(duties[_PER_SIDE:])
         powers = []
         for channel in self.channels:
             duty, board = duties[channel], channel // _PER_SIDE
             if duty == 0.0:
                 # Not driven: nothing that a sensor common to both wires could distinguish.
-                current = 0.0 if totals[board] > 0.0 else currents[board]
+                current = 0.0 if totals[board] > 0.0 else wires[board]
             elif duty < _LEAST_DUTY:
                 current = math.nan
             else:
-                current = currents[board] * duty / totals[board] / math.sqrt(duty)
+                current = wires[board] * duty / totals[board] / math.sqrt(duty)
             # The supply without load, less what a pulse of the wire's own board takes from it.
             drop = self.supply.gain * telemetry.drop[board]
             powers.append(ChannelPower(math.sqrt(duty) * (supply - drop), current))

@@ -27,6 +27,8 @@ _COMMANDS = 10  # a reading may belong to any of the last commands
 _LEAST_READINGS = 5  # that show what must last
 _RATE_BASE = 0.05  # s; stamps of a camera come a few ms early or late
 _MODELLED_CURRENT = 2.0  # times the largest: more than that does not get into the model
+_RESTS, _RESTED = 0.5, 10.0  # V, and time constants after which a wire shows its room
+_ROOM = 20.0  # K that a room may be colder or warmer than its file says
 _OFF_CURRENT = 0.3  # A; an uncalibrated ACS712 may be 0.4 A off, a calibrated one is not
 
 
@@ -237,7 +239,9 @@ class Wire:
     rise: float = 0.0  # K/s, 0 between two readings that are too near each other
     modelled: float = math.nan  # K, from the volts
     hottest: float = math.nan  # K, from all power that was measured
+    room: float = 0.0  # K by which it was warmer at rest than the room of the limits
     since: Lasting = field(default_factory=dict)
+    _rested: float = 0.0  # s
     _heating: float = 0.0
     _powered: float = math.nan
     _reference: tuple[float, float] | None = None
@@ -253,9 +257,13 @@ class Wire:
             self.modelled, self.hottest, elapsed = limits.ambient, limits.maximum_temperature, 0.0
         heating = limits.heating_voltage(volt, ampere)
         expected = heating if math.isnan(volt) else volt
+        if volt >= LEAST_VOLTAGE and not math.isnan(ampere):  # a wire may age: what it takes heats
+            taken = max((volt - limits.leads * ampere) * ampere, 0.0)
+            expected = math.sqrt(taken * limits.heated)
         self.modelled = limits.warmed(self.modelled, expected, elapsed)
         # Nobody knows when, since the last reading, the voltage changed.
         self.hottest = limits.warmed(self.hottest, max(heating, self._heating), elapsed)
+        self._rested = self._rested + elapsed if max(heating, self._heating) < _RESTS else 0.0
         self._heating, self._powered = heating, stamp
 
     def believed(self, limits: Limits) -> list[float]:
@@ -269,11 +277,13 @@ class Wire:
             )
         ]
 
-    def temperature(self, kelvin: float, stamp: float) -> None:
+    def temperature(self, kelvin: float, stamp: float, limits: Limits) -> None:
         """A temperature acquired at `stamp` s; the rise since one that is far enough back."""
         self.kelvin, self.rise = kelvin, 0.0
         if not math.isfinite(kelvin):
             return
+        if self._rested > _RESTED * limits.heat_capacity / limits.heat_loss:
+            self.room = max(-_ROOM, min(kelvin - limits.ambient, _ROOM))
         before, at = self._reference or (kelvin, stamp)
         if self._reference is None or not 0.0 <= stamp - at < _RATE_BASE:
             self._reference = (kelvin, stamp)
@@ -327,7 +337,7 @@ def power_rules(
 
 
 def temperature_rules(wire: Wire, x: Limits, timeout: float = 0.0) -> dict[str, Rule]:
-    name, kelvin, modelled = wire.name, wire.kelvin, wire.modelled
+    name, kelvin, modelled = wire.name, wire.kelvin, wire.modelled + wire.room
     return {
         "temperature": Rule(kelvin, x.maximum_temperature, lambda: (
             f"over-temperature: {name} at {_celsius(kelvin)}, limit "
@@ -413,7 +423,7 @@ class Guard:
     ) -> None:
         """Note a temperature in K; NaN or infinite is not a reading and makes nothing fresh."""
         wire, subject = self._wires[channel], f"{channel}/temperature"
-        wire.temperature(kelvin, stamp)
+        wire.temperature(kelvin, stamp, limits)
         if math.isfinite(kelvin):
             self._fresh[subject].seen(stamp, now)
         reasons = broken(temperature_rules(wire, limits, self._timeout), now, wire.since)

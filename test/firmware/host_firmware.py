@@ -21,8 +21,8 @@ def _compile(output, *arguments):
     return output
 
 
-def build_program(source, folder):
-    return _compile(folder / Path(source).stem, *SANITIZED, HERE / "host" / source)
+def build_program(source, folder, how=SANITIZED):
+    return _compile(folder / Path(source).stem, *how, HERE / "host" / source)
 
 
 def build_host_firmware(folder):

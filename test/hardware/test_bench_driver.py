@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from sma_bench.hardware.bench_driver import BenchDriver
+from sma_bench.hardware.bench_driver import BenchDriver, device_limits
 from sma_bench.hardware.bench_sensors import BenchSensors, SharedWatch
 from sma_bench.hardware.safety import Guard, Limits
 from sma_bench.hardware.serial_link import LateAnswer, LinkError, LinkStatus
@@ -29,7 +29,7 @@ class FakeLink:
         self.armed = self.deaf = self.stuck = False
         # Answers that are late, by the command's letter; s by which frames are.
         self.late, self.lag = Counter(), 0.0
-        self.device_time, self.leaks = 0.0, 0.0
+        self.device_time, self.leaks, self.armings = 0.0, 0.0, 0
         self.pass_time(0.0)
 
     def pass_time(self, seconds):
@@ -51,6 +51,7 @@ class FakeLink:
         self.answer("C")
 
     def arm(self):
+        self.armings += 1
         if self.armed:
             raise LinkError("device refused A: armed already")
         self.armed = True
@@ -144,6 +145,7 @@ def driving():
 
 def test_nothing_is_driven_before_somebody_enables(bench):
     assert bench.driver.state == "idle"
+    assert bench.driver.diagnostics(bench.now)["last_rejection"] == ""
     assert "not enabled (idle)" in bench.driver.command([2.0], bench.now)
     assert bench.driver.command([0.0], bench.now) == ""
     bench.pass_time(0.1)
@@ -152,6 +154,23 @@ def test_nothing_is_driven_before_somebody_enables(bench):
     bench.pass_time(0.1)
     assert {tuple(s) for s in bench.link.sent if s != "stop"} == {(0, 0, 0, 0)}
     bench.refuses("enabled already")
+    silent = Bench(enabled=True)
+    assert silent.pass_time(0.1) == "" and silent.link.sent[-1] == [0, 0, 0, 0]
+
+
+def test_what_a_sensor_says_of_nothing_is_no_current_of_a_wire_that_gets_little():
+    """At 1.2 V, a hundredth of the time on, 0.08 A of a board look like 0.8 A of its wire."""
+    bench = Bench()
+    assert bench.pass_time(1.0, leak=0.08) == ""
+    bench.driver.enable(bench.now)
+    assert bench.pass_time(3.0, command=1.2, leak=0.08) == ""
+    assert bench.pass_time(0.1, command=0.4, leak=0.08) == ""
+    reason = bench.pass_time(1.2, command=3.0, leak=0.08, ampere=0.0)
+    assert reason.startswith("disagreement: wire carries 0.00 A at 3.00 V")
+    # What comes while it is enabled is not forgotten.
+    bench = Bench(enabled=True, seconds=1.0)
+    assert bench.pass_time(2.0, command=0.0, leak=0.08) == ""
+    assert "disagreement: wire carries" in bench.pass_time(2.0, command=1.2, leak=0.08)
 
 
 def test_a_command_is_repeated_until_its_timeout_then_zero_is_sent(driving):
@@ -166,6 +185,8 @@ def test_a_stop_is_kept_until_reset_and_resetting_does_not_enable(driving):
     driving.driver.stop("later")
     assert driving.link.sent[-1] == "stop"
     assert driving.driver.state == "stopped: stopped on request"
+    said = driving.driver.diagnostics(driving.now)
+    assert (said["outputs"], said["commander"]) == ("0", "")
     driving.refuses("stopped on request; reset first")
     driving.driver.reset()
     driving.pass_time(1.0, command=3.0)
@@ -223,7 +244,10 @@ def test_too_much_power_and_too_many_volts_stop_and_without_feedback_nothing_beg
 def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(bench):
     """A driven bench is not tested; a stop that fails and a stuck switch are found."""
     assert bench.driver.tested == "due"
-    assert [f.check for f in bench.driver.self_test() if not f.passed] == ["clock"]
+    found = bench.driver.self_test()
+    checks = ["connection", "link", "clock", "supply", "currents", "relay", "stop"]
+    assert [f.check for f in found] == checks
+    assert [f.check for f in found if not f.passed] == ["clock"]
     assert bench.driver.state == "idle"
     for broken, why in (
         ("deaf", "self-test: stop: FAILED"),
@@ -257,12 +281,24 @@ def test_what_is_late_is_asked_again_at_rest_but_not_for_ever(bench):
         bench.link.late.clear()
 
 
+def test_what_is_wrong_is_not_asked_again_and_without_a_device_nothing_is(bench):
+    bench.link.stuck = True
+    assert not bench.driver.self_test()[-2].passed and bench.link.armings == 1
+    bench.link.stuck, bench.link.armed = False, True
+    assert not bench.driver.self_test()[-2].passed and bench.link.armings == 2
+    for missing in ({"connected": False}, {"connected": True, "device": None}):
+        bench.says(**missing)
+        assert [str(f) for f in bench.driver.self_test()] == ["connection: FAILED, no reading yet"]
+    assert [f.check for f in Bench(seconds=0.0).driver.self_test()] == ["connection"]
+
+
 def test_frames_that_are_late_are_not_taken_for_those_of_a_closed_relay(bench):
     """Of before it closed they show no current, and no stop."""
     bench.link.leaks, bench.link.lag = 0.5, 0.4
     bench.refuses("relay: FAILED, closed, nothing driven: at most 0.50 A")
-    bench.link.leaks, bench.link.lag = 0.0, 100.0
+    bench.link.leaks, bench.link.lag, begun = 0.0, 100.0, bench.link.device_time
     bench.refuses("relay: FAILED, the device's readings are late")
+    assert bench.link.device_time - begun < 15.0  # relay and stop, three times each
     assert not bench.link.armed
     bench.link.lag = 0.5
     bench.driver.enable(bench.now)
@@ -276,6 +312,10 @@ def test_the_device_gets_the_rigs_limits_within_its_own_and_one_beyond_is_refuse
     less = {"maximum_current": 1.0, "maximum_temperature": 330.0, "maximum_voltage": 5.0}
     small = Bench(enabled=True, **less).link.limits
     assert small[:2] == [6000, 2400] and small[4] < 4500
+    warmer_room = {"bench.maximum_temperature": 300.0, "environment.ambient_temperature": 305.0}
+    cool = Limits.from_parameters(Parameters(warmer_room))
+    least_hot = 1.1 * (cool.heat_loss * cool.heated) ** 0.5  # as of a kelvin above the room
+    assert device_limits(cool, DEVICE, SUPPLY)[4] == pytest.approx(1e3 * least_hot, abs=1)
     pair = Limits.from_parameters(Parameters({"wire.count": 2}))
     assert pair.circuit == pytest.approx(RESISTANCE / 2.0)
     for drive in ({}, {"drive": "duty", "supply_voltage": 12.0}):

@@ -206,21 +206,45 @@ def test_a_deviation_must_last_without_a_gap():
 
 def test_a_wire_that_does_as_commanded_is_left_alone_and_one_that_does_not_disagrees():
     """Small voltages too; broken and shorted wires by their resistance."""
-    for commanded, volt, ampere in ((3.0, 3.0, 3.0 / R), (3.0, 3.0, NAN), (0.9, 0.9, 0.0)):
+    for commanded, volt, ampere in (
+        (3.0, 3.0, 3.0 / R), (3.0, 3.0, NAN), (0.9, 0.9, 0.0), (8.0, 8.45, 8.45 / R),
+    ):
         assert powered(commanded, volt, ampere, 3.0) == ""
     wire = Wire("wire")
     for k, now in enumerate(moments(3.0)):
         wire.commands.append(6.0 if k % 2 else 0.0)
         wire.power(6.0, 6.0 / R, now, LIMITS)
         assert broken(power_rules(wire, LIMITS, 1.0), now, wire.since) == {}
-    for commanded, volt in ((0.4, 0.0), (0.0, 0.2), (0.4, 0.6), (8.0, 8.6), (8.0, 7.4)):
+    for commanded, volt in (
+        (0.4, 0.0), (0.0, 0.2), (0.4, 0.6), (8.0, 8.6), (8.0, 7.4), (9.9, 9.34),
+    ):
         said = f"disagreement: wire gets {volt:.2f} V, commanded {commanded:.2f} V, tolerance"
         assert powered(commanded, volt, volt / R).startswith(said)
         near = commanded + 0.2 * (volt - commanded)
         assert powered(commanded, near, near / R) == powered(commanded, volt, volt / R, 0.9) == ""
-    for ampere in (0.0, 0.56, 2.5):
+    assert powered(3.0, 3.0, 0.7) == powered(3.0, 3.0, 1.53) == ""  # 0.1 A and 30 %
+    for ampere in (0.0, 0.56, 0.66, 1.57, 2.5):
         said = f"disagreement: wire carries {ampere:.2f} A at 3.00 V, the model says 1.11 A"
         assert powered(3.0, 3.0, ampere).startswith(said)
+
+
+def test_a_reading_may_belong_to_one_of_the_last_ten_commands_and_to_none_before():
+    for later, said in ((9, False), (10, True)):
+        wire, since = Wire("wire"), {}
+        for command in (6.0, *[0.0] * later):
+            wire.commands.append(command)
+        for now in moments(1.2):
+            wire.power(6.0, 6.0 / R, now, LIMITS)
+            reasons = broken(power_rules(wire, LIMITS, 1.0), now, since)
+        assert ("follows" in reasons) == said
+
+
+def test_the_least_resistance_of_a_circuit_is_what_its_tolerance_leaves():
+    rig = Parameters.defaults().replace({"bench.lead_resistance": 1.0})
+    for tolerance, left in ((0.3, 0.7), (0.95, 0.05), (0.99, 0.05)):
+        loose = rig.replace({"bench.resistance_tolerance": tolerance})
+        limits = safety.Limits.from_parameters(loose)
+        assert limits.least_resistance == pytest.approx(left * (R + 1.0))
 
 
 def test_the_model_heats_as_equation_1_with_its_leads():
@@ -278,6 +302,23 @@ def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told(
         (300.0, 0.10, ""), (NAN, 0.2, ""),
     ):
         assert bench.read(now, kelvin=kelvin) == fault
+
+
+def test_a_wire_that_aged_in_a_cold_room_and_a_draught_is_not_a_camera_that_sees_none_of_it():
+    """Its current says what heats it, and what it had at rest is its room, within 20 K."""
+    aged, draught, room = 1.2 * R, 1.7, LIMITS.ambient - 18.0
+    rise = 7.7**2 / aged / LIMITS.heat_loss
+    for at_rest, driven, cut in (
+        (room, room + rise / draught, ""), (room, room, "5 degC, the model says 120 degC"),
+        (room - 30.0, room + 15.0, "20 degC, the model says 118 degC"),
+    ):
+        bench = Bench(feedback=[])
+        for now in moments(3.0):
+            assert bench.read(now, 0.0, 0.0, at_rest) == ""
+        for k, now in enumerate(moments(1.5, 3.0)):
+            fault = bench.read(now, 7.7, 7.7 / aged)
+            fault = bench.read(now, kelvin=driven) if k % 4 == 0 and k > 40 else fault
+        assert is_said(f"disagreement: a measured at {cut}" * bool(cut), fault)
 
 
 # --- two wires behind one sensor

@@ -15,6 +15,8 @@ static uint32_t now_us;
 static uint16_t entropy_value;
 static uint16_t outputs[CHANNELS];
 static uint16_t readings[INPUTS];
+static uint16_t unloaded, drops[BOARDS];
+void (*fake_before_conversion)(void);
 static bool converting, pulsing, relay_is_closed;
 static uint32_t supply_mean;
 static uint8_t remembered;
@@ -86,8 +88,7 @@ void sampling_follow(void)
 
 uint16_t sampling_drop(uint8_t board)
 {
-    (void)board;
-    return 0;
+    return drops[board];
 }
 
 uint16_t start_entropy(void)
@@ -192,6 +193,8 @@ void fake_start(uint16_t value)
     now_us = 0;
     entropy_value = value;
     memcpy(readings, quiet, sizeof readings);
+    unloaded = quiet[SUPPLY];
+    memset(drops, 0, sizeof drops);
     converting = pulsing = true;
     supply_mean = (uint32_t)quiet[SUPPLY] << 10;
     queued = 0;
@@ -221,9 +224,11 @@ void fake_receive(const uint8_t *bytes, uint32_t length)
 static void convert_twice(void)
 {
     for (uint8_t turn = 0; converting && turn < 2; turn++) {
+        if (fake_before_conversion)
+            fake_before_conversion();
         safety_current(0, readings[FRONT_CURRENT]);
         safety_current(1, readings[BACK_CURRENT]);
-        supply_mean += ((uint32_t)readings[SUPPLY] << 10) / 32 - supply_mean / 32;
+        supply_mean += ((uint32_t)unloaded << 10) / 32 - supply_mean / 32;
         safety_supply(readings[SUPPLY]);
     }
 }
@@ -285,7 +290,17 @@ void fake_forget_sent(void)
 
 void fake_set_supply(uint16_t reading)
 {
+    readings[SUPPLY] = unloaded = reading;
+}
+
+void fake_set_loaded_supply(uint16_t reading)
+{
     readings[SUPPLY] = reading;
+}
+
+void fake_set_drop(uint8_t board, uint16_t sixty_fourths)
+{
+    drops[board] = sixty_fourths;
 }
 
 void fake_set_current(uint8_t board, uint16_t reading)

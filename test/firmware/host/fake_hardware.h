@@ -17,8 +17,11 @@ uint32_t fake_take_sent(uint8_t *bytes, uint32_t size);
 void fake_forget_sent(void);
 
 void fake_set_supply(uint16_t reading);
+void fake_set_loaded_supply(uint16_t reading); /* as a pulse leaves it */
+void fake_set_drop(uint8_t board, uint16_t sixty_fourths);
 void fake_set_current(uint8_t board, uint16_t reading);
 void fake_set_converter(bool runs);
+extern void (*fake_before_conversion)(void); /* may set what is read; NULL: nothing does */
 
 uint16_t fake_output(uint8_t channel); /* duty in 1/65536 at the pin */
 bool fake_any_output(void);

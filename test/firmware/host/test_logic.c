@@ -325,6 +325,19 @@ TEST(duty_follows_the_supply)
     CHECK(abs((int)fake_output(0) - (int)(0.36 * 65536)) < 100);
 }
 
+TEST(duties_follow_the_supply_each_ten_milliseconds)
+{
+    start_driving();
+    fake_set_supply(450);
+    int steps = 0;
+    for (int ms = 0; ms < 60; ms++) {
+        uint16_t before = fake_output(0);
+        fake_run_ms(1);
+        steps += fake_output(0) != before;
+    }
+    CHECK(steps >= 5);
+}
+
 TEST(handshake_and_disarm_switch_off)
 {
     start_driving();
@@ -406,6 +419,35 @@ TEST(stop_stays_until_reset_and_arming)
     CHECK(safety_now()->state == IDLE && safety_now()->cause == NO_CAUSE);
     CHECK(answers(volts(3, 1000, 0, 0, 0), "N V 4"));
     arm();
+}
+
+TEST(arming_again_drives_nothing_of_what_was_driven_before)
+{
+    start_driving();
+    uint16_t before = open_session;
+    fake_receive((const uint8_t *)"!", 1);
+    fake_forget_sent();
+    say("R");
+    CHECK(fake_nonce() && fake_nonce() != before);
+    arm();
+    for (int ms = 0; ms < 150; ms++) {
+        fake_run_ms(1);
+        CHECK(!fake_any_output());
+    }
+    say(volts(1, 6000, 0, 0, 0));
+    fake_run_ms(2);
+    CHECK(fake_output(0) > 16000 && !fake_output(3));
+}
+
+TEST(an_output_that_comes_on_by_itself_goes_off_and_a_restart_opens_the_relay)
+{
+    start_driving();
+    CHECK(fake_relay());
+    fake_start(1);
+    CHECK(!fake_relay() && !fake_any_output() && safety_now()->state == IDLE);
+    fake_set_output(1, 30000);
+    fake_run_ms(1);
+    CHECK(!fake_any_output());
 }
 
 TEST(first_cause_is_kept)
@@ -570,6 +612,56 @@ TEST(a_switch_that_does_not_open_stops_and_goes_on_shouting)
     CHECK(safety_now()->state == IDLE);
 }
 
+TEST(half_an_ampere_more_through_either_board_that_is_off_stops)
+{
+    for (uint8_t board = 0; board < BOARDS; board++) {
+        fake_start(1);
+        fake_set_current(board, 512 + 8); /* 0.4 A */
+        fake_run_ms(300);
+        CHECK(safety_now()->state == IDLE);
+        fake_set_current(board, 512 + 13); /* 0.63 A */
+        fake_run_ms(300);
+        CHECK(is_off_for(OFF_CURRENT) && safety_now()->flows == 1 << board);
+        fake_set_current(board, 512);
+        fake_run_ms(300);
+    }
+}
+
+TEST(what_flowed_until_a_stop_is_no_stuck_switch)
+{
+    start_driving();
+    fake_set_current(0, 512 + 51); /* 2.5 A */
+    fake_run_ms(60);
+    fake_receive((const uint8_t *)"!", 1);
+    fake_set_current(0, 512);
+    for (int ms = 0; ms < 150; ms++) {
+        fake_run_ms(1);
+        CHECK(!safety_now()->flows);
+    }
+    CHECK(is_off_for(STOP_BYTE_SEEN));
+    fake_set_current(0, 512);
+    say("R");
+    start_driving();
+    fake_set_current(0, 512 + 51);
+    fake_run_ms(60);
+    fake_receive((const uint8_t *)"!", 1);
+    fake_run_ms(120);
+    CHECK(is_off_for(STOP_BYTE_SEEN) && safety_now()->flows == 1);
+}
+
+TEST(a_seventh_of_an_ampere_more_than_at_arming_stops_either_board)
+{
+    for (uint8_t board = 0; board < BOARDS; board++) {
+        fake_start(1);
+        fake_set_current(board, 512 + 8); /* its offset */
+        fake_run_ms(100);
+        arm();
+        fake_set_current(board, 512 + 11);
+        fake_run_ms(120);
+        CHECK(is_off_for(OFF_CURRENT));
+    }
+}
+
 TEST(a_sensors_offset_is_no_current)
 {
     fake_start(1);
@@ -670,6 +762,29 @@ TEST(an_output_that_is_not_as_set_stops)
         fake_run_ms(1);
     }
     CHECK(is_off_for(OUTPUT_DIFFERS));
+}
+
+/* One channel after the other is looked at, eight times: whoever is lucky is seen at the third. */
+TEST(an_output_that_differs_in_three_looks_stops)
+{
+    int soonest = 100;
+    for (int begin = 0; begin < 40; begin++) {
+        start_driving();
+        fake_lose_pwm_interrupt();
+        for (int ms = 0; ms < begin; ms++) {
+            safety_duties();
+            fake_run_ms(1);
+        }
+        int ms = 0;
+        for (; ms < 40 && safety_now()->state == ARMED; ms++) {
+            safety_duties();
+            fake_set_output(1, 30000);
+            fake_run_ms(1);
+        }
+        CHECK(is_off_for(OUTPUT_DIFFERS));
+        soonest = ms < soonest ? ms : soonest;
+    }
+    CHECK(soonest == 3);
 }
 
 int main(int count, char **arguments)

@@ -1,0 +1,560 @@
+"""False cuts: hours of sound benches under the safety rules, each of which must let them be.
+
+Nothing fails in these hours. Rooms have 5 to 40 degC and their file says 23; there are draughts (up
+to 0.25 m/s, 1.7 times the heat loss), wires whose resistance has grown by up to 20 %, sensors with
+four times the noise of their data sheets that now and then say nothing, slow ones, supplies that
+sag under load and dip. What is driven stays in truth 10 K below the highest temperature and at
+0.8 of the highest current. Who cuts then, cuts for nothing.
+
+host       hardware/safety.py on the physics and instruments of the virtual bench: nineteen hours of
+           twenty a wire under the rules of the node that commands, else four wires under the
+           bridge's driver
+firmware   safety.c and session.c compiled for this computer (test/firmware/host/soak.c)
+uno        the image on an emulated Uno and the bridge's driver, in minutes of virtual time
+
+    ./bench check soak [--only host firmware uno] [--hours 1000] [--minutes 180] [--json soak.json]
+"""
+
+import contextlib
+import functools
+import math
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
+
+from host_firmware import build_program
+from uno.emulated_bench import Plant
+from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware
+from virtual_host import VirtualHost
+
+from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
+from sma_bench.hardware.bench_driver import BenchDriver, device_limits
+from sma_bench.hardware.bench_sensors import BenchSensors, Instrument
+from sma_bench.hardware.safety import CELSIUS_ZERO, CommandGate, Guard, Limits
+from sma_bench.hardware.serial_link import LinkStatus
+from sma_bench.hardware.serial_messages import CAUSES, DeviceIdentity, DeviceState, Telemetry
+from sma_bench.parameters import Parameters, read_parameters
+from sma_bench.parameters.node_tables import SERIAL_BRIDGE, SIMULATOR
+from sma_bench.physics import Bench
+
+Array = NDArray[np.float64]
+
+ROOT = Path(__file__).resolve().parents[2]
+PARTS = ("host", "firmware", "uno")
+HOUR, MINUTE = 3600.0, 60.0
+GRID, COMMANDS = 0.01, 0.02  # s, of the physics and between commands
+GUST = 30.0  # s of one draught, and of one programme
+EVERY_DRIVEN = 20  # of the host's hours one is of four wires under the bridge's driver
+BELIEVED = {"a wire": Parameters.defaults()}
+BELIEVED["four wires"] = read_parameters(ROOT / "config" / "composite_rig.yaml")
+SIMULATED = {p.name: p.default for p in SIMULATOR}
+BRIDGE = {p.name: p.default for p in SERIAL_BRIDGE}
+TIMEOUT = BRIDGE["feedback_timeout"]
+DEVICE = DeviceIdentity(
+    "sma-uno", "0", "power-on", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0, 2.0
+)
+COOLER, SHARE_OF_CURRENT = 10.0, 0.8  # K and share that a sound bench stays below its limits
+CURRENT_NOISE = 0.018  # A, of one conversion: an ACS712-20A
+DRIFT = 3.4e-3  # A/K, of its offset
+CONVERSIONS = 24  # of a board in a window of telemetry
+
+
+# --- A sound bench, drawn
+
+
+@dataclass(frozen=True)
+class World:
+    """What an hour is like; factors, unless a unit stands there."""
+
+    room: float  # K
+    draught: float  # largest share by which it adds to the heat loss
+    age: tuple[float, ...]  # of each wire's resistance
+    austenite: float  # change of resistance
+    noise: float
+    slow: bool
+    sag: float  # ohm of supply and cables
+    dip: float  # largest share of the supply's volts, for half a second
+    camera: bool
+    errors: tuple[float, ...]  # of volts, amperes, kelvins above the room; offsets in A, K
+
+    @property
+    def stresses(self) -> list[str]:
+        celsius = self.room - CELSIUS_ZERO
+        found = {
+            "room below 12 degC": celsius < 12.0, "room above 33 degC": celsius > 33.0,
+            "draughts": self.draught > 0.0, "aged wires": max(self.age) > 1.0,
+            "noisy sensors": self.noise > 1.0, "slow sensors": self.slow,
+            "supply that sags": self.sag > 0.0, "no camera": not self.camera,
+        }
+        return [name for name, true in found.items() if true]
+
+    def parameters(
+        self, believed: Parameters, loss: float = 1.0, warmer: float = 0.0
+    ) -> Parameters:
+        """What the bench is made of, in a draught of `loss` and a room `warmer` K than at first."""
+        return believed.replace({
+            "wire.resistance": believed["wire.resistance"] * max(self.age),
+            "wire.heat_transfer_coefficient": believed["wire.heat_transfer_coefficient"] * loss,
+            "environment.ambient_temperature": self.room + warmer,
+            "effect.phase_dependent_resistance.austenite_change": self.austenite,
+            "effect.temperature_lag.time_constant": 0.4 if self.slow else 0.03,
+        })  # fmt: skip
+
+    def highest(self, limits: Limits) -> float:
+        """V that its owner drives at most."""
+        least = limits.resistance * max(self.age) * min(1.0 + self.austenite, 1.0)
+        hottest = limits.maximum_temperature - COOLER - max(self.room, limits.ambient) - SWING
+        heat = math.sqrt(hottest * limits.heat_loss * least)
+        return min(heat, SHARE_OF_CURRENT * limits.maximum_current * least)
+
+
+SWING = 1.5  # K, of the room in an hour
+
+
+def draw_world(rng: np.random.Generator) -> World:
+    """Every stress in half of the hours."""
+    uniform, has = rng.uniform, (rng.random(6) < 0.5).tolist()
+    age = 1.0 + 0.2 * rng.random() * has[1]
+    return World(
+        CELSIUS_ZERO + uniform(5.0, 40.0), 0.7 * has[0], (age,) * 4, uniform(-0.15, 0.1),
+        4.0 if has[2] else 1.0, has[3], uniform(0.02, 0.1) * has[4], 0.08 * has[4],
+        bool(rng.random() < 0.8),
+        tuple(uniform(-1.0, 1.0, 5) * (0.01, 0.02, 0.02, 0.05, 2.0)),
+    )  # fmt: skip
+
+
+def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tuple[float, float]]:
+    """Of each `GUST` s: factor of the heat loss, K by which the room has warmed."""
+    for k in range(math.ceil(seconds / GUST)):
+        calm = rng.random() < 0.4
+        share = 0.02 * rng.random() if calm else min(rng.exponential(0.3), world.draught)
+        yield 1.0 + min(share, world.draught), SWING * math.sin(2.0 * math.pi * k * GUST / HOUR)
+
+
+def programme(rng: np.random.Generator, most: float, n: int) -> Array:
+    """(n,) V, a command each: rest, a hold, a staircase, a triangle, or pulses."""
+    level, at = most * rng.random() ** 0.5, np.arange(n) * COMMANDS
+    shape = rng.integers(5)
+    if shape == 0:
+        return np.zeros(n)
+    if shape == 1:
+        return np.full(n, level)
+    if shape == 2:
+        return np.asarray(most * rng.random(rng.integers(2, 9)))[np.arange(n) * 2 // n]
+    period = rng.uniform(4.0, 30.0) if shape == 3 else rng.uniform(0.2, 4.0)
+    phase = at / period % 1.0
+    shown = 1.0 - np.abs(2.0 * phase - 1.0) if shape == 3 else phase < rng.uniform(0.2, 0.8)
+    return np.asarray(level * shown)
+
+
+def dips(rng: np.random.Generator, world: World, n: int) -> Array:
+    """(n,) share of its volts that the supply has, a command each."""
+    share = np.full(n, 1.0)
+    if world.dip:
+        begin, last = int(rng.integers(n)), int(rng.uniform(0.02, 0.6) / COMMANDS) + 1
+        share[begin : begin + last] -= world.dip * rng.random()
+    return share
+
+
+def rates(rng: np.random.Generator, world: World) -> tuple[int, int]:
+    """Steps of GRID between two readings of power and of temperature."""
+    if world.slow:
+        return 20, 25
+    return (2, 2) if rng.random() < 0.05 else (20, 20)
+
+
+def instruments(world: World, seed: int) -> dict[str, Instrument]:
+    settings = {
+        name: value * world.noise if name.endswith("_noise") else value
+        for name, value in SIMULATED.items()
+    }
+    kinds = ("voltage", "current", "temperature")
+    seeds = np.random.SeedSequence(seed).spawn(len(kinds))
+    return {k: Instrument(settings, k, s) for k, s in zip(kinds, seeds, strict=True)}
+
+
+def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
+    """(n,) whether a sensor says nothing; of a slow camera never three pictures in a row."""
+    silent = rng.random(n) < (0.05 if world.slow or world.noise > 1.0 else 0.0)
+    silent[2:] &= ~(silent[1:-1] & silent[:-2])
+    silent[:2] = silent[-2:] = False
+    return [bool(one) for one in silent]
+
+
+# --- The host's rules
+
+
+def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple[float, str]]:
+    """When, and why, the rules of a node that commands cut a sound wire."""
+    rng, believed = np.random.default_rng([1, seed]), BELIEVED["a wire"]
+    limits, chain = Limits.from_parameters(believed), instruments(world, seed)
+    power_every, kelvin_every = rates(rng, world)
+    volt_gain, ampere_gain, kelvin_gain = (1.0 + error for error in world.errors[:3])
+    feedback = ("power", "temperature") if world.camera else ("power",)
+    n = round(GUST / COMMANDS)
+    ticks = round(GUST / GRID)
+    bench, cuts, begun = Bench(world.parameters(believed)), [], 0.0
+    heard = 1.0  # s, when every reading of a new guard has come
+    arrived = [0.0]
+    guard, gate = Guard(["wire"], feedback, TIMEOUT), CommandGate(1, limits)
+    for loss, warmer in gusts(rng, world, seconds):
+        commands = programme(rng, world.highest(limits), n)
+        commands[: round(1.0 / COMMANDS)] = 0.0
+
+        # The bench: what its supply leaves of the volts, and what instruments make of it.
+        own = limits.resistance * max(world.age)
+        true = np.repeat(commands * dips(rng, world, n) * own / (own + world.sag), 2)
+        hidden = world.parameters(believed, loss, warmer)
+        bench = Bench(hidden, initial=bench.state)
+        made = bench.follow(GRID * np.arange(ticks + 1), np.append(true, true[-1]))
+        volts = chain["voltage"].read_all(made.voltage[power_every::power_every, 0] * volt_gain)
+        amperes = chain["current"].read_all(
+            made.current[power_every::power_every, 0] * ampere_gain + world.errors[3]
+        )
+        amperes[silences(rng, world, len(amperes))] = math.nan
+        kelvins = chain["temperature"].read_all(
+            world.room
+            + kelvin_gain * (made.temperature_reading[kelvin_every::kelvin_every, 0] - world.room)
+            + world.errors[4] - CELSIUS_ZERO
+        ) + CELSIUS_ZERO
+        silent = silences(rng, world, len(kelvins))
+        powers = list(zip(volts.tolist(), amperes.tolist(), strict=True))
+        temperatures, asked = kelvins.tolist(), commands.tolist()
+        late = begun + GRID * np.arange(ticks + 1) + rng.uniform(0.0, 0.04, ticks + 1)
+        late[0] = arrived[-1]
+        arrived = np.maximum.accumulate(late).tolist()
+
+        held = 0
+        for k in range(1, ticks + 1):
+            stamp = begun + GRID * k
+            if k % 2:
+                command = asked[k // 2]
+                held = held + 1 if k > 1 and command == asked[k // 2 - 1] else 0
+                if held < 10:  # the last ten are alike
+                    guard.commanded((command,))
+                if held % 5 == 0:
+                    gate.command((command,), stamp, "soak")
+            reason = ""
+            if k % kelvin_every == 0 and not silent[k // kelvin_every - 1] and world.camera:
+                now = arrived[k]
+                reason = guard.fault(now) if stamp > heard else ""  # the oldest that it gets
+                kelvin = temperatures[k // kelvin_every - 1]
+                guard.temperature("wire", kelvin, stamp, now, limits)
+            if k % power_every == 0:
+                now = arrived[k]
+                guard.power("wire", *powers[k // power_every - 1], stamp, now, limits)
+                reason = reason or (guard.fault(now) if stamp > heard else "")
+                if gate.outputs(now) != (asked[(k - 1) // 2],):
+                    reason = reason or "the gate's outputs are not those that were asked for"
+            if reason:
+                cuts.append((stamp, reason))
+                guard, heard = Guard(["wire"], feedback, TIMEOUT), begun + GUST + 1.0
+                break
+        begun += GUST
+    return cuts
+
+
+class SoundLink:
+    """A device that does as it is told."""
+
+    def __init__(self) -> None:
+        self.status = LinkStatus(connected=True, device=DEVICE, connections=1)
+
+    def limit(self, numbers: Sequence[int]) -> None: ...
+
+    def arm(self) -> None:
+        self.status.state = DeviceState.ARMED
+
+    def drive(self, millivolts: Sequence[int]) -> None: ...
+
+    def stop(self) -> None:
+        self.status.state = DeviceState.STOPPED
+
+    def reset(self) -> None:
+        self.status.state, self.status.cause = DeviceState.IDLE, 0
+
+
+def driver_of(link: Any, world: World) -> tuple[BenchDriver, Guard, Limits]:
+    """The bridge's driver of four wires, which never looks at a device before it enables."""
+    believed = BELIEVED["four wires"]
+    limits = Limits.from_parameters(believed)
+    channels = believed["bench.channels"]
+    feedback = ("power", "temperature") if world.camera else ("power",)
+    guard = Guard(channels, feedback, TIMEOUT)
+    sensors = BenchSensors(believed["bench.channel_sides"], BRIDGE)
+    return BenchDriver(link, sensors, guard, channels, limits, waiver="soak"), guard, limits
+
+
+def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[tuple[float, str]]:
+    """When, and why, the bridge's driver cuts four sound wires."""
+    rng, believed = np.random.default_rng([2, seed]), BELIEVED["four wires"]
+    driver, guard, limits = driver_of(SoundLink(), world)
+    chain, channels = instruments(world, seed), believed["bench.channels"]
+    power_every, kelvin_every = rates(rng, world)
+    n, ticks = round(GUST / COMMANDS), round(GUST / GRID)
+    bench, cuts, begun = Bench(world.parameters(believed)), [], 0.0
+    own, most = limits.resistance * max(world.age), world.highest(limits)
+    for loss, warmer in gusts(rng, world, seconds):
+        commands = np.column_stack([programme(rng, most, n) for _ in channels])
+        commands[: round(1.0 / COMMANDS)] = 0.0
+
+        # The device follows its supply; a board's pulses take from it what they carry.
+        hidden = world.parameters(believed, loss, warmer)
+        bench = Bench(hidden, initial=bench.state)
+        held = np.repeat(commands, 2, axis=0)
+        made = bench.follow(GRID * np.arange(ticks + 1), np.vstack([held, held[-1:]]))
+        supply = np.repeat(12.0 * dips(rng, world, n), 2)
+        ohms = own * (1.0 + world.austenite * (1.0 - made.martensite_fraction[1:]))
+        pairs = held.reshape(-1, 2, 2) > 0.0
+        drop = supply[:, None] * world.sag * (pairs / ohms.reshape(-1, 2, 2)).sum(axis=2)
+        loaded = supply[:, None] - drop
+        duties = (held / np.repeat(loaded, 2, axis=1)) ** 2
+        mean = (duties * np.repeat(loaded, 2, axis=1) / ohms).reshape(-1, 2, 2).sum(axis=2)
+        noise = rng.normal(0.0, CURRENT_NOISE * world.noise / CONVERSIONS**0.5, mean.shape)
+        mean = mean * (1.0 + world.errors[1]) + world.errors[3] + noise
+        kelvins = made.temperature_reading[1:]
+        kelvins = world.room + (1.0 + world.errors[2]) * (kelvins - world.room) + world.errors[4]
+        silent = silences(rng, world, ticks // kelvin_every)
+
+        if not driver.enabled:  # where it begins, and after a cut
+            for k in range(100):
+                at = begun + GRID * (k - 100)
+                driver.take(Telemetry(
+                    0, 0, 0, 0, 12.0, (world.errors[3],) * 2, (1.5, 1.5), (0.0,) * 4, 0, time=at,
+                ), at)  # fmt: skip
+            for name in channels:
+                guard.temperature(name, world.room, begun, begun, limits)
+            driver.enable(begun)
+        for k in range(ticks):
+            stamp = begun + GRID * (k + 1)
+            now = stamp + 0.01
+            if (k + 1) % kelvin_every == 0 and not silent[k // kelvin_every] and world.camera:
+                for name, kelvin in zip(channels, kelvins[k], strict=True):
+                    read = chain["temperature"].read(kelvin - CELSIUS_ZERO) + CELSIUS_ZERO
+                    guard.temperature(name, read, stamp, now, limits)
+            if (k + 1) % power_every == 0:
+                driver.take(Telemetry(
+                    0, 0, 0, 0, supply[k] * (1.0 + world.errors[0]), tuple(mean[k]), (1.5, 1.5),
+                    tuple(duties[k]), 0, tuple(drop[k]), stamp,
+                ), now)  # fmt: skip
+            if k % 2:
+                continue
+            timeouts = driver.gate.timeouts
+            reason = driver.command(commands[k // 2].tolist(), now, "soak") or driver.tick(now)
+            if not reason and driver.gate.timeouts > timeouts:
+                reason = "the gate's outputs are not those that were asked for"
+            if reason:
+                cuts.append((stamp, reason))
+                driver, guard, limits = driver_of(SoundLink(), world)
+                break
+        begun += GUST
+    return cuts
+
+
+# --- The firmware's rules
+
+
+@functools.cache
+def built(what: str) -> Any:
+    """The host's program, or emulator and image, once a process."""
+    folder = tempfile.TemporaryDirectory(prefix="soak_")
+    KEPT.append(folder)
+    place = Path(folder.name)
+    if what == "firmware":
+        return build_program("soak.c", place, ("-O3",))
+    return build_emulator(place), build_firmware(place)
+
+
+KEPT: list[tempfile.TemporaryDirectory] = []
+
+
+def hour_of_the_firmware(world: World, seed: int, seconds: float = HOUR) -> list[tuple[float, str]]:
+    """When, and why, safety.c cuts four sound wires."""
+    limits = Limits.from_parameters(BELIEVED["four wires"])
+    own = limits.resistance * max(world.age)
+    numbers = (
+        seed, seconds, 12.0, world.sag, world.dip, CURRENT_NOISE * world.noise,
+        2.0 * world.errors[3], DRIFT * SWING, own, world.austenite, world.room,
+        limits.heat_loss * (1.0 + 0.3 * world.draught), limits.heat_capacity,
+        world.highest(limits),
+    )  # fmt: skip
+    asked = "C " + " ".join(map(str, device_limits(limits, DEVICE, 12.0)))
+    ended = subprocess.run(
+        [built("firmware"), *map(repr, map(float, numbers)), asked],
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    lines = [line.split() for line in ended.stdout.splitlines()]
+    return [(float(at), f"device: {CAUSES[int(cause)]}") for at, cause in lines]
+
+
+class UnoLink(SoundLink):
+    """An emulated Uno, in virtual time."""
+
+    def __init__(self, host: VirtualHost) -> None:
+        super().__init__()
+        self.host = host
+
+    def limit(self, numbers: Sequence[int]) -> None:
+        self.host.consent("C", *numbers)
+
+    def arm(self) -> None:
+        self.host.arm()
+        super().arm()
+
+    def drive(self, millivolts: Sequence[int]) -> None:
+        self.host.drive(*millivolts)
+
+
+def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> list[tuple[float, str]]:
+    """When, and why, the image or the bridge's driver cuts four sound wires."""
+    rng, believed = np.random.default_rng([3, seed]), BELIEVED["four wires"]
+    emulator, image = built("uno")
+    uno = EmulatedUno(emulator, image, seed + 1)
+    pins, chain = uno.electrics, instruments(world, seed)
+    pins.supply_resistance, pins.noise = world.sag, 2e-3 * world.noise
+    pins.offset[:] = [0.1 * world.errors[3]] * 2
+    plant, host = Plant(uno, world.parameters(believed)), VirtualHost(uno)
+    host.run(0.2)
+    link = UnoLink(host)
+    driver, guard, limits = driver_of(link, world)
+    _, kelvin_every = rates(rng, world)
+    channels, most, cuts = believed["bench.channels"], world.highest(limits), []
+    n, step = round(GUST / COMMANDS), 0
+
+    for loss, warmer in gusts(rng, world, seconds):
+        plant.bench = Bench(world.parameters(believed, loss, warmer), initial=plant.bench.state)
+        commands = np.column_stack([programme(rng, most, n) for _ in channels])
+        commands[: round(1.0 / COMMANDS)] = 0.0
+        supply = 12.0 * dips(rng, world, n)
+        for k in range(min(n, round(seconds / COMMANDS) - step)):
+            step += 1
+            pins.supply = supply[k]
+            pins.resistance[:] = (1.0 / np.maximum(plant.bench.current(np.ones(4)), 1e-3)).tolist()
+            read = host.run(COMMANDS)
+            plant.advance()
+            now = uno.time
+            if step * 2 % kelvin_every < 2 and world.camera:
+                for name, kelvin in zip(channels, plant.bench.temperature_reading, strict=True):
+                    celsius = chain["temperature"].read(float(kelvin) - CELSIUS_ZERO)
+                    guard.temperature(name, celsius + CELSIUS_ZERO, now, now, limits)
+            for frame in read:
+                if isinstance(frame, Telemetry):
+                    link.status.note(frame)
+                    driver.take(frame._replace(time=1e-6 * frame.time_us), now)
+            host.messages.clear()
+            if step < round(0.5 / COMMANDS):
+                continue
+            if not driver.enabled:
+                driver.enable(now)
+                driver.take(link.status.newest._replace(time=now), now)
+                link.status.state = DeviceState.ARMED
+            reason = driver.command(commands[k].tolist(), now, "soak") or driver.tick(now)
+            if reason:
+                cuts.append((now, reason))
+                return cuts  # what is left of these minutes is not counted
+    return cuts
+
+
+# --- Counted
+
+
+PLAYS = {
+    "a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
+    "firmware": hour_of_the_firmware, "uno": minutes_of_the_uno,
+}  # fmt: skip
+
+
+def played(kind: str, seed: int, seconds: float) -> dict[str, Any]:
+    """One drawn stretch of time: its stresses, its cuts, and how long it took."""
+    started = time.monotonic()
+    world = draw_world(np.random.default_rng([list(PLAYS).index(kind), seed]))
+    cuts = PLAYS[kind](world, seed, seconds)
+    return {
+        "kind": kind, "seed": seed, "seconds": cuts[0][0] if kind == "uno" and cuts else seconds,
+        "stresses": world.stresses, "cuts": cuts, "took": time.monotonic() - started,
+    }  # fmt: skip
+
+
+def some_played(kind: str, seed: int, first: int, stop: int, seconds: float) -> list[dict]:
+    return [played(kind, 10_000 * seed + k, seconds) for k in range(first, stop)]
+
+
+def at_most(cuts: int, hours: float) -> float:
+    """Cuts an hour that are not exceeded with 95 % confidence (Poisson)."""
+    return float(chi2.ppf(0.95, 2 * (cuts + 1)) / 2.0) / hours
+
+
+def report(found: Sequence[dict[str, Any]]) -> int:
+    """Print the tables; number of cuts."""
+    groups = {kind: [one for one in found if one["kind"] == kind] for kind in PLAYS}
+    names = {
+        "a wire": "host: rules of the node that commands, a wire",
+        "four wires": "host: the bridge's driver, four wires",
+        "firmware": "firmware: its logic on this computer",
+        "uno": "emulated Uno: its image and the bridge's driver",
+    }
+    groups = {names[kind]: own for kind, own in groups.items()}
+    host = [one for one in found if one["kind"] in ("a wire", "four wires")]
+    groups |= {"host, all": host}
+    stresses = sorted({stress for one in found for stress in one["stresses"]})
+    groups |= {f"with {s}": [one for one in found if s in one["stresses"]] for s in stresses}
+    rows = []
+    for name, own in groups.items():
+        if own:
+            hours, cuts = sum(o["seconds"] for o in own) / HOUR, sum(len(o["cuts"]) for o in own)
+            pace = sum(o["seconds"] for o in own) / sum(o["took"] for o in own)
+            rows.append((name, f"{hours:.4g}", cuts, f"{cuts / hours:.2g}",
+                         f"{at_most(cuts, hours):.2g}", f"{pace:.3g}"))  # fmt: skip
+    head = ("synthetic hours of sound benches", ">hours", ">false cuts", ">an hour",
+            ">at most (95 %)", ">times real time")  # fmt: skip
+    print_table(head, rows)
+    kinds: dict[str, list[str]] = {}
+    for one in found:
+        for at, reason in one["cuts"]:
+            where = f"{one['kind']} {one['seed']} at {at:.1f} s: {reason}"
+            kinds.setdefault(re.sub(r"-?\d[\d.]*", "#", reason), []).append(where)
+    for cuts in sorted(kinds.values(), key=len, reverse=True):
+        print(f"{len(cuts)} like {cuts[0]}")
+    return sum(len(one["cuts"]) for one in found)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """0 when nothing was cut."""
+    options = options_of(
+        "soak", __doc__, argv, only=(PARTS, "parts"), hours=(1000, "of host and of firmware, each"),
+        minutes=(180, "of the emulated Uno"), seed=(1, "of all"), **IN_PIECES,
+    )  # fmt: skip
+    sizes: dict[str, tuple[int, float, int]] = {}  # how many, s of each, together in a piece
+    if "host" in options.only:
+        driven = options.hours // EVERY_DRIVEN
+        sizes |= {"a wire": (options.hours - driven, HOUR, 10), "four wires": (driven, HOUR, 2)}
+    if "firmware" in options.only:
+        sizes["firmware"] = options.hours, HOUR, 10
+    if "uno" in options.only:
+        sizes["uno"] = options.minutes, MINUTE, 1
+    jobs = [
+        (kind, options.seed, first, min(first + step, count), seconds)
+        for kind, (count, seconds, step) in sizes.items()
+        for first in range(0, count, step)
+    ]
+    with contextlib.suppress(KeyboardInterrupt):
+        found = [one for some in in_pieces(some_played, jobs, options) for one in some]
+        return 1 if report(found) else 0
+    return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,64 @@
+"""The soak of sound benches: minutes of each part, what is counted, and benches that are not."""
+
+import dataclasses
+import shutil
+
+import numpy as np
+import pytest
+
+from examination.check import soak
+from sma_bench.hardware.safety import CELSIUS_ZERO
+
+WORLD = soak.draw_world(np.random.default_rng(0))
+SOUND = dataclasses.replace(
+    WORLD, room=CELSIUS_ZERO + 5.0, draught=0.0, age=(1.2,) * 4, austenite=0.0, noise=4.0,
+    slow=False, sag=0.1, dip=0.08, camera=True, errors=(0.01, 0.02, -0.02, 0.05, -2.0),
+)  # fmt: skip
+
+
+def changed(**values):
+    return dataclasses.replace(SOUND, **values)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "unsound", "said"),
+    [
+        ("a wire", 240.0, {"age": (2.0,) * 4}, "disagreement: wire carries"),
+        ("four wires", 60.0, {"errors": (0.0, 0.8, 0.0, 0.0, 0.0)}, "over-current: front_1"),
+        ("firmware", 240.0, {"errors": (0.0, 0.0, 0.0, 0.4, 0.0)}, "device: "),
+    ],
+)
+def test_a_sound_bench_is_let_be_and_one_that_is_not_is_cut(kind, seconds, unsound, said, request):
+    if kind == "firmware":
+        request.getfixturevalue("c_compiler")
+    assert soak.PLAYS[kind](SOUND, 1, seconds) == []
+    cuts = soak.PLAYS[kind](changed(**unsound), 1, seconds)
+    assert cuts and all(0.0 <= at <= seconds for at, _ in cuts)
+    assert any(reason.startswith(said) for _, reason in cuts), cuts
+
+
+@pytest.fixture
+def c_compiler():
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler (cc) here")
+
+
+def test_an_emulated_uno_drives_as_it_is_asked_for_some_seconds(
+    emulator, firmware_image, monkeypatch
+):
+    monkeypatch.setattr(soak, "built", lambda _: (emulator, firmware_image))
+    assert soak.minutes_of_the_uno(SOUND, 1, 4.0) == []
+    # What a supply of 5 V cannot give is no false cut, but it shows that somebody looks.
+    cuts = soak.minutes_of_the_uno(changed(sag=3.0), 1, 8.0)
+    assert cuts, "nobody looked"
+
+
+def test_no_cut_in_thirty_hours_is_at_most_one_in_ten_and_every_stress_is_counted(capsys):
+    assert soak.at_most(0, 30.0) == pytest.approx(0.0999, abs=1e-4)
+    found = [soak.played("a wire", seed, 30.0) for seed in range(3)]
+    found[1]["cuts"] = [(3.0, "over-current: wire at 3.10 A, limit 3 A")]
+    assert soak.report(found) == 1
+    said = capsys.readouterr().out
+    assert "1 like a wire 1 at 3.0 s: over-current: wire at 3.10 A" in said
+    for stress in {stress for one in found for stress in one["stresses"]}:
+        assert f"with {stress}" in said
