@@ -5,6 +5,7 @@ at once and in silence, as nothing is driven yet.
 """
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -51,7 +52,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     asks_for_help = bool({"-h", "--help"} & set(arguments))
-    asked = threading.Event()
+    asked, compiling = threading.Event(), threading.Event()
     if not asks_for_help:
         for number in ending_signals():
             signal.signal(number, lambda *_: os._exit(0))
@@ -67,17 +68,30 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     from sma_bench.ros.node import start_ros
 
     node: Any = None
+
+    def end(*_: Any) -> None:  # asked twice it is no more
+        is_first = not asked.is_set()
+        asked.set()
+        if is_first and compiling.is_set() and node is None:
+            _end_within(_LEAVING)
+            raise KeyboardInterrupt
+
+    def waits() -> None:
+        compiling.set()
+        rclpy.logging.get_logger(name).info("waits for the compiler, once, some 20 s")
+        if asked.is_set():
+            raise KeyboardInterrupt
+
     try:
         kind: Any = node_class(name)
         end_with_starter(signal.SIGINT)
-        for number in ending_signals():  # asked twice it is no more
-            signal.signal(number, lambda *_: asked.set())
+        for number in ending_signals():
+            signal.signal(number, end)
         sources = check_arguments(name, arguments)
         start_ros(arguments)
         # A node that simulates waits once after an installation; others have no compiler loaded.
         if compiled := sys.modules.get("sma_bench.compiled"):
-            inform = rclpy.logging.get_logger(name).info
-            compiled.when_compiling(lambda: inform("waits for the compiler, once, some 20 s"))
+            compiled.when_compiling(waits)
         node = kind()
         executor = kind.executor_type()
         executor.add_node(node)
@@ -105,12 +119,14 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         logger = node.get_logger() if node else rclpy.logging.get_logger(name)
         logger.fatal(" ".join(str(error).split()))
         return 2
-    except (ExternalShutdownException, KeyboardInterrupt):  # the latter of what it waited for
+    except (ExternalShutdownException, KeyboardInterrupt):
         pass
     finally:
         _end_within(_LEAVING)
         if node is not None:
             node.destroy_node()
+        else:
+            gc.collect()  # one that was half made leaves the graph with its last reference
         rclpy.try_shutdown()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     return 0

@@ -70,6 +70,33 @@ def test_no_reading_is_stamped_before_the_command_that_it_shows(bench):
     assert shown(3.0) >= 0
 
 
+COMPILES_FOR_LONG = """
+import sys, time
+from sma_bench import compiled
+from sma_bench.nodes import simulator, start
+make = simulator.Simulator.__init__
+def made(self):
+    make(self)
+    with compiled._turn(None):
+        time.sleep(600)
+simulator.Simulator.__init__ = made
+start.simulator(sys.argv[1:])
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_one_that_compiles_still_ends_at_once_and_leaves_the_graph(bench, number):
+    """As at its first start after an installation."""
+    node = bench.run("compiles", ["-c", COMPILES_FOR_LONG, "--ros-args", "-r", "__ns:=/bench"])
+    bench.until(lambda: "waits for the comp" in node.output, 120.0)
+    bench.until(lambda: "simulator" in bench.node.get_node_names())
+    status = node.end(number)
+    assert "Traceback" not in node.output
+    if status != -signal.SIGALRM:  # so it ends where the machine is too busy for all else
+        assert status == 0
+        bench.until(lambda: "simulator" not in bench.node.get_node_names(), 10.0)  # no ghost
+
+
 def test_of_two_commanders_the_second_is_refused_reported_and_takes_over_later(bench):
     """And of two that do not sign, and might be two, neither drives."""
     power = bench.hear("wire/power")
