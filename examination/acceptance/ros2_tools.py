@@ -33,7 +33,7 @@ from rosidl_runtime_py.utilities import get_message  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 CHECKOUT = ("--base-paths", str(ROOT), "--packages-select", "sma_bench")
-PATIENCE = 240.0  # s: what compiles does it once
+PATIENCE = 480.0  # s: what compiles does it once
 # s, that a node of the bench has after the end of its launch: to 0 V, and to be gone.
 LEFT = 1.0
 WARM = "name: warm\nsteps:\n- {kind: hold, name: hold, level: 3.0, duration: 600.0}\n"

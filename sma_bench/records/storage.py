@@ -392,7 +392,7 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
 
 
 def _turns(
-    buffer: bytes, position: int, known: Container[int]
+    buffer: bytes | mmap.mmap, position: int, known: Container[int]
 ) -> tuple[list[tuple[int, int, int]], "np.ndarray"]:
     """The messages of a chunk from `position` on as an array, where topics take turns with messages
     of one length each, as a steady bench's do: channel, begin and end of every record of a turn,
