@@ -4,8 +4,10 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
+import json_schema
 import pytest
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed")
@@ -19,7 +21,7 @@ from sensor_msgs.msg import BatteryState, JointState, Range, Temperature  # noqa
 from std_msgs.msg import Float64, Float64MultiArray, String  # noqa: E402
 from std_srvs.srv import Trigger  # noqa: E402
 
-from sma_bench.ros.node import LATCHED, OneThreadExecutor  # noqa: E402
+from sma_bench.ros.node import LATCHED, OneThreadExecutor, stamp_of  # noqa: E402
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "/bench"
@@ -30,7 +32,7 @@ KINDS = {
     "joint_states": (JointState,), "range": (Range,), "marker": (String,), "clock": (Clock, 1),
     "voltage_command": (Float64MultiArray,), "setpoint": (Float64MultiArray,),
     "diagnostics": (DiagnosticArray,), "gap": (DiagnosticArray, LATCHED), "thermal": (Float64,),
-    "state": (String, LATCHED), "result": (String, LATCHED),
+    "state": (String, LATCHED), "result": (String, LATCHED), "progress": (String, LATCHED),
 }
 
 
@@ -120,8 +122,21 @@ class TestBench:
         heard = [[] for _ in topics]
         for topic, messages in zip(topics, heard, strict=True):
             kind, *qos = KINDS[topic.rpartition("/")[2]]
-            self.node.create_subscription(kind, topic, messages.append, *(qos or [10_000]))
+            heard_one = partial(self._take, topic, messages)
+            self.node.create_subscription(kind, topic, heard_one, *(qos or [10_000]))
         return heard if len(heard) > 1 else heard[0]
+
+    def _take(self, topic, messages, message):
+        if isinstance(message, String):
+            json_schema.check(topic, message.data)
+        messages.append(message)
+
+    def stamped_after(self, messages, is_shown, cause, wait=None):
+        """ns from when `cause` began to the stamp of the first message that shows it; `cause` is
+        called again and again while waiting, `wait` is another `until`."""
+        seen, sent = len(messages), time.time_ns()
+        (wait or self.until)(lambda: cause() or any(map(is_shown, messages[seen:])))
+        return stamp_of(next(filter(is_shown, messages[seen:]))) - sent
 
     def status(self, part):
         """Newest that a part of a node says of itself, `twin: gap`; None before the first."""

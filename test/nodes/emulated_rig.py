@@ -33,6 +33,8 @@ class Commander:
         self._due = 0.0
         # V of each wire, K that the camera is wrong by; None where nobody commands or looks.
         self.voltage, self.fever = (0.0,), 0.0
+        self.lags = []
+        """s of the wall's clock less the Uno's, all along: it grows where the machine is busy"""
         self.kelvin = None
         """what the camera sees instead of the wire"""
 
@@ -56,6 +58,7 @@ class Commander:
 
     def _keep_alive(self):
         now = time.monotonic()
+        self.lags.append(now - self.hardware.uno.time)
         if now < self._due:
             return
         self._due = now + COMMAND_PERIOD

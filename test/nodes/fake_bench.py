@@ -16,7 +16,9 @@ class FakeBench:
     def __init__(self, bench, driver="experiment", channels=("wire",)):
         self.celsius, self.ampere, self.silent = 25.0, None, set()
         self.bench, self._channels = bench, len(channels)
-        self.commands, self.states = bench.hear("voltage_command", f"{driver}/state")
+        self.commands, self.states, self.progress = bench.hear(
+            "voltage_command", f"{driver}/state", f"{driver}/progress"
+        )
         self._publishers = []
         for k, channel in enumerate(channels):
             self._tell("power", BatteryState, f"{channel}/power", partial(self._power, k))

@@ -1,5 +1,6 @@
 """The controllers as processes: they track on the simulator, and leave the wires cold."""
 
+import json
 import signal
 
 import numpy as np
@@ -74,7 +75,8 @@ def test_temperatures_come_from_a_topic_in_celsius_and_the_rules_of_the_experime
     bench.until(lambda: fake.volts[0] > 3.0 and setpoints[-1].data[0] == pytest.approx(40.0))
     for bad in ([200.0], [40.0, 40.0], [float("nan")]):
         topic.publish(Float64MultiArray(data=bad))
-    bench.until(lambda: "rejected: reference has 473.15 K" in node.output)
+    bench.until(lambda: "rejected: reference has 473.15 K" in node.output and fake.progress)
+    assert json.loads(fake.progress[-1].data)["duration"] is None  # it goes on until stopped
     fake.celsius = 45.0
     bench.until(lambda: fake.volts == [0.0])
     fake.celsius = 38.0

@@ -5,6 +5,7 @@ import signal
 import time
 from pathlib import Path
 
+import json_schema
 import pytest
 import rclpy
 import yaml
@@ -13,7 +14,7 @@ from hostile_texts import hostile_values
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.parameter import parameter_dict_from_yaml_file
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, String
 
 from sma_bench.dashboard.live_state import LiveState
 from sma_bench.errors import InputError
@@ -87,6 +88,11 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
         assert_overridable(node, "voltage_command" if drives else progress)
         result = node.set_parameters([RosParameter("use_sim_time", value=True)])[0]
         assert not result.successful and "read-only" in result.reason
+    # A text is a state, the marker, or JSON that has a schema.
+    texts = {p.topic_name.removeprefix("/bench/") for node in nodes.values()
+             for p in node.publishers if p.msg_type is String}
+    texts -= {marker, *(f"{name}/state" for name in NODE_TABLES if name != "recorder")}
+    assert texts == json_schema.topics().keys()
     offered = {p.topic_name: p.qos_profile for p in nodes["experiment"].publishers}
     state = offered["/bench/experiment/state"]
     assert state.reliability.name == "RELIABLE"  # was made from the profile of `progress`

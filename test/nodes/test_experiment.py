@@ -88,6 +88,8 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
     bench.until(recorder.get_subscription_count)
     recorder.publish(String(data="not what a recorder says"))
     fake.until_sent(3.0, count=20)
+    told = json.loads(fake.progress[-1].data)
+    assert (told["protocol"], told["step"], told["duration"]) == ("long", "hold", 1000.0)
 
     def aborts(line):
         bench.until(lambda: fake.state.startswith(f"aborted: {line}"))

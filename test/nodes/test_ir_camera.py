@@ -79,6 +79,23 @@ def test_the_synthetic_scene_may_change_while_pictures_are_taken(bench):
     assert not answer.successful and "expected 'X0 Y0 X1 Y1'" in answer.reason
 
 
+def test_no_temperature_is_stamped_before_the_heat_that_its_picture_shows(bench):
+    read = bench.hear("wire/temperature")
+    bench.start("synthetic_camera", **SMALL, rate=25.0)
+    bench.start("ir_camera", **SMALL)
+    truth = bench.talk("wire/true_temperature", Temperature)
+
+    def heat(celsius):
+        truth.publish(Temperature(temperature=celsius))
+
+    bench.until(lambda: heat(60.0) or len(read) > 5)
+    for celsius in (80.0, 100.0):
+        late = bench.stamped_after(
+            read, lambda m: abs(m.temperature - celsius) < 5.0, lambda: heat(celsius)  # noqa: B023
+        )
+        assert 0 <= late < 1e9
+
+
 class Camera:
     """The test's own camera, one small picture at a time, and what its reader says of it."""
 

@@ -11,7 +11,7 @@ import rclpy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
-from sma_bench.ros.node import signature, stamp_of, voltage_command
+from sma_bench.ros.node import signature, voltage_command
 
 
 def volts(*values):
@@ -56,11 +56,9 @@ def test_no_reading_is_stamped_before_the_command_that_it_shows(bench):
     bench.until(lambda: power and (command.publish(volts(0.0)) or len(power) > 20))
 
     def shown(level):
-        """ns from when `level` V were first sent to the stamp of the first reading of them."""
-        sent = time.time_ns()
-        bench.until(lambda: command.publish(volts(level)) or abs(power[-1].voltage - level) < 0.1)
-        first = next(m for m in reversed(power) if abs(m.voltage - level) > 0.1)
-        return stamp_of(power[power.index(first) + 1]) - sent
+        return bench.stamped_after(
+            power, lambda m: abs(m.voltage - level) < 0.1, lambda: command.publish(volts(level))
+        )
 
     for level in (1.0, 2.0):
         assert shown(level) >= 0
