@@ -282,8 +282,8 @@ def read_yaml(path: str | Path, aliases: bool = False) -> Any:
 
 
 def printable(text: str, keep: str = "") -> str:
-    """Text that does nothing to a terminal or a file: controls, escapes and half characters are
-    spelled out (`\\x1b`), except those to `keep`."""
+    r"""Text that does nothing to a terminal or a file: controls, escapes and half characters are
+    spelled out (`\x1b`), except those to `keep`."""
     if text.isprintable():
         return text
     return "".join(

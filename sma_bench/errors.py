@@ -13,6 +13,6 @@ class FitError(RuntimeError):
 
 
 def did_you_mean(word: object, known: Iterable[str]) -> str:
-    """", did you mean X?" where a known word is near, else ""."""
+    """Say ", did you mean X?" where a known word is near, else nothing."""
     close = difflib.get_close_matches(str(word), list(known), n=1)
     return f", did you mean {close[0]}?" if close else ""

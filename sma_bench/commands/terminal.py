@@ -78,7 +78,9 @@ def print_table(table: "Table") -> None:
     shown = Shown(box=None, pad_edge=False)
     for k, heading in enumerate(table.header):
         side = "right" if k in table.numeric else "left"
-        shown.add_column(Text(heading), justify=side, overflow="fold", width=kept.get(k))  # type: ignore[arg-type]
+        shown.add_column(
+            Text(heading), justify=side, overflow="fold", width=kept.get(k)  # type: ignore[arg-type]
+        )
     for row in rows:
         shown.add_row(*map(Text, row))
     console.print(shown)

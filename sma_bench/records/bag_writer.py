@@ -271,7 +271,6 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
 # --- Signals to the serialised messages of the contract's topics.
 
 
-
 class Stream(NamedTuple):
     """Messages of one topic, serialised, in order of their receive times (n,) ns."""
 

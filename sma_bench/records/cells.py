@@ -192,7 +192,7 @@ def _parts(cell: Any) -> tuple[str, str, str] | None:
 
 @lru_cache(maxsize=65536, typed=True)
 def cell_kind(cell: Any) -> str:
-    """ "n" for a number, "d" a moment, "t" text, "" nothing or what stands for it."""
+    """Say "n" for a number, "d" a moment, "t" text, "" nothing or what stands for it."""
     try:
         return "n" if math.isfinite(float(cell)) else ""
     except ValueError:

@@ -50,7 +50,7 @@ _PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(martensite|austenite)\b", re.IGNORECA
 
 @dataclass(frozen=True)
 class Sheet:
-    """One table of an instrument's file, with what was stated of it in SI """
+    """One table of an instrument's file, with what was stated of it in SI."""
 
     file: TableFile
     table: Table

@@ -43,6 +43,7 @@ _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress"
 
 # --- A simulated bench, and its signals.
 
+
 def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike) -> Simulation:
     """`simulate` at the samples time (n,) s and voltage (n, w) V, held to the next sample, in steps
     between them that are short enough for effects. Raises InputError: as `simulate`."""

@@ -79,8 +79,8 @@ def test_every_import_is_pinned_and_declared() -> None:
             assert package in pinned, f"{package} is not in requirements.txt"
             assert key is None or key in declared, f"{key} is not in package.xml"
     # `rosdep install` ends at a name that it does not know.
-    keys = {key for _, key in THIRD_PARTY.values()} | {"python3-hypothesis", "python3-pytest"}
-    assert {name for name in declared if name.startswith("python3-")} <= keys
+    index = yaml.safe_load(Path(__file__).with_name("rosdep.yaml").read_text())
+    assert declared == {*index["keys"], *index["jazzy"].split()}
     # pip installs what is imported and nothing else.
     lines = [line for line in metadata.requires("sma_bench") if "extra ==" not in line]
     required = [re.match(r"[\w.-]+", line)[0].lower() for line in lines]
