@@ -1,5 +1,8 @@
-"""Simulated bench, camera and twin as nodes: rate held, jitter, latency, share of a core."""
+"""Simulated bench, camera and twin as nodes: rate held, latency, share of a core; a whole bench as
+processes and as one: start, memory."""
 
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -17,8 +20,10 @@ from std_msgs.msg import Float64MultiArray
 
 from examination.perf.measuring import COMPOSITE, Figure, processor_of
 from sma_bench.hardware.thermal_image import regions_side_by_side
+from sma_bench.lifeline import tied_to_this_process
+from sma_bench.nodes import bench_plan
 from sma_bench.parameters import read_parameters
-from sma_bench.ros.processes import NodeProcesses, private_ros_environment
+from sma_bench.ros.processes import NodeProcesses, parameter_arguments, private_ros_environment
 
 RIGS = {"one wire": COMPOSITE.with_name("wire_rig.yaml"), "four wires": COMPOSITE}
 NAMESPACE = "/perf"
@@ -86,44 +91,159 @@ def running(nodes: Mapping[str, dict], rig: Path = RIGS["one wire"]) -> Iterator
         rclpy.try_shutdown()
 
 
+# What any two nodes of rclpy take: one publishes what it has heard.
+BARE = """
+import rclpy, sys
+from sma_bench.lifeline import end_with_parent
+end_with_parent()
+from sensor_msgs.msg import BatteryState
+from std_msgs.msg import Float64MultiArray
+rclpy.init(args=[])
+node = rclpy.create_node("bare", namespace=sys.argv[1])
+answers = node.create_publisher(BatteryState, "bare/power", 10)
+def answer(message):
+    answers.publish(BatteryState(voltage=message.data[0]))
+node.create_subscription(Float64MultiArray, "bare/command", answer, 10)
+rclpy.spin(node)
+"""
+
+
+class _Asked:
+    """One that is sent a voltage and answers with readings; `latencies` in s."""
+
+    def __init__(self, bench: Running, command: str, reading: str) -> None:
+        self.latencies: list[float] = []
+        self._volts, self._sent, self._waiting = 0.0, 0.0, False
+        self._commands = bench.node.create_publisher(Float64MultiArray, command, 10)
+        bench.node.create_subscription(BatteryState, reading, self.take, QoSProfile(depth=1000))
+
+    def take(self, message: Any) -> None:
+        if self._waiting and abs(message.voltage - self._volts) < 0.1:
+            self.latencies.append(time.monotonic() - self._sent)
+            self._waiting = False
+
+    def ask(self) -> None:
+        """Send another voltage, at most every COMMAND_PERIOD, once the last one was seen."""
+        if time.monotonic() - self._sent > (1.0 if self._waiting else COMMAND_PERIOD):
+            self._volts = 1.0 if self._volts > 1.5 else 2.0
+            self._sent, self._waiting = time.monotonic(), True
+            self._commands.publish(Float64MultiArray(data=[self._volts]))
+
+
 def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
-    """Alternating voltages, and when readings arrive and show them."""
+    """Alternating voltages, and when readings arrive and show them; beside a bare pair of nodes."""
     late: list[float] = []
-    latencies: list[float] = []
-    commanded, volts, waiting = 0.0, 0.0, False
 
     def take(message: Any) -> None:
-        nonlocal waiting
-        now = time.monotonic()
-        late.append(now - message.header.stamp.sec - message.header.stamp.nanosec * 1e-9)
-        if waiting and abs(message.voltage - volts) < 0.1:
-            latencies.append(now - commanded)
-            waiting = False
-
-    def command() -> None:
-        """Another voltage, at most every COMMAND_PERIOD, once the last one was seen."""
-        nonlocal commanded, volts, waiting
-        if time.monotonic() - commanded > (1.0 if waiting else COMMAND_PERIOD):
-            volts = 1.0 if volts > 1.5 else 2.0
-            commands.publish(Float64MultiArray(data=[volts]))
-            commanded, waiting = time.monotonic(), True
+        stamp = message.header.stamp
+        late.append(time.time() - stamp.sec - stamp.nanosec * 1e-9)
 
     rates = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), rate)
     with running({"simulator": rates}) as bench:
-        commands = bench.node.create_publisher(Float64MultiArray, "voltage_command", 10)
-        bench.node.create_subscription(BatteryState, "wire/power", take, QoSProfile(depth=1000))
-        bench.spin(lambda: len(latencies) > 4, command)
-        late.clear()
-        latencies.clear()
-        elapsed, shares = bench.shares(seconds, command)
-    case, held = f"simulator at {rate:g} Hz", len(late) / elapsed
-    median, last = 1e3 * np.percentile(late, 50), 1e3 * np.percentile(late, 99)
-    shown = 1e3 * np.percentile(latencies, (50, 99))
-    yield Figure(case, "power readings a second", held, "1/s", least=0.99 * rate)
-    yield Figure(case, "arrival after stamp, 99th percentile over median", last - median, "ms")
-    yield Figure(case, "command to reading, median", shown[0], "ms")
-    yield Figure(case, "command to reading, 99th percentile", shown[1], "ms")
+        pair = subprocess.Popen([sys.executable, "-c", BARE, NAMESPACE], env=tied_to_this_process())
+        try:
+            simulated = _Asked(bench, "voltage_command", "wire/power")
+            bare = _Asked(bench, "bare/command", "bare/power")
+            both = simulated, bare
+            bench.node.create_subscription(BatteryState, "wire/power", take, QoSProfile(depth=1000))
+
+            def ask() -> None:
+                for one in both:
+                    one.ask()
+
+            bench.spin(lambda: min(len(one.latencies) for one in both) > 4, ask)
+            for found in (late, simulated.latencies, bare.latencies):
+                found.clear()
+            elapsed, shares = bench.shares(seconds, ask)
+        finally:
+            pair.kill()
+            pair.wait()
+    case = f"simulator at {rate:g} Hz"
+    yield Figure(case, "power readings a second", len(late) / elapsed, "1/s", least=0.99 * rate)
+    yield from _latency(case, "arrival after stamp", late)
+    yield from _latency(case, "command to reading", simulated.latencies)
+    yield from _latency(case, "bare pair of rclpy: command to reading", bare.latencies)
     yield Figure(case, "share of a core", shares["simulator"])
+
+
+def _latency(case: str, what: str, seconds: list[float]) -> Iterator[Figure]:
+    for share in (50, 99):
+        value = 1e3 * float(np.percentile(seconds, share))
+        yield Figure(case, f"{what}, {share} %", value, "ms")
+
+
+# --- A whole bench, as its launch file plans it.
+
+SIX = {"nodes": "identification,diagnosis", "twin": "true"}
+MEMORY, START = 350.0, 1.5  # MB and s of a bench in one process
+
+
+def bench(tiny: bool = False) -> Iterator[Figure]:
+    """Six nodes as processes, and in one process."""
+    for case, container in (("six processes", "false"), ("one process", "true")):
+        private_ros_environment()
+        with TemporaryDirectory() as name:
+            given = {**SIX, "container": container, "output": str(Path(name, "bag"))}
+            plan = bench_plan.plan_bench(bench_plan.COMPOSITE, given)
+            yield from _whole_bench(case, plan, Path(name), 1.0 if tiny else 6.0)
+
+
+def _whole_bench(
+    case: str, plan: list[bench_plan.PlannedNode], folder: Path, seconds: float
+) -> Iterator[Figure]:
+    log = folder / "log"
+    processes: list[subprocess.Popen[bytes]] = []
+    heard: list[float] = []
+    rclpy.init(args=[])
+    node = rclpy.create_node("perf", namespace=NAMESPACE)
+    try:
+        topic, qos = f"{NAMESPACE}/front_1/power", QoSProfile(depth=1000)
+        node.create_subscription(BatteryState, topic, lambda _: heard.append(time.monotonic()), qos)
+        begin = time.monotonic()
+        for planned in plan:
+            words = [sys.executable, "-m", "sma_bench.nodes.start", planned.executable]
+            words += [*planned.arguments, "--ros-args", "-r", f"__ns:={NAMESPACE}"]
+            words += ["--params-file", planned.file, *parameter_arguments(planned.parameters)]
+            with log.open("ab") as out:
+                processes.append(subprocess.Popen(
+                    words, stdout=out, stderr=subprocess.STDOUT, env=tied_to_this_process()
+                ))
+        while log.read_text().count("]: ready") < 6:
+            if time.monotonic() - begin > _STARTING or any(p.poll() is not None for p in processes):
+                raise RuntimeError(f"the bench did not start: {log.read_text()[-400:]}")
+            time.sleep(0.01)
+        start = time.monotonic() - begin
+        spent = sum(processor_of(process.pid) for process in processes)
+        end = time.monotonic() + 1.0
+        while time.monotonic() < end or not heard:  # until they know of each other
+            rclpy.spin_once(node, timeout_sec=0.01)
+        heard.clear()
+        before, begin = sum(processor_of(process.pid) for process in processes), time.monotonic()
+        while (elapsed := time.monotonic() - begin) < seconds:
+            rclpy.spin_once(node, timeout_sec=0.01)
+        used = sum(processor_of(process.pid) for process in processes) - before
+        resident, own = (sum(_memory(process.pid, kind) for process in processes)
+                         for kind in ("Rss", "Pss"))
+    finally:
+        for process in processes:
+            process.send_signal(2)
+        for process in processes:
+            process.wait()
+        node.destroy_node()
+        rclpy.try_shutdown()
+    whole = case == "one process"
+    yield Figure(case, "start, until all are ready", start, "s", most=START if whole else np.inf)
+    yield Figure(case, "processor until then", spent, "s")
+    yield Figure(case, "memory, of each its own and shared pages", resident, "MB")
+    yield Figure(case, "memory, shared pages once", own, "MB", most=MEMORY if whole else np.inf)
+    yield Figure(case, "power readings a second", len(heard) / elapsed, "1/s", least=99.0)
+    yield Figure(case, "share of a core at rest", used / elapsed)
+
+
+def _memory(pid: int, kind: str) -> float:
+    """MB of a process; `kind`: Rss, all that it has, Pss, of shared pages its part."""
+    lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
+    return next(int(line.split()[1]) / 1e3 for line in lines if line.startswith(f"{kind}:"))
 
 
 def _camera_nodes(name: str, seconds: float = 8.0) -> Iterator[Figure]:

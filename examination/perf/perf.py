@@ -16,11 +16,12 @@ SECTIONS = {
     "commands": "help, identification, diagnosis; cold and warm",
     "diagnosis": "development cases, records of minutes to hours",
     "identification": "E10 over minutes to an hour, memory",
-    "nodes": "rates, jitter, latency, share of a core; the camera",
+    "nodes": "rates, latency beside a bare pair of rclpy, share of a core; the camera",
+    "bench": "a whole simulated bench as six processes and in one: start, memory",
     "twin": "whether the twin keeps 500 Hz, and what it takes of a core",
     "batch": "identified, diagnosed; on one process and on all cores",
 }
-MODULES = {"simulation": "solvers", "nodes": "nodes", "twin": "nodes"}
+MODULES = {"simulation": "solvers", **dict.fromkeys(("nodes", "bench", "twin"), "nodes")}
 
 
 def main(argv: list[str]) -> int:

@@ -54,12 +54,16 @@ def test_nodes_and_the_twin_are_measured(tmp_path, ros_domain):
     pytest.importorskip("rclpy")
     file = tmp_path / "perf.json"
     # In a process of its own, as what speaks to nodes.
-    words = [sys.executable, str(PERF), "nodes", "twin", "--tiny", "--json", str(file)]
+    words = [sys.executable, str(PERF), "nodes", "bench", "twin", "--tiny", "--json", str(file)]
     process = subprocess.run(words, capture_output=True, text=True, check=False)
     assert process.returncode == 0, process.stderr
     found = measures(file, "nodes")["simulator at 100 Hz"]
     assert found["power readings a second"] > 0.0
-    assert found["command to reading, median"] > 0.0
+    for who in ("command to reading", "bare pair of rclpy: command to reading"):
+        assert found[f"{who}, 99 %"] >= found[f"{who}, 50 %"] > 0.0
+    assert found["arrival after stamp, 50 %"] > 0.0  # no reading is from the future
+    six, one = measures(file, "bench").values()
+    assert one["memory, shared pages once"] < six["memory, shared pages once"]
     assert measures(file, "twin")["one wire at 500 Hz"]["twin node"] > 0.0
 
 
