@@ -25,6 +25,7 @@ NODES = [
     "twin",
     "temperature_controller",
     "deflection_controller",
+    "bench",  # several of them in one process
 ]
 
 # What the package imports, but for ROS, which pip cannot install; the oldest versions are those of

@@ -150,12 +150,12 @@ class Stage:
         self._ears.create_subscription(get_message(kind), topic, heard.append, 1000)
         return heard
 
-    def driven(self, namespace: str) -> tuple[Program, list[Any]]:
+    def driven(self, namespace: str, **given: str) -> tuple[Program, list[Any]]:
         """A launched simulated bench whose experiment heats the wire, and the commands heard."""
         warm = self.folder / "warm.yaml"
         warm.write_text(WARM)
         commands = self.hear(f"/{namespace}/voltage_command", "std_msgs/msg/Float64MultiArray")
-        bench = self.launch(namespace=namespace, protocol=warm, autostart="true")
+        bench = self.launch(namespace=namespace, protocol=warm, autostart="true", **given)
         until(lambda: commands and commands[-1].data[0] > 1.0, "no volts commanded")
         return bench, commands
 
@@ -178,17 +178,19 @@ def stage(built):
 
 
 @pytest.mark.parametrize(
-    ("file", "mode", "camera", "said"),
+    ("file", "mode", "camera", "container", "said"),
     [
-        ("wire_bench", "simulated", "false", "simulating"),
-        ("composite_bench", "simulated", "true", "simulating"),
-        ("wire_bench", "hardware", "false", "not connected"),
+        ("wire_bench", "simulated", "false", "false", "simulating"),
+        ("composite_bench", "simulated", "true", "false", "simulating"),
+        ("composite_bench", "simulated", "true", "true", "simulating"),
+        ("wire_bench", "hardware", "false", "false", "not connected"),
     ],
 )
 def test_every_launch_file_in_every_mode_comes_up_and_ends_with_ctrl_c(
-    stage, file, mode, camera, said
+    stage, file, mode, camera, container, said
 ):
-    bench = stage.launch(file, namespace=f"{file}_{mode}", mode=mode, camera=camera)
+    given = {"mode": mode, "camera": camera, "container": container}
+    bench = stage.launch(file, namespace=f"{file}_{mode}_{container}", **given)
     for text in (said, "identification", "experiment]: idle"):
         bench.says(text)
     bench.ctrl_c()
@@ -206,9 +208,10 @@ def test_nodes_take_lists_from_the_package_and_from_a_users_own_launch_file(stag
     assert "['power']" in stage.run("ros2", "param", "get", "/own/experiment", "feedback")
 
 
+@pytest.mark.parametrize("container", ["false", "true"])
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
-def test_nodes_whose_launch_is_gone_go_to_zero_volts_and_end(stage, number):
-    bench, commands = stage.driven(number.name.lower())
+def test_nodes_whose_launch_is_gone_go_to_zero_volts_and_end(stage, number, container):
+    bench, commands = stage.driven(f"{number.name.lower()}_{container}", container=container)
     nodes = bench.nodes()
     bench.send_signal(number)
     since, last = time.monotonic(), 0.0

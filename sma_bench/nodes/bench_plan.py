@@ -13,13 +13,14 @@ from sma_bench.border import read_yaml
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.installation import share_directory
+from sma_bench.nodes.start import CONTAINER
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import GONE, SIMULATOR
 from sma_bench.parameters.yaml_file import read_parameter_names
 from sma_bench.protocols import load_protocol
 from sma_bench.records import read_record
 from sma_bench.records.contract import choose_topics
-from sma_bench.ros.processes import discovery_variables
+from sma_bench.ros.processes import discovery_variables, parameter_arguments
 
 if TYPE_CHECKING:
     from launch import LaunchContext, LaunchDescription
@@ -28,7 +29,9 @@ if TYPE_CHECKING:
 PACKAGE = "sma_bench"
 SWITCH = ("true", "false", "True", "False")
 # These hold the outputs, or are what the outputs are judged by: without one the bench stops.
-VITAL = frozenset({"simulator", "serial_bridge", "experiment", "ir_camera", "synthetic_camera"})
+VITAL = frozenset(
+    {"simulator", "serial_bridge", "experiment", "ir_camera", "synthetic_camera", CONTAINER}
+)
 # These work on records when asked to; the last has the bench driven, with a recorder of its own.
 NO_NODES, SERVICES, INVESTIGATION = "none", ("identification", "diagnosis"), "investigation"
 
@@ -63,6 +66,7 @@ class PlannedNode:
     remappings: Mapping[str, str] = field(default_factory=dict)
     package: str = PACKAGE
     file: str = ""
+    arguments: tuple[str, ...] = ()  # of a container: its nodes, each with its own
 
     @property
     def vital(self) -> bool:
@@ -139,6 +143,8 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
     camera = hardware if values["camera"] == "auto" else values["camera"].lower() == "true"
     if speed > 1.0 and (hardware or camera):
         raise InputError(f"speed is {speed:g}, expected 1.0 on hardware or with a camera")
+    if hardware and values["container"]:
+        raise InputError("container: expected false, on hardware nodes have a process each")
     if hardware and values["autostart"]:
         raise InputError("autostart: expected false, hardware is enabled by hand")
     bench = read_parameters(values["params"])
@@ -182,6 +188,13 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
         nodes.append(PlannedNode("recorder", {"output": values["output"], **clock}))
     nodes += [PlannedNode("twin", clock)] if values["twin"] else []
     nodes += [PlannedNode(name, clock if name == INVESTIGATION else {}) for name in further]
+    if values["container"]:
+        words: list[str] = []
+        for node in nodes:
+            words += [node.executable, *parameter_arguments(node.parameters)]
+            for old, new in node.remappings.items():
+                words += ["-r", f"{old}:={new}"]
+        nodes = [PlannedNode(CONTAINER, arguments=tuple(words))]
     planned = [replace(node, file=values["params"]) for node in nodes]
     return [*planned, *([_described(bench, clock)] if values.get("description") else [])]
 
@@ -317,8 +330,9 @@ def _nodes(planned: Sequence[PlannedNode], given: Mapping[str, str]) -> "list[No
             for name, value in node.parameters.items()
         }
         nodes.append(Node(
-            package=node.package, executable=node.executable, name=node.executable,
-            namespace=given["namespace"], parameters=[part for part in (node.file, own) if part],
+            package=node.package, executable=node.executable, arguments=list(node.arguments),
+            name=None if node.arguments else node.executable, namespace=given["namespace"],
+            parameters=[part for part in (node.file, own) if part],
             remappings=list(node.remappings.items()), output="screen",
             on_exit=Shutdown(reason=f"{node.executable} has ended") if node.vital else None,
             additional_env=_discovery(given),

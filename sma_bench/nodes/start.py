@@ -1,4 +1,5 @@
-"""What the executables start: `python -m sma_bench.nodes.start NODE [--ros-args ...]`.
+"""What the executables start: `python -m sma_bench.nodes.start NODE [--ros-args ...]`, or several
+nodes in one process: `... bench NODE [-p NAME:=VALUE] [NODE ...] [--ros-args ...]`.
 
 Imports nothing of weight: a signal that comes while the node's modules are read ends the process
 at once and in silence, as nothing is driven yet.
@@ -9,8 +10,9 @@ import gc
 import os
 import signal
 import sys
-import threading
+import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 from itertools import pairwise
@@ -32,6 +34,8 @@ NODES = {  # by the executable's name: module and class
     "temperature_controller": "experiment.TemperatureControllerNode",
     "deflection_controller": "experiment.DeflectionControllerNode",
 }
+# The executable of several nodes. What holds the hardware keeps a process of its own.
+CONTAINER, _APART = "bench", frozenset({"serial_bridge"})
 # These drive, and say at their start what holds them back, and where each limit is from.
 _DRIVERS = frozenset(
     {"serial_bridge", "experiment", "temperature_controller", "deflection_controller"}
@@ -44,15 +48,15 @@ _CLOSING, _LEAVING = 30.0, 2.5
 
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
-    """Run a node until SIGINT, SIGTERM or the end of its ROS context: 0 at a clean end, 2 after bad
-    input, or without what it imports, of which one line is logged.
+    """Run a node, or all of a container, until SIGINT, SIGTERM, the end of one of them or of the
+    ROS context: 0 at a clean end, 2 after bad input, or without what it imports, of which one line
+    is logged.
 
     The signals are handled here and not by rclpy, whose handler invalidates the context before a
     node can send its last message.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     asks_for_help = bool({"-h", "--help"} & set(arguments))
-    asked, compiling = threading.Event(), threading.Event()
     if not asks_for_help:
         for number in ending_signals():
             signal.signal(number, lambda *_: os._exit(0))
@@ -67,69 +71,119 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
 
     from sma_bench.ros.node import start_ros
 
-    node: Any = None
+    nodes: dict[str, Any] = {}
+    # No locks, that a signal could find held: signals and nodes that have ended; while nodes are
+    # made, and once that compiles.
+    over: list[Any] = []
+    making, compiling = [True], list[bool]()
 
     def end(*_: Any) -> None:  # asked twice it is no more
-        is_first = not asked.is_set()
-        asked.set()
-        if is_first and compiling.is_set() and node is None:
+        is_first = not over
+        over.append(None)
+        if is_first and compiling and making:
             _end_within(_LEAVING)
             raise KeyboardInterrupt
 
     def waits() -> None:
-        compiling.set()
+        compiling.append(True)
         rclpy.logging.get_logger(name).info("waits for the compiler, once, some 20 s")
-        if asked.is_set():
+        if over and making:
             raise KeyboardInterrupt
 
     try:
-        kind: Any = node_class(name)
+        named, shared = {name: list[str]()}, arguments
+        if name == CONTAINER:
+            named, shared = contained(arguments)
+        kinds: dict[str, Any] = {}
+        for name in named:
+            kinds[name] = node_class(name)
         end_with_starter(signal.SIGINT)
         for number in ending_signals():
             signal.signal(number, end)
-        sources = check_arguments(name, arguments)
-        start_ros(arguments)
+        sources = {}
+        for name, own in named.items():
+            sources[name] = check_arguments(name, [*shared, *own])
+        start_ros(shared)
         # A node that simulates waits once after an installation; others have no compiler loaded.
         if compiled := sys.modules.get("sma_bench.compiled"):
             compiled.when_compiling(waits)
-        node = kind()
-        executor = kind.executor_type()
-        executor.add_node(node)
-        if name in _DRIVERS:
-            node.limits = ", ".join(
-                f"{limit} {node.parameters[f'bench.{limit}']:g} "
-                f"({sources.get(f'bench.{limit}', 'default')})"
-                for limit in _LIMITS
-            )
-            node.get_logger().info(f"limits: {node.limits}")
-        node.get_logger().info("ready")
-        try:
-            while rclpy.ok() and not asked.is_set() and node.failure is None:
-                # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
-                executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
-        finally:
+        for name, own in named.items():
+            kinds[name].own_arguments = own
+            node = nodes[name] = kinds[name]()
+            if name in _DRIVERS:
+                node.limits = ", ".join(
+                    f"{limit} {node.parameters[f'bench.{limit}']:g} "
+                    f"({sources[name].get(f'bench.{limit}', 'default')})"
+                    for limit in _LIMITS
+                )
+                node.get_logger().info(f"limits: {node.limits}")
+        making.clear()
+        with ThreadPoolExecutor(len(nodes)) as pool:
+            runs = [pool.submit(_serve, node, over) for node in nodes.values()]
+            while not over:
+                time.sleep(_SIGNAL_LATENCY)
             _end_within(_CLOSING)
-            if rclpy.ok():
-                node.drain(lambda: executor.spin_once(timeout_sec=0.0))
-                node.close()
-            executor.shutdown(timeout_sec=1.0)
-        if node.failure is not None:
-            raise node.failure
+        for run in runs:
+            run.result()
+        for name in nodes:
+            if nodes[name].failure is not None:
+                raise nodes[name].failure
     except (InputError, ImportError) as error:
-        logger = node.get_logger() if node else rclpy.logging.get_logger(name)
+        logger = nodes[name].get_logger() if name in nodes else rclpy.logging.get_logger(name)
         logger.fatal(" ".join(str(error).split()))
         return 2
     except (ExternalShutdownException, KeyboardInterrupt):
         pass
     finally:
         _end_within(_LEAVING)
-        if node is not None:
+        for node in nodes.values():
+            if making:  # another could not be made: a recorder has a bag open
+                node.close()
             node.destroy_node()
-        else:
+        if making:
             gc.collect()  # one that was half made leaves the graph with its last reference
         rclpy.try_shutdown()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     return 0
+
+
+def _serve(node: Any, over: list[Any]) -> None:
+    """Serve a node until something is over, which its own end is, too; it closes at the latter."""
+    import rclpy
+
+    executor = type(node).executor_type()
+    executor.add_node(node)
+    node.get_logger().info("ready")
+    try:
+        while rclpy.ok() and not over and node.failure is None:
+            # Not spin(): EventsExecutor's runs no callback, and no wait may outlast a signal.
+            executor.spin_once(timeout_sec=_SIGNAL_LATENCY)
+    finally:
+        over.append(node)
+        if rclpy.ok():
+            node.drain(lambda: executor.spin_once(timeout_sec=0.0))
+            node.close()
+        executor.shutdown(timeout_sec=1.0)
+
+
+def contained(arguments: Sequence[str]) -> tuple[dict[str, list[str]], list[str]]:
+    """The nodes of a container's command line, each with its own arguments, those after its name,
+    and what they share, from --ros-args on. Raises InputError: a word that is neither, none or one
+    twice, or what keeps a process of its own."""
+    from sma_bench.errors import InputError
+
+    end = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
+    nodes: dict[str, list[str]] = {}
+    for word in arguments[:end]:
+        if nodes and (word.startswith("-") or ":=" in word):
+            nodes[list(nodes)[-1]].append(word)
+        elif word in nodes or word not in NODES.keys() - _APART:
+            raise InputError(f"{word!r}, expected names of nodes, each once (see --help)")
+        else:
+            nodes[word] = ["--ros-args"]
+    if not nodes:
+        raise InputError("no node, expected the names of nodes (see --help)")
+    return nodes, list(arguments[end:])
 
 
 def _end_within(seconds: float) -> None:
@@ -142,6 +196,11 @@ def node_help(node: str) -> str:
     """What --help prints: usage and the node's own parameters."""
     from sma_bench.parameters.node_tables import NODE_TABLES
 
+    if node == CONTAINER:
+        return (
+            f"usage: {node} NODE [-p NAME:=VALUE ...] [NODE ...] [--ros-args ...]\n\n"
+            f"these nodes in one process: {', '.join(n for n in NODES if n not in _APART)}\n"
+        )
     lines = [
         f"usage: {node} [--ros-args -r __ns:=/bench --params-file P.yaml -p NAME:=VALUE ...]",
         "",

@@ -13,7 +13,7 @@ import math
 import time
 import uuid
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, ClassVar
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -71,10 +71,15 @@ class OverridableNode(Node):
     """Node whose publishers and subscriptions take their QoS from parameters, where given:
     `qos_overrides./<topic>.publisher.` or `.subscription.`; else as rclpy's."""
 
+    own_arguments: ClassVar[list[str]] = []
+    """ROS arguments of the only node of its kind in this process, over those that all share"""
     _ros_is_ready = False
 
     def __init__(self, name: str, **options: Any) -> None:
-        super().__init__(name, **options)
+        try:
+            super().__init__(name, cli_args=self.own_arguments, **options)
+        except (rcl.RCLError, rcl.UnknownROSArgsError) as error:
+            raise InputError(" ".join(str(error).split())) from None
         self._ros_is_ready = True
 
     def create_publisher(self, *what: Any, newest: bool = False, **options: Any) -> Publisher:
@@ -182,8 +187,7 @@ def stamp_of(message: Any) -> int:
 
 
 def recorded_topics(node: Node) -> dict[str, str]:
-    """Topics that belong into a bag of the node's namespace and have a publisher, with their types.
-    """
+    """Topics that belong into a bag of the node's namespace and have a publisher; their types."""
     inside = node.get_namespace().rstrip("/") + "/"
     kinds = {topic: (recorded_type(topic, inside), types)
              for topic, types in node.get_topic_names_and_types()}

@@ -130,6 +130,12 @@ def claimed(name: str, said: str = "") -> socket.socket:
         time.sleep(0.05)
 
 
+def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
+    """ROS arguments that set parameters."""
+    given = [f"{key}:={json.dumps(value)}" for key, value in parameters.items()]  # YAML's, too
+    return [word for value in given for word in ("-p", value)]
+
+
 class NodeProcesses:
     """Nodes of this package in one namespace; leaving the context ends them all.
 
@@ -155,8 +161,7 @@ class NodeProcesses:
         command += ["-r", f"__ns:={self._namespace}"]
         for file in files:
             command += ["--params-file", str(file)]
-        for key, value in parameters.items():
-            command += ["-p", f"{key}:={json.dumps(value)}"]  # which YAML reads, too
+        command += parameter_arguments(parameters)
         with open(self._logs / f"{name}.log", "ab") as log:
             self._running[name] = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,

@@ -92,6 +92,9 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
         os._exit(1)
 
     threading.Thread(target=end_with_node, daemon=True).start()
+    # A node that is punctual may live in the parent, too; work is not.
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.setpriority(os.PRIO_PROCESS, 0, max(os.getpriority(os.PRIO_PROCESS, 0), 0))
     memory = max(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"), _LEAST_MEMORY)
     for kind, most in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, _LONGEST)):
         _, hard = resource.getrlimit(kind)

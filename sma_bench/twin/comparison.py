@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular, toeplitz
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from sma_bench.estimation.noise_model import Noise, estimate_noise, resolution, white_noise_level
 from sma_bench.parameters.parameters import load_kind
@@ -163,7 +163,7 @@ def _noise_before(
     share = allowed / max(found.drift, 1e-3 * allowed)
     seen = max(share**2 * found.time, period)
     # So few bins may have shown a slower one by chance.
-    surely = seen * float(chi2.ppf(_CHANCE, stop)) / stop
+    surely = seen * float(chdtri(stop, 1.0 - _CHANCE)) / stop
     white = min(found.white, _MOST_WHITE * white)
     return Noise(white, allowed, min(seen, max(surely, _FAST)), period, allowed)
 

@@ -13,6 +13,7 @@ from sma_bench.cli import COMMANDS, load_command
 from sma_bench.errors import InputError
 from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
+from sma_bench.nodes.start import CONTAINER
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.protocols import protocol_names
 
@@ -100,7 +101,7 @@ def check_ros(words: list[str]) -> str:
     if words[:2] == ["run", "sma_bench"]:
         if words[2] == "sma-bench":
             return "" if words[3:] == ["--help"] else check_command(words[3:])
-        return "" if words[2] in NODE_TABLES else f"no node {words[2]}"
+        return "" if words[2 + (words[2] == CONTAINER)] in NODE_TABLES else f"no node {words[2]}"
     if words[:2] == ["launch", "sma_bench"]:
         launch = ROOT / "launch" / words[2]
         if not launch.is_file():

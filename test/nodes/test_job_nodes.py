@@ -4,6 +4,8 @@ import json
 import os
 import subprocess
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import small_tasks
@@ -151,6 +153,24 @@ def test_a_task_has_what_was_given_and_its_failures_are_one_line():
         with pytest.raises(InputError, match=f"^[^\n]*failed: [^\n]*{why}[^\n]*$"):
             worker.run(task, settings, given, lambda *said: heard.append(said))
     assert heard == [(0.5, f"{settings} {given.given} {{'wire.mass': 1e-06}}")]
+
+
+def test_work_is_no_more_urgent_than_any_though_the_node_that_asks_for_it_is():
+    """As one is that shares its process with a node that drives."""
+
+    def ask():
+        try:
+            os.sched_setscheduler(threading.get_native_id(), os.SCHED_RR, os.sched_param(1))
+            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), -10)
+        except OSError:
+            return "not allowed"
+        return Worker("diagnosis").run(small_tasks.urgency, {}, Parameters.defaults())
+
+    with ThreadPoolExecutor(1) as pool:
+        found = pool.submit(ask).result()
+    if found == "not allowed":
+        pytest.skip("this user may make nothing urgent")
+    assert found == "0 0"
 
 
 def test_a_bag_is_diagnosed_its_gap_published_and_bad_requests_are_one_line(bench, tmp_path):

@@ -7,6 +7,7 @@ A stand-in of the few classes of ROS's `launch` keeps what it is given, and star
 import re
 import runpy
 import sys
+from itertools import pairwise
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from xml.etree import ElementTree as Xml
@@ -18,7 +19,7 @@ import yaml
 from sma_bench.errors import InputError
 from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import COMPOSITE, PIECES, WIRE, plan_bench, plan_replay
-from sma_bench.nodes.start import check_arguments, start
+from sma_bench.nodes.start import check_arguments, contained, start
 from sma_bench.parameters import read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import load_kind
@@ -149,6 +150,23 @@ def test_arguments_reach_the_nodes_and_a_camera_takes_the_place_of_true_temperat
     assert reader["read_cold_wires"] is True and len(reader["regions"]) == len(channels)
     for name in ("image_width", "image_height", "pixel_size"):
         assert reader[name] == pictures[name]
+
+
+def test_the_same_bench_in_one_process_has_the_same_nodes_with_the_same_arguments(built):
+    given = {"camera": "true", "twin": "true", "namespace": "lab", "nodes": "diagnosis"}
+    (one,) = built("composite_bench", container="true", **given)
+    assert (one.given.executable, one.given.name, one.given.namespace) == ("bench", None, "lab")
+    assert one.given.parameters == [str(ROOT / "config" / COMPOSITE.file)]
+    assert isinstance(one.given.on_exit, KINDS["Shutdown"])
+    nodes, _ = contained([*one.given.arguments, "--ros-args"])
+    planned = plan_bench(COMPOSITE, given)
+    assert [*nodes] == [node.executable for node in planned]
+    for node in planned:
+        words = nodes[node.executable]
+        taken = check_arguments(node.executable, words)
+        assert taken.keys() == node.parameters.keys() - {"use_sim_time"}
+        moved = {f"{old}:={new}" for old, new in node.remappings.items()}
+        assert {w for option, w in pairwise(words) if option == "-r"} == moved
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from sma_bench.parameters.node_tables import NODE_TABLES
 
-EXECUTABLES = {"sma-bench", *NODE_TABLES}
+EXECUTABLES = {"sma-bench", "bench", *NODE_TABLES}
 WHERE = """
 import sma_bench
 from sma_bench.installation import share_directory
