@@ -90,8 +90,11 @@ def linked(folder: Path) -> list[str]:
     for name, text in PLUGIN.items():
         (there / name).parent.mkdir(exist_ok=True)
         (there / name).write_text(text)
+    # Of what ./bench installs beside the package; ROS's wheels hold distributions of their own.
+    lists = [path.read_text() for path in ROOT.glob("requirements-*.txt")]
+    pinned = {name for text in lists for name in re.findall(r"^([\w.-]+)==", text, re.MULTILINE)}
     installed = {re.sub(r"[-_.]+", "-", d.name).lower() for d in metadata.distributions()}
-    return sorted(installed - chosen.keys())
+    return sorted((installed & pinned) - chosen.keys())
 
 
 def options(arguments: Sequence[str]) -> Iterator[str]:
