@@ -263,7 +263,9 @@ class Wire:
         self.modelled = limits.warmed(self.modelled, expected, elapsed)
         # Nobody knows when, since the last reading, the voltage changed.
         self.hottest = limits.warmed(self.hottest, max(heating, self._heating), elapsed)
-        self._rested = self._rested + elapsed if max(heating, self._heating) < _RESTS else 0.0
+        # Between two readings there may have been pulses.
+        rests = max(heating, self._heating) < _RESTS and not any(self.commands)
+        self._rested = self._rested + elapsed if rests else 0.0
         self._heating, self._powered = heating, stamp
 
     def believed(self, limits: Limits) -> list[float]:

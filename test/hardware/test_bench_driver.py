@@ -1,6 +1,7 @@
 """Who may drive the bench, and what stops it: the driver on a link that obeys the test."""
 
 from collections import Counter
+from dataclasses import replace
 
 import pytest
 
@@ -301,6 +302,7 @@ def test_frames_that_are_late_are_not_taken_for_those_of_a_closed_relay(bench):
     assert bench.link.device_time - begun < 15.0  # relay and stop, three times each
     assert not bench.link.armed
     bench.link.lag = 0.5
+    bench.says(newest=None)  # nothing came yet
     bench.driver.enable(bench.now)
 
 
@@ -316,6 +318,11 @@ def test_the_device_gets_the_rigs_limits_within_its_own_and_one_beyond_is_refuse
     cool = Limits.from_parameters(Parameters(warmer_room))
     least_hot = 1.1 * (cool.heat_loss * cool.heated) ** 0.5  # as of a kelvin above the room
     assert device_limits(cool, DEVICE, SUPPLY)[4] == pytest.approx(1e3 * least_hot, abs=1)
+    hasty = Bench()
+    hasty.says(device=replace(DEVICE, command_timeout=0.05))
+    hasty.refuses("the device's timeout is 0.05 s: too short")
+    hasty.says(device=replace(DEVICE, command_timeout=0.07))
+    hasty.driver.enable(hasty.now)
     pair = Limits.from_parameters(Parameters({"wire.count": 2}))
     assert pair.circuit == pytest.approx(RESISTANCE / 2.0)
     for drive in ({}, {"drive": "duty", "supply_voltage": 12.0}):

@@ -319,6 +319,11 @@ def test_a_wire_that_aged_in_a_cold_room_and_a_draught_is_not_a_camera_that_sees
             fault = bench.read(now, 7.7, 7.7 / aged)
             fault = bench.read(now, kelvin=driven) if k % 4 == 0 and k > 40 else fault
         assert is_said(f"disagreement: a measured at {cut}" * bool(cut), fault)
+    bench = Bench(feedback=[])  # pulses that no reading meets: what is warm then is no room
+    for k, now in enumerate(moments(6.0)):
+        bench.guard.commanded([3.0 if k % 4 == 2 else 0.0])
+        fault = bench.read(now, 0.0, 0.0, room + 58.0 if now < 3.0 else LIMITS.ambient - 50.0)
+    assert fault == ""
 
 
 # --- two wires behind one sensor

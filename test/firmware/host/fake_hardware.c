@@ -17,7 +17,7 @@ static uint16_t outputs[CHANNELS];
 static uint16_t readings[INPUTS];
 static uint16_t unloaded, drops[BOARDS];
 void (*fake_before_conversion)(void);
-static bool converting, pulsing, relay_is_closed;
+static bool converting, pulsing, relay_is_closed, prepared;
 static uint32_t supply_mean;
 static uint8_t remembered;
 
@@ -36,10 +36,13 @@ static uint16_t period_ms, elapsed_ms, sequence;
 void outputs_off(void)
 {
     memset(outputs, 0, sizeof outputs);
+    prepared = false;
 }
 
+/* Without it a pulse that a stop cut off would go on when its output is connected again. */
 void outputs_prepare(void)
 {
+    prepared = true;
 }
 
 uint8_t outputs_register(uint8_t channel)
@@ -259,6 +262,8 @@ static void pass_millisecond(bool loop_lives)
     const uint16_t *duty = pulsing ? safety_duties() : NULL;
     if (duty)
         memcpy(outputs, duty, sizeof outputs);
+    if (duty && !prepared)
+        memset(outputs, 0xFF, sizeof outputs);
 }
 
 void fake_run_ms(uint32_t milliseconds)

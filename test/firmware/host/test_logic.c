@@ -538,6 +538,20 @@ TEST(on_for_too_long_stops_even_with_short_dips)
     CHECK(seconds > ON_TIME_LIMIT_S && seconds < 1.03 * ON_TIME_LIMIT_S);
 }
 
+TEST(pauses_count_as_cooling)
+{
+    start_driving();
+    unsigned sequence = 2;
+    for (uint32_t s = 0; s < 3 * ON_TIME_LIMIT_S; s++) {
+        for (int i = 0; i < 10; i++) {
+            say(volts(sequence++, s % 60 < 30 ? 6000 : 0, 0, 0, 1));
+            fake_run_ms(100);
+            fake_forget_sent();
+        }
+    }
+    CHECK(safety_now()->state == ARMED);
+}
+
 TEST(hung_loop_stops_before_the_watchdog)
 {
     start_driving();
@@ -562,6 +576,15 @@ TEST(no_nonce_is_told_before_it_is_asked_for)
     say("?");
     fake_run_ms(1);
     CHECK(fake_nonce());
+}
+
+TEST(a_new_nonce_is_another_whatever_the_converter_gives)
+{
+    const uint16_t same = 3915; /* 25173 times it and 13849 is 0 */
+    fake_start(same);
+    say("?");
+    fake_run_ms(1);
+    CHECK(fake_nonce() && fake_nonce() != same);
 }
 
 TEST(limits_are_set_within_the_ceilings_and_not_while_armed)
