@@ -155,11 +155,13 @@ def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
             for found in (late, simulated.latencies, bare.latencies):
                 found.clear()
             elapsed, shares = bench.shares(seconds, ask)
+            held = len(late) / elapsed
+            bench.spin(lambda: min(len(one.latencies) for one in both) > 4, ask)  # a busy machine
         finally:
             pair.kill()
             pair.wait()
     case = f"simulator at {rate:g} Hz"
-    yield Figure(case, "power readings a second", len(late) / elapsed, "1/s", least=0.99 * rate)
+    yield Figure(case, "power readings a second", held, "1/s", least=0.99 * rate)
     yield from _latency(case, "arrival after stamp", late)
     yield from _latency(case, "command to reading", simulated.latencies)
     yield from _latency(case, "bare pair of rclpy: command to reading", bare.latencies)
