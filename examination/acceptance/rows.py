@@ -181,7 +181,7 @@ def one_parameter_does_not_end_a_drive(stage: Stage) -> str:
         assert "failed" in told.lower() and is_a_line(told), told
     seen = len(commands)
     until(lambda: len(commands) > seen + 40, "no commands any more")
-    assert commands[-1].data[0] == 3.0 and bench.poll() is None
+    assert commands[-1].data[0] == 3.0 and bench.poll() is None, bench.output
     told = stage.run(*OURS, "sma-bench", "simulate", "--protocol", "hold at 1 V" * 40, "--out",
                      "none", status=2)  # fmt: skip
     assert is_a_line(told), told
