@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 from sma_bench.findings import Finding, Severity
+from sma_bench.parameters.convection import natural_convection, radiation
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS, read_declarations
 from sma_bench.parameters.parameters import (
     CONVECTION_FACTOR,
@@ -19,8 +20,6 @@ from sma_bench.parameters.parameters import (
 )
 
 NITI_RESISTIVITY = (70e-8, 110e-8)  # ohm m, martensite 76 to 80, austenite 82 to 100 microohm cm
-GRAVITY = 9.81  # m/s2
-STEFAN_BOLTZMANN = 5.670e-8  # W/(m2 K4)
 WIRE_EMISSIVITY = (0.2, 0.9)  # bright to oxidised
 # J/(kg K): calorimetry of NiTi outside its transformation gives 440 to 550; data sheets have 322
 # (0.077 cal/(g K), Nitinol Devices & Components) and 837 (0.2 cal/(g K), Dynalloy).
@@ -61,30 +60,6 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
             number = {"clashes": float(len(clashes))}
             found.append(Finding("info", "the paper's numbers", text, number))
     return [replace(finding, audit=True) for finding in found]
-
-
-def natural_convection(diameter: float, surface: float, ambient: float) -> float:
-    """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air, of Churchill and
-    Chu (1975), air at film temperature and 1 atm. `diameter` [m]; `surface`, `ambient`:
-    temperatures [K], surface above ambient."""
-    film = 0.5 * (surface + ambient)
-    conductivity = 0.0241 * (film / 273.15) ** 0.81
-    viscosity = 1.716e-5 * (film / 273.15) ** 1.5 * (273.15 + 110.4) / (film + 110.4)
-    density = 101325.0 / (287.05 * film)
-    heat_capacity = 1007.0
-    prandtl = viscosity * heat_capacity / conductivity
-    diffusivity = conductivity / (density * heat_capacity)
-    rayleigh = (
-        GRAVITY * (surface - ambient) * diameter**3 / (film * (viscosity / density) * diffusivity)
-    )
-    shape = (1.0 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)
-    nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / shape) ** 2
-    return nusselt * conductivity / diameter
-
-
-def radiation(emissivity: float, surface: float, ambient: float) -> float:
-    """Heat transfer coefficient [W/(m2 K)] of grey radiation to surroundings at `ambient` [K]."""
-    return emissivity * STEFAN_BOLTZMANN * (surface**2 + ambient**2) * (surface + ambient)
 
 
 def still_air_range(parameters: Parameters) -> tuple[float, float]:
