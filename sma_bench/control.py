@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_TABLE
-from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.parameters import SMOOTHER, load_kind
 from sma_bench.physics import Bench, side_names
 from sma_bench.physics.linearised import (
-    SMOOTHER,
+    BEYOND,
     Branch,
     OperatingPoint,
     SideModel,
@@ -308,10 +308,12 @@ class _Side(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Parameters, name: str, loss: float) -> Self:
-        # The linear model is the paper's; effects that were identified are the nominal bench's.
+        # The linear model is the paper's; effects and another law are the nominal bench's, whose
+        # law the inverse has too.
         beyond = (*EFFECT_TABLE, *(BY_NAME[name] for name in SMOOTHER))
         parameters = parameters.replace({p.name: p.default for p in beyond})
         model, largest = SideModel.of(parameters, name), maximum_deflection(parameters, name)
+        parameters = parameters.replace({name: BY_NAME[name].default for name in BEYOND})
         wires = np.array(parameters["bench.channel_sides"]) == name
         sign = math.copysign(1.0, model.lever)
         schedule: dict[Branch, tuple[Array, Array]] = {}

@@ -196,12 +196,14 @@ def held_back(doubted: Collection[str]) -> list[str]:
 
 
 def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
-    """Effects that this load can have, that show in these signals and are not believed in yet."""
-    stated, load = stated_effects(parameters), load_kind(parameters)
+    """Effects that this load and this law can have, that show in these signals and are not believed
+    in yet."""
+    stated, load, law = stated_effects(parameters), load_kind(parameters), parameters["wire.law"]
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
     return [
         name for name, effect in EFFECTS.items()
-        if name not in known and load in effect.loads and set(effect.acts_on) & set(quantities)
+        if name not in known and load in effect.loads and law in effect.laws
+        and set(effect.acts_on) & set(quantities)
     ]
 
 

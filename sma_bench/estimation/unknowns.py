@@ -21,7 +21,7 @@ from sma_bench.parameters.parameter import (
     TRANSITIONS,
     Parameter,
 )
-from sma_bench.parameters.parameters import LOAD_NEEDS, load_kind
+from sma_bench.parameters.parameters import LOAD_NEEDS, SMOOTHER, load_kind, nearest_spread
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
 
@@ -54,6 +54,7 @@ LOADS = {
 }
 # A load frame shows strains and stresses by the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
+SPREAD = "wire.hysteresis_spread"
 # Real kinetics are a little smoother than the cosine's; that is no effect, but a nuisance.
 # Standard deviation about what is believed, lowest and highest value, in the parameter's unit.
 SHAPES = {
@@ -355,7 +356,10 @@ class Unknowns:
         }
         if self.transitions is not None:
             found = self.transitions.values(x[self._together]).tolist()
-            values |= zip(TEMPERATURES, found, strict=True)
+            four = dict(zip(TEMPERATURES, found, strict=True))
+            values |= four
+            if self.base["wire.law"] == "normal":  # widths as they can vary with these four
+                values[SPREAD] = nearest_spread(four, self.base[SPREAD])
         values |= {other: values[name] for other, name in self.tied.items()}
         return self.base.replace(values)
 
@@ -473,6 +477,10 @@ def unknowns_of(
     # Shapes of the kinetics; what is believed is within the range.
     extra = []
     for name, (std, low, high) in shapes.items():
+        # Other laws are as smooth as they are, and one has inner loops by itself.
+        without = (*SHAPES,) if base["wire.law"] == "normal" else SMOOTHER
+        if base["wire.law"] != "cosine" and name in without:
+            continue
         mean = float(base[name])
         low, high = min(low, mean), max(high, mean)
         std = min(base.given_uncertainty.get(name, std), high - low)

@@ -40,8 +40,10 @@ def identify_heat_transfer(
         resistance: V^2 over the heat of a wire, with its error: R, where there are no leads.
 
     Raises:
-        InputError: no temperature, or one that does not follow the voltage.
+        InputError: no temperature, one that does not follow the voltage, or free convection.
     """
+    if parameters["wire.convection"] != "constant":
+        raise refusal("free convection", path=record.path)
     v, t = (staircase.means(record, kind) for kind in ("voltage", "temperature"))
     channel, n = staircase.channel, len(v.value)
     remarks: list[Finding] = []

@@ -147,6 +147,7 @@ EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
 
 Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
 LOAD_KINDS = ("clamped", "force", "spring", "antagonist", "beam")
+LAWS = ("cosine", "exponential", "logistic", "normal")
 
 
 @dataclass(frozen=True)
@@ -157,7 +158,7 @@ class Effect:
         parameters: its numbers, `effect.<name>.<number>`, its size first.
         shows: what an engineer sees at the bench.
         acts_on: signals that it can change, in the order of the chain.
-        loads: kinds of load under which a bench can have it.
+        loads: kinds of load under which a bench can have it; laws: of the phase, beside which.
         marks: columns of the core that are 1 where it is on: the step takes the longer way there.
         row: what its columns are of, every wire or every side that bends.
         columns: number to the column that holds it, where the core reads it as it is.
@@ -177,6 +178,7 @@ class Effect:
     shows: str
     acts_on: tuple[str, ...] = ("temperature", "deflection")
     loads: tuple[str, ...] = LOAD_KINDS
+    laws: tuple[str, ...] = LAWS
     marks: tuple[str, ...] = ()
     row: Literal["wire", "side"] = "wire"
     columns: Mapping[str, str] | None = None

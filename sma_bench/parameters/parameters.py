@@ -7,11 +7,28 @@ from copy import copy
 from typing import Any
 
 from sma_bench.errors import InputError, did_you_mean
-from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS, TABLE, Value
+from sma_bench.parameters.convection import free_coefficient
+from sma_bench.parameters.parameter import (
+    BY_NAME,
+    EFFECTS,
+    LAWS,
+    LOAD_KINDS,
+    TABLE,
+    TRANSITIONS,
+    Value,
+)
 
 UNCERTAINTY_PREFIX = "uncertainty."
 SIDES = ("front", "back")
 DRIVES = ("voltage", "duty", "current")
+CONVECTIONS = ("constant", "free")
+_CHOICES = {
+    "load.kind": ("", *LOAD_KINDS), "bench.drive": DRIVES, "wire.law": LAWS,
+    "wire.convection": CONVECTIONS,
+}
+# Of a branch of wire.law normal: its range in deviations, from 2.5 to 97.5 %.
+BRANCH = 3.92
+_WITHIN = 0.05  # of what is possible, that an unstated spread keeps from its ends
 _LONGEST_LIST = 800  # characters of what stands for a set of parameters
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 # What must hold between numbers, beside the range of each in the table: the first below the second,
@@ -20,6 +37,7 @@ ORDERED = (
     ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
     ("wire.martensite_finish_temperature", "wire.martensite_start_temperature"),
 )
+SMOOTHER = ("wire.transition_spread", "wire.transition_tail")  # of the cosine law
 LOAD_NEEDS = {"spring": ("load.stiffness",)}
 
 
@@ -32,6 +50,27 @@ def load_kind(parameters: Mapping[str, Any]) -> str:
     """`load.kind`, or what is meant where nothing is given: clamped for one channel, else beam."""
     default = "clamped" if len(parameters["bench.channels"]) == 1 else "beam"
     return parameters["load.kind"] or default
+
+
+def hysteresis(parameters: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Deviations [K] of the heating and of the cooling branch of wire.law normal, and the mean half
+    width [K] of its hysteresis."""
+    a_s, a_f, m_s, m_f = (parameters[name] for name in TRANSITIONS.values())
+    return (a_f - a_s) / BRANCH, (m_s - m_f) / BRANCH, (a_s + a_f - m_s - m_f) / 4.0
+
+
+def possible_spread(parameters: Mapping[str, Any]) -> tuple[float, float]:
+    """Between which `wire.hysteresis_spread` can be: widths that vary less, or more, than the two
+    branches ask have no covariance with the grains' centres."""
+    heating, cooling, mean = hysteresis(parameters)
+    return abs(heating - cooling) / 2.0 / mean, (heating + cooling) / 2.0 / mean
+
+
+def nearest_spread(parameters: Mapping[str, Any], wanted: float) -> float:
+    """The possible spread of hysteresis widths nearest to what is wanted, a little within."""
+    low, high = possible_spread(parameters)
+    keep = _WITHIN * (high - low)
+    return min(max(wanted, low + keep), high - keep)
 
 
 class Parameters(Mapping[str, Value]):
@@ -86,6 +125,17 @@ class Parameters(Mapping[str, Value]):
                     self._values[lower] = self[upper] - width
                 else:
                     self._values[upper] = self[lower] + width
+        unstated = "wire.hysteresis_spread" not in self.given
+        if self["wire.law"] == "normal" and unstated and hysteresis(self)[2] > 0.0:
+            usual = float(str(BY_NAME["wire.hysteresis_spread"].default))
+            self._values["wire.hysteresis_spread"] = nearest_spread(self, usual)
+        if "wire.heat_transfer_coefficient" not in self.given:
+            h = BY_NAME["wire.heat_transfer_coefficient"].default
+            if self["wire.convection"] == "free":
+                h = free_coefficient(
+                    self["wire.diameter"], self["environment.ambient_temperature"]
+                )
+            self._values["wire.heat_transfer_coefficient"] = h
         if fault := self._fault():
             raise InputError(lead + fault)
 
@@ -111,9 +161,11 @@ class Parameters(Mapping[str, Value]):
         for side in sides:
             if side not in SIDES:
                 return f"bench.channel_sides: {side!r}, expected front or back"
-        for name, choices in (("load.kind", ("", *LOAD_KINDS)), ("bench.drive", DRIVES)):
+        for name, choices in _CHOICES.items():
             if self[name] not in choices:
                 return f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
+        if self["wire.law"] != "cosine" and (fault := self._fault_of_law()):
+            return fault
         kind, used = load_kind(self), len(set(sides))
         for name in LOAD_NEEDS.get(kind, ()):
             if self[name] <= 0.0:
@@ -124,6 +176,32 @@ class Parameters(Mapping[str, Value]):
             expected = "front and back" if wanted == 2 else "one side"
             return (
                 f"bench.channel_sides: {list(sides)} with load.kind {kind}, expected {expected}"
+            )
+        return ""
+
+    def _fault_of_law(self) -> str:
+        """What cannot be beside `wire.law`, or ""."""
+        law, name = self["wire.law"], "wire.hysteresis_spread"
+        for effect in EFFECTS.values():
+            if law not in effect.laws and effect.is_on(self):
+                others = ", ".join(effect.laws)
+                return f"effect {effect.name} with wire.law {law}, expected {others}"
+        for smoother in SMOOTHER:
+            if self[smoother] != 0.0:
+                return f"{smoother} is {self[smoother]:g}, expected 0 with wire.law {law}"
+        if law != "normal":
+            return ""
+        heating, cooling, mean = hysteresis(self)
+        if mean <= 0.0:
+            width = f"the mean hysteresis is {2.0 * mean:.4g} K wide"
+            return f"wire.law normal: {width}, expected above 0 K"
+        low, high = possible_spread(self)
+        spread, high = self[name], min(high, BY_NAME[name].high or high)
+        if not low - 1e-9 <= spread <= high + 1e-9:
+            ranges = f"ranges of {heating * BRANCH:.4g} and {cooling * BRANCH:.4g} K"
+            return (
+                f"{name} is {spread:.3g}, expected {low:.3g} to {high:.3g}: {ranges} about a "
+                f"hysteresis of {2.0 * mean:.4g} K leave no covariance of grains beyond that"
             )
         return ""
 

@@ -4,7 +4,7 @@ A step of length dt at held voltages, for every wire i of every side s:
 
     T_i     = T_eq + (T_i0 - T_eq) exp(-dt/tau) + lag (xi_i - xi_i0)      (lag: latent heat)
     sigma_i = E(xi_i) [eps_L (1 - xi_i) - e_s] + Theta_T (T_i - T_inf)
-    xi_i    = the rule of material.py at T_i, sigma_i
+    xi_i    = the law (laws/, material.py) at T_i, sigma_i
     sum sigma_i = load_s + K_s e_s,   or e_s prescribed                   (e: contraction)
 
 Two sides that pull on one slider are one equation: the sum of the front's stresses less that of the
@@ -41,7 +41,8 @@ from sma_bench.physics.effects.temperature_lag import follow
 from sma_bench.physics.effects.temperature_underfill import spot_temperature
 from sma_bench.physics.effects.transition_drift import shift_transition
 from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
-from sma_bench.physics.kinetics import close_loops, fraction, reverse
+from sma_bench.physics.kinetics import NORMAL, close_loops, fraction, reverse
+from sma_bench.physics.laws.normal import push
 
 NEWTON_STEP = 1e-10  # mostly quadratic; where it is slow, 1e-7 left 2.5e-9 of a fraction
 NEWTON_LIMIT = 15
@@ -401,6 +402,8 @@ def settle(wires, sides, step):
         wires[i, at.CHANGE] = xi - before
         wires[i, at.FRACTION] = xi
         wires[i, at.CLOCK] += step
+        if wires[i, at.LAW] == NORMAL:
+            push(wires, i)
         if wires[i, at.EVOLVES] > 0.0:
             finish_wire(wires, i, before, step)
         else:

@@ -12,6 +12,8 @@ from sma_bench.parameters.parameter import EFFECTS, Effect
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, material
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
+from sma_bench.physics.convection import note_free
+from sma_bench.physics.laws import law_of, normal, number_of
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
 Array = NDArray[np.float64]
@@ -117,9 +119,10 @@ def require_possible(state: State, parameters: Parameters) -> None:
         return  # cold martensite, where most benches begin
     f = material.austenite_ramp(kelvin, sigma, parameters)
     g = material.martensite_ramp(kelvin, sigma, parameters)
+    least = law_of(parameters).UNDONE
     for impossible, expected in (
-        ((f == 0.0) & (g == 1.0) & (xi > 0.0), "0 above A_f"),
-        ((f == 1.0) & (g == 0.0) & (xi < 1.0), "1 below M_f"),
+        ((f <= least) & (g >= 1.0 - least) & (xi > least), "0 above A_f"),
+        ((f >= 1.0 - least) & (g <= least) & (xi < 1.0 - least), "1 below M_f"),
     ):
         if np.any(impossible):
             i = int(np.argmax(impossible))
@@ -165,6 +168,14 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     for mark, effect in _MARKS["wire"]:
         if effect.is_on(p):
             row[mark] = 1.0
+    row[at.LAW] = number_of(p)
+    if p["wire.law"] == "normal":
+        centres, halves, deviation = normal.groups(p)
+        row[at.CENTRES : at.CENTRES + normal.PLAYS] = centres
+        row[at.HALF_WIDTHS : at.HALF_WIDTHS + normal.PLAYS] = halves
+        row[at.GROUPS], row[at.SHARPNESS] = normal.PLAYS, 1.0 / deviation
+    if p["wire.convection"] == "free":
+        note_free(row, p)
     row[at.HEATING] = 1.0 / (heated_resistance(p) * heat_loss(p))
     row[at.CURRENT_DRIVEN] = p["bench.drive"] == "current"
     leads = p["bench.lead_resistance"] + p["effect.supply_drop.resistance"]
@@ -249,6 +260,9 @@ class Kernel:
                 wires[:, column] = state.temperature
             for i in np.flatnonzero(wires[:, at.READ_OTHERWISE]):
                 wires[i, [at.READING, at.SEEN]] = core.see(wires, i)
+        if self.parameters["wire.law"] == "normal":
+            for i in np.flatnonzero(wires[:, at.PLAY] == 0.0):
+                normal.begin(wires[i])
         # Of effects that may be off by now:
         wires[:, at.OFFSET] = wires[:, at.PRESTRETCH]
         sides[sides[:, at.ENGAGEMENT] == 0.0, at.PASSIVE_BENDING] = 0.0

@@ -1,8 +1,10 @@
-"""The rule of material.py, compiled: the martensite fraction of a wire since its last reversal."""
+"""The martensite fraction of a wire by its law, compiled: the rule of material.py since its last
+reversal, or a law's own."""
 
 import math
 
 from sma_bench.compiled import borrowing, inlined
+from sma_bench.parameters.parameter import LAWS
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.partial_transformation import (
     forget_closed,
@@ -11,35 +13,27 @@ from sma_bench.physics.effects.partial_transformation import (
     towards_turn,
 )
 from sma_bench.physics.effects.transition_drift import shift_transition
+from sma_bench.physics.laws import cosine, exponential, logistic, normal
 from sma_bench.physics.material import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
 
+EXPONENTIAL, LOGISTIC, NORMAL = (LAWS.index(n) for n in ("exponential", "logistic", "normal"))
 SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
 
 
 @inlined
-def ramp(position):
-    """sin^2 ramp from 0 to 1 over positions 0 to 1, and its slope."""
-    if position <= 0.0:
-        return 0.0, 0.0
-    if position >= 1.0:
-        return 1.0, 0.0
-    root = math.sin(0.5 * math.pi * position)
-    return root * root, math.pi * root * math.sqrt(1.0 - root * root)
-
-
-@inlined
-def smooth_ramp(position, spread, tail):
+def cosine_ramp(wires, i, position, spread):
     """Ramp of grains that do not transform alike (material.py), and its slope."""
-    share, slope = ramp(position)
+    share, slope = cosine.ramp(position)
     if spread > 0.0:
-        early, early_slope = ramp(position + GRAIN * spread)
-        late, late_slope = ramp(position - GRAIN * spread)
+        early, early_slope = cosine.ramp(position + GRAIN * spread)
+        late, late_slope = cosine.ramp(position - GRAIN * spread)
         share += OUTER * (early + late - 2.0 * share)
         slope += OUTER * (early_slope + late_slope - 2.0 * slope)
+    tail = wires[i, at.TAIL]
     if tail != 0.0:
-        normal, normal_slope = normal_ramp(position, spread)
-        share += tail * (normal - share)
+        of_normal, normal_slope = normal_ramp(position, spread)
+        share += tail * (of_normal - share)
         slope += tail * (normal_slope - slope)
     return share, slope
 
@@ -60,6 +54,19 @@ def normal_ramp(position, spread):
     return share, slope
 
 
+@borrowing
+def any_ramp(wires, i, position, spread):
+    """Ramp of wire i's law, whichever it is, and its slope."""
+    law = wires[i, at.LAW]
+    if law == EXPONENTIAL:
+        return exponential.ramp(position)
+    if law == LOGISTIC:
+        return logistic.ramp(position)
+    if law == NORMAL:
+        return normal.ramp(position)
+    return cosine_ramp(wires, i, position, spread)
+
+
 @inlined
 def positions(wires, i, temperature, stress):
     """Where T, sigma lie on the ramps f and g."""
@@ -68,55 +75,83 @@ def positions(wires, i, temperature, stress):
     return of_f * wires[i, at.AUSTENITE_SLOPE], of_g * wires[i, at.MARTENSITE_SLOPE]
 
 
-@inlined
-def phase_left(wires, i, own, other, own_spread, other_spread):
-    """What is left of the vanishing phase (material.py), its slopes along both positions."""
-    phase, own_reversed = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
-    other_reversed = wires[i, at.OTHER_REVERSED]
-    share, share_slope = smooth_ramp(own, own_spread, wires[i, at.TAIL])
-    left, by_own, by_other = 0.0, 0.0, 0.0
-    if own_reversed > 0.0:
-        scale = phase / own_reversed
-        left, by_own = share * scale, share_slope * scale
-        if wires[i, at.RETURN_POINT] != 0.0:
-            left, by_own = towards_turn(wires, i, share, share_slope)
-        if wires[i, at.MEMORY] != 0.0:
-            of_grains, by_share = left_of_grains(phase, share, own_reversed, wires[i, at.MEMORY])
-            left += of_grains - share * scale
-            by_own += (by_share - scale) * share_slope
-            if left > phase and share < own_reversed:  # with a return point beside it
-                left, by_own = phase, 0.0
-    elif phase > 0.0 and other_reversed < 1.0:
-        scale = phase / (1.0 - other_reversed)
-        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, at.TAIL])
-        left, by_other = (1.0 - rest) * scale, -rest_slope * scale
-    # The other ramp's sine is spared unless stress has moved that ramp back.
-    if other < wires[i, at.OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
-        rest, rest_slope = smooth_ramp(other, other_spread, wires[i, at.TAIL])
-        bound = 1.0 - rest / other_reversed
-        if bound >= share:
-            left, by_own, by_other = share, share_slope, 0.0
-        elif bound > left:
-            left, by_own, by_other = bound, 0.0, -rest_slope / other_reversed
-    if left > 1.0:
-        return 1.0, 0.0, 0.0
-    return left, by_own, by_other
+def rule_of(ramp):
+    """The rule of material.py for a law's ramp."""
+
+    @inlined
+    def phase_left(wires, i, own, other, own_spread, other_spread):
+        """What is left of the vanishing phase (material.py), its slopes along both positions."""
+        phase, own_reversed = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
+        other_reversed = wires[i, at.OTHER_REVERSED]
+        share, share_slope = ramp(wires, i, own, own_spread)
+        left, by_own, by_other = 0.0, 0.0, 0.0
+        if own_reversed > 0.0:
+            scale = phase / own_reversed
+            left, by_own = share * scale, share_slope * scale
+            if wires[i, at.RETURN_POINT] != 0.0:
+                left, by_own = towards_turn(wires, i, share, share_slope)
+            if wires[i, at.MEMORY] != 0.0:
+                memory = wires[i, at.MEMORY]
+                of_grains, by_share = left_of_grains(phase, share, own_reversed, memory)
+                left += of_grains - share * scale
+                by_own += (by_share - scale) * share_slope
+                if left > phase and share < own_reversed:  # with a return point beside it
+                    left, by_own = phase, 0.0
+        elif phase > 0.0 and other_reversed < 1.0:
+            scale = phase / (1.0 - other_reversed)
+            rest, rest_slope = ramp(wires, i, other, other_spread)
+            left, by_other = (1.0 - rest) * scale, -rest_slope * scale
+        # The other ramp's sine is spared unless stress has moved that ramp back.
+        if other < wires[i, at.OTHER_POSITION_REVERSED] and other_reversed > 0.0 and share > left:
+            rest, rest_slope = ramp(wires, i, other, other_spread)
+            bound = 1.0 - rest / other_reversed
+            if bound >= share:
+                left, by_own, by_other = share, share_slope, 0.0
+            elif bound > left:
+                left, by_own, by_other = bound, 0.0, -rest_slope / other_reversed
+        if left > 1.0:
+            return 1.0, 0.0, 0.0
+        return left, by_own, by_other
+
+    @inlined
+    def by_rule(wires, i, temperature, stress):
+        """xi of wire i by the rule of material.py, d xi/dT and d xi/d sigma."""
+        of_f, of_g = positions(wires, i, temperature, stress)
+        f_spread, g_spread = wires[i, at.AUSTENITE_SPREAD], wires[i, at.MARTENSITE_SPREAD]
+        # One call, as all this is compiled into every loop that solves for xi.
+        rising = wires[i, at.TREND] > 0.0
+        own, other, own_spread, other_spread = of_f, of_g, f_spread, g_spread
+        if not rising:
+            own, other, own_spread, other_spread = of_g, of_f, g_spread, f_spread
+        xi, by_f, by_g = phase_left(wires, i, own, other, own_spread, other_spread)
+        if not rising:
+            xi, by_f, by_g = 1.0 - xi, -by_g, -by_f
+        by_f *= wires[i, at.AUSTENITE_SLOPE]
+        by_g *= wires[i, at.MARTENSITE_SLOPE]
+        by_stress = by_f * wires[i, at.AUSTENITE_SHIFT] - by_g * wires[i, at.MARTENSITE_SHIFT]
+        return xi, by_g - by_f, by_stress
+
+    return by_rule
+
+
+by_cosine, by_any_ramp = rule_of(cosine_ramp), rule_of(any_ramp)
+
+
+@borrowing
+def of_other_law(wires, i, temperature, stress):
+    """As `fraction`, of a law that is not the baseline's."""
+    if wires[i, at.LAW] == NORMAL:
+        return normal.fraction(wires, i, temperature, stress)
+    return by_any_ramp(wires, i, temperature, stress)
 
 
 @inlined
 def fraction(wires, i, temperature, stress):
-    """xi of wire i by the rule of material.py, d xi/dT and d xi/d sigma."""
-    of_f, of_g = positions(wires, i, temperature, stress)
-    f_spread, g_spread = wires[i, at.AUSTENITE_SPREAD], wires[i, at.MARTENSITE_SPREAD]
-    if wires[i, at.TREND] > 0.0:
-        xi, by_f, by_g = phase_left(wires, i, of_f, of_g, f_spread, g_spread)
-    else:
-        left, by_g, by_f = phase_left(wires, i, of_g, of_f, g_spread, f_spread)
-        xi, by_f, by_g = 1.0 - left, -by_f, -by_g
-    by_f *= wires[i, at.AUSTENITE_SLOPE]
-    by_g *= wires[i, at.MARTENSITE_SLOPE]
-    by_stress = by_f * wires[i, at.AUSTENITE_SHIFT] - by_g * wires[i, at.MARTENSITE_SHIFT]
-    return xi, by_g - by_f, by_stress
+    """xi of wire i by its law, d xi/dT and d xi/d sigma. The baseline's is compiled into the
+    innermost loops, the others are called."""
+    if wires[i, at.LAW] != 0.0:
+        return of_other_law(wires, i, temperature, stress)
+    return by_cosine(wires, i, temperature, stress)
 
 
 @borrowing
@@ -126,8 +161,8 @@ def reverse(wires, i, trend):
         wires[i, at.TURNED_CYCLES] = wires[i, at.CYCLES]
         shift_transition(wires, i)
     of_f, of_g = positions(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
-    f = smooth_ramp(of_f, wires[i, at.AUSTENITE_SPREAD], wires[i, at.TAIL])[0]
-    g = smooth_ramp(of_g, wires[i, at.MARTENSITE_SPREAD], wires[i, at.TAIL])[0]
+    f = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
+    g = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
     rising = trend > 0.0
     if wires[i, at.RETURN_POINT] != 0.0:
         remember_turn(wires, i, f, g)
@@ -144,7 +179,7 @@ def close_loops(wires, i):
     """After a step: forget the loops that wire i has run out of."""
     of_f, of_g = positions(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
     if wires[i, at.TREND] > 0.0:
-        share = smooth_ramp(of_f, wires[i, at.AUSTENITE_SPREAD], wires[i, at.TAIL])[0]
+        share = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
     else:
-        share = smooth_ramp(of_g, wires[i, at.MARTENSITE_SPREAD], wires[i, at.TAIL])[0]
+        share = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
     forget_closed(wires, i, share)

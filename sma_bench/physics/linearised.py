@@ -21,10 +21,13 @@ from scipy.signal import StateSpace
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.parameters.parameters import SMOOTHER
 from sma_bench.physics import material
 from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names, side_of_channels
 from sma_bench.physics.effects import active_effects
 from sma_bench.physics.kernel import State, initial_state
+from sma_bench.physics.laws import law_of
 from sma_bench.physics.material import (
     commanded_voltage,
     heat_loss,
@@ -39,7 +42,7 @@ from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 Array = NDArray[np.float64]
 Branch = Literal["heating", "cooling"]
 
-SMOOTHER = ("wire.transition_spread", "wire.transition_tail")
+BEYOND = (*SMOOTHER, "wire.law", "wire.convection")  # eqs. (4), (10), (11)
 _AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
 # Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
 _RANGES: dict[Branch, tuple[str, str, str]] = {
@@ -123,13 +126,14 @@ class SideModel:
         and before it what the thermal stress alone does."""
         start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
         shift, heating = self.wire_stress(contraction) / influence, branch == "heating"
+        position = law_of(self.parameters).position
 
         # The stress of a wire at each fraction, at the temperature that it has there.
         def kelvin(xi: float) -> float:
             left = xi if heating else 1.0 - xi
             ramp = min(left / share, 1.0) if share > 0.0 else 0.0
-            position = (finish - start) * math.asin(math.sqrt(ramp)) / (0.5 * math.pi)
-            return float(shift + (finish - position if heating else start + position))
+            way = (finish - start) * position(ramp)
+            return float(shift + (finish - way if heating else start + way))
 
         def excess(xi: float) -> float:
             return self.excess(contraction, kelvin(xi), xi)
@@ -325,9 +329,10 @@ def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
     eq. (1) [J/kg]; InputError: the stresses do not determine the state (a vertical tangent), or an
     effect or a smoother ramp than eqs. (10), (11) is on."""
     parameters, start = point.parameters, point
-    beyond = [*active_effects(parameters), *(n for n in SMOOTHER if parameters[n] != 0.0)]
+    beyond = [f"{name} is on" for name in active_effects(parameters)]
+    beyond += [f"{n} is {parameters[n]}" for n in BEYOND if parameters[n] != BY_NAME[n].default]
     if beyond:
-        raise InputError(f"linearisation: {beyond[0]} is on, expected eqs. (10), (11) as they are")
+        raise InputError(f"linearisation: {beyond[0]}, expected eqs. (4), (10), (11) as they are")
 
     # All wires move at once, each the way of the branch, lest one is taken to have turned; what
     # has cooled to the air can only warm. A row a direction, one wire more than the others.

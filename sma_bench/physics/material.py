@@ -29,6 +29,7 @@ from scipy.special import ndtr
 
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects.phase_dependent_resistance import LEAST
+from sma_bench.physics.laws import law_of
 
 Array = NDArray[np.float64]
 
@@ -41,7 +42,8 @@ GRAIN, OUTER = float(np.sqrt(3.0)), 1.0 / 6.0
 
 
 def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
-    """f(T [K], sigma [Pa]): 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq. (10) between."""
+    """f(T [K], sigma [Pa]) of the full loop: 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq.
+    (10) between; of another `wire.law` as its file has it."""
     start = parameters["wire.austenite_start_temperature"]
     finish = parameters["wire.austenite_finish_temperature"]
     shift = np.asarray(stress, float) / parameters["wire.stress_influence_austenite"]
@@ -71,10 +73,10 @@ def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array
     the deviation `wire.transition_spread`, as three groups (Gauss and Hermite's); a share
     `wire.transition_tail` has a normal distribution for a ramp, which the cosine's is nearly."""
     spread, tail = parameters["wire.transition_spread"] / width, parameters["wire.transition_tail"]
-    position = distance / width
-    share = _ramp(position)
+    position, ramp = distance / width, law_of(parameters).share
+    share = ramp(position)
     if spread > 0.0:
-        outer = _ramp(position + GRAIN * spread) + _ramp(position - GRAIN * spread)
+        outer = ramp(position + GRAIN * spread) + ramp(position - GRAIN * spread)
         share = share + OUTER * (outer - 2.0 * share)
     if tail > 0.0:
         deviations = (position - 0.5) / np.hypot(NORMAL_DEVIATION, spread)
@@ -82,11 +84,6 @@ def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array
         shares = ndtr(np.clip(deviations, -NORMAL_REACH, NORMAL_REACH))
         share = share + tail * (np.asarray((shares - least) / (1.0 - 2.0 * least)) - share)
     return share
-
-
-def _ramp(position: Array) -> Array:
-    # sin^2 keeps relative precision near 0, which (1 - cos)/2 loses: ratios of ramps are taken.
-    return np.square(np.sin(0.5 * np.pi * np.clip(position, 0.0, 1.0)))
 
 
 def modulus(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:

@@ -106,7 +106,8 @@ def simulate(
     parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *, initial: State | None = None,
     boundary: Boundary | None = None,
 ) -> Simulation:
-    """Solve the baseline model (contract section 4), and the effects that the parameters switch on.
+    """Solve the baseline model (contract section 4) with the law of the phase and the effects that
+    the parameters name.
 
     Temperatures are exact for the held voltages; phase, stress and contraction are solved
     together at every sample. With latent heat the transformation rate is constant over a step;
@@ -238,7 +239,9 @@ class TemperatureDriven:
         """At rest, or in the state `initial`; effects on the heating are left out."""
         heating = [e for e in EFFECTS.values() if e.stage in ("electrical", "thermal")]
         without = {p.name: p.default for effect in heating for p in effect.parameters}
-        given = {"bench.drive": "voltage", "bench.lead_resistance": 0.0}
+        given = {
+            "bench.drive": "voltage", "bench.lead_resistance": 0.0, "wire.convection": "constant",
+        }
         self._parameters = parameters.replace({**given, **without})
         self._kernel = Kernel(self._parameters, boundary)
         wires = self._kernel.rows[0]

@@ -10,13 +10,9 @@ from scipy.signal import lsim
 from sma_bench.errors import InputError
 from sma_bench.paper.printed import coefficient_table
 from sma_bench.parameters import TABLE, Parameters
+from sma_bench.parameters.parameters import SMOOTHER
 from sma_bench.physics import Boundary, material, simulate
-from sma_bench.physics.linearised import (
-    SMOOTHER,
-    OperatingPoint,
-    linearise,
-    maximum_deflection,
-)
+from sma_bench.physics.linearised import OperatingPoint, linearise, maximum_deflection
 from sma_bench.physics.material import time_constant
 
 WIRE = Parameters.of_paper()

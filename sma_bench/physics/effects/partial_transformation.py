@@ -17,6 +17,8 @@ With `return_point` m the straight line of xi over f aims at m times the last bu
 then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
 
     xi = m xi_b + (xi_r - m xi_b) (f(T) - m f_b)/(f_r - m f_b)       down to f_b
+
+With `wire.law` normal, which has inner loops of its own, it is refused.
 """
 
 import math
@@ -43,7 +45,7 @@ EFFECT = Effect(
     )),
     shows="full loops fit, partial ones do not: deflection lingers or runs ahead after a turn "
     "inside the loop",
-    acts_on=("deflection",), marks=("EVOLVES",),
+    acts_on=("deflection",), laws=("cosine", "exponential", "logistic"), marks=("EVOLVES",),
     columns={"memory": "MEMORY", "return_point": "RETURN_POINT"},
     state=(
         "TURNS",

@@ -9,6 +9,7 @@ and radiation (T^4) are within a few percent of a line.
 from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
+from sma_bench.physics.convection import free_loss
 
 EFFECT = Effect(
     "temperature_dependent_convection", "thermal",
@@ -30,4 +31,5 @@ _LEAST = 0.05
 @borrowing
 def loss(wires, i, excess):
     """Heat loss of wire i [W/K] at a surface `excess` K above the air."""
-    return wires[i, at.LOSS] * max(1.0 + wires[i, at.CONVECTION_RISE] * excess, _LEAST)
+    still = free_loss(wires, i, excess) if wires[i, at.RADIATION] > 0.0 else wires[i, at.LOSS]
+    return still * max(1.0 + wires[i, at.CONVECTION_RISE] * excess, _LEAST)

@@ -1,0 +1,31 @@
+"""Laws of the phase, `wire.law`: how the fraction follows temperature and stress, one law a file.
+
+A file has its equation and source in the docstring, and of its full branches
+
+    ramp(position) -> share, slope    compiled: 0 and 1 where heating or cooling ends and starts
+    share(position)                   the same of arrays
+    position(share)                   its inverse
+    UNDONE                            the share at A_f and M_f
+
+of the position (A_f - T + sigma/C_A)/(A_f - A_s) on heating, (T - M_f - sigma/C_M)/(M_s - M_f) on
+cooling; the share is that of the phase that vanishes. All laws have the same four temperatures and
+the same shift by stress; `wire.transition_spread` and `_tail` are the cosine's only. After a
+reversal inside the loop they follow the contract's rule (material.py), unless a law's own states
+say otherwise (`normal`).
+"""
+
+from collections.abc import Mapping
+from importlib import import_module
+from typing import Any
+
+from sma_bench.parameters.parameters import LAWS
+
+
+def law_of(parameters: Mapping[str, Any]) -> Any:
+    """The module of the law that these parameters name."""
+    return import_module(f"sma_bench.physics.laws.{parameters['wire.law']}")
+
+
+def number_of(parameters: Mapping[str, Any]) -> int:
+    """The law's number in the compiled core; 0 is the contract's cosine."""
+    return LAWS.index(parameters["wire.law"])

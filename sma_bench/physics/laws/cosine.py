@@ -1,0 +1,37 @@
+"""The contract's law: two cosines.
+
+    share = sin^2(pi/2 position)
+
+Source: eqs. (10), (11); Liang and Rogers 1990. No parameters but the four temperatures.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sma_bench.compiled import inlined
+
+UNDONE = 0.0  # share where the transformation is said to end
+
+
+@inlined
+def ramp(position):
+    """sin^2 ramp from 0 to 1 over positions 0 to 1, and its slope."""
+    if position <= 0.0:
+        return 0.0, 0.0
+    if position >= 1.0:
+        return 1.0, 0.0
+    root = math.sin(0.5 * math.pi * position)
+    return root * root, math.pi * root * math.sqrt(1.0 - root * root)
+
+
+def share(position: ArrayLike) -> NDArray[np.float64]:
+    """As `ramp`, of arrays."""
+    # sin^2 keeps relative precision near 0, which (1 - cos)/2 loses: ratios of ramps are taken.
+    return np.square(np.sin(0.5 * np.pi * np.clip(position, 0.0, 1.0)))
+
+
+def position(share: float) -> float:
+    """Inverse of `ramp`."""
+    return math.asin(math.sqrt(share)) / (0.5 * math.pi)

@@ -1,0 +1,42 @@
+"""Logistic branches, smooth at both ends, with Duhem's rule for turning.
+
+    share = 1/(1 + exp[-2 a (position - 1/2)]),   a = ln 39
+
+A_s, A_f, M_s, M_f are the points at which 2.5 and 97.5 % are done. Inner loops are Duhem's: the
+rate along a branch is in proportion to what is left of the phase that vanishes,
+
+    dxi = xi d(ln f)   while T rises,      d(1 - xi) = (1 - xi) d(ln g)   while it falls
+
+which is the contract's rule. Source: logistic branches Ikuta et al. 1991, Duhem's rule for wires
+Dutta and Ghorbel 2005. No parameters but the four temperatures.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import expit
+
+from sma_bench.compiled import inlined
+
+UNDONE = 0.025  # share where the transformation is said to end
+STEEPNESS = 2.0 * math.log(39.0)
+_LEAST = 1e-6  # of a share, or of its rest, whose position is asked for
+
+
+@inlined
+def ramp(position):
+    """Share and slope."""
+    share = 1.0 / (1.0 + math.exp(-STEEPNESS * (position - 0.5)))
+    return share, STEEPNESS * share * (1.0 - share)
+
+
+def share(position: ArrayLike) -> NDArray[np.float64]:
+    """As `ramp`, of arrays."""
+    return np.asarray(expit(STEEPNESS * (np.asarray(position, float) - 0.5)))
+
+
+def position(share: float) -> float:
+    """Inverse of `ramp`; at most where a millionth is left or done."""
+    inside = min(max(share, _LEAST), 1.0 - _LEAST)
+    return 0.5 + math.log(inside / (1.0 - inside)) / STEEPNESS

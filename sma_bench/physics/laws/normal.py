@@ -1,0 +1,165 @@
+"""Grains whose transformation temperatures and widths of hysteresis are normally distributed.
+
+A grain of centre c and half width b becomes austenite at c + b and martensite at c - b (both
+shifted by stress). Five groups of shares w_j have half widths b_j about their mean; within each
+the centres are normally distributed, of deviation s about c_j. What a group remembers is one
+number, a generalised play (Krasnosel'skii and Pokrovskii 1989):
+
+    p_j = max[T - sigma/C_A - b_j, min(p_j, T - sigma/C_M + b_j)]
+    xi  = 1 - sum w_j Phi[(p_j - c_j)/s]
+
+Inner loops and return-point memory follow from that (Mayergoyz 1991). The full branches are normal
+distributions with A_s, A_f, M_s, M_f at 2.5 and 97.5 %: of deviations D_A = (A_f - A_s)/3.92 and
+D_M = (M_s - M_f)/3.92, half width b = (A_s + A_f - M_s - M_f)/4 in the mean. With the deviation r b
+of half widths (r: `wire.hysteresis_spread`) that asks of centres
+
+    k = (D_A^2 - D_M^2)/4                         covariance with half widths
+    v = (D_A^2 + D_M^2)/2 - (r b)^2               variance
+    b_j = b (1 + r z_j),   c_j = c + k/(r b)^2 (b_j - b),   s^2 = v - k^2/(r b)^2
+
+which is possible for r b between |D_A - D_M|/2 and (D_A + D_M)/2. z_j = 1.1 (-2 ... 2), w_j so that
+the moments of z up to the fifth are the normal distribution's; no half width is below 0.
+`effect.partial_transformation` is refused beside it: it has inner loops of its own.
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr, ndtri
+
+from sma_bench.compiled import borrowing, inlined
+from sma_bench.parameters.parameters import BRANCH, hysteresis
+from sma_bench.physics import columns as at
+
+Array = NDArray[np.float64]
+
+UNDONE = 0.025  # share where the transformation is said to end
+PLAYS = at.PLAYS
+_AWAY = 1.1 * np.arange(-2.0, 3.0)  # z_j
+# w_j: 1, 1 and 3 are a normal distribution's moments of order 0, 2 and 4.
+_OUTER, _INNER = np.linalg.solve([_AWAY[:2] ** 2, _AWAY[:2] ** 4], [0.5, 1.5]).tolist()
+SHARES = (_OUTER, _INNER, 1.0 - 2.0 * (_OUTER + _INNER), _INNER, _OUTER)
+_SQRT_2, _SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+_FAR = 7.0  # deviations, beyond which nothing (1e-12) is left to transform
+_NARROWEST = 0.01  # K, of s
+_LEAST = 1e-6  # of a share, or of its rest, whose position is asked for
+_HALVINGS = 60
+
+
+@inlined
+def ramp(position):
+    """Share of a full branch and its slope."""
+    away = BRANCH * (position - 0.5)
+    return 0.5 * math.erfc(-away / _SQRT_2), BRANCH * math.exp(-0.5 * away * away) / _SQRT_2_PI
+
+
+def share(position: ArrayLike) -> Array:
+    """As `ramp`, of arrays."""
+    return np.asarray(ndtr(BRANCH * (np.asarray(position, float) - 0.5)))
+
+
+def position(share: float) -> float:
+    """Inverse of `ramp`; at most where a millionth is left or done."""
+    return 0.5 + float(ndtri(min(max(share, _LEAST), 1.0 - _LEAST))) / BRANCH
+
+
+def groups(parameters: Mapping[str, Any]) -> tuple[Array, Array, float]:
+    """(PLAYS,) centres c_j and half widths b_j, and the deviation s, all in K."""
+    heating, cooling, mean = hysteresis(parameters)
+    names = ("austenite_start", "austenite_finish", "martensite_start", "martensite_finish")
+    centre = sum(parameters[f"wire.{name}_temperature"] for name in names) / 4.0
+    deviation = parameters["wire.hysteresis_spread"] * mean
+    together = (heating**2 - cooling**2) / 4.0
+    slope = together / deviation**2 if deviation > 0.0 else 0.0
+    variance = (heating**2 + cooling**2) / 2.0 - deviation**2 - slope * together
+    away, within = deviation * _AWAY, math.sqrt(max(variance, _NARROWEST**2))
+    return centre + slope * away, np.maximum(mean + away, 0.0), within
+
+
+@inlined
+def cumulative(x):
+    """Phi(x) and exp(-x^2/2), within 7 deviations: Hart 1968 as West 2005 has it, to 1e-15. One
+    exponential for both takes half the time of erfc beside it."""
+    z, density = abs(x), math.exp(-0.5 * x * x)
+    above = 3.52624965998911e-2 * z + 0.700383064443688
+    above = ((above * z + 6.37396220353165) * z + 33.912866078383) * z + 112.079291497871
+    above = (above * z + 221.213596169931) * z + 220.206867912376
+    below = (8.83883476483184e-2 * z + 1.75566716318264) * z + 16.064177579207
+    below = ((below * z + 86.7807322029461) * z + 296.564248779674) * z + 637.333633378831
+    below = (below * z + 793.826512519948) * z + 440.413735824752
+    tail = density * above / below
+    return (1.0 - tail if x > 0.0 else tail), density
+
+
+@inlined
+def pushed(wires, i, j, hot, cold):
+    """Where T - sigma/C_A = `hot` and T - sigma/C_M = `cold` [K] push play j of wire i; 1 if by
+    heating, -1 if by cooling, 0 if it stays."""
+    half, play = wires[i, at.HALF_WIDTHS + j], wires[i, at.PLAY + j]
+    if hot - half >= play:
+        return hot - half, 1.0
+    if cold + half < play:
+        return max(cold + half, hot - half), -1.0
+    return play, 0.0
+
+
+@inlined
+def _hot_and_cold(wires, i, temperature, stress):
+    moved = temperature - wires[i, at.AUSTENITE_FINISH] + wires[i, at.AUSTENITE_FINISH_FRESH]
+    hot = moved - stress * wires[i, at.AUSTENITE_SHIFT]
+    return hot, moved - stress * wires[i, at.MARTENSITE_SHIFT]
+
+
+@borrowing
+def fraction(wires, i, temperature, stress):
+    """xi of wire i, d xi/dT and d xi/d sigma."""
+    hot, cold = _hot_and_cold(wires, i, temperature, stress)
+    austenite, by_hot, by_cold = 0.0, 0.0, 0.0
+    for j in range(int(wires[i, at.GROUPS])):  # no constant, for a loop that is not unrolled
+        play, way = pushed(wires, i, j, hot, cold)
+        away = (play - wires[i, at.CENTRES + j]) * wires[i, at.SHARPNESS]
+        if away > _FAR:
+            austenite += SHARES[j]
+        elif away > -_FAR:
+            share, density = cumulative(away)
+            austenite += SHARES[j] * share
+            slope = SHARES[j] * density
+            if way > 0.0:
+                by_hot += slope
+            elif way < 0.0:
+                by_cold += slope
+    by_hot *= wires[i, at.SHARPNESS] / _SQRT_2_PI
+    by_cold *= wires[i, at.SHARPNESS] / _SQRT_2_PI
+    by_stress = by_hot * wires[i, at.AUSTENITE_SHIFT] + by_cold * wires[i, at.MARTENSITE_SHIFT]
+    return 1.0 - austenite, -(by_hot + by_cold), by_stress
+
+
+@borrowing
+def push(wires, i):
+    """After a step: the plays of wire i as they have been pushed."""
+    hot, cold = _hot_and_cold(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
+    for j in range(int(wires[i, at.GROUPS])):
+        wires[i, at.PLAY + j] = pushed(wires, i, j, hot, cold)[0]
+
+
+def begin(row: Array) -> None:
+    """Set the plays of a wire's row that has no history of this law: all at one level, so far as
+    temperature and stress let them, the one that gives its fraction; the nearest where none
+    does."""
+    centres = row[at.CENTRES : at.CENTRES + PLAYS]
+    halves = row[at.HALF_WIDTHS : at.HALF_WIDTHS + PLAYS]
+    moved = row[at.TEMPERATURE] - row[at.AUSTENITE_FINISH] + row[at.AUSTENITE_FINISH_FRESH]
+    least = moved - row[at.STRESS] * row[at.AUSTENITE_SHIFT] - halves
+    most = moved - row[at.STRESS] * row[at.MARTENSITE_SHIFT] + halves
+    low, high = float(least.min()), float(most.max())
+    for _ in range(_HALVINGS):
+        level = 0.5 * (low + high)
+        plays = np.maximum(least, np.minimum(level, most))
+        if 1.0 - ndtr((plays - centres) * row[at.SHARPNESS]) @ SHARES > row[at.FRACTION]:
+            low = level
+        else:
+            high = level
+    row[at.PLAY : at.PLAY + PLAYS] = np.maximum(least, np.minimum(high, most))

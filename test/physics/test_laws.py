@@ -1,0 +1,360 @@
+"""Laws of the phase and free convection, against references written by plain means."""
+
+import numpy as np
+import pytest
+from effect_references import (
+    COMPOSITE,
+    SECONDARY,
+    SWITCHES,
+    WIRE,
+    fraction_since_reversal,
+    pulses,
+    refined,
+)
+from scipy.integrate import solve_ivp
+from scipy.special import ndtri
+
+from sma_bench.control import DeflectionController
+from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import LAWS, TRANSITIONS
+from sma_bench.physics import Boundary, initial_state, material, simulate
+from sma_bench.physics.effects import EFFECTS
+
+pytest.importorskip("numba", reason="many simulations: slow without numba")
+
+AMBIENT = 296.15
+# A wire of 0.5 mm as catalogues have it, wide hysteresis and unequal ranges.
+GRADE = dict(zip(TRANSITIONS.values(), (345.0, 363.0, 338.0, 312.0), strict=True))
+C_A, C_M = 7.3e6, 9.0e6
+STOCK = WIRE.replace({
+    **GRADE, "wire.stress_influence_austenite": C_A, "wire.stress_influence_martensite": C_M,
+    "wire.hysteresis_spread": 0.25,
+})  # fmt: skip
+SIGNALS = ("temperature", "martensite_fraction", "stress", "bending", "deflection_reading")
+
+
+class Heat:
+    """The paper's wire."""
+
+    ohm, mass = WIRE["wire.resistance"], WIRE["wire.mass"]
+    capacity = WIRE["wire.mass"] * WIRE["wire.specific_heat"]
+    area = WIRE["wire.surface_area"]
+    loss = WIRE["wire.heat_transfer_coefficient"] * WIRE["wire.surface_area"]
+
+
+def of_law(parameters, law):
+    return parameters.replace({"wire.law": law})
+
+
+def led(rig, turns, sigma=0.0, step=0.05):
+    """Temperatures [K] from rest through these in even steps, and xi of a wire at held stress that
+    has next to no heat capacity."""
+    legs = [np.linspace(a, b, int(abs(b - a) / step) + 1)[1:]
+            for a, b in zip((AMBIENT, *turns), turns, strict=False)]  # fmt: skip
+    kelvin = np.concatenate([[AMBIENT], *legs])
+    volts = np.sqrt((np.append(kelvin[1:], kelvin[-1]) - AMBIENT) * Heat.loss * Heat.ohm)
+    light = rig.replace({"wire.mass": 1e-7, "wire.specific_heat": 50.0})
+    held = Boundary.held_stress(sigma)
+    run = simulate(light, np.arange(kelvin.size), volts, boundary=held)
+    assert run.temperature[:, 0] == pytest.approx(kelvin, abs=1e-9)
+    return kelvin, run.martensite_fraction[:, 0]
+
+
+# --- The branches.
+
+
+@pytest.mark.parametrize("sigma", [0.0, 120e6])
+@pytest.mark.parametrize("law", LAWS)
+def test_every_law_has_the_same_four_temperatures_shifted_by_stress(law, sigma):
+    kelvin, xi = led(of_law(STOCK, law), (420.0, 297.0), sigma)
+    top = int(np.argmax(kelvin))
+    a_s, a_f, m_s, m_f = GRADE.values()
+    found = [
+        np.interp([a_s + sigma / C_A, a_f + sigma / C_A], kelvin[:top], xi[:top]),
+        np.interp([m_s + sigma / C_M, m_f + sigma / C_M], kelvin[:top:-1], xi[:top:-1]),
+    ]
+    ends = {"cosine": (1.0, 0.0), "exponential": (1.0, 0.025)}.get(law, (0.975, 0.025))
+    assert found[0] == pytest.approx(ends, abs=2e-3)
+    assert found[1] == pytest.approx([1.0 - end for end in ends], abs=2e-3)
+    # The formulas that identification and controllers use are these branches.
+    rig = of_law(STOCK, law)
+    assert xi[:top] == pytest.approx(material.heated_fraction(kelvin[:top], sigma, rig), abs=6e-3)
+    assert xi[top:] == pytest.approx(material.cooled_fraction(kelvin[top:], sigma, rig), abs=6e-3)
+
+
+def left(law, x):
+    """What is left x of a range behind its start."""
+    if law == "exponential":
+        return np.minimum(np.exp(-np.log(40.0) * x), 1.0)
+    return 1.0 / (1.0 + np.exp(np.log(39.0) * (2.0 * x - 1.0)))
+
+
+@pytest.mark.parametrize("law", ["exponential", "logistic"])
+def test_partial_loops_of_a_composite_follow_the_rule_and_the_stress_at_every_sample(law):
+    run = simulate(of_law(COMPOSITE, law), *pulses(0.05, 12.0))
+    p, kelvin, sigma, xi = COMPOSITE, run.temperature, run.stress, run.martensite_fraction
+    a_s, a_f, m_s, m_f = (p[name] for name in TRANSITIONS.values())
+    f = left(law, (kelvin - a_s - sigma / 7.3e6) / (a_f - a_s))
+    g = left(law, (m_s - kelvin + sigma / 8.0e6) / (m_s - m_f))
+    per_wire = run.contraction[:, [0, 0, 1, 1]]
+    assert np.abs(sigma - material.stress(kelvin, xi, per_wire, p)).max() < 1.0
+    trend = np.sign(run.voltage**2 / Heat.ohm / Heat.loss + AMBIENT - kelvin)
+    turned, off = 0, 0.0
+    for i in range(4):
+        rising, since = True, (1.0, (f[0, i], g[0, i]))
+        for k in range(1, len(run.time)):
+            if trend[k - 1, i] and (trend[k - 1, i] > 0) != rising:
+                rising, turned = not rising, turned + 1
+                since = xi[k - 1, i], (f[k - 1, i], g[k - 1, i])
+            there = fraction_since_reversal(rising, *since, (f[k, i], g[k, i]))
+            off = max(off, abs(there - xi[k, i]))
+    assert off < 1e-8 and turned > 10 and np.ptp(xi) > 0.9
+
+
+# --- Grains of the normal law.
+
+
+UP, DOWN = 18.0 / 3.92, 26.0 / 3.92  # K, deviations of STOCK's branches
+HALF, SPREAD = 14.5, 0.25 * 14.5  # K, of its hysteresis
+TOGETHER = (UP**2 - DOWN**2) / 4.0
+
+
+def grains(count, seed):
+    """Thresholds [K] on heating and on cooling, drawn from the distribution that STOCK states."""
+    centres = (UP**2 + DOWN**2) / 2 - SPREAD**2
+    covariance = [[centres, TOGETHER], [TOGETHER, SPREAD**2]]
+    rng = np.random.default_rng(seed)
+    drawn = rng.multivariate_normal([339.5, HALF], covariance, count, method="cholesky")
+    return drawn[:, 0] + drawn[:, 1], drawn[:, 0] - drawn[:, 1]
+
+
+def five_groups(count):
+    """Thresholds [K] of grains in the five groups of laws/normal.py."""
+    heated, cooled = [], []
+    rest = np.sqrt((UP**2 + DOWN**2) / 2 - SPREAD**2 - TOGETHER**2 / SPREAD**2)
+    z = 1.1 * np.arange(-2, 3)
+    shares = np.linalg.solve(np.vander(z, 5, increasing=True).T, [1.0, 0.0, 1.0, 0.0, 3.0])
+    for share, half in zip(shares, HALF + SPREAD * z, strict=True):
+        centre = 339.5 + TOGETHER / SPREAD**2 * (half - HALF)
+        n = round(count * share)
+        within = centre + rest * ndtri((np.arange(n) + 0.5) / n)
+        heated.append(within + half)
+        cooled.append(within - half)
+    return np.concatenate(heated), np.concatenate(cooled)
+
+
+def switched(hot, cold, heated, cooled):
+    """Martensite fraction of relays along T - sigma/C_A and T - sigma/C_M."""
+    martensite, shares = np.ones(heated.size, bool), []
+    for a, m in zip(hot, cold, strict=True):
+        martensite = np.where(a >= heated, False, martensite | (m < cooled))
+        shares.append(martensite.mean())
+    return np.array(shares)
+
+
+LOOPS = (358.0, 320.0, 352.0, 330.0, 348.0, 334.0, 353.0, 318.0, 364.0, 326.0, 400.0, 300.0)
+
+
+def test_plays_of_the_normal_law_are_grains_that_switch_one_by_one():
+    kelvin, xi = led(of_law(STOCK, "normal"), LOOPS, step=0.2)
+    assert np.ptp(xi) > 0.9
+    assert xi == pytest.approx(switched(kelvin, kelvin, *five_groups(20_000)), abs=2e-3)
+    # Five groups stand for a continuous distribution.
+    off = xi - switched(kelvin, kelvin, *grains(40_000, 1))
+    assert np.sqrt(np.mean(off**2)) < 0.015 and np.abs(off).max() < 0.06
+
+
+def test_grains_of_a_clamped_wire_switch_at_its_own_stress():
+    time = np.arange(0.0, 60.0, 0.05)
+    volts = 4.6 * np.sin(np.pi * time / 60.0) + 0.9 * np.sin(np.pi * time / 4.0)
+    run = simulate(of_law(STOCK, "normal"), time, np.abs(volts))
+    kelvin, sigma, xi = (a[:, 0] for a in (run.temperature, run.stress, run.martensite_fraction))
+    assert sigma == pytest.approx(material.stress(kelvin, xi, 0.0, STOCK), abs=1.0)
+    assert np.ptp(xi) > 0.05 and np.ptp(sigma) > 50e6
+    expected = switched(kelvin - sigma / C_A, kelvin - sigma / C_M, *five_groups(20_000))
+    assert xi == pytest.approx(expected, abs=2e-3)
+
+
+def test_inner_loops_of_the_normal_law_close_where_they_opened_and_are_forgotten():
+    rig = of_law(STOCK, "normal")
+    turns = (357.0, 325.0, 350.0, 330.0, 350.0, 325.0)
+    kelvin, xi = led(rig, (*turns, 357.0, 365.0))
+    at = np.flatnonzero(np.diff(np.sign(np.diff(kelvin)))) + 1
+    assert kelvin[at] == pytest.approx(turns)
+    assert xi[at[4]] == pytest.approx(xi[at[2]], abs=1e-9)
+    assert xi[at[5]] == pytest.approx(xi[at[1]], abs=1e-9)
+    last = at[5] + int(np.argmin(np.abs(kelvin[at[5] :] - 357.0)))
+    assert xi[last] == pytest.approx(xi[at[0]], abs=1e-9)
+    alone, plain = led(rig, (365.0,), step=0.005)
+    assert xi[last:] == pytest.approx(np.interp(kelvin[last:], alone, plain), abs=1e-5)
+    assert abs(xi[at[3]] - xi[at[2]]) > 0.01
+    # The contract's rule has no such memory.
+    _, contract = led(STOCK, (*turns, 357.0))
+    assert abs(contract[-1] - contract[at[0]]) > 1e-3
+
+
+def test_a_state_without_history_holds_its_fraction_under_every_law():
+    for law in LAWS:
+        rig = of_law(STOCK, law)
+        for kelvin, xi in ((340.0, 0.5), (345.0, 0.8), (330.0, 0.99), (297.0, 1.0)):
+            free = Boundary.held_stress(0.0)
+            warm = initial_state(rig, temperature=kelvin, martensite_fraction=xi, boundary=free)
+            volts = np.full(3, np.sqrt((kelvin - AMBIENT) * Heat.loss * Heat.ohm))
+            run = simulate(rig, [0.0, 0.01, 0.02], volts, initial=warm, boundary=free)
+            assert run.martensite_fraction[-1, 0] == pytest.approx(xi, abs=1e-6), law
+        with pytest.raises(InputError, match="expected 0 above A_f"):
+            initial_state(rig, temperature=400.0, martensite_fraction=0.5, boundary=free)
+    # A bench that goes on under another law keeps its fraction too.
+    time, free = np.arange(0.0, 10.0, 0.05), Boundary.held_stress(0.0)
+    first = simulate(STOCK, time, 4.9 * np.sin(np.pi * time / 10.0), boundary=free)
+    for law in LAWS:
+        state = first.final
+        held = np.full(3, np.sqrt((state.temperature[0] - AMBIENT) * Heat.loss * Heat.ohm))
+        on = simulate(of_law(STOCK, law), [0, 0.01, 0.02], held, initial=state, boundary=free)
+        change = on.martensite_fraction[-1, 0] - state.martensite_fraction[0]
+        assert abs(change) < 0.02, law
+
+
+# --- With effects.
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_every_effect_works_under_every_law_or_the_pair_is_refused_by_name(law):
+    time, voltage = pulses(0.0625, 12.0)
+    base = of_law(COMPOSITE, law).replace(SECONDARY)
+    alone = simulate(base, time, voltage)
+    assert np.ptp(alone.martensite_fraction) > 0.9
+    for effect in EFFECTS.values():
+        on = {p.name: p.uncertainty for p in SWITCHES if p.name.split(".")[1] == effect.name}
+        if law not in effect.laws:
+            with pytest.raises(InputError, match=f"effect {effect.name} with wire.law {law}"):
+                base.replace(on)
+            continue
+        rig = base.replace(on)
+        run = simulate(rig, time, voltage)
+        names = (*SIGNALS, "current", "temperature_reading")
+        assert all(np.all(np.isfinite(getattr(run, n))) for n in names), effect.name
+        assert run.martensite_fraction.min() >= 0.0 and run.martensite_fraction.max() <= 1.0
+        moved = [np.abs(getattr(run, n) - getattr(alone, n)).max() for n in names]
+        assert max(np.array(moved) / (1.0, 1e-2, 1e6, 1e-4, 1e-4, 0.01, 1.0)) > 0.5, effect.name
+        # Halves of a run are the run, to the last bit.
+        first = simulate(rig, time[:70], voltage[:70])
+        second = simulate(rig, time[69:], voltage[69:], initial=first.final)
+        for n in SIGNALS:
+            halves = np.concatenate([getattr(first, n)[:-1], getattr(second, n)])
+            assert np.array_equal(halves, getattr(run, n)), (effect.name, n)
+    refused = [e.name for e in EFFECTS.values() if law not in e.laws]
+    assert refused == (["partial_transformation"] if law == "normal" else [])
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_latent_heat_is_taken_up_and_given_back_under_every_law(law):
+    """Electrical energy is stored, convected (exact between samples) or latent in every step."""
+    rng = np.random.default_rng(5)
+    time = np.cumsum(rng.uniform(0.01, 0.4, 2000))
+    voltage = rng.uniform(0.0, 6.5, (2000, 4))
+    rig = of_law(COMPOSITE, law).replace({"effect.latent_heat.heat": 12e3})
+    run = simulate(rig, time, voltage)
+    step, capacity = np.diff(time)[:, np.newaxis], Heat.capacity
+    latent = -Heat.mass * 12e3 * np.diff(run.martensite_fraction, axis=0)
+    electrical = voltage[:-1] ** 2 / Heat.ohm * step
+    rise, tau = run.temperature[:-1] - AMBIENT, capacity / Heat.loss
+    steady = (electrical - latent) / (step * Heat.loss)
+    convected = Heat.loss * (steady * step - (rise - steady) * tau * np.expm1(-step / tau))
+    stored = capacity * np.diff(run.temperature, axis=0)
+    scale = np.abs(stored).max()
+    assert np.abs(electrical - stored - convected - latent).max() < 1e-11 * scale
+    assert np.ptp(latent) > 0.01 * scale
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_bench_of_any_law_is_led_to_a_deflection(law):
+    rig = of_law(Parameters.of_paper().replace({
+        "load.kind": "force", "load.force": 3.0, **GRADE, "wire.hysteresis_spread": 0.25,
+    }), law)  # fmt: skip
+    control = DeflectionController(rig, 0.02, feedback=False)
+    wanted = -2.5e-3
+    for _ in range(300):
+        control.step(wanted, np.nan, 0.02)
+    assert control.nominal_deflection == pytest.approx(wanted, rel=0.02)
+
+
+# --- Free convection.
+
+
+def churchill_chu(diameter, excess, ambient):
+    """h [W/(m2 K)] of a thin horizontal cylinder in air, properties of air by tables at 300 and
+    350 K (Incropera and DeWitt), between them straight."""
+    film = ambient + 0.5 * excess
+
+    def at(low, high):
+        return low + (high - low) * (film - 300.0) / 50.0
+
+    nu, alpha = at(15.89e-6, 20.92e-6), at(22.5e-6, 29.9e-6)
+    k, prandtl = at(26.3e-3, 30.0e-3), at(0.707, 0.700)
+    rayleigh = 9.81 * excess * diameter**3 / (film * nu * alpha)
+    root = 0.387 * rayleigh ** (1 / 6) / (1 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)
+    return (0.60 + root) ** 2 * k / diameter
+
+
+def grey(surface, ambient):
+    return 0.4 * 5.67e-8 * (surface**4 - ambient**4) / (surface - ambient)
+
+
+@pytest.mark.parametrize("diameter", [0.1e-3, 0.5e-3])
+def test_free_convection_is_that_of_the_wire_s_size_and_grows_with_temperature(diameter):
+    numbers = {"wire.convection": "free", "wire.diameter": diameter, **GRADE}
+    rig = Parameters(numbers)
+    named = rig["wire.heat_transfer_coefficient"]
+    expected = churchill_chu(diameter, 60.0, AMBIENT) + grey(AMBIENT + 60.0, AMBIENT)
+    assert named == pytest.approx(expected, rel=0.02)
+    stated = Parameters({**numbers, "wire.heat_transfer_coefficient": 1.4 * named})
+    # Steady at every power: what goes in is lost by h(T).
+    for bench, scale in ((rig, 1.0), (stated, 1.4)):
+        time = np.arange(0.0, 60.0, 0.05)
+        for excess in (20.0, 60.0, 130.0):
+            heat = excess * scale * named * bench["wire.surface_area"]
+            volts = np.full(time.size, np.sqrt(heat * bench["wire.resistance"]))
+            kelvin = simulate(bench, time, volts).temperature[-1, 0]
+            h = heat / bench["wire.surface_area"] / (kelvin - AMBIENT)
+            radiated = grey(kelvin, AMBIENT)
+            natural = churchill_chu(diameter, kelvin - AMBIENT, AMBIENT)
+            reference = churchill_chu(diameter, 60.0, AMBIENT)
+            left = scale * named - grey(AMBIENT + 60.0, AMBIENT)
+            assert h == pytest.approx(radiated + left * natural / reference, rel=0.03)
+    # The named coefficient is h at 60 K above ambient.
+    loss = named * rig["wire.surface_area"]
+    hold = np.sqrt(60.0 * loss * rig["wire.resistance"])
+    run = simulate(rig, time, np.full(time.size, hold))
+    assert run.temperature[-1, 0] == pytest.approx(AMBIENT + 60.0, abs=0.05)
+    assert simulate(rig, [0, 1], [0, 0]).parameters["wire.convection"] == "free"
+    back = rig.replace({"wire.convection": "constant"})
+    assert back["wire.heat_transfer_coefficient"] == 403.26
+
+
+def test_cooling_by_free_convection_follows_the_differential_equation():
+    rig = Parameters({"wire.convection": "free", "wire.diameter": 0.5e-3, **GRADE})
+    area, named = rig["wire.surface_area"], rig["wire.heat_transfer_coefficient"]
+    exponent = np.log(churchill_chu(0.5e-3, 90.0, AMBIENT) / churchill_chu(0.5e-3, 30.0, AMBIENT))
+    exponent /= np.log(3.0)
+
+    def rate(_, y, volt):
+        excess = y[0] - AMBIENT
+        left = named - grey(AMBIENT + 60.0, AMBIENT)
+        h = left * ((excess**2 + 4.0) / 3604.0) ** (0.5 * exponent)
+        h += 0.4 * 5.67e-8 * (y[0] + AMBIENT) * (y[0] ** 2 + AMBIENT**2)
+        return [(volt**2 / Heat.ohm - h * area * excess) / Heat.capacity]
+
+    time = np.array([0.0, 3.0, 6.0, 9.0, 12.0])
+    volts, exact = np.array([2.2, 0.0, 1.6, 0.0, 0.0]), [AMBIENT]
+    for k in range(4):
+        span = time[k : k + 2]
+        part = solve_ivp(rate, span, [exact[-1]], args=(volts[k],), rtol=1e-9, atol=1e-9)
+        exact.append(part.y[0, -1])
+    errors = []
+    for parts in (100, 400):
+        run = simulate(rig, *refined(time, volts[:, np.newaxis], parts))
+        errors.append(np.abs(run.temperature[::parts, 0] - exact).max())
+    assert np.max(exact) > AMBIENT + 40.0
+    assert errors[1] < 0.3 and errors[1] < 0.5 * errors[0] + 0.1
