@@ -34,6 +34,9 @@
 #ifndef LEAST_MOHM
 #define LEAST_MOHM 1000 /* of any wire, a floor: what draws more than this explains is no wire */
 #endif
+#ifndef USUAL_MOHM
+#define USUAL_MOHM 1890 /* which counts until the host says its wires' own: 0.7 of 2.7 ohm */
+#endif
 #ifndef HOT_MV
 #define HOT_MV 8000 /* of a wire, root of the mean square over HOT_MS */
 #endif

@@ -2,7 +2,7 @@
 
 #include "answers.h"
 #include "hal.h"
-#include "safety.h"
+#include "trips.h"
 
 #define LINES 3
 
@@ -17,6 +17,14 @@ void greeting_start(uint16_t arming_nonce, bool asked)
     due = (1 << LINES) - 1;
 }
 
+void add_last_trip(void)
+{
+    struct trip trip = trips_last();
+    add_named(PSTR(" trip="), trip.cause);
+    add_named(PSTR(" trip_ds="), trip.at);
+    add_named(PSTR(" trip_open="), trip.open);
+}
+
 static void name_line(void)
 {
     begin_message('H');
@@ -24,6 +32,7 @@ static void name_line(void)
     add_named(PSTR(" protocol="), PROTOCOL_VERSION);
     add_named(PSTR(" reset="), reset_flags());
     add_named(PSTR(" before="), cause_before());
+    add_last_trip();
     if (tell_nonce)
         add_named(PSTR(" nonce="), nonce);
 }
@@ -32,19 +41,19 @@ static void limit_line(void)
 {
     begin_message('L');
     add_named(PSTR(" channels="), CHANNELS);
-    add_named(PSTR(" max_mv="), safety_limits()->max_mv);
+    add_named(PSTR(" max_mv="), MAX_COMMAND_MV);
     add_named(PSTR(" timeout_ms="), COMMAND_TIMEOUT_MS);
     add_named(PSTR(" duty="), DUTY_LIMIT_Q16);
-    add_named(PSTR(" mean_ma="), safety_limits()->mean_ma);
-    add_named(PSTR(" peak_ma="), safety_limits()->peak_ma);
-    add_named(PSTR(" least_mohm="), safety_limits()->least_mohm);
+    add_named(PSTR(" mean_ma="), MEAN_LIMIT_MA);
+    add_named(PSTR(" peak_ma="), PEAK_LIMIT_MA);
+    add_named(PSTR(" least_mohm="), LEAST_MOHM);
 }
 
 static void more_limits_line(void)
 {
     begin_message('M');
-    add_named(PSTR(" hot_mv="), safety_limits()->hot_mv);
-    add_named(PSTR(" hot_ms="), safety_limits()->hot_ms);
+    add_named(PSTR(" hot_mv="), HOT_MV);
+    add_named(PSTR(" hot_ms="), HOT_MS);
     add_named(PSTR(" on_duty="), ON_TIME_DUTY_Q16);
     add_named(PSTR(" on_s="), ON_TIME_LIMIT_S);
     add_named(PSTR(" supply_min_mv="), SUPPLY_MIN_MV);

@@ -10,10 +10,13 @@
 #ifdef __AVR__
 #include <avr/pgmspace.h>
 #include <util/atomic.h>
+#define OUTLASTS __attribute__((section(".noinit"))) /* a reset, not the power's loss */
 #else
+#define OUTLASTS
 #define PROGMEM
 #define PSTR(text) (text)
 #define pgm_read_byte(address) (*(const uint8_t *)(address))
+#define pgm_read_dword(address) (*(const uint32_t *)(address))
 #define ATOMIC_BLOCK(how) for (int once = 1; once; once = 0)
 #define ATOMIC_RESTORESTATE
 #endif
@@ -73,5 +76,11 @@ uint16_t stack_never_used(void);
 uint16_t start_entropy(void); /* of memory at power-on and the number of starts */
 void remember_cause(uint8_t cause); /* across a reset */
 uint8_t cause_before(void); /* that a reset ended; 0 for none or unknown */
+
+/* Bytes that outlast the power. Reading and writing do not wait where it is ready, and it is not for
+ * 3.4 ms after each byte that is written. */
+bool store_is_ready(void);
+uint8_t store_read(uint8_t place);
+void store_write(uint8_t place, uint8_t byte);
 
 #endif

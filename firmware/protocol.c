@@ -1,5 +1,7 @@
 #include "protocol.h"
 
+#include "hal.h"
+
 #define CHECKSUM_DIGITS 4
 
 _Static_assert(LINE_MAX < 255 && MESSAGE_MAX <= 254, "lengths are bytes, one COBS block");
@@ -141,12 +143,13 @@ void put_u32(struct message *message, uint32_t value)
 /* Subtracting powers of ten: a 32 bit division costs an AVR 600 cycles for each digit. */
 void put_decimal(struct message *message, uint32_t value)
 {
-    static const uint32_t powers[] = {1000000000, 100000000, 10000000, 1000000, 100000,
-                                      10000,      1000,      100,      10};
+    static const uint32_t powers[] PROGMEM = {1000000000, 100000000, 10000000, 1000000, 100000,
+                                              10000,      1000,      100,      10};
     bool started = false;
     for (uint8_t i = 0; i < sizeof powers / sizeof *powers; i++) {
         uint8_t digit = '0';
-        for (; value >= powers[i]; value -= powers[i])
+        uint32_t power = pgm_read_dword(&powers[i]);
+        for (; value >= power; value -= power)
             digit++;
         started = started || digit != '0';
         if (started)

@@ -22,6 +22,7 @@ _Static_assert(ADC_STEPS << MEAN_SHIFT <= 65536, "a mean is 16 bit");
 _Static_assert(CURRENT_STEPS(PEAK_LIMIT_MA, FRONT_MV_PER_A) < ADC_MIDDLE - 20 &&
                    CURRENT_STEPS(PEAK_LIMIT_MA, BACK_MV_PER_A) < ADC_MIDDLE - 20,
                "the peak limit is beyond the current sensor's range");
+_Static_assert(USUAL_MOHM >= LEAST_MOHM, "a usual wire below the floor");
 _Static_assert(MEAN_LIMIT_MA < PEAK_LIMIT_MA, "a mean above the peak");
 _Static_assert((uint32_t)SUPPLY_MAX_MV < (uint32_t)REFERENCE_MV * SUPPLY_DIVIDER * 95 / 100 &&
                    SUPPLY_MAX_MV <= 16000,
@@ -63,8 +64,8 @@ static uint16_t supply_mean; /* readings times 32 */
 
 void safety_init(void)
 {
-    static const struct limits widest = {MAX_COMMAND_MV, MEAN_LIMIT_MA, PEAK_LIMIT_MA,
-                                         LEAST_MOHM,     HOT_MV,        HOT_MS};
+    static const struct limits usual = {MAX_COMMAND_MV, MEAN_LIMIT_MA, PEAK_LIMIT_MA,
+                                        USUAL_MOHM,     HOT_MV,        HOT_MS};
     self = (struct safety){.state = IDLE};
     silence_ms = 0;
     stall_ms = unsampled_ms = unpulsed_ms = 0;
@@ -72,7 +73,7 @@ void safety_init(void)
     closing_ms = off_ms = differences = 0;
     supply_mean = 0;
     supply_low = UINT16_MAX;
-    safety_limit(&widest);
+    safety_limit(&usual);
     for (uint8_t channel = 0; channel < CHANNELS; channel++)
         on_turns[channel] = heat[channel] = 0;
     for (uint8_t board = 0; board < BOARDS; board++) {

@@ -27,6 +27,9 @@ enum cause {
     HEAT_LIMIT = 12,
     PWM_STALLED = 13,
     OUTPUT_DIFFERS = 14,
+    /* Of an earlier start, known from trips.c alone. */
+    RESTARTED = 15,
+    REASON_LOST = 16,
 };
 
 struct safety {

@@ -6,6 +6,7 @@
 #include "protocol.h"
 #include "safety.h"
 #include "telemetry.h"
+#include "trips.h"
 
 #define REFRESH_US 10000 /* how often duties follow the supply */
 #define TEXT_RATE_MAX 100
@@ -200,10 +201,12 @@ static uint8_t reset(const uint16_t *field)
     (void)field;
     ATOMIC_BLOCK(ATOMIC_RESTORESTATE)
     {
+        trips_look(); /* else this would forget what came since */
         forgotten = safety_reset();
     }
     if (!forgotten)
         return CURRENT_FLOWS;
+    trips_acknowledge();
     renew_nonce();
     has_nonce = true;
     answer('K', 'R', nonce);
@@ -267,6 +270,7 @@ static uint8_t status(const uint16_t *field)
     add_named(PSTR(" lost="), sampling_lost());
     add_named(PSTR(" stack="), stack_never_used());
     add_named(PSTR(" reference_mv="), sampling_reference() / 10);
+    add_last_trip();
     send_message();
     return ACCEPTED;
 }
@@ -325,6 +329,7 @@ void session_init(void)
     has_nonce = false;
     nonce = start_entropy();
     follow_reference();
+    serial_send((const uint8_t *)"\n", 1); /* ends what a reset cut off: the greeting is not a part of it */
     greeting_start(0, false);
     sampling_set_period(1000 / BOOT_RATE);
 }
@@ -351,6 +356,7 @@ bool session_run(void)
     bool busy = listen();
     sampling_follow();
     follow_supply();
+    trips_follow();
     greet();
     return report(sequence) || busy;
 }

@@ -5,16 +5,17 @@
 
 #include "hal.h"
 #include "parts.h"
+#include "trips.h"
 
 #define PAINT 0xA5
 #define MARK 0x5AFE
 
-static uint8_t flags_at_reset __attribute__((section(".noinit")));
-static uint16_t memory_hash __attribute__((section(".noinit")));
+static uint8_t flags_at_reset OUTLASTS;
+static uint16_t memory_hash OUTLASTS;
 static struct {
     uint16_t mark;
     uint8_t cause;
-} remembered __attribute__((section(".noinit")));
+} remembered OUTLASTS;
 extern uint8_t _end;
 
 static uint16_t starts;
@@ -42,12 +43,14 @@ void first_of_all(void)
 void start_init(void)
 {
     static uint16_t *const counter = 0;
+    bool outlasted = remembered.mark == MARK && !(flags_at_reset & _BV(PORF));
+    before = outlasted ? remembered.cause : 0;
+    remember_cause(0);
+    trips_init(outlasted); /* before a byte is written: none can be read meanwhile */
     starts = eeprom_read_word(counter) + 1;
     if (!(uint8_t)starts)
         eeprom_write_byte((uint8_t *)counter + 1, (uint8_t)(starts >> 8));
     eeprom_write_byte((uint8_t *)counter, (uint8_t)starts);
-    before = remembered.mark == MARK && !(flags_at_reset & _BV(PORF)) ? remembered.cause : 0;
-    remember_cause(0);
 }
 
 uint16_t start_entropy(void)
@@ -64,6 +67,21 @@ void remember_cause(uint8_t cause)
 uint8_t cause_before(void)
 {
     return before;
+}
+
+bool store_is_ready(void)
+{
+    return eeprom_is_ready();
+}
+
+uint8_t store_read(uint8_t place)
+{
+    return eeprom_read_byte((const uint8_t *)(uint16_t)place);
+}
+
+void store_write(uint8_t place, uint8_t byte)
+{
+    eeprom_write_byte((uint8_t *)(uint16_t)place, byte);
 }
 
 uint8_t reset_flags(void)

@@ -220,6 +220,8 @@ class BenchDriver:
         self._tested = -1
         status, newest = self._link.status, self.newest
         device = status.device
+        if status.left:  # which the test's own reset would acknowledge
+            raise LinkError(f"{self.state}; reset first")
         if not status.connected or newest is None or device is None:
             return [CheckResult("connection", False, status.problem or "no reading yet")]
         uncertainty, (low, high) = status.clock_uncertainty, device.supply_range

@@ -107,6 +107,9 @@ class LinkStatus:
     device: messages.DeviceIdentity | None = None
     state: DeviceState = DeviceState.IDLE
     cause: int = 0
+    trip: messages.Trip | None = None  # the last one, which the device keeps without power
+    # That it had before this connection, until it is acknowledged.
+    left: str = ""
     telemetry: int = 0
     lost: int = 0
     damaged: int = 0  # *
@@ -141,7 +144,7 @@ class LinkStatus:
         if not self.connected:
             return f"not connected: {self.problem or 'no handshake yet'}"
         if not self.stopped:
-            return ""
+            return self.left
         timed_out = self.cause == messages.TIMEOUT_CAUSE and self.silence
         return f"{self.cause_text}, found by the device{f' ({self.silence})' if timed_out else ''}"
 
@@ -178,6 +181,7 @@ class LinkStatus:
         }
         if device := self.device:
             values |= {"firmware": f"{device.name} {device.build}", "last_reset": device.reset}
+            values["last_trip"] = str(self.trip or "not kept by this firmware")
         return values | {f"device_{name}": count for name, count in self.counters.items()}
 
 
@@ -318,6 +322,7 @@ class SerialLink:
         with self._heard:
             # The next telemetry says the same, a little later.
             self._status.state, self._status.cause = DeviceState.IDLE, 0
+            self._status.left = ""
 
     def _require_connected(self) -> None:
         if not self._status.connected:
@@ -445,6 +450,7 @@ class SerialLink:
         else:
             raise LinkError("no answer to the handshake: is the bench's firmware on this port?")
         device = messages.DeviceIdentity.from_lines(said)
+        trip = messages.Trip.told(said["H"].values)
         binary = self._options.rate > BINARY_ABOVE
         self._say("B" if binary else "T", self._options.rate)
         self._splitter.expect(binary)
@@ -453,6 +459,7 @@ class SerialLink:
             status.connected, status.device, status.problem = True, device, ""
             status.connections += 1
             status.state, status.cause, status.newest = DeviceState.IDLE, 0, None
+            status.trip, status.left = trip, f"earlier: {trip}" if trip and trip.open else ""
             self._heard.notify_all()
         self._on_event(f"connected to {device.name} {device.build}, last reset: {device.reset}")
 
@@ -507,7 +514,8 @@ class SerialLink:
             status.refused += 1
             status.last_refusal, self._refused = str(message), now
         elif isinstance(message, Named) and message.letter == "S":
-            status.counters = message.values
+            status.trip = messages.Trip.told(message.values)
+            status.counters = {k: v for k, v in message.values.items() if "trip" not in k}
         elif isinstance(message, Named) and message.letter == "H" and "nonce" not in message.values:
             # Clock and count may have gone on as if nothing had happened: a host that stood still
             # for as long as the device ran before sees no step.

@@ -102,8 +102,10 @@ CAUSES = (
     "supply out of range", "main loop hung", "converter dead",
     "current with all outputs off", "more current than the outputs explain",
     "more heat than allowed", "output interrupt lost", "an output differs from what was set",
+    "restarted while armed", "reason lost with the power",
 )
 STOP_CAUSE, TIMEOUT_CAUSE = CAUSES.index("stop byte"), CAUSES.index("command timeout")
+LOST_CAUSE = CAUSES.index("reason lost with the power")
 REASONS = (
     "accepted", "wrong checksum", "bad format", "line too long", "not armed",
     "wrong nonce or session", "old sequence number", "above the voltage limit",
@@ -219,6 +221,32 @@ def decode(body: bytes) -> Message:
         raise ProtocolError(
             f"message {body[:40]!r} is not of protocol {PROTOCOL_VERSION}"
         ) from None
+
+
+class Trip(NamedTuple):
+    """Why the device stopped last, kept over the loss of its power."""
+
+    cause: int  # 0: it never did
+    seconds: float  # after the start before it
+    open: bool  # nobody has acknowledged it
+
+    @classmethod
+    def told(cls, values: Mapping[str, str]) -> "Trip | None":
+        """From an H or S line; None of a firmware that keeps none. InputError: no numbers."""
+        said = [values.get(key, "") for key in ("trip", "trip_ds", "trip_open")]
+        if not any(said):
+            return None
+        if not all(map(str.isdecimal, said)):
+            raise InputError(f"the device's last trip is {said}, expected three numbers")
+        cause, tenths, is_open = map(int, said)
+        return cls(cause, 0.1 * tenths, is_open > 0)
+
+    def __str__(self) -> str:
+        if not self.cause:
+            return "none"
+        after = "" if self.cause == LOST_CAUSE else f", {self.seconds:.1f} s after a start"
+        known = "not acknowledged" if self.open else "acknowledged"
+        return f"{name_of(CAUSES, self.cause)}{after}, {known}"
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 FIRMWARE = HERE.parents[1] / "firmware"
-LOGIC = ("protocol.c", "safety.c", "answers.c", "greeting.c", "telemetry.c", "session.c")
+LOGIC = ("protocol.c", "safety.c", "trips.c", "answers.c", "greeting.c", "telemetry.c", "session.c")
 SANITIZED = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 _BUFFER = 65536
 
@@ -40,6 +40,10 @@ class HostFirmware:
 
     def restart(self):
         self._library.fake_start(1)
+
+    def cut_power(self):
+        """It fails and comes back at once."""
+        self._library.fake_cut_power(0)
 
     def run(self, seconds):
         self._left_ms += 1e3 * seconds

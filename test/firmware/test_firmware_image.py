@@ -129,7 +129,7 @@ def test_pins_outputs_and_limits_are_those_of_the_firmware():
     assert [coded[name] for name in names] == order[1].split(", ")
     limits = dict(re.findall(r"#define (\w+) (\d+)", config))
     documented = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", page, re.M))
-    assert len(documented) == 14
+    assert len(documented) == 15
     assert {name: limits[name] for name in documented} == documented
 
 

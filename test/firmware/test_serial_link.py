@@ -226,6 +226,55 @@ def test_restart_of_the_device_is_noticed_and_disarms(bench, link):
         link.refuses_to_drive()
 
 
+class OldFirmware:
+    """A device that keeps no reason, and says nothing of one."""
+
+    def __init__(self, device):
+        self._device, self._pending = device, b""
+        self.run, self.write = device.run, device.write
+
+    def read(self):
+        *lines, self._pending = (self._pending + self._device.read()).split(b"\n")
+        bodies = (re.sub(rb" trip\w*=\d+", b"", text.rpartition(b"*")[0]) for text in lines)
+        return b"".join(line(body.decode()) for body in bodies)
+
+
+def test_the_reason_of_a_stop_is_told_after_the_power_came_back_until_it_is_acknowledged(
+    bench, link
+):
+    """Of a firmware that keeps none, nothing is expected."""
+
+    def cut_power():
+        connections, frames = link.status.connections, link.status.telemetry
+        wait_for(lambda: link.status.telemetry > frames + 30)
+        bench.do(bench.device.cut_power)
+        wait_for(lambda: link.status.connections > connections)
+        return link.status
+
+    assert (str(link.status.trip), link.status.fault) == ("none", "")
+    drive(link, bench)
+    link.stop()
+    assert is_off(link, bench)
+    cause = link.status.cause_text
+    time.sleep(0.1)
+    for _ in range(2):
+        status = cut_power()
+        assert re.match(rf"{cause}, \d+\.\d s after a start, not acknowledged$", str(status.trip))
+        assert status.fault == f"earlier: {status.trip}" and not status.stopped
+        assert status.diagnostics["last_trip"] == str(status.trip)
+    link.reset()
+    assert link.status.fault == ""
+    time.sleep(0.1)
+    status = cut_power()
+    assert (status.trip.open, status.trip.cause > 0, status.fault) == (False, True, "")
+    drive(link, bench)
+    wait_for(lambda: link.status.stopped)
+    with on_a_port(OldFirmware(bench.device)) as old, linked(lambda: old.path) as other:
+        assert other.wait_connected(PATIENCE)
+        assert (other.status.trip, other.status.left) == (None, "")
+        assert other.status.diagnostics["last_trip"] == "not kept by this firmware"
+
+
 def test_device_that_does_not_speak_the_protocol_is_refused_and_a_port_is_found_by_its_name(
     tmp_path,
 ):

@@ -76,7 +76,7 @@ class FakeLink:
         self.armed = False
 
     def reset(self):
-        self.status.state = DeviceState.IDLE
+        self.status.state, self.status.left = DeviceState.IDLE, ""
         self.answer("R")
 
 

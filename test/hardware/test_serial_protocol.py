@@ -124,6 +124,28 @@ def test_handshake_gives_limits_in_si_units_or_what_it_lacks():
             identity(old, new)
 
 
+@pytest.mark.parametrize(
+    ("said", "text"),
+    [
+        ("trip=2 trip_ds=123 trip_open=1", "command timeout, 12.3 s after a start, not ackn"),
+        ("trip=15 trip_ds=7 trip_open=0", "restarted while armed, 0.7 s after a start, ackn"),
+        ("trip=16 trip_ds=0 trip_open=1", "reason lost with the power, not acknowledged"),
+        ("trip=99 trip_ds=4294967295 trip_open=0", "number 99, 429496729.5 s after a start, ackn"),
+        ("trip=0 trip_ds=0 trip_open=0", "none"),
+        ("before=2", "None"),
+    ],
+)
+def test_the_last_trip_is_told_in_words_by_a_firmware_that_keeps_it(said, text):
+    values = dict(pair.split("=") for pair in said.split())
+    assert str(serial_messages.Trip.told(values)).startswith(text)
+
+
+@pytest.mark.parametrize("said", ["trip=x trip_ds=1 trip_open=0", "trip=2", "trip_open=1"])
+def test_a_last_trip_without_its_numbers_is_one_line(said):
+    with pytest.raises(InputError, match="last trip is .*, expected three numbers"):
+        serial_messages.Trip.told(dict(pair.split("=") for pair in said.split()))
+
+
 def window(number, period_us=10000):
     time_us = number * period_us % (1 << 32)
     return Telemetry(

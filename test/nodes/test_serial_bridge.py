@@ -9,6 +9,7 @@ from emulated_rig import bridged_rig
 from sensor_msgs.msg import Range
 from std_msgs.msg import Float64MultiArray
 from uno.emulated_bench import emulated_bench
+from uno.emulated_uno import Reset
 
 from sma_bench.hardware.serial_link import open_port
 from sma_bench.installation import share_directory
@@ -100,6 +101,36 @@ def assert_second_host_is_kept_out(rig):
     rig.until(lambda: len(rig.power) > driven + 50)
     assert rig.power[-1].voltage == pytest.approx(2.0, abs=0.1)
     other.process.kill()
+
+
+def test_a_new_bridge_knows_why_the_bench_stopped_before_its_power_failed(bench, uno):
+    """And arms only after it was acknowledged, which another one need not do again."""
+
+    def lose_power_and_bridge():
+        rig.node.process.kill()
+        rig.node.process.wait()
+        rig.for_a_while(0.5)
+        rig.hardware.do(lambda: uno.reset(Reset.POWER_ON))
+        rig.states.clear()
+        bench.diagnostics.clear()
+        rig.node = bench.start("serial_bridge", port=rig.hardware.path)
+        rig.until(lambda: rig.state and bench.value("last_trip"))
+        return bench.value("last_trip")
+
+    with bridged_rig(bench, uno) as rig:
+        rig.enable()
+        rig.drive(3.0)
+        rig.voltage = (0.0,)
+        told = lose_power_and_bridge()
+        assert re.fullmatch(r"command timeout, \d+\.\d s after a start, not acknowledged", told)
+        rig.until(lambda: rig.state == f"stopped: earlier: {told}")
+        for service in ("enable", "self_test"):
+            answer = rig.ask(service)
+            assert not answer.success and answer.message.endswith(f"{told}; reset first")
+        assert rig.ask("reset").message == "idle"
+        rig.until(lambda: bench.value("last_trip") == told.replace("not ack", "ack"))
+        assert lose_power_and_bridge() == told.replace("not ack", "ack")
+        rig.enable()
 
 
 def test_composite_rig_bends_and_its_ranges_give_the_deflection(bench, uno):

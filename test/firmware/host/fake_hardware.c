@@ -1,15 +1,19 @@
 #include "fake_hardware.h"
 
 #include <stddef.h>
+#include <stdlib.h>
 #include <string.h>
 
 #include "hal.h"
 #include "protocol.h"
 #include "safety.h"
 #include "session.h"
+#include "trips.h"
 
 #define SENT_SIZE 65536
 #define QUEUE_SIZE 128
+#define STORE_SIZE 256
+#define BYTE_US 3400
 
 static uint32_t now_us;
 static uint16_t entropy_value;
@@ -19,7 +23,14 @@ static uint16_t unloaded, drops[BOARDS];
 void (*fake_before_conversion)(void);
 static bool converting, pulsing, relay_is_closed, prepared;
 static uint32_t supply_mean;
-static uint8_t remembered;
+static uint8_t remembered, before;
+
+static uint8_t store[STORE_SIZE];
+static struct {
+    bool is_under_way;
+    uint8_t place, byte;
+    uint32_t since_us;
+} storing;
 
 static uint8_t queue[QUEUE_SIZE];
 static uint8_t queued;
@@ -106,7 +117,30 @@ void remember_cause(uint8_t cause)
 
 uint8_t cause_before(void)
 {
-    return 0;
+    return before;
+}
+
+bool store_is_ready(void)
+{
+    return !storing.is_under_way;
+}
+
+/* The chip would wait, or do nothing. */
+uint8_t store_read(uint8_t place)
+{
+    if (!store_is_ready())
+        abort();
+    return store[place];
+}
+
+void store_write(uint8_t place, uint8_t byte)
+{
+    if (!store_is_ready())
+        abort();
+    storing.is_under_way = true;
+    storing.place = place;
+    storing.byte = byte;
+    storing.since_us = now_us;
 }
 
 uint32_t clock_us(void)
@@ -190,11 +224,10 @@ uint16_t stack_never_used(void)
 
 /* --- the world -------------------------------------------------------------------------------- */
 
-void fake_start(uint16_t value)
+static void start(bool outlasted)
 {
     static const uint16_t quiet[INPUTS] = {512, 512, 614, 300, 300};
     now_us = 0;
-    entropy_value = value;
     memcpy(readings, quiet, sizeof readings);
     unloaded = quiet[SUPPLY];
     memset(drops, 0, sizeof drops);
@@ -204,10 +237,56 @@ void fake_start(uint16_t value)
     sent_length = 0;
     is_ready = false;
     sequence = 0;
+    before = outlasted ? remembered : 0;
+    remembered = 0;
+    trips_init(outlasted);
     safety_init();
     session_init();
     fake_run_ms(200);
     fake_forget_sent();
+}
+
+void fake_start(uint16_t value)
+{
+    entropy_value = value;
+    storing.is_under_way = false;
+    fake_fill_store(0xFF);
+    start(false);
+}
+
+void fake_restart(void)
+{
+    fake_end_byte();
+    start(true);
+}
+
+void fake_cut_power(uint8_t garbage)
+{
+    fake_lose_byte(garbage);
+    start(false);
+}
+
+void fake_lose_byte(uint8_t garbage)
+{
+    storing.byte = garbage;
+    fake_end_byte();
+}
+
+bool fake_byte_is_under_way(void)
+{
+    return storing.is_under_way;
+}
+
+void fake_end_byte(void)
+{
+    if (storing.is_under_way)
+        store[storing.place] = storing.byte;
+    storing.is_under_way = false;
+}
+
+void fake_fill_store(uint8_t byte)
+{
+    memset(store, byte, sizeof store);
 }
 
 void fake_receive(const uint8_t *bytes, uint32_t length)
@@ -254,6 +333,8 @@ static void close_window(void)
 static void pass_millisecond(bool loop_lives)
 {
     now_us += 1000;
+    if (now_us - storing.since_us >= BYTE_US)
+        fake_end_byte();
     if (loop_lives)
         safety_loop_lives();
     safety_tick();

@@ -7,7 +7,13 @@
 
 #include "config.h"
 
-void fake_start(uint16_t entropy);
+void fake_start(uint16_t entropy); /* for the first time: nothing is stored */
+void fake_restart(void);           /* by a reset: memory stays as it is */
+void fake_cut_power(uint8_t garbage); /* it comes back at once */
+bool fake_byte_is_under_way(void);    /* to the store */
+void fake_end_byte(void);
+void fake_lose_byte(uint8_t garbage);
+void fake_fill_store(uint8_t byte);
 void fake_receive(const uint8_t *bytes, uint32_t length); /* as the serial interrupt would */
 void fake_run_ms(uint32_t milliseconds);
 void fake_hang_ms(uint32_t milliseconds); /* interrupts live, the main loop does not */

@@ -1,4 +1,4 @@
-/* Tests of protocol.c, safety.c and session.c; `test_logic NAME` runs one, `--list` names all. */
+/* Tests of protocol.c, safety.c, trips.c and session.c; `test_logic NAME` runs one, `--list` names all. */
 #include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -7,6 +7,7 @@
 #include "fake_hardware.h"
 #include "protocol.h"
 #include "safety.h"
+#include "trips.h"
 
 #define CHECK(claim)                                                        \
     do {                                                                    \
@@ -653,7 +654,7 @@ TEST(half_an_ampere_more_through_either_board_that_is_off_stops)
 TEST(what_flowed_until_a_stop_is_no_stuck_switch)
 {
     start_driving();
-    fake_set_current(0, 512 + 51); /* 2.5 A */
+    fake_set_current(0, 512 + 30); /* 1.5 A */
     fake_run_ms(60);
     fake_receive((const uint8_t *)"!", 1);
     fake_set_current(0, 512);
@@ -665,7 +666,7 @@ TEST(what_flowed_until_a_stop_is_no_stuck_switch)
     fake_set_current(0, 512);
     say("R");
     start_driving();
-    fake_set_current(0, 512 + 51);
+    fake_set_current(0, 512 + 30);
     fake_run_ms(60);
     fake_receive((const uint8_t *)"!", 1);
     fake_run_ms(120);
@@ -808,6 +809,211 @@ TEST(an_output_that_differs_in_three_looks_stops)
         soonest = ms < soonest ? ms : soonest;
     }
     CHECK(soonest == 3);
+}
+
+/* --- trips ------------------------------------------------------------------------------------ */
+
+static bool last_is(uint8_t cause, bool open, uint32_t at)
+{
+    struct trip last = trips_last();
+    return last.cause == cause && last.open == open && last.at == at;
+}
+
+static bool same(struct trip a, struct trip b)
+{
+    return a.cause == b.cause && a.open == b.open && a.at == b.at;
+}
+
+/* A stop for this cause, and what is then to be kept. */
+static struct trip trip(uint8_t cause)
+{
+    safety_reset();
+    trips_look();
+    safety_stop(cause);
+    trips_look();
+    return trips_last();
+}
+
+/* Until nothing is left to be stored, or so many bytes were and one more is under way. */
+static unsigned store_bytes(unsigned most)
+{
+    for (unsigned stored = 0;; stored++) {
+        trips_follow();
+        if (!fake_byte_is_under_way() || stored == most)
+            return stored;
+        fake_end_byte();
+    }
+}
+
+/* The power fails while a byte is being stored, and comes back. */
+static struct trip found_after_cut(uint8_t garbage)
+{
+    fake_lose_byte(garbage);
+    safety_init();
+    trips_init(false);
+    return trips_last();
+}
+
+TEST(a_trip_outlasts_the_power_until_it_is_acknowledged_and_so_does_that)
+{
+    start_driving();
+    fake_run_ms(1100 - RELAY_MS);
+    uint8_t cause = COMMAND_TIMEOUT;
+    CHECK(is_off_for(cause));
+    for (int cuts = 0; cuts < 3; cuts++) {
+        fake_cut_power(0);
+        CHECK(last_is(cause, true, 4)); /* 0.43 s after the start */
+        CHECK(safety_now()->state == IDLE && safety_now()->cause == NO_CAUSE);
+    }
+    CHECK(answers("S", " trip=2 trip_ds=4 trip_open=1*"));
+    say("?");
+    CHECK(answers("R", "K R"));
+    CHECK(answers("S", " trip=2 trip_ds=4 trip_open=0*"));
+    fake_run_ms(40);
+    fake_cut_power(0);
+    CHECK(last_is(cause, false, 4));
+}
+
+TEST(what_drove_nothing_and_is_asked_for_is_no_trip_but_a_fault_is)
+{
+    fake_start(1);
+    fake_receive((const uint8_t *)"!", 1);
+    fake_run_ms(100);
+    CHECK(is_off_for(STOP_BYTE_SEEN) && last_is(NO_CAUSE, false, 0));
+    say("R");
+    fake_set_current(0, 512 + 91);
+    fake_run_ms(200);
+    CHECK(last_is(OFF_CURRENT, true, 3));
+    CHECK(answers("R", "N R 13") && last_is(OFF_CURRENT, true, 3));
+}
+
+TEST(a_hung_loop_and_a_restart_while_armed_are_kept_by_the_next_start)
+{
+    start_driving();
+    fake_run_ms(100);
+    fake_hang_ms(64); /* nothing can be stored */
+    CHECK(is_off_for(LOOP_STALLED));
+    fake_restart();
+    CHECK(last_is(LOOP_STALLED, true, 3));
+    fake_cut_power(0);
+    CHECK(last_is(LOOP_STALLED, true, 3));
+    say("R");
+    arm();
+    fake_run_ms(150);
+    fake_restart();
+    CHECK(last_is(RESTARTED, true, 3));
+    fake_cut_power(0);
+    CHECK(last_is(RESTARTED, true, 3));
+    say("R");
+    arm();
+    say("D");
+    fake_run_ms(50);
+    fake_restart(); /* idle */
+    CHECK(last_is(RESTARTED, false, 3));
+}
+
+/* Before the power fails: nothing, a trip of which everybody knows, an open one. After it: the trip
+ * or acknowledgement that was being stored, what was before, or that something was lost. */
+TEST(a_cut_at_any_byte_leaves_what_was_or_what_is_or_says_that_it_was_lost)
+{
+    const struct trip lost = {REASON_LOST, true, 0};
+    unsigned kept = 0, old = 0, losses = 0;
+    fake_start(1);
+    for (unsigned cut = 0; cut < 3 * 9 * 256; cut++) {
+        unsigned before = cut % 3, bytes = cut / 3 % 9, garbage = cut / 27;
+        fake_fill_store(0xFF);
+        found_after_cut(0);
+        fake_run_ms(before ? 97 : 1); /* another time */
+        if (before) {
+            trip(SUPPLY_RANGE);
+            store_bytes(99);
+        }
+        if (before == 1) {
+            trips_acknowledge();
+            store_bytes(99);
+        }
+        const struct trip was = trips_last();
+        CHECK(was.cause == (before ? SUPPLY_RANGE : NO_CAUSE) && was.open == (before == 2));
+
+        if (was.open)
+            trips_acknowledge();
+        else
+            trip(UNEXPLAINED_CURRENT);
+        const struct trip is = trips_last();
+        if (store_bytes(bytes) < bytes)
+            continue; /* some bytes are right already */
+        const struct trip found = found_after_cut((uint8_t)garbage);
+        CHECK(same(found, was) || same(found, is) || (same(found, lost) && !was.open));
+        CHECK(!same(found, was) || was.open || !bytes); /* from the second byte on it is not missed */
+        kept += same(found, is);
+        old += same(found, was);
+        losses += same(found, lost);
+
+        store_bytes(99); /* whatever it is, it stays so */
+        CHECK(same(found_after_cut(0), found));
+    }
+    CHECK(kept >= 3 && old > 1000 && losses > 2000);
+}
+
+/* Of all that there was since a cut, what was stored as a whole or came later may be found. */
+TEST(whatever_comes_between_two_cuts_no_reason_is_ever_made_up)
+{
+    static struct trip noted[1000];
+    uint32_t draw = 1, cuts = 0, losses = 0;
+    unsigned newest = 0, stored = 0;
+    fake_start(1);
+    noted[0] = trips_last();
+    while (cuts < 100000) {
+        draw = draw * 1664525u + 1013904223u;
+        uint8_t what = draw >> 24;
+        if (what < 10) {
+            noted[++newest] = trip(COMMAND_TIMEOUT + (draw >> 8 & 0xFFFF) % 13);
+        } else if (what < 20) {
+            trips_acknowledge();
+            noted[++newest] = trips_last();
+        } else if (what < 25) {
+            fake_run_ms(97);
+        } else if (what < 35) {
+            const struct trip found = found_after_cut((uint8_t)(draw >> 16));
+            bool lost = found.cause == REASON_LOST && found.open && !found.at;
+            while (!same(found, noted[newest]) && !lost) {
+                CHECK(newest > stored);
+                newest--;
+            }
+            losses += lost;
+            cuts++;
+            newest = stored = 0;
+            noted[0] = found;
+        } else {
+            trips_follow();
+            if (!fake_byte_is_under_way())
+                stored = newest;
+            fake_end_byte();
+        }
+        CHECK(newest < 999);
+    }
+    CHECK(losses > cuts / 20);
+}
+
+TEST(memory_of_another_program_is_no_reason)
+{
+    for (unsigned byte = 0; byte <= 0xFF; byte++) {
+        fake_start(1);
+        fake_fill_store((uint8_t)byte);
+        fake_cut_power(0);
+        CHECK(last_is(byte == 0xFF ? NO_CAUSE : REASON_LOST, byte != 0xFF, 0));
+    }
+}
+
+TEST(records_are_counted_on_and_on)
+{
+    fake_start(1);
+    for (unsigned number = 1; number < 1000; number++) {
+        uint8_t cause = (uint8_t)(COMMAND_TIMEOUT + number % 13);
+        trip(cause);
+        store_bytes(99);
+        CHECK(found_after_cut(0).cause == cause);
+    }
 }
 
 int main(int count, char **arguments)

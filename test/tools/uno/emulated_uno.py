@@ -14,8 +14,9 @@ from sma_bench.errors import InputError
 from sma_bench.installation import share_directory
 
 CHANNELS = 4
-START_UP = 2.21e-3
-"""s from power-up until the firmware's clock runs: it looks at all of its memory first"""
+START_UP = 5.96e-3
+"""s from the first power-up until the firmware's clock runs: it looks at all of its memory, and the
+second byte of its count of starts waits for the first"""
 _CHUNK = 4096
 _FOUR = ctypes.c_double * CHANNELS
 _TWO = ctypes.c_double * 2
@@ -82,7 +83,7 @@ class EmulatedUno:
         for name, kinds in {
             "electrics": (), "run": (ctypes.c_double,), "hang": (ctypes.c_int,),
             "write": (ctypes.c_char_p, ctypes.c_uint32), "reset": (ctypes.c_uint8,),
-            "read": (ctypes.c_char_p, ctypes.c_uint32),
+            "read": (ctypes.c_char_p, ctypes.c_uint32), "is_storing": (),
             "poke": (ctypes.c_uint16, ctypes.c_uint8),
         }.items():
             getattr(self._library, f"uno_{name}").argtypes = [ctypes.c_void_p, *kinds]
@@ -123,8 +124,14 @@ class EmulatedUno:
 
     def reset(self, why: Reset = Reset.PIN) -> None:
         """Start anew: pins float, the bootloader waits `electrics.bootloader_time`, then the
-        program begins. Opening the port does it, by the reset pin."""
+        program begins. Opening the port does it, by the reset pin. With power-on memory is
+        lost too, and a byte under way to the EEPROM becomes any."""
         self._library.uno_reset(self._uno, int(why))
+
+    @property
+    def storing(self) -> bool:
+        """Whether a byte is under way to the EEPROM, which takes 3.4 ms."""
+        return bool(self._library.uno_is_storing(self._uno))
 
     def poke(self, address: int, value: int) -> None:
         """A register takes a value by itself."""

@@ -36,6 +36,14 @@ enum { SUPPLY_PIN = 4, BANDGAP = 7, INPUTS = 8 }; /* inputs of the converter; an
 #define UCSR0A 0xC0
 #define OVERRUN 8
 #define HELD_STEP 16 /* cycles at a time while the processor executes nothing */
+#define EECR 0x3F
+#define EEDR 0x40
+#define EEARL 0x41
+#define EEARH 0x42
+enum { EERE = 1, EEPE = 2, EEMPE = 4 }; /* bits of EECR */
+#define STORE_SIZE 1024
+#define STORE_CYCLES 54400  /* 3.4 ms, to erase and write a byte */
+#define ENABLED_CYCLES 4    /* in which EEPE must follow EEMPE */
 
 /* What Python sets and reads between two runs; mirrored in emulated_uno.py. */
 struct electrics {
@@ -71,8 +79,19 @@ struct queue {
     uint32_t in, out;
 };
 
+/* simavr's EEPROM is written at once; the chip's takes its time, and what becomes of a byte on which
+ * the power fails is nobody's choice. */
+struct store {
+    uint8_t bytes[STORE_SIZE];
+    uint16_t place;
+    uint8_t byte;
+    avr_cycle_count_t done_at; /* 0: nothing is being written */
+    avr_cycle_count_t enabled_until;
+};
+
 struct uno {
     struct electrics electrics;
+    struct store store;
     avr_t *avr;
     avr_irq_t *uart, *adc, *pins[CHANNELS], *coil;
     struct queue to_device, from_device;
@@ -354,6 +373,49 @@ static void connect_bandgap(struct uno *uno)
         (avr_adc_mux_t){.kind = ADC_MUX_SINGLE, .src = BANDGAP};
 }
 
+static int store_is_busy(struct uno *uno)
+{
+    struct store *store = &uno->store;
+    if (store->done_at && uno->avr->cycle >= store->done_at) {
+        store->bytes[store->place] = store->byte;
+        store->done_at = 0;
+    }
+    return store->done_at != 0;
+}
+
+static uint8_t on_store_read(avr_t *avr, avr_io_addr_t address, void *param)
+{
+    uint8_t idle = avr->data[address] & (uint8_t)~(EERE | EEPE);
+    return store_is_busy(param) ? idle | EEPE : idle;
+}
+
+static void on_store_written(avr_t *avr, avr_io_addr_t address, uint8_t value, void *param)
+{
+    struct store *store = &((struct uno *)param)->store;
+    uint16_t place = (uint16_t)(avr->data[EEARL] | avr->data[EEARH] << 8) % STORE_SIZE;
+    int busy = store_is_busy(param), enabled = avr->cycle <= store->enabled_until;
+    if ((value & EEPE) && enabled && !busy) {
+        store->place = place;
+        store->byte = avr->data[EEDR];
+        store->done_at = avr->cycle + STORE_CYCLES;
+        value &= (uint8_t)~EEMPE;
+    }
+    if ((value & EERE) && !busy)
+        avr->data[EEDR] = store->bytes[place];
+    store->enabled_until = value & EEMPE ? avr->cycle + ENABLED_CYCLES : 0;
+    avr->data[address] = value & (uint8_t)~(EERE | EEPE);
+}
+
+/* In place of simavr's. */
+static void connect_store(struct uno *uno)
+{
+    avr_io_addr_t at = AVR_DATA_TO_IO(EECR);
+    memset(uno->store.bytes, 0xFF, STORE_SIZE);
+    uno->avr->io[at].r.c = on_store_read;
+    uno->avr->io[at].w.c = on_store_written;
+    uno->avr->io[at].r.param = uno->avr->io[at].w.param = uno;
+}
+
 /* What memory holds after power-on is nobody's choice. */
 static void forget_memory(struct uno *uno)
 {
@@ -380,6 +442,7 @@ struct uno *uno_new(const char *elf_path, uint64_t seed)
     uno->random = seed * 0x9E3779B97F4A7C15u + 1;
     forget_memory(uno);
     connect_bandgap(uno);
+    connect_store(uno);
     wire_up(uno);
     return uno;
 }
@@ -459,6 +522,10 @@ void uno_reset(struct uno *uno, uint8_t flags)
 {
     avr_t *avr = uno->avr;
     settle(uno);
+    if (store_is_busy(uno) && flags & POWER_ON) {
+        uno->store.bytes[uno->store.place] = (uint8_t)(some_bits(uno) >> 32);
+        uno->store.done_at = 0;
+    }
     avr_reset(avr);
     if (flags & POWER_ON)
         forget_memory(uno);
@@ -467,6 +534,12 @@ void uno_reset(struct uno *uno, uint8_t flags)
     uno->uart_is_full = 0;
     uno->to_device.out = uno->to_device.in;
     begin_wait(uno);
+}
+
+/* Whether a byte of the EEPROM is under way. */
+int uno_is_storing(struct uno *uno)
+{
+    return store_is_busy(uno);
 }
 
 /* A register changes by itself: an interrupt is lost, an output freezes. */

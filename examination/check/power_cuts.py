@@ -1,0 +1,227 @@
+"""The power fails at random instants: is the reason of the last trip ever a wrong or half one?
+
+The real firmware on an emulated Uno, in virtual time. It trips, for one of ten causes, and the
+power fails at a random instant before, while or after the reason goes to the EEPROM; or while what
+acknowledges it does, or behind a reset that came in between, or while it starts. The byte under
+way becomes any. The next start must tell what was before or what is now, each whole, or that
+something was lost; and what is now if the power lasted for 40 ms. Three minutes.
+
+    ./bench check power_cuts [--cuts 1000] [--seed 1] [--json FILE]
+"""
+
+import atexit
+import random
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Collection, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
+
+from uno.emulated_uno import (
+    EmulatedUno,
+    Reset,
+    Switch,
+    build_emulator,
+    build_firmware,
+    missing_tools,
+)
+from virtual_host import VirtualHost
+
+from examination.pieces import IN_PIECES, in_blocks, options_of, print_table
+from sma_bench.hardware.serial_messages import CAUSES, line
+
+KEPT_WITHIN = 0.04  # s: nine bytes of 3.4 ms
+STARTED = 0.15  # s, after which it may be armed
+WRONG_TIME = 0.3  # s between a trip and what is told of it
+LOST = CAUSES.index("reason lost with the power")
+RESTARTED = CAUSES.index("restarted while armed")
+TIMSK0, TIMSK1, ADCSRA = 0x6E, 0x6F, 0x7A
+OUTCOMES = ("before", "now", "lost", "WRONG")
+WAYS = ("while it works", "at a trip", "at what acknowledges it", "behind a reset at a trip")
+
+
+class Report(NamedTuple):
+    """What the Uno says of its last trip: cause, s after a start, acknowledged by nobody."""
+
+    cause: int
+    time: float
+    open: bool
+
+
+class Trip(NamedTuple):
+    """How one is made, the causes that it may have, s until it has come, at least and at most."""
+
+    make: Callable[[VirtualHost], object]
+    causes: tuple[str, ...]
+    soonest: float
+    latest: float
+
+
+def electrics(**values: float) -> Callable[[VirtualHost], object]:
+    """Numbers at the pins; of wires at the first."""
+
+    def change(host: VirtualHost) -> None:
+        pins = host.uno.electrics
+        for name, value in values.items():
+            if name == "supply":
+                pins.supply = value
+            else:
+                getattr(pins, name)[0] = value
+
+    return change
+
+
+def poke(register: int) -> Callable[[VirtualHost], object]:
+    return lambda host: host.uno.poke(register, 0)
+
+
+UNEXPLAINED = ("over-current of the front board", "more current than the outputs explain",
+               "duty above its limit")  # fmt: skip
+TRIPS = {
+    "stop byte": Trip(lambda host: host.uno.write(b"!"), ("stop byte",), 0.0, 0.001),
+    "silence": Trip(lambda host: None, ("command timeout",), 0.19, 0.206),
+    "short circuit": Trip(electrics(resistance=0.05), UNEXPLAINED, 0.0, 0.02),
+    "switch stuck": Trip(electrics(switch_is=Switch.STUCK_ON), UNEXPLAINED, 0.0, 0.05),
+    "supply lost": Trip(electrics(supply=0.0), ("supply out of range", *UNEXPLAINED), 0.0, 0.06),
+    "converter dead": Trip(poke(ADCSRA), ("converter dead",), 0.005, 0.013),
+    "outputs frozen": Trip(poke(TIMSK0), ("output interrupt lost",), 0.004, 0.008),
+    # The next start keeps these, which the watchdog makes.
+    "loop hung": Trip(lambda host: host.uno.hang(interrupts=True), ("main loop hung",), 0.03, 0.08),
+    "all hung": Trip(lambda host: host.uno.hang(interrupts=False), ("restarted while armed",),
+                     0.05, 0.08),
+    "clock frozen": Trip(poke(TIMSK1), ("restarted while armed",), 0.05, 0.08),
+}  # fmt: skip
+
+
+def verdict(said: Report, before: Report, now: Report, causes: Collection[int], may: bool,
+            must: bool) -> str:  # fmt: skip
+    """Outcome of a cut, when `now`, with one of the `causes`, may or must have been kept."""
+    is_now = said.cause in causes and said.open == now.open
+    if may and is_now and abs(said.time - now.time) < WRONG_TIME:
+        return "now"
+    if must:
+        return "WRONG"
+    if said == before:
+        return "before"
+    # An acknowledgement that was lost leaves the trip that it was for.
+    return "lost" if may and said == Report(LOST, 0.0, True) and not before.open else "WRONG"
+
+
+class CutUno:
+    """A chain of cuts; each starts with what the one before it left."""
+
+    def __init__(self, uno: EmulatedUno, draw: random.Random) -> None:
+        self._uno, self._host, self._draw = uno, VirtualHost(uno), draw
+        self._last = Report(0, 0.0, False)
+        self._host.run(STARTED)
+
+    def _restart(self, why: Reset) -> None:
+        uno, pins = self._uno, self._uno.electrics
+        uno.reset(why)
+        pins.supply, pins.resistance[0], pins.switch_is[0] = 12.0, 2.7, Switch.SOUND
+        self._host.messages.clear()
+
+    def _lose_power(self) -> Report:
+        """What the next start says; the power may come back only to go once more."""
+        while True:
+            self._restart(Reset.POWER_ON)
+            if self._draw.random() < 0.8:
+                break
+            self._host.run(self._draw.uniform(0.0, 1.2 * KEPT_WITHIN))
+        self._host.run(STARTED)
+        return self._said()
+
+    def _said(self) -> Report:
+        said = self._host.named("?", "H")
+        return Report(int(said["trip"]), 0.1 * int(said["trip_ds"]), said["trip_open"] == "1")
+
+    def cut(self) -> dict[str, Any]:
+        """Drive, trip, lose the power: how and what of it the next start tells."""
+        draw, host, uno, before = self._draw, self._host, self._uno, self._last
+        (way,), kind = draw.choices(WAYS, (1, 4, 4, 2)), draw.choice(list(TRIPS))
+        trip, causes = TRIPS[kind], {CAUSES.index(cause) for cause in TRIPS[kind].causes}
+        may = must = False
+        if before.open and draw.random() < 0.7:
+            host.consent("R")
+            host.run(KEPT_WITHIN)
+            before = before._replace(open=False)
+        host.arm()
+        host.drive(6000, 0, 0, 3000)
+        host.run(draw.uniform(0.05, 0.15))
+        now = Report(0, uno.time - uno.electrics.started + trip.latest, True)
+        if way != WAYS[0]:
+            host.drive(6000, 0, 0, 3000)
+            host.run(0.005)
+            trip.make(host)
+        # While it is being stored, most of all.
+        first = draw.choice((max(trip.soonest - 0.002, 0.0), trip.latest))
+        after = draw.uniform(first, trip.latest + 1.2 * KEPT_WITHIN)
+        if way == WAYS[1]:
+            host.run(after)
+            may, must = after >= trip.soonest, after > trip.latest + KEPT_WITHIN
+        elif way == WAYS[2]:
+            host.run(trip.latest + 1.5 * KEPT_WITHIN)
+            self._restart(Reset.PIN)
+            host.run(STARTED)
+            before = self._said()
+            assert verdict(before, self._last, now, causes, may=True, must=True) == "now", before
+            now, causes = before._replace(open=False), {before.cause}
+            uno.write(line("R"))
+            after = draw.uniform(0.0, 1.2 * KEPT_WITHIN)
+            host.run(after)
+            may, must = True, after > 0.002 + KEPT_WITHIN
+        elif way == WAYS[3]:
+            host.run(after)
+            may = must = True
+            if after < trip.latest:
+                causes.add(RESTARTED)
+            self._restart(Reset.PIN)
+            host.run(1.5 * KEPT_WITHIN)
+        storing = uno.storing
+        self._last = said = self._lose_power()
+        outcome = verdict(said, before, now, causes, may, must)
+        return {"kind": kind, "way": way, "storing": storing, "outcome": outcome,
+                "told": "" if outcome != OUTCOMES[-1] else f"{before} {now} {said}"}  # fmt: skip
+
+
+@cache
+def _built() -> tuple[Path, Path]:
+    folder = Path(tempfile.mkdtemp(prefix="power_cuts_"))
+    atexit.register(shutil.rmtree, folder)
+    return build_emulator(folder), build_firmware(folder)
+
+
+def cuts(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
+    """The outcomes of a chain of cuts."""
+    chain = CutUno(EmulatedUno(*_built(), seed=seed + first), random.Random(f"{seed} {first}"))
+    return [chain.cut() for _ in range(first, stop)]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """0 when no reason was wrong."""
+    options = options_of("power_cuts", __doc__, argv, cuts=(1000, "of the power"),
+                         seed=(1, "of the first"), **IN_PIECES)  # fmt: skip
+    if missing := missing_tools():
+        print(f"check power_cuts: {missing}", file=sys.stderr)
+        return 2
+    found = in_blocks(cuts, options, options.cuts)
+    rows = []
+    for group in (*WAYS, *TRIPS, "all"):
+        own = [one for one in found if group in (one["way"], one["kind"], "all")]
+        ends = [one["outcome"] for one in own]
+        storing = sum(one["storing"] for one in own)
+        rows.append((group, len(own), storing, *map(ends.count, OUTCOMES)))
+    print_table(("power fails", ">cuts", ">byte under way", *(f">{o}" for o in OUTCOMES)), rows)
+    for one in found:
+        if one["told"]:
+            print(f"{one['way']}, {one['kind']}: {one['told']}")
+    return 1 if rows[-1][-1] else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,32 @@
+"""A small `./bench check power_cuts`: the real image, the power gone at random instants."""
+
+import random
+from collections import Counter
+
+from examination.check.power_cuts import LOST, CutUno, Report, verdict
+
+
+def test_at_no_cut_of_the_power_the_reason_is_a_wrong_one(uno):
+    chain = CutUno(uno, random.Random(7))
+    found = [chain.cut() for _ in range(30)]
+    assert [one["told"] for one in found if one["told"]] == []
+    outcomes = Counter(one["outcome"] for one in found)
+    assert outcomes["before"] > 3 and outcomes["now"] > 5 and outcomes["lost"] > 0
+    assert sum(one["storing"] for one in found) > 3
+
+
+def test_whatever_was_not_there_is_called_wrong():
+    before, now, lost = Report(2, 1.5, False), Report(1, 0.7, True), Report(LOST, 0.0, True)
+
+    def outcome(said, may=True, must=False, was=before):
+        return verdict(said, was, now, {now.cause}, may, must)
+
+    assert (outcome(before), outcome(now), outcome(lost)) == ("before", "now", "lost")
+    for wrong in (
+        Report(3, 0.7, True), Report(1, 25.6, True), Report(1, 0.7, False), Report(2, 1.5, True),
+        Report(2, 1.6, False), Report(0, 0.0, False), Report(LOST, 0.1, True),
+    ):  # fmt: skip
+        assert outcome(wrong) == "WRONG"
+    assert outcome(now, may=False) == outcome(lost, may=False) == "WRONG"
+    assert outcome(before, must=True) == outcome(lost, must=True) == "WRONG"
+    assert outcome(lost, was=before._replace(open=True)) == "WRONG"
