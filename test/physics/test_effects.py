@@ -211,7 +211,7 @@ def test_a_new_effect_is_one_file(tmp_path, pytestconfig):
     package = tmp_path / "sma_bench"
     leave = shutil.ignore_patterns("__pycache__", "*.html", "__init__.py")
     shutil.copytree(pytestconfig.rootpath / "sma_bench", package, ignore=leave)
-    for room in ("parameters", "physics", "physics/effects"):
+    for room in ("parameters", "physics", "physics/effects", "physics/laws"):
         shutil.copy(pytestconfig.rootpath / "sma_bench" / room / "__init__.py", package / room)
     (package / "__init__.py").touch()
     (package / "physics" / "effects" / "made_up.py").write_text(MADE_UP)
