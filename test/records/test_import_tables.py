@@ -214,6 +214,8 @@ def test_any_bytes_are_a_table_or_one_line(tmp_path_factory, content, magic):
 INFO = """
 import resource, sys
 from sma_bench.cli import main
+from sma_bench.commands import terminal
+terminal.FIRST_LINE = 1e6  # no line of progress on a busy machine: lines are counted
 statuses = [main(["info", name]) for name in sys.argv[1:]]
 own, children = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
 print(*statuses, max(own.ru_maxrss, children.ru_maxrss))
