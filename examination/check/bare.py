@@ -113,6 +113,9 @@ def main(arguments: Sequence[str]) -> int:
         environment = dict(os.environ, VIRTUAL_ENV=folder, PATH=path)
         for name in ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):
             environment.pop(name, None)
+        # As ./bench does after an installation, lest the first tests of nodes wait for it.
+        compiled = [command[0], "-m", "sma_bench.physics"]
+        subprocess.run(compiled, cwd=ROOT, env=environment, check=True)
         return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
 
 

@@ -2,7 +2,6 @@
 
 import json
 import signal
-import time
 
 import pytest
 from planted import believed
@@ -11,6 +10,7 @@ from sma_bench.commands.investigate import run_bench
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.records import read_record
+from sma_bench.ros.bench_client import BenchClient
 from sma_bench.ros.processes import NodeProcesses
 
 SPACE = "/investigated"
@@ -37,7 +37,9 @@ def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, 
             except InputError as error:  # a bench that has just started may not be heard yet
                 if "never received" not in str(error):
                     raise
-                time.sleep(0.5)
+                with BenchClient(SPACE) as client:
+                    client.find("experiment/reset")
+                    client.trigger("experiment/reset")
 
     (tmp_path / "unfinished_record_1").mkdir()  # of one that was killed
     with NodeProcesses(SPACE, tmp_path) as nodes:
