@@ -142,6 +142,7 @@ def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit():
 
 
 def test_offset_between_the_clocks_is_told_from_thermal_inertia():
+    pytest.importorskip("numba", reason="minutes of simulations without it")
     delay = 0.02
     found, cp = found_cp(ramp(sensors=Sensors(100.0, 80.0, delay=delay), seed=1))
     # A camera's lag of some milliseconds looks like a delay: the two are known together.

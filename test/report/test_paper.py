@@ -278,6 +278,7 @@ def test_sorting_tells_what_each_record_is_good_for(other_wire):
 
 
 def test_parameters_without_records_redraw_the_paper_for_that_wire():
+    pytest.importorskip("numba", reason="minutes of simulations without it")
     values = {"wire.resistance": 4.1, "wire.heat_transfer_coefficient": 100.0}
     page = paper_page([], PAPER.replace(values | {"wire.austenite_modulus": 70e9}))
     found = {row.symbol: row.value for name in TABLES for row in page.tables[name]}
