@@ -134,8 +134,8 @@ class Lockstep:
     Simulated time runs in slices, as long as the period of the commands. While commands come, one
     slice is run for each. A driver that stays away for `patience` s of wall time is either slower
     than declared, and is waited for less often from then on, or gone, and its silence runs into
-    the command timeout as it would on the real bench.
-    At real time it is the other way round: time waits for nobody, and every delay is caught up.
+    the command timeout as it would on the real bench. At real time it is the other way round: time
+    waits for nobody, and there is no lockstep.
 
     All times in s; `simulated` counts from the start of the simulation, `wall` is a steady clock.
     """
@@ -144,7 +144,7 @@ class Lockstep:
         self, slice_length: float, speed: float, command_timeout: float, patience: float
     ) -> None:
         self._slice = self._lead = slice_length
-        self._pace, self._real_time = slice_length / speed, speed <= REAL_TIME
+        self._pace = slice_length / speed
         self._timeout, self._patience = command_timeout, patience
         self._commanded = -math.inf
         self._due: float | None = None
@@ -157,8 +157,7 @@ class Lockstep:
         # its slice, the driver would stay so many slices behind, sometimes one less.
         if simulated - self._commanded > self._timeout:
             self._lead = self._slice
-            if not self._real_time:
-                self._due = max(self._due or wall, wall + _SETTLE)
+            self._due = max(self._due or wall, wall + _SETTLE)
         self._commanded, self._waiting_since, self._given_up = simulated, None, False
 
     def may_advance(self, simulated: float, wall: float) -> bool:
@@ -166,12 +165,12 @@ class Lockstep:
         due = wall if self._due is None else self._due
         if wall < due or self._must_wait(simulated, wall):
             return False
-        self._due = (due if self._real_time else max(due, wall - _DEBT)) + self._pace
+        self._due = max(due, wall - _DEBT) + self._pace
         return True
 
     def _must_wait(self, simulated: float, wall: float) -> bool:
         silence = simulated - self._commanded
-        if self._real_time or self._given_up or silence > self._timeout:
+        if self._given_up or silence > self._timeout:
             return False
         if silence + self._slice <= self._lead * (1.0 + 1e-6):
             return False

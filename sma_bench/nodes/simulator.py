@@ -30,7 +30,8 @@ _CLOCK = "/clock"
 
 
 class Simulator(BenchNode):
-    """Simulated time runs in slices; commands are applied between two of them."""
+    """Simulated time runs in slices, each command between two of them; in real time a slice ends
+    where a command comes."""
 
     frozen = True
 
@@ -50,7 +51,7 @@ class Simulator(BenchNode):
             self.every(_CLOCK_WATCH, self._watch_clock)
         slice_length = 1.0 / self.settings["command_rate"] if self._fast else _REAL_TIME_SLICE
         self._slice = round(slice_length * NANOSECONDS)
-        self._now, self._epoch = 0, time.time_ns()  # ns, since the start and of that
+        self._now, self._epoch, self._begun = 0, time.time_ns(), 0  # ns, since the start, of that
         self._bench = VirtualBench(self.parameters, self.settings)
         channels, composite = self._bench.channels, self._bench.composite
         self._topics = BenchTopics(
@@ -82,12 +83,11 @@ class Simulator(BenchNode):
             self._tick()
 
     def _tick(self, slices: int = _SLICES_AT_ONCE) -> None:
-        if not self._now:  # time begins here, not when the node was made
-            self._epoch = time.time_ns()
+        if not self._begun:  # time begins here, not when the node was made
+            self._epoch, self._begun = time.time_ns(), time.monotonic_ns()
         for _ in range(slices):
-            if not self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic()):
+            if (until := self._until()) <= self._now:
                 break
-            until = self._now + self._slice
             for reading in self._bench.advance(self._gate.outputs(self._now / NANOSECONDS), until):
                 self._publish(reading)
             self._now = until
@@ -95,6 +95,13 @@ class Simulator(BenchNode):
         # /clock is best effort at its readers: a lost one must not stop the lockstep.
         if time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
             self._publish_clock()
+
+    def _until(self) -> int:
+        """Where the next slice ends, ns; now where it must wait."""
+        if self._fast:
+            goes = self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic())
+            return self._now + goes * self._slice
+        return min(self._now + self._slice, time.monotonic_ns() - self._begun)
 
     def _publish(self, reading: GroupReading) -> None:
         kind, values, stamp = reading.kind, reading.values, self._epoch + reading.time

@@ -5,12 +5,15 @@ import math
 import signal
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 import rclpy
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
+from sma_bench.live.virtual_bench import VirtualBench
+from sma_bench.nodes import simulator
 from sma_bench.ros.node import signature, voltage_command
 
 
@@ -66,6 +69,31 @@ def test_no_reading_is_stamped_before_the_command_that_it_shows(bench):
     time.sleep(0.4)
     threading.Timer(0.1, node.process.send_signal, [signal.SIGCONT]).start()
     assert shown(3.0) >= 0
+
+
+def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(bench, monkeypatch):
+    """Not at a reading: of a ramp's steps the readings would be late by half their period."""
+    wall, found, milli = 7_000_000_000, [], 1_000_000
+    monkeypatch.setattr(simulator, "time", SimpleNamespace(
+        time_ns=lambda: wall, monotonic_ns=lambda: wall, monotonic=lambda: wall / 1e9))
+    monkeypatch.setattr(simulator.Simulator, "_publish", lambda _, reading: found.append(reading))
+    node = simulator.Simulator()
+    try:
+        node._tick()
+        for end, level in ((13, 3.0), (57, 0.0), (457, 0.0)):
+            wall = (7000 + end) * milli  # without a tick since the last command
+            node.on_command(volts(level))
+        there = VirtualBench(node.parameters, node.settings)
+        expected = [
+            reading for volt, end in ((0.0, 13), (3.0, 57), (0.0, 457))
+            for reading in there.advance((volt,), end * milli)
+        ]  # fmt: skip
+    finally:
+        node.destroy_node()
+    assert [(r.kind, r.time) for r in found] == [(r.kind, r.time) for r in expected]
+    for kind in ("power", "temperature"):
+        got, wanted = ([r.values[0] for r in all_ if r.kind == kind] for all_ in (found, expected))
+        assert got == [pytest.approx(values) for values in wanted]
 
 
 COMPILES_FOR_LONG = """
