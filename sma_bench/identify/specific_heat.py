@@ -113,6 +113,12 @@ def identify_specific_heat(
         })
         lean.append((alone, one_wire(parameters, drive.channel)))
     shortest = max(shared_bin([record], rig, 0.0) for record, rig in lean)
+    # When between two readings of the voltage a commanded step came, nobody reads; those of a ramp
+    # come alike, where commands and readings have one clock.
+    steps = [
+        record[f"{drive.channel}.voltage"].period / math.sqrt(12.0)
+        if record.get("voltage_command") else 0.0 for record, drive, _ in used
+    ]
     observations = []
     for record, rig in lean:
         observation = observe(record, rig, shortest, ("temperature",))
@@ -146,7 +152,7 @@ def identify_specific_heat(
     logs = result.correlation[np.ix_(both, both)] * np.outer(logs, logs)
     tau = mass / area * cp.value / h.value
     of_tau = math.sqrt(logs[0, 0] + logs[1, 1] - 2.0 * logs[0, 1])
-    remarks, factor, doubt = _checks(result, blind, tau, parameters, heat_loss)
+    remarks, factor, doubt = _checks(result, blind, tau, parameters, heat_loss, steps)
     of_r = heat_loss.resistance.statistical / heat_loss.resistance.value if heat_loss.gain else 0.0
     relative = math.hypot(math.sqrt(logs[0, 0]) * factor, of_r, doubt)
     method = f"output-error fit of eq. (2) to the ramps, m = {mass * 1e3:.4g} g taken as exact"
@@ -166,11 +172,13 @@ def identify_specific_heat(
     paper, rates = slope_of_rates(
         windows, [float(model.min()) for model in models], resistance.value, loss.value * area, mass
     )
-    late = min(off[DELAY], key=lambda o: o.std)  # of the record that tells it best
+    # Of the record that tells it best.
+    late, step = min(zip(off[DELAY], steps, strict=True), key=lambda o: o[0].std)
+    late_std = math.hypot(late.std, step)
     details = {
         "differentiator": paper,
         "time_constant": Estimate(tau, tau * of_tau, "s", "m c_p/(h A_c)", n),
-        "delay": Estimate(late.value, late.std, "s", "stamps of temperature - voltage", n),
+        "delay": Estimate(late.value, late_std, "s", "stamps of temperature - voltage", n),
         "lag": Estimate(lag.value, lag.std, "s", "lag of the temperature", n, 0.0, lag.informed),
     }
     if lag.value > _SIGNIFICANT * lag.std:
@@ -328,10 +336,11 @@ def _unknowns(
 
 
 def _checks(
-    result: Result, blind: Result | None, tau: float, parameters: Parameters, heat_loss: HeatLoss
+    result: Result, blind: Result | None, tau: float, parameters: Parameters, heat_loss: HeatLoss,
+    steps: Sequence[float],
 ) -> tuple[list[Finding], float, float]:
     """Remarks, a factor of the random error and a relative doubt of c_p. `blind`: the fit without
-    what is known of h; `tau`: s of the wire."""
+    what is known of h; `tau`: s of the wire; `steps`: s, error of each delay by commanded steps."""
     findings: list[Finding] = []
     factor, doubts = 1.0, [0.0]
 
@@ -346,7 +355,7 @@ def _checks(
     numbers = {number.name: number for number in result.numbers}
     lag, cp = numbers[LAG], numbers[SPECIFIC_HEAT]
     late = delays[best].value + lag.value
-    std = math.sqrt(float(weights @ fitted.joint @ weights))
+    std = math.hypot(math.sqrt(float(weights @ fitted.joint @ weights)), steps[best])
     assumed = min(off.prior_std for off in delays)
     if std > 0.5 * assumed:
         severity: Severity = "warning" if std > _SMALL * tau else "info"

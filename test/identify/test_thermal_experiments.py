@@ -1,6 +1,7 @@
 """E1 to E3 on synthetic staircases and ramps: right numbers, and wrong models noticed."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,8 +9,12 @@ from wire_records import Sensors, Wire, ramp, staircase
 
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
+from sma_bench.live.virtual_bench import VirtualBench
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameter import EXACT_SENSORS
+from sma_bench.protocols import load_protocol
+from sma_bench.records.record import Record, Signal
 
 R, H, T0 = "wire.resistance", "wire.heat_transfer_coefficient", "environment.ambient_temperature"
 CP = "wire.specific_heat"
@@ -150,6 +155,31 @@ def test_offset_between_the_clocks_is_told_from_thermal_inertia():
     assert abs(late["delay"] - delay) < 2.5 * late["delay_std"] < 0.006
     assert abs(cp.value - 350.0) < 2.0 * cp.std
     assert any("pass for thermal inertia" in text for text in remarks(found))
+
+
+@pytest.mark.parametrize("late", [300_000, 5_000_000, 9_700_000])
+def test_steps_of_a_ramp_that_all_come_early_or_late_between_two_readings_are_no_delay(late):
+    """As on a bench in real time, where commands and readings have one clock."""
+    rig, names = Parameters.of_paper(), ("wire.voltage", "wire.temperature", "voltage_command")
+    bench = VirtualBench(rig, {p.name: p.default for p in SIMULATOR})
+    read, protocol, volts = {name: [] for name in names}, load_protocol("quick_ramp", rig), (0.0,)
+    for command in range(40 * 20):
+        at = command * 50_000_000 + late
+        for reading in bench.advance(volts, at):
+            if reading.kind == "power":
+                read[names[0]].append((reading.time / 1e9, reading.values[0][0]))
+            elif reading.kind == "temperature":
+                read[names[1]].append((reading.time / 1e9, reading.values[0] + 273.15))
+        volts = tuple(protocol.voltage(max(command / 20.0 - 1.0, 0.0)).tolist())
+        read[names[2]].append((at / 1e9, *volts))
+    signals = {n: Signal(n, u, *np.array(read[n]).T) for n, u in zip(names, "VKV", strict=True)}
+    result = identify([Record(Path("bag"), 0, signals)], PARAMETERS, ["E3"])
+    (found,) = result.experiments
+    delay = found.details["delay"]
+    assert abs(delay.value) < 2.0 * delay.std < 0.012
+    (told,) = [f.numbers for f in found.findings if "delay" in f.numbers]
+    assert abs(told["delay"]) < 2.0 * told["delay_std"] < 0.009
+    assert not any("pass for thermal inertia" in text for text in remarks(result))
 
 
 def test_without_a_jump_the_clock_offset_stays_in_the_error():

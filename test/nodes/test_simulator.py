@@ -75,7 +75,7 @@ def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(bench, mon
     """Not at a reading: of a ramp's steps the readings would be late by half their period."""
     wall, found, milli = 7_000_000_000, [], 1_000_000
     monkeypatch.setattr(simulator, "time", SimpleNamespace(
-        time_ns=lambda: wall, monotonic_ns=lambda: wall, monotonic=lambda: wall / 1e9))
+        time_ns=lambda: wall, monotonic_ns=lambda: wall, monotonic=lambda: wall / 1e9))  # fmt: skip
     monkeypatch.setattr(simulator.Simulator, "_publish", lambda _, reading: found.append(reading))
     node = simulator.Simulator()
     try:
