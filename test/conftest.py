@@ -46,7 +46,6 @@ hypothesis.settings.load_profile("any machine")
 LONGEST = (
     "docs/test_documented_pages", "commands/test_demo", "nodes/test_investigated_bench",
     "blind/test_cases", "nodes/test_bridge_faults", "packaging/test_bench_script",
-    "packaging/test_locks_install",
     "reliability/test_campaigns", "twin/test_twin", "nodes/test_twin_node", "batch/test_batch",
     "report/test_paper", "nodes/test_ir_camera", "report/test_collected_report",
     "nodes/test_experiment", "docs/test_site",

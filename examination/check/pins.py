@@ -97,9 +97,21 @@ def problems() -> list[str]:
         if bare := len(given) - len(_HASHED.findall(lock.read_text())):
             found.append(f"{path.name}: {bare} without a hash")
     versions: dict[tuple[bool, str], dict[str, str]] = defaultdict(dict)
-    for file in BELOW:
-        for package in read_lock(LOCKS / file).values():
+    for file, below in BELOW.items():
+        own = read_lock(LOCKS / file)
+        there = {name: p for each in (*below, file) for name, p in read_lock(LOCKS / each).items()}
+        python = "3.12" if file in UBUNTU else OLDEST_PYTHON
+        place = {"extra": "", "python_version": python, "python_full_version": f"{python}.0"}
+        for package in own.values():
             versions[file in UBUNTU, package.name][file] = package.version
+            for needed in package.requires:
+                has = there.get(canonical(needed.name))
+                if package.marker and not package.marker.evaluate(place):
+                    continue
+                if needed.marker and not needed.marker.evaluate(place):
+                    continue
+                if has is None or not needed.specifier.contains(has.version, prereleases=True):
+                    found.append(f"{file}: {package.name} requires {needed}")
     for (_, name), each in sorted(versions.items()):
         if len(set(each.values())) > 1:
             shown = (f"{version} in {file}" for file, version in sorted(each.items()))

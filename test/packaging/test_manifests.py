@@ -3,18 +3,15 @@ version has its hashes written down."""
 
 import ast
 import re
-import subprocess
 import sys
 from functools import cache
 from importlib import metadata
-from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
 import yaml
 
 import sma_bench
-from examination.check import bare as check_bare
 from examination.check import pins as check_pins
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -92,19 +89,3 @@ def test_every_import_is_pinned_and_declared() -> None:
 
 def test_every_lock_is_whole_and_agrees_with_the_others() -> None:
     assert check_pins.problems() == [], "run: ./bench check pins --write"
-
-
-BARE = """
-import logging, launch.logging, h5py, rosbags, hypothesis, sma_bench.records
-from importlib.util import find_spec
-assert not logging.getLogger("sma_bench.new").propagate
-print([name for name in %r if find_spec(name)])
-"""
-
-
-def test_the_bare_environment_has_what_is_required_and_nothing_optional(tmp_path):
-    absent = check_bare.linked(tmp_path)
-    assert {name for name in (*OPTIONAL, "mypy") if find_spec(name)} <= set(absent)
-    command = [tmp_path / "bin" / "python", "-c", BARE % list(OPTIONAL)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
