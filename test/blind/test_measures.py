@@ -16,11 +16,9 @@ from examination.blind.judgement import (
     Shrunk,
     calibration_error,
     mean,
-    moved_parameters,
     proportion,
     quantile,
 )
-from sma_bench.parameters import Parameters
 
 MEASURES = {measure.name: measure for measure in (*TARGETS, *OTHERS)}
 PLACE = {"signal": "deflection", "phase": "drive", "side": "front", "stage": "mechanical"}
@@ -67,13 +65,6 @@ def test_shares_and_values_are_what_is_worked_out_by_hand_from_the_definition():
     for name, case, expected in BY_HAND["values"]:
         found = MEASURES[name].of([judged(case)])
         assert found.value == pytest.approx(expected, nan_ok=True), (name, case)
-
-
-def test_a_parameter_is_moved_by_twice_its_stated_deviation():
-    nominal = Parameters.of_paper().replace({}, {"wire.resistance": 0.1, "wire.mass": 1e-6})
-    values = {"wire.resistance": nominal["wire.resistance"] - 0.25,
-              "wire.mass": nominal["wire.mass"] + 1.5e-6}  # fmt: skip
-    assert moved_parameters(nominal, nominal.replace(values)) == {"wire.resistance"}
 
 
 def test_intervals_are_exact_and_repeatable():

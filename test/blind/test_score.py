@@ -4,15 +4,13 @@ import json
 import sys
 from dataclasses import asdict
 
-import numpy as np
 import pytest
-from planted import believed, planted_record
 from test_measures import answer_of
 
 from examination.blind import case_files as files
 from examination.blind.cases import Card, draw_case
 from examination.blind.command import main
-from examination.blind.examination import Examinee, after_tests, bench_protocol, follow_up
+from examination.blind.examination import Examinee, follow_up
 from examination.blind.judgement import UnseenRecord
 from examination.blind.rigs import true_values
 from examination.blind.score import followed_up, handed_in, score
@@ -149,37 +147,6 @@ def test_what_is_asked_for_is_recorded_on_the_cases_own_bench_and_the_program_as
     assert verdicts == ["effect", "no_gap", "unexplained"]
 
 
-def test_a_test_of_the_paper_finds_what_the_wire_has_and_what_its_world_does_to_it(made):
-    _, labels, drawn = made
-
-    def believed_after(**stds):
-        asked = files.NextExperiment((), {}, {f"wire.{n}": std for n, std in stds.items()})
-        rng = np.random.default_rng(1)
-        return after_tests(labels["0001"], asked, drawn["0001"].nominal, rng)
-
-    # The wire of 0001 has leads of 0.3 ohm: a test that takes volts at its ends does not see them.
-    stds = {"resistance": 1e-4, "stress_influence_austenite": 1e4, "specific_heat": 0.1}
-    believed, truth = believed_after(**stds), labels["0001"]["truth"]
-    assert labels["0001"]["features"]["supply_resistance"] == 0.3
-    for name, std in stds.items():
-        assert believed[f"wire.{name}"] == pytest.approx(truth[f"wire.{name}"], abs=5 * std)
-        assert believed.std(f"wire.{name}") == std
-    with pytest.raises(InputError, match="wire.slack"):
-        believed_after(slack=1.0)
-
-
-def test_a_protocol_beyond_the_bench_is_a_failed_second_answer(made, tmp_path):
-    _, labels, drawn = made
-    strong = {"steps": [{"kind": "step", "drive": "front", "level": 99.0, "duration": 3.0}]}
-    for protocol, line in ((strong, "99 V"), (TIE | {"repeat": 500}, "lasts 5000 s")):
-        with pytest.raises(InputError, match=line):
-            bench_protocol(protocol, drawn["0001"].nominal)
-    answers = GOOD | {"0003": document("ambiguous", protocol=strong, slack=0.5, no_gap=0.5)}
-    cases = hand_in(made, tmp_path, answers)
-    follow_up(cases, labels, Examinee(("/no/such",), 30.0), tmp_path)
-    assert "99 V" in files.read_kept(tmp_path / files.FOLLOW_UPS[0], "0003").line
-
-
 def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_path, capsys):
     root, _, _ = made
     folders = [tmp_path / "a", tmp_path / "b"]
@@ -208,13 +175,3 @@ def test_one_command_prints_every_measure_and_writes_json_and_pages(made, tmp_pa
     markdown.write_text("kept")
     assert main(arguments) == 2 and markdown.read_text() == "kept"
     assert main([*arguments, "--force"]) == 0 and markdown.read_text() == text
-
-
-def test_the_rival_finds_an_easy_effect(tmp_path):
-    lab, bag, result = tmp_path / "lab.yaml", tmp_path / "bag", tmp_path / "result.json"
-    write_parameters(lab, believed())
-    planted_record(bag, {"effect.side_heat_coupling.conductance": 2e-3})
-    assert main(["rival", "bic", str(bag), "--params", str(lab), "--json", str(result)]) == 0
-    answer = files.checked_answer(json.loads(result.read_text()))
-    assert answer.cause == ("side_heat_coupling",)
-    assert answer.shrinkage["temperature"].fraction > 0.5

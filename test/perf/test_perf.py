@@ -5,12 +5,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("sksundae", reason="what is compared with is not installed")
 
-from examination.perf.measuring import Figure, exponent, interleaved, ratio
 from examination.perf.perf import main
 
 PERF = Path(__file__).parents[2] / "examination" / "perf" / "perf.py"
@@ -65,19 +63,3 @@ def test_nodes_and_the_twin_are_measured(tmp_path, ros_domain):
     six, one = measures(file, "bench").values()
     assert one["memory, shared pages once"] < six["memory, shared pages once"]
     assert measures(file, "twin")["one wire at 500 Hz"]["twin node"] > 0.0
-
-
-def test_an_unknown_section_is_one_line_and_figures_keep_their_rules(capsys):
-    with pytest.raises(SystemExit, match="2"):
-        main(["speed"])
-    said = capsys.readouterr().err
-    assert "no section speed, expected one of simulation, reading, commands" in said
-    figures = Figure("a", "b", 2.0, least=3.0), Figure("a", "c", 2.0, most=3.0), Figure("a", "d", 2)
-    assert [figure.verdict for figure in figures] == ["missed", "met", ""]
-    ran: list[str] = []
-    calls = {"a": lambda: ran.append("a"), "b": lambda: ran.append("b")}
-    assert interleaved(calls, 3)["a"].shape == (3,)
-    assert ran == ["a", "b"] * 4  # the first round does not count
-    assert ratio(np.array([2.0, 20.0, 6.0]), np.array([1.0, 10.0, 2.0])) == 2.0
-    sizes = np.array([1.0, 10.0, 100.0])
-    assert exponent(sizes, 3.0 * sizes**2) == pytest.approx(2.0)

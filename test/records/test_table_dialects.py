@@ -1,14 +1,12 @@
 """Other people's tables: a few dialects as `./bench check tables` draws them, against the truth."""
 
 import ast
-from collections import Counter
 from pathlib import Path
 from string import Formatter
 
 import numpy as np
 import pytest
 
-from examination.check.tables import import_one, table
 from examination.tables.dialects import HABITS, write
 from examination.tables.outcome import RIGHT, WRONG, outcome
 from examination.tables.truths import true_table
@@ -30,16 +28,6 @@ def test_a_plain_table_is_read_right_and_a_lost_row_found_out(tmp_path, number):
         lines = sample.path.read_text().splitlines()
         sample.path.write_text("\n".join([*lines[:50], *lines[51:]]) + "\n")
         assert outcome(truth, sample)[0] == WRONG
-
-
-def test_dialects_are_drawn_again_the_same_and_counted():
-    found = [import_one(1, number) for number in range(20)]
-    assert found[:2] == [import_one(1, number) for number in range(2)]
-    counts = Counter(one["outcome"] for one in found)
-    assert not counts["raised"]
-    line = next(line for line in table(found).splitlines() if line.startswith("all "))
-    ends = [counts[end] for end in ("right", "asked", "refused", "wrong", "raised")]
-    assert [int(n) for n in line.split()[1:]] == [20, *ends]
 
 
 READERS = "cells tables import_map instrument_files instruments"
