@@ -336,12 +336,10 @@ def _bootstrapped(statistic: Callable[..., float], *data: Sequence[float]) -> Me
 
 Bound = float | tuple[float, float] | None
 _STATISTICS: dict[str, Callable[[list], Measured]] = {
-    "share": proportion,
-    "mean": mean,
-    "median": lambda values: quantile(values, 0.5),
+    "share": proportion, "mean": mean, "median": lambda values: quantile(values, 0.5),
     "90th percentile": lambda values: quantile(values, 0.9),
     "calibration": lambda pairs: calibration_error([p for p, _ in pairs], [r for _, r in pairs]),
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

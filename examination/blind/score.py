@@ -185,11 +185,9 @@ _MOST_SHOWN = 4
 _DASH = "–"
 # By style of a measure: factor, digits, unit behind the number.
 _STYLES = {
-    "share": (100.0, 1, " %"),
-    "points": (100.0, 1, ""),
-    "number": (1.0, 2, ""),
+    "share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
     "seconds": (1.0, 1, " s"),
-}
+}  # fmt: skip
 
 
 def number(measure: Measure, value: float) -> str:

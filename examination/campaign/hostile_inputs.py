@@ -234,15 +234,11 @@ def hostile_place(rng: random.Random, folder: Path) -> Case:
 
 
 MAKERS: dict[str, tuple[int, Maker]] = {
-    "mcap": (4, hostile_mcap),
-    "sqlite3": (4, hostile_sqlite),
-    "drive": (1, hostile_drive),
-    "metadata, parameters": (6, hostile_yaml),
-    "result": (5, hostile_result),
-    "instrument file": (5, hostile_instrument),
-    "table of a logger": (6, hostile_import),
+    "mcap": (4, hostile_mcap), "sqlite3": (4, hostile_sqlite), "drive": (1, hostile_drive),
+    "metadata, parameters": (6, hostile_yaml), "result": (5, hostile_result),
+    "instrument file": (5, hostile_instrument), "table of a logger": (6, hostile_import),
     "place": (1, hostile_place),
-}
+}  # fmt: skip
 
 
 # --- the commands -------------------------------------------------------------------------------

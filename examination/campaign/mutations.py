@@ -61,12 +61,10 @@ def edited(content: bytes, edits: list[tuple[str, float, int, bytes]]) -> bytes:
             while end < len(content) and content[end : end + 1] not in b" \t\n,:{}[]":
                 end += 1
         content = {
-            "cut": content[:at],
-            "drop": content[:at] + content[end:],
-            "twice": content[:end] + content[at:],
-            "insert": content[:at] + payload + content[at:],
+            "cut": content[:at], "drop": content[:at] + content[end:],
+            "twice": content[:end] + content[at:], "insert": content[:at] + payload + content[at:],
             "replace": content[:at] + payload + content[end:],
-        }[kind]
+        }[kind]  # fmt: skip
     return content
 
 

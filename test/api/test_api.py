@@ -134,23 +134,20 @@ def test_dates_become_seconds_since_the_first(zone, as_column):
 GOOD = {"time": [0.0, 1.0, 2.0], "wire.voltage": [0.0, 1.0, 2.0]}
 
 
-@pytest.mark.parametrize(
-    ("call", "given", "said"),
-    [
-        (sma_bench.load, {**GOOD, "wire.volts": [1, 2, 3]}, "'wire.volts', expected <chan"),
-        (sma_bench.load, {**GOOD, "wire.current": [1.0]}, r"current has shape \(1,\) on"),
-        (sma_bench.load, {**GOOD, "time": [0.0, 2.0, 1.0]}, "times 2, 1 s, expected"),
-        (sma_bench.load, {**GOOD, "wire.voltage": ["a", "b", "c"]}, "numbers only"),
-        (sma_bench.load, {"wire.voltage": [0.0]}, "without times, expected 'time'"),
-        (sma_bench.load, 3, "load: int given, expected a path"),
-        (sma_bench.simulate, "stairs", "neither a bag nor a protocol, expected one of"),
-        (sma_bench.simulate, ([0.0, 1.0], [[1.0, 1.0]] * 2), r"expected \(2, 1\)"),
-        (lambda rate: sma_bench.simulate("ramp", rate=rate), 0.0, "rate is 0 Hz"),
-        (lambda size: sma_bench.simulate("ramp", effects={"laten_heat": size}), 1, "latent_heat"),
-        (lambda given: sma_bench.simulate("ramp", given), {"wire.mas": 1.0}, "mean wire.mass"),
-        (lambda names: sma_bench.diagnose(GOOD, signals=names), "current", "signals 'current'"),
-    ],
-)
+@pytest.mark.parametrize(("call", "given", "said"), [
+    (sma_bench.load, {**GOOD, "wire.volts": [1, 2, 3]}, "'wire.volts', expected <chan"),
+    (sma_bench.load, {**GOOD, "wire.current": [1.0]}, r"current has shape \(1,\) on"),
+    (sma_bench.load, {**GOOD, "time": [0.0, 2.0, 1.0]}, "times 2, 1 s, expected"),
+    (sma_bench.load, {**GOOD, "wire.voltage": ["a", "b", "c"]}, "numbers only"),
+    (sma_bench.load, {"wire.voltage": [0.0]}, "without times, expected 'time'"),
+    (sma_bench.load, 3, "load: int given, expected a path"),
+    (sma_bench.simulate, "stairs", "neither a bag nor a protocol, expected one of"),
+    (sma_bench.simulate, ([0.0, 1.0], [[1.0, 1.0]] * 2), r"expected \(2, 1\)"),
+    (lambda rate: sma_bench.simulate("ramp", rate=rate), 0.0, "rate is 0 Hz"),
+    (lambda size: sma_bench.simulate("ramp", effects={"laten_heat": size}), 1, "latent_heat"),
+    (lambda given: sma_bench.simulate("ramp", given), {"wire.mas": 1.0}, "mean wire.mass"),
+    (lambda names: sma_bench.diagnose(GOOD, signals=names), "current", "signals 'current'"),
+])  # fmt: skip
 def test_mistakes_get_one_clear_line(call, given, said):
     with pytest.raises(InputError, match=said) as caught:
         call(given)

@@ -63,13 +63,12 @@ def test_an_output_folder_that_cannot_be_written_is_one_line(words, tmp_path, ca
     assert os.listdir(tmp_path) == ["file"]
 
 
-@pytest.mark.parametrize(
-    "words",
-    ["simulate --protocol ramp --out", "parameters --out", "audit --json", "demo --out",
-     "identify nothing --report", "example ten_tasks --out", "calibrate supply 5=6 9=10 --out",
-     "investigate nothing --simulated nothing --folder", "import nothing --out", "info",
-     "simulate --protocol ramp --out bag --params", "simulate --out bag --protocol"],
-)  # fmt: skip
+@pytest.mark.parametrize("words", [
+    "simulate --protocol ramp --out", "parameters --out", "audit --json", "demo --out",
+    "identify nothing --report", "example ten_tasks --out", "calibrate supply 5=6 9=10 --out",
+    "investigate nothing --simulated nothing --folder", "import nothing --out", "info",
+    "simulate --protocol ramp --out bag --params", "simulate --out bag --protocol",
+])  # fmt: skip
 def test_a_name_that_no_file_can_have_is_one_line(words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in VALUES[str]:

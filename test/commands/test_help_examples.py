@@ -78,23 +78,14 @@ def test_help_loads_nothing_heavy():
     assert process.stdout.strip() == "[]", process.stderr
 
 
-@pytest.mark.parametrize(
-    ("line", "offered"),
-    [
-        ("", list(COMMANDS)),
-        ("di", ["diagnose"]),
-        ("identify --exp", ["--experiment"]),
-        ("identify --experiment E1", ["E1", "E10"]),
-        ("identify my_", ["my_"]),
-        ("identify my_bag --params ", ["FILE"]),
-        ("diagnose --signals de", ["deflection"]),
-        ("simulate --protocol composite_tri", ["composite_triangle"]),
-        ("simulate --effect ", list(EFFECTS)),
-        ("audit --set wire.res", ["wire.resistance"]),
-        ("run ", list(NODE_TABLES)),
-        ("calibrate supp", ["supply"]),
-    ],
-)
+@pytest.mark.parametrize(("line", "offered"), [
+    ("", list(COMMANDS)), ("di", ["diagnose"]), ("identify --exp", ["--experiment"]),
+    ("identify --experiment E1", ["E1", "E10"]), ("identify my_", ["my_"]),
+    ("identify my_bag --params ", ["FILE"]), ("diagnose --signals de", ["deflection"]),
+    ("simulate --protocol composite_tri", ["composite_triangle"]),
+    ("simulate --effect ", list(EFFECTS)), ("audit --set wire.res", ["wire.resistance"]),
+    ("run ", list(NODE_TABLES)), ("calibrate supp", ["supply"]),
+])  # fmt: skip
 def test_a_shell_is_offered_what_may_follow(line, offered, monkeypatch, capsys):
     words = line.split(" ")
     monkeypatch.setenv("_SMA_BENCH_COMPLETE", "bash_complete")

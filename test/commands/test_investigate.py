@@ -80,19 +80,16 @@ def test_a_folder_of_other_things_stays_as_it_is(lab, tmp_path, capsys):
 CHAPTER = {"records": 1, "minutes": 0.0, "verdict": "ambiguous", "cause": [], "probabilities": {}}
 
 
-@pytest.mark.parametrize(
-    "story",
-    [
-        [], {"given": []}, {"given": "x", "chapters": []}, {"given": [5], "chapters": []},
-        {"given": [], "chapters": {}}, {"given": [], "chapters": [[]]},
-        {"given": [], "chapters": [{**CHAPTER, "records": "two"}]},
-        {"given": [], "chapters": [{**CHAPTER, "cause": "x"}]},
-        {"given": [], "chapters": [{**CHAPTER, "probabilities": {"a": "b"}}]},
-        {"given": [], "chapters": [{**CHAPTER, "proposed": {"why": 1}}]},
-        {"given": [], "chapters": [{**CHAPTER, "proposed": {
-            "why": "", "protocol": [], "separates": ["a"], "minutes": "1"}}]},
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize("story", [
+    [], {"given": []}, {"given": "x", "chapters": []}, {"given": [5], "chapters": []},
+    {"given": [], "chapters": {}}, {"given": [], "chapters": [[]]},
+    {"given": [], "chapters": [{**CHAPTER, "records": "two"}]},
+    {"given": [], "chapters": [{**CHAPTER, "cause": "x"}]},
+    {"given": [], "chapters": [{**CHAPTER, "probabilities": {"a": "b"}}]},
+    {"given": [], "chapters": [{**CHAPTER, "proposed": {"why": 1}}]},
+    {"given": [], "chapters": [{**CHAPTER, "proposed": {
+        "why": "", "protocol": [], "separates": ["a"], "minutes": "1"}}]},
+])  # fmt: skip
 def test_a_story_that_someone_has_crafted_is_one_line(lab, tmp_path, capsys, story):
     folder = tmp_path / "gap"
     folder.mkdir()

@@ -98,10 +98,9 @@ THERMAL = [
 LEVELS = [303.15, 308.15, 313.15, 318.15, 323.15, 328.15]  # K, below A_s
 
 
-@pytest.mark.parametrize(
-    ("wire", "dwell", "settling", "seed"), [(WIRE, 6.0, 0.5, 1), (SLOW_WIRE, 15.0, 3.0, 3)],
-    ids=["off and late", "still air, off and late"],
-)
+@pytest.mark.parametrize(("wire", "dwell", "settling", "seed"), [
+    (WIRE, 6.0, 0.5, 1), (SLOW_WIRE, 15.0, 3.0, 3),
+], ids=["off and late", "still air, off and late"])  # fmt: skip
 def test_staircase_below_a_s_is_tracked(wire, dwell, settling, seed):
     controller = TemperatureController(wire, PERIOD, delay=PERIOD + 0.0125)
     found = run(

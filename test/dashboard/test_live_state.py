@@ -115,15 +115,12 @@ def test_voltages_at_zero_are_a_stop_until_one_comes_back_which_every_page_is_to
     assert result["stopped"] and not bench.state.update(Seen())["panels"]["again"]
 
 
-@pytest.mark.parametrize(
-    ("volts", "change", "readings", "said"),
-    [
-        (0.0, {}, {"after": False, "patience": 0.5}, ".*no reading since the request"),
-        (3.0, {"obeys": False}, {"patience": 1.0}, "NOT STOPPED, .* on: front_1 3.00 V[.]"),
-        (3.0, {}, {"before": False, "after": False}, "Not confirmed"),
-        (3.0, {"answers": {}}, {"before": False, "after": False}, "Nothing to stop"),
-    ],
-)
+@pytest.mark.parametrize(("volts", "change", "readings", "said"), [
+    (0.0, {}, {"after": False, "patience": 0.5}, ".*no reading since the request"),
+    (3.0, {"obeys": False}, {"patience": 1.0}, "NOT STOPPED, .* on: front_1 3.00 V[.]"),
+    (3.0, {}, {"before": False, "after": False}, "Not confirmed"),
+    (3.0, {"answers": {}}, {"before": False, "after": False}, "Nothing to stop"),
+])  # fmt: skip
 def test_no_stop_is_confirmed_where_no_reading_says_so(bench, volts, change, readings, said):
     """A wire that stays on is named, and commanded to zero meanwhile."""
     vars(bench).update(change)

@@ -97,14 +97,10 @@ def switched(record):
     return with_signals(record, voltage={"values": volts}, current={"values": amperes})
 
 
-@pytest.mark.parametrize(
-    ("changed", "said", "held_back"),
-    [
-        (turned, "wire.current", ()),
-        (clipped, "clipped", ("temperature_lag",)),
-        (switched, "PWM", ("temperature_lag", "supply_drop", "latent_heat")),
-    ],
-)
+@pytest.mark.parametrize(("changed", "said", "held_back"), [
+    (turned, "wire.current", ()), (clipped, "clipped", ("temperature_lag",)),
+    (switched, "PWM", ("temperature_lag", "supply_drop", "latent_heat")),
+])  # fmt: skip
 def test_a_diagnosis_says_what_is_wrong_with_a_record_and_names_no_effect_for_it(
     record, changed, said, held_back
 ):

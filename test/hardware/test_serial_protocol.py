@@ -40,13 +40,10 @@ def test_messages_are_decoded_and_what_is_none_is_refused():
         drop=pytest.approx((0.432, 0.0)),
     )
     for body, message in (
-        (TEXT, expected),
-        (FRAME, expected),
-        (b"K A 13841", serial_messages.Accepted("A", 13841)),
-        (b"N V 6", Refused("V", 6)),
-        (b"P 3 4294967295 5", serial_messages.Pong(3, 4294967295, 5)),
+        (TEXT, expected), (FRAME, expected), (b"K A 13841", serial_messages.Accepted("A", 13841)),
+        (b"N V 6", Refused("V", 6)), (b"P 3 4294967295 5", serial_messages.Pong(3, 4294967295, 5)),
         (b"S rejected=1 new=x", Named("S", {"rejected": "1", "new": "x"})),
-    ):
+    ):  # fmt: skip
         assert decode(body) == message
     assert str(Refused("V", 7)) == "device refused V: above the voltage limit"
     assert str(Refused("V", 99)) == "device refused V: number 99"
@@ -124,17 +121,13 @@ def test_handshake_gives_limits_in_si_units_or_what_it_lacks():
             identity(old, new)
 
 
-@pytest.mark.parametrize(
-    ("said", "text"),
-    [
-        ("trip=2 trip_ds=123 trip_open=1", "command timeout, 12.3 s after a start, not ackn"),
-        ("trip=15 trip_ds=7 trip_open=0", "restarted while armed, 0.7 s after a start, ackn"),
-        ("trip=16 trip_ds=0 trip_open=1", "reason lost with the power, not acknowledged"),
-        ("trip=99 trip_ds=4294967295 trip_open=0", "number 99, 429496729.5 s after a start, ackn"),
-        ("trip=0 trip_ds=0 trip_open=0", "none"),
-        ("before=2", "None"),
-    ],
-)
+@pytest.mark.parametrize(("said", "text"), [
+    ("trip=2 trip_ds=123 trip_open=1", "command timeout, 12.3 s after a start, not ackn"),
+    ("trip=15 trip_ds=7 trip_open=0", "restarted while armed, 0.7 s after a start, ackn"),
+    ("trip=16 trip_ds=0 trip_open=1", "reason lost with the power, not acknowledged"),
+    ("trip=99 trip_ds=4294967295 trip_open=0", "number 99, 429496729.5 s after a start, ackn"),
+    ("trip=0 trip_ds=0 trip_open=0", "none"), ("before=2", "None"),
+])  # fmt: skip
 def test_the_last_trip_is_told_in_words_by_a_firmware_that_keeps_it(said, text):
     values = dict(pair.split("=") for pair in said.split())
     assert str(serial_messages.Trip.told(values)).startswith(text)

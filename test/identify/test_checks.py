@@ -41,19 +41,6 @@ def test_a_clean_bag_raises_no_warning():
     assert len(ATTACKS) >= 40
 
 
-def test_true_errors_pass_and_others_fail():
-    names = campaign.IDENTIFIED
-    normal = np.random.default_rng(1).standard_normal((50, len(names)))
-    drawn = [[{"truth": 1.0, "value": 1.0 + 0.1 * z, "std": 0.1} for z in row] for row in normal]
-    results = [{"parameters": dict(zip(names, row, strict=True))} for row in drawn]
-    assert campaign.passed(results)
-    assert pieces.print_coverage([("a", z) for z in normal.ravel()], pieces.Z_95) > 0.93
-    assert not campaign.passed(results, error_scale=0.6)
-    assert not campaign.passed(results, error_scale=2.0)
-    del results[3]["parameters"]["wire.resistance"]
-    assert not campaign.passed(results)
-
-
 @pytest.mark.slow
 def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
     for name, (run, rate) in EXPERIMENTS.items():
@@ -70,17 +57,3 @@ def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
     z = np.array([abs(n["value"] - n["truth"]) / n["std"] for n in numbers])
     assert z.size == 17 and np.mean(z < pieces.Z_95) > 0.75 and z.max() < 4.0
     assert sum(n["std"] < 0.1 * n["prior_std"] for n in numbers) > 8
-
-
-def halved(_, number):
-    return number / 2
-
-
-def test_a_check_in_pieces_goes_on_where_it_was_left(tmp_path):
-    file = tmp_path / "kept.json"
-    arguments = ["--processes", "1", "--json", str(file)]
-    options = pieces.options_of("halves", None, arguments, **pieces.IN_PIECES)
-    jobs = [("a", 4), ("b", 6)]
-    file.write_text(json.dumps({str(jobs[0]): 7.0}))
-    assert pieces.in_pieces(halved, jobs, options) == [7.0, 3.0]
-    assert json.loads(file.read_text()) == {str(jobs[0]): 7.0, str(jobs[1]): 3.0}

@@ -166,10 +166,9 @@ def test_an_effect_that_the_model_lacks_is_seen_in_the_residual():
     assert warning.numbers["ratio"] > 2.0
 
 
-@pytest.mark.parametrize(
-    ("drop", "message"),
-    [("back_1.voltage", "no voltage of channel back_1"), ("deflection", "no motion")],
-)
+@pytest.mark.parametrize(("drop", "message"), [
+    ("back_1.voltage", "no voltage of channel back_1"), ("deflection", "no motion"),
+])  # fmt: skip
 def test_what_is_absent_is_named(drop, message):
     record = record_of(bench())
     signals = {n: s for n, s in record.signals.items() if n != drop}

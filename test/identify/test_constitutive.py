@@ -11,11 +11,9 @@ from sma_bench.records.instruments import IsobaricRecord
 
 STRESSES = (20e6, 80e6, 150e6, 220e6)
 BASE = {
-    "wire.austenite_start_temperature": 345.0,
-    "wire.austenite_finish_temperature": 362.0,
-    "wire.martensite_start_temperature": 338.0,
-    "wire.martensite_finish_temperature": 322.0,
-}
+    "wire.austenite_start_temperature": 345.0, "wire.austenite_finish_temperature": 362.0,
+    "wire.martensite_start_temperature": 338.0, "wire.martensite_finish_temperature": 322.0,
+}  # fmt: skip
 # Of these, the ranges that benches are drawn from.
 RANGES = {
     "wire.stress_influence_austenite": (5e6, 12e6),

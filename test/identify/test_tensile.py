@@ -86,14 +86,11 @@ def test_a_phase_is_that_asked_for_or_of_the_file_or_of_this_wires_temperatures(
     assert found[MODULI[1]].value == pytest.approx(E_A, rel=0.01)
 
 
-@pytest.mark.parametrize(
-    ("phases", "message"),
-    [
-        ({"cold_1.csv": "bainite"}, "'bainite', expected martensite or austenite"),
-        ({"warm*": "martensite"}, r"phase of warm\*: no such tensile test among cold_1.csv"),
-        ({"cold*": "martensite", "*.csv": "austenite"}, "martensite and to be austenite"),
-    ],
-)
+@pytest.mark.parametrize(("phases", "message"), [
+    ({"cold_1.csv": "bainite"}, "'bainite', expected martensite or austenite"),
+    ({"warm*": "martensite"}, r"phase of warm\*: no such tensile test among cold_1.csv"),
+    ({"cold*": "martensite", "*.csv": "austenite"}, "martensite and to be austenite"),
+])  # fmt: skip
 def test_phase_that_cannot_be_is_refused(phases, message) -> None:
     with pytest.raises(InputError, match=message):
         identify_tensile([martensite()], phases=phases)

@@ -88,16 +88,12 @@ def assert_cold(bench, reason):
 UNHEARD = "warm waits for it: stale feedback: nothing new from temperature wire"
 
 
-@pytest.mark.parametrize(
-    ("protocol", "wrong", "reason"),
-    [
-        (LONG, {"deaf": True}, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25"),
-        (LONG, {"frozen": True}, "stale feedback: nothing new from wire/"),
-        (LONG, {"celsius": math.nan}, "stale feedback: nothing new from wire/temperature"),
-        (WAITS, {"told": None}, UNHEARD),
-        (WAITS, {"told": lambda _: math.nan}, UNHEARD),
-    ],
-)
+@pytest.mark.parametrize(("protocol", "wrong", "reason"), [
+    (LONG, {"deaf": True}, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25"),
+    (LONG, {"frozen": True}, "stale feedback: nothing new from wire/"),
+    (LONG, {"celsius": math.nan}, "stale feedback: nothing new from wire/temperature"),
+    (WAITS, {"told": None}, UNHEARD), (WAITS, {"told": lambda _: math.nan}, UNHEARD),
+])  # fmt: skip
 def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
     """What else is wrong, and that an abort is latched: test/nodes/test_experiment.py."""
     bench = Bench(protocol)

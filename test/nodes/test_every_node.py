@@ -205,18 +205,15 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
         BenchClient("/bench", ros_arguments=["--ros-args", "-p", "nothing"])
 
 
-@pytest.mark.parametrize(
-    ("name", "given", "said"),
-    [
-        ("experiment", f"{COMMANDS}.reliability:=rather", "voltage_command"),
-        ("experiment", f"{COMMANDS}.depth:=-3", "voltage_command"),
-        ("serial_bridge", "telemetry_rate:=300", "telemetry_rate is 300 Hz, expected a divisor"),
-        ("serial_bridge", "use_sim_time:=true", "but hardware runs in real time"),
-        ("deflection_controller", "wire.count:=1", "clamped"),
-        ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
-        ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
-    ],
-)  # fmt: skip
+@pytest.mark.parametrize(("name", "given", "said"), [
+    ("experiment", f"{COMMANDS}.reliability:=rather", "voltage_command"),
+    ("experiment", f"{COMMANDS}.depth:=-3", "voltage_command"),
+    ("serial_bridge", "telemetry_rate:=300", "telemetry_rate is 300 Hz, expected a divisor"),
+    ("serial_bridge", "use_sim_time:=true", "but hardware runs in real time"),
+    ("deflection_controller", "wire.count:=1", "clamped"),
+    ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
+    ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
+])  # fmt: skip
 def test_a_node_that_cannot_be_so_says_why_in_one_line(make, name, given, said):
     with pytest.raises(InputError, match=f"^[^\n]*{said}[^\n]*$"):
         node = make(name, "-p", given)

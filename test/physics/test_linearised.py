@@ -158,16 +158,11 @@ def test_printed_and_corrected_coefficients_at_half_of_the_maximum_deflection():
     assert ratio["deflection per kelvin"] < 1e-6 and ratio["beta"] > 100.0
 
 
-@pytest.mark.parametrize(
-    ("rig", "metres", "message"),
-    [
-        (COMPOSITE, 0.08, "at most 0.07"),
-        (COMPOSITE, -0.08, "to the back"),
-        (WIRE, 0.01, "clamped"),
-        (WIRE.replace(SPRING), 1e-3, "a wire with a load only shortens"),
-        (WIRE.replace(SPRING), -0.05, "expected at most"),
-    ],
-)
+@pytest.mark.parametrize(("rig", "metres", "message"), [
+    (COMPOSITE, 0.08, "at most 0.07"), (COMPOSITE, -0.08, "to the back"), (WIRE, 0.01, "clamped"),
+    (WIRE.replace(SPRING), 1e-3, "a wire with a load only shortens"),
+    (WIRE.replace(SPRING), -0.05, "expected at most"),
+])  # fmt: skip
 def test_impossible_operating_point_is_refused(rig, metres, message):
     with pytest.raises(InputError, match=message):
         OperatingPoint.at_deflection(rig, metres, "heating")

@@ -31,11 +31,9 @@ def test_info_shows_topics_signals_markers_and_findings_and_writes_plain_data(
     assert (temperature["min"], temperature["max"]) == pytest.approx((293.15, 313.05))
     assert temperature["samples"] == 200 and temperature["jitter"] == pytest.approx(0, abs=1e-8)
     assert {
-        "name": "/bench/wire/power",
-        "type": "sensor_msgs/msg/BatteryState",
-        "count": 200,
+        "name": "/bench/wire/power", "type": "sensor_msgs/msg/BatteryState", "count": 200,
         "signals": ["wire.voltage", "wire.current"],
-    } in description["topics"]
+    } in description["topics"]  # fmt: skip
     nothing = Signal("force", "N", np.zeros(0), np.zeros(0))
     json.dumps(describe(Record(tmp_path, 0, {"force": nothing})), allow_nan=False)
 

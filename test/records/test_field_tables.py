@@ -68,16 +68,11 @@ DSC = {"austenite_start_temperature": 318.15, "austenite_finish_temperature": 33
        "martensite_start_temperature": 311.15, "martensite_finish_temperature": 293.15}  # fmt: skip
 PULL = {"austenite_modulus": 55e9}
 INSTRUMENTS = {
-    "07_loop_with_dwell.csv": {"austenite_modulus": 50e9},
-    "08_testxpert_extensometer.txt": PULL,
-    "08b_testxpert_absolute_1200.txt": PULL,
-    "09_unit_inside_title.csv": PULL,
-    "17_mts_blocks.dat": PULL,
-    "10_ta_dos_degree.txt": DSC,
-    "11_netzsch.txt": DSC,
-    "11e_mw_per_mg.csv": DSC,
-    "11g_slash_units.csv": DSC,
-}
+    "07_loop_with_dwell.csv": {"austenite_modulus": 50e9}, "08_testxpert_extensometer.txt": PULL,
+    "08b_testxpert_absolute_1200.txt": PULL, "09_unit_inside_title.csv": PULL,
+    "17_mts_blocks.dat": PULL, "10_ta_dos_degree.txt": DSC, "11_netzsch.txt": DSC,
+    "11e_mw_per_mg.csv": DSC, "11g_slash_units.csv": DSC,
+}  # fmt: skip
 
 
 def loaded(name, rig, units=None):

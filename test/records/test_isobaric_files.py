@@ -93,29 +93,20 @@ FLAT = np.column_stack([20.0 + 0.01 * np.arange(120), loop()[:, 1:]])
 COLD = np.where(np.arange(360).reshape(120, 3) == 21, -300.0, loop())
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("", "no columns of numbers"),
-        ("just words\nand more\n", "no columns of numbers"),
-        (b"\x00\x01\x02" * 100, "expected a text file"),
-        (None, "no such file"),
-        ("1\t2\t3\n" * 5, "3 columns without titles"),
-        (f"{TITLES}\n20,1,9\n90,2,9\n20,1,9\n", "3 rows of numbers, expected 20"),
-        (f"{TITLES}\n" + "20,0.01,100\n90,0.01,100\n" * 50, "is 0.01 throughout"),
-        ("20.0\t0.01\n" * 50, "2 columns without titles"),
-        (FLAT, "3 columns without titles"),
-        (COLD, "line 8: temperature -26.85 K"),
-        ("20.0,0.01", "100 MPa.txt: line 31"),
-        ("20.0,abc,100.0", "100 MPa.txt: line 31"),
-        ("20.0,nan,100.0", "100 MPa.txt: line 31"),
-        *((f"{titles}\n" + "20,1\n90,2\n20,3\n" * 50, f"no {what} column") for titles, what in (
-            ("Temperature (C),Strain (%)", "stress"), ("Strain (%),time (s)", "stress"),
-            ("Stress (MPa),time (s)", "strain"),
-        )),
-    ],
-    ids=lambda value: value if isinstance(value, str) and " " in value else "",
-)
+@pytest.mark.parametrize(("content", "said"), [
+    ("", "no columns of numbers"), ("just words\nand more\n", "no columns of numbers"),
+    (b"\x00\x01\x02" * 100, "expected a text file"), (None, "no such file"),
+    ("1\t2\t3\n" * 5, "3 columns without titles"),
+    (f"{TITLES}\n20,1,9\n90,2,9\n20,1,9\n", "3 rows of numbers, expected 20"),
+    (f"{TITLES}\n" + "20,0.01,100\n90,0.01,100\n" * 50, "is 0.01 throughout"),
+    ("20.0\t0.01\n" * 50, "2 columns without titles"), (FLAT, "3 columns without titles"),
+    (COLD, "line 8: temperature -26.85 K"), ("20.0,0.01", "100 MPa.txt: line 31"),
+    ("20.0,abc,100.0", "100 MPa.txt: line 31"), ("20.0,nan,100.0", "100 MPa.txt: line 31"),
+    *((f"{titles}\n" + "20,1\n90,2\n20,3\n" * 50, f"no {what} column") for titles, what in (
+        ("Temperature (C),Strain (%)", "stress"), ("Strain (%),time (s)", "stress"),
+        ("Stress (MPa),time (s)", "strain"),
+    )),
+], ids=lambda value: value if isinstance(value, str) and " " in value else "")  # fmt: skip
 def test_what_is_no_test_is_refused_in_one_line(write, content, said):
     path = write(content if isinstance(content, np.ndarray) else loop())
     if content is None:

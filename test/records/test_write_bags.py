@@ -75,13 +75,10 @@ def test_a_record_keeps_receive_times_markers_and_commands_and_rosbags_reads_it(
                 assert message.name == ["wire"] and np.isnan(message.position[0])
 
 
-@pytest.mark.parametrize(
-    ("name", "time", "values"),
-    [
-        ("wire.colour", 0.0, [0.0]), ("left.range", 0.0, [0.0]), ("force", -5.0, [0.0]),
-        ("force", 1e12, [0.0]), ("force", np.nan, [0.0]), ("force", 0.0, [[0.0, 0.0]]),
-    ],
-)
+@pytest.mark.parametrize(("name", "time", "values"), [
+    ("wire.colour", 0.0, [0.0]), ("left.range", 0.0, [0.0]), ("force", -5.0, [0.0]),
+    ("force", 1e12, [0.0]), ("force", np.nan, [0.0]), ("force", 0.0, [[0.0, 0.0]]),
+])  # fmt: skip
 def test_signals_that_fit_no_message_are_refused_and_leave_nothing(tmp_path, name, time, values):
     wrong = Signal(name, "", np.array([time]), np.array(values))
     for signals, said in (([RAMP, wrong], name), ([], "no signals")):

@@ -91,11 +91,9 @@ def ends_with(parent, pid):
             os.kill(pid, signal.SIGKILL)
 
 
-@pytest.mark.parametrize(
-    ("program", "setsid"),
-    [(STARTS_A_NODE, []), (STARTS_AS_LAUNCH_DOES, []), (STARTS_AS_LAUNCH_DOES, ["setsid"])],
-    ids=["by a command", "as launch does", "setsid"],
-)
+@pytest.mark.parametrize(("program", "setsid"), [
+    (STARTS_A_NODE, []), (STARTS_AS_LAUNCH_DOES, []), (STARTS_AS_LAUNCH_DOES, ["setsid"]),
+], ids=["by a command", "as launch does", "setsid"])  # fmt: skip
 def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself_and_leaves_a_whole_bag(
     tmp_path, ros_domain, program, setsid
 ):

@@ -96,12 +96,9 @@ def test_numbers_stand_with_their_errors_apart_and_what_was_stated():
     assert "(0.0 std)" in row[4]
     assert (percent(0.001), percent(0.5), percent(0.9999)) == ("below 1 %", "50 %", "above 99 %")
     for value, std, text in (
-        (3.11755, 0.0004, "3.11755 ± 0.0004"),
-        (0.25, 0.65, "0.25 ± 0.65"),
-        (57.61e9, 1.6e9, "5.76e+10 ± 1.6e+09"),
-        (1.5, 0.0, "1.5"),
-        (2.0, float("nan"), "2"),
-    ):
+        (3.11755, 0.0004, "3.11755 ± 0.0004"), (0.25, 0.65, "0.25 ± 0.65"),
+        (57.61e9, 1.6e9, "5.76e+10 ± 1.6e+09"), (1.5, 0.0, "1.5"), (2.0, float("nan"), "2"),
+    ):  # fmt: skip
         assert with_error(value, std) == text
 
 
@@ -143,17 +140,12 @@ def test_text_and_page_hold_the_same_and_no_markup_of_a_name():
     assert " ".join(narrow).split() == " ".join(lines).split()
 
 
-@pytest.mark.parametrize(
-    ("read", "document", "named"),
-    [
-        (identification_from, {"correlation": {"names": ["a"], "matrix": [[1, 0]]}}, "correlation"),
-        (identification_from, {"parameters": {"a": {"value": "2", "std": 1}}}, "value"),
-        (diagnosis_from, {"verdict": "guilty"}, "verdict"),
-        (diagnosis_from, {"where": 3}, "where"),
-        (diagnosis_from, {"cause": [1e200]}, "1e+200"),
-        (diagnosis_from, [], "damaged"),
-    ],
-)
+@pytest.mark.parametrize(("read", "document", "named"), [
+    (identification_from, {"correlation": {"names": ["a"], "matrix": [[1, 0]]}}, "correlation"),
+    (identification_from, {"parameters": {"a": {"value": "2", "std": 1}}}, "value"),
+    (diagnosis_from, {"verdict": "guilty"}, "verdict"), (diagnosis_from, {"where": 3}, "where"),
+    (diagnosis_from, {"cause": [1e200]}, "1e+200"), (diagnosis_from, [], "damaged"),
+])  # fmt: skip
 def test_a_damaged_result_is_one_line_that_names_the_field(read, document, named):
     whole = IDENTIFIED if read is identification_from else DIAGNOSED
     with pytest.raises(InputError) as refused:

@@ -130,16 +130,11 @@ def test_figures_and_tables_are_there_for_papers_and_no_number_is_told_twice(out
     assert max(float(row["y"]) for row in rows) == pytest.approx(352.0, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "said"),
-    [
-        ("a.json", "{", "not JSON"),
-        ("a.json", b"\xff\xfe", "not a text file"),
-        ("a.txt", "hello", "neither a bag"),
-        ("none.json", None, "cannot read"),
-        ("a.json", json.dumps(DIAGNOSED | {"verdict": 3}), "verdict"),
-    ],
-)
+@pytest.mark.parametrize(("name", "content", "said"), [
+    ("a.json", "{", "not JSON"), ("a.json", b"\xff\xfe", "not a text file"),
+    ("a.txt", "hello", "neither a bag"), ("none.json", None, "cannot read"),
+    ("a.json", json.dumps(DIAGNOSED | {"verdict": 3}), "verdict"),
+])  # fmt: skip
 def test_what_is_no_result_is_one_line_and_nothing_is_written(
     name, content, said, tmp_path, lab, capsys
 ):
