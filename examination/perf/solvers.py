@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numba
 import numpy as np
 from scipy.integrate import solve_ivp
-from sksundae.cvode import CVODE
 
 from examination.perf.measuring import Array, Figure, interleaved, ratio
 from sma_bench.parameters import Parameters
@@ -35,11 +34,12 @@ _MOST_STEPS = 100_000
 
 
 @numba.njit(cache=True, error_model="numpy")
-def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness):
+def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness, loads):
     """Write d(T, xi)/dt (2 w,) at held voltages (w,), and each wire's heating [K/s], f, g (3, w).
 
     `turned` (2, w) is 1 or -1 for a wire that heats or cools, and what its last reversal makes of
-    f or g; `sides` (w,) the side of each wire, `stiffness` that of each side, infinite in clamps.
+    f or g; `sides` (w,) the side of each wire, `stiffness` that of each side, infinite in clamps;
+    `loads` (w,) what each wire bears at rest [Pa], from where strains count.
     """
     n, w = numbers, sides.size
     modulus, own, matrix, slopes = np.empty(w), np.empty(w), np.eye(w), np.empty((2, w))
@@ -47,11 +47,12 @@ def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness):
     change, martensite, austenite = n[7] - n[6], n[2] - n[3], n[1] - n[0]
     for i in range(w):
         modulus[i] = n[6] + change * y[w + i]
-        pull[sides[i]] += n[9] * (y[i] - n[10]) + modulus[i] * n[8] * (1.0 - y[w + i])
+        stretch = n[8] * (1.0 - y[w + i]) + loads[i] / n[7]
+        pull[sides[i]] += n[9] * (y[i] - n[10]) + modulus[i] * stretch - loads[i]
         total[sides[i]] += modulus[i]
     for i in range(w):
         xi, excess = y[w + i], y[i] - n[10]
-        stretch = n[8] * (1.0 - xi) - pull[sides[i]] / total[sides[i]]
+        stretch = n[8] * (1.0 - xi) + loads[i] / n[7] - pull[sides[i]] / total[sides[i]]
         own[i] = change * stretch - n[8] * modulus[i]
         sigma = modulus[i] * stretch + n[9] * excess
         # The transformation's two branches; the slope in T and in sigma of the one that holds.
@@ -92,6 +93,7 @@ class Problem(NamedTuple):
     numbers: Array
     sides: Array
     stiffness: Array
+    loads: Array
 
     @classmethod
     def of(cls, parameters: Parameters) -> "Problem":
@@ -101,7 +103,7 @@ class Problem(NamedTuple):
             alpha, front, back = bending_coefficients(parameters)
             stiffness[:2] = alpha * back, alpha * front
         numbers = np.array([float(parameters[name]) for name in NUMBERS])
-        return cls(numbers, sides, stiffness)
+        return cls(numbers, sides, stiffness, np.zeros(sides.size))
 
     def solve(self, time: Array, voltage: Array, solver: "Solver", restart: bool = False) -> Array:
         """(n, 2 w): T and xi of all wires at every sample, from rest; `restart` at each of them."""
@@ -146,6 +148,7 @@ def lsoda(rtol: float, right_side: Callable[..., None] = rate) -> Solver:
 
 def cvode(rtol: float) -> Solver:
     """CVODE (BDF) of SUNDIALS, right side compiled."""
+    from sksundae.cvode import CVODE  # what one tests with alone need not be there
 
     def solve(time: Array, y: Array, given: tuple) -> Array:
         def fun(_: float, state: Array, dy: Array) -> None:

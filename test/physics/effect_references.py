@@ -7,6 +7,7 @@ integrated by scipy, histories (largest austenite, plastic stretch) are followed
 from math import exp
 
 import numpy as np
+import pytest
 from scipy.integrate import solve_ivp
 
 from sma_bench.parameters import TABLE, Parameters
@@ -64,6 +65,39 @@ def pulses(step, duration=24.0):
     front = np.array([0, 5.6, 6.6, 3.0, 5.4, 0, 0, 6.0, 0, 0, 0, 0])[slot % 12]
     back = np.array([0, 0, 0, 0, 0, 6.4, 4.8, 5.6, 6.2, 0, 3.0, 0])[slot % 12]
     return time, np.column_stack([front, 0.97 * front, back, 1.02 * back])
+
+
+def triangle(time, peak, period):
+    """Triangular voltage [V] from 0 to `peak` and back every `period` [s]."""
+    return peak * (1.0 - np.abs(time / period % 1.0 * 2.0 - 1.0))
+
+
+def stiffly(rig, time, voltage, rtol, stiffness=None, load=0.0):
+    """T, xi, stress and contraction by LSODA, restarted at every sample, on the contract's
+    equations in d xi/dt; a wire pulls against `stiffness` [Pa] and bears `load` [Pa] at rest."""
+    pytest.importorskip("numba")
+    from examination.perf.solvers import Problem, lsoda
+
+    problem = Problem.of(rig)
+    w = problem.sides.size
+    member = np.equal.outer(np.unique(problem.sides), problem.sides).astype(float)
+    borne = np.full(w, load)
+    if stiffness is not None:
+        problem = problem._replace(stiffness=np.array([stiffness]), loads=borne)
+    states = problem.solve(time, voltage, lsoda(rtol), restart=True)
+    kelvin, xi = states[:, :w], states[:, w:]
+    cold = rig["wire.martensite_modulus"]
+    modulus = rig["wire.austenite_modulus"] * (1 - xi) + cold * xi
+    strain = rig["wire.maximum_recoverable_strain"] * (1 - xi) + borne / cold
+    free = modulus * strain
+    free += rig["wire.thermal_expansion_factor"] * (kelvin - rig["environment.ambient_temperature"])
+    stiff = modulus @ member.T + problem.stiffness[: len(member)]
+    contraction = (free - borne) @ member.T / stiff
+    return {
+        "temperature": kelvin, "martensite_fraction": xi,
+        "stress": free - modulus * (contraction @ member),
+        "contraction": contraction[:, ::-1],  # front before back
+    }  # fmt: skip
 
 
 def refined(time, voltage, parts):

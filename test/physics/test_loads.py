@@ -2,9 +2,8 @@
 
 import numpy as np
 import pytest
-from effect_references import refined, typical
+from effect_references import refined, stiffly, triangle, typical
 from numpy.testing import assert_allclose
-from stiff_solver import Wires, solve, triangle
 
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
@@ -71,8 +70,7 @@ def test_a_stiff_solver_that_knows_only_the_contract_agrees_on_a_wire_with_a_loa
     rig = rig.replace({"effect.latent_heat.heat": 8e3})
     time = np.arange(0.0, 24.0, 0.2)
     volts = triangle(time, 7.0, 24.0)[:, np.newaxis]
-    wires = Wires(rig, np.array([0]), np.array([stiffness * LENGTH / SECTION]), 8e3, held / SECTION)
-    other = solve(wires, time, volts, rtol=1e-7)
+    other = stiffly(rig, time, volts, 1e-7, stiffness * LENGTH / SECTION, held / SECTION)
     found = simulate(rig, *refined(time, volts, 20))
     scales = {"temperature": 0.3, "martensite_fraction": 3e-3, "stress": 3e5, "contraction": 3e-5}
     for name, scale in scales.items():
