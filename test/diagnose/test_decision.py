@@ -101,17 +101,14 @@ def stages(moved, **probabilities):
     return stages_of(candidates, search)
 
 
-@pytest.mark.parametrize(
-    ("moved", "stage"),
-    [
-        ({RESISTANCE: 3.0, LOSS: 1.0, STROKE: 1.0}, "electrical"),
-        ({RESISTANCE: 0.5, LOSS: -3.0, "wire.specific_heat": 2.0, STROKE: 2.0}, "thermal"),
-        ({RESISTANCE: 1.5, STARTS[0]: 4.0, STARTS[3]: -2.5}, "transformation"),
-        ({STROKE: -3.0, STARTS[1]: 1.5}, "mechanical"),
-        # As far as believed, whatever their sum: that tells of no stage.
-        (dict.fromkeys(STARTS, 1.2), ""),
-    ],
-)
+@pytest.mark.parametrize(("moved", "stage"), [
+    ({RESISTANCE: 3.0, LOSS: 1.0, STROKE: 1.0}, "electrical"),
+    ({RESISTANCE: 0.5, LOSS: -3.0, "wire.specific_heat": 2.0, STROKE: 2.0}, "thermal"),
+    ({RESISTANCE: 1.5, STARTS[0]: 4.0, STARTS[3]: -2.5}, "transformation"),
+    ({STROKE: -3.0, STARTS[1]: 1.5}, "mechanical"),
+    # As far as believed, whatever their sum: that tells of no stage.
+    (dict.fromkeys(STARTS, 1.2), ""),
+])  # fmt: skip
 def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief(moved, stage):
     found = stages(moved, recalibration=0.7, temperature_lag=0.2, no_gap=0.1)
     assert found == ({stage: 0.7, "sensor": 0.2} if stage else {"sensor": 0.2})

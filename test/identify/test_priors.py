@@ -22,15 +22,12 @@ def weighed(name, estimate, stated_std=None, **given):
     return run.estimates[name], run.notes
 
 
-@pytest.mark.parametrize(
-    ("measured", "value", "std", "informed", "contradicted"),
-    [
-        ((130.0, 2.0, 1.0), 130.0, 2.0, 0.75, False),  # surer: it counts alone
-        ((105.0, 8.0, 0.0), 101.0, JOINT, 0.2, False),
-        ((150.0, 8.0, 0.0), 110.0, JOINT, 0.2, True),
-        ((2e305, 1e305, 1e304), 100.0, 4.0, 0.0, False),
-    ],
-)
+@pytest.mark.parametrize(("measured", "value", "std", "informed", "contradicted"), [
+    ((130.0, 2.0, 1.0), 130.0, 2.0, 0.75, False),  # surer: it counts alone
+    ((105.0, 8.0, 0.0), 101.0, JOINT, 0.2, False),
+    ((150.0, 8.0, 0.0), 110.0, JOINT, 0.2, True),
+    ((2e305, 1e305, 1e304), 100.0, 4.0, 0.0, False),
+])  # fmt: skip
 def test_a_measurement_is_joined_with_what_was_known_better(
     measured, value, std, informed, contradicted
 ):

@@ -1,5 +1,7 @@
 """A calorimeter's exports, Pyris, Universal Analysis and TRIOS, in SI units, good and bad."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,51 +11,10 @@ from sma_bench.errors import InputError
 from sma_bench.identify.transition_temperatures import identify_transition_temperatures
 from sma_bench.records import DscRecord, open_record
 
-PYRIS = """Filename:\tC:\\run.dcd
-Sample ID:\tNiTi wire
-Sample Weight:\t10.000 mg
-Total Points in Run:\t5
-Filename:\tC:\\calibration.dcc
-1)\tHold for 1.0 min at 100.00\xb0C
-
-2)\tCool from 100.00\xb0C to 70.00\xb0C at 10.00\xb0C/min
-
-3)\tHeat from 70.00\xb0C to 100.00\xb0C at 20.00\xb0C/min
-
-1) DSC Isothermal
-\tTime     \tUnsubtracted\tBaseline     \tProgram     \tSample     \tApprox.
-\t          \tHeat Flow     \tHeat Flow     \tTemperature\tTemperature\tGas Flow
-\t0.000000\t10.0\t1.0\t100.0\t99.0\t0.0
-2) DSC Temperature Scan
-\t1.000000\t5.0\t1.0\t100.0\t99.0\t0.0
-\t2.000000\t4.0\t1.0\t90.0\t89.5\t0.0
-3) DSC Temperature Scan
-\t3.000000\t20.0\t1.0\t70.0\t69.0\t0.0
-\t4.000000\t21.0\t1.0\t90.0\t88.0\t0.0
-
-
-\tTEMPERATURE CALIBRATION INPUTS:
-Indium\t156.600\t158.150\tUsed
-"""
-MASS = 10.2  # mg
-HEADER = f"""CLOSED
-Version\t2.0
-Instrument\tDSC Q2000 V24.11 Build 124
-Module\tDSC Standard Cell RC
-Sample\tNiTi wire
-Size\t{MASS:.4f}\tmg
-Exotherm\tDOWN
-Nsig\t4
-Sig1\tTime (min)
-Sig2\tTemperature (°C)
-Sig3\tHeat Flow (mW)
-Sig4\tHeat Capacity (mJ/°C)
-OrgMethod\t1: Equilibrate at 0.00 °C
-OrgMethod\t2: Ramp 5.00 °C/min to 180.00 °C
-OrgMethod\t3: Isothermal for 3.00 min
-OrgMethod\t4: Ramp 5.00 °C/min to 0.00 °C
-StartOfData
-"""
+FILES = Path(__file__).parents[1] / "data" / "dsc"
+PYRIS = (FILES / "pyris.txt").read_text(encoding="utf-8")
+MASS = 10.2  # mg, of the file below too
+HEADER = (FILES / "universal_analysis.txt").read_text(encoding="utf-8")
 TRIOS_STEP = "[step]\nRamp 5.00 °C/min to {} °C\nTime\tTemperature\tHeat Flow (Normalized)\n"
 ONSETS = {"austenite_start": 70.0, "austenite_finish": 95.0, "martensite_start": 80.0,
           "martensite_finish": 50.0}  # fmt: skip

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from sma_bench.api import load
 from sma_bench.cli import main
@@ -18,68 +19,14 @@ FIELD = Path(__file__).parents[1] / "data" / "field"
 EXAMPLES = Path(__file__).parents[2] / "examples"
 KINDS = (".csv", ".txt", ".dat", ".xlsx", ".h5", ".mat")
 
-# Signals: name, lowest, highest, samples, last time in s.
-VOLTS = ("wire.voltage", 0, 3.25, 40, 19.5)
-MOVED = [VOLTS, ("elongation", -7.962e-3, 0, 40, 19.5)]
-SHORTENED = [("elongation", -8e-3, 0, 600, 59.9)]
-HEATED = [("wire.voltage", 0, 1.2, 400, 39.9), ("wire.current", 0, 0.6, 400, 39.9)]
-WARM = [
-    ("wire.temperature", 297.15, 363.03, 160, 39.75),
-    ("ambient.temperature", 297.15, 297.15, 160, 39.75),
-]
-JUGGLED = [("wire.temperature", 295.0, 362.1466, 40, 19.513)]
-PULLED = [("elongation", -1.5924e-3, 0, 40, 19.5), ("force", 5.08, 11.449, 40, 19.5)]
-# File, rig, signals, and where it matters the start in s since 1970.
-READ = [
-    ("01_T_columns_lost.csv", "drig", WARM, None),
-    ("03_date_and_time_columns.csv", "drig", SHORTENED, None),
-    ("03b_date_and_time_thermal.csv", "", [("wire.voltage", 0, 1.2, 40, 39.0)], 1709287200),
-    ("04_whole_seconds.csv", "drig", SHORTENED, None),
-    ("12_index_column.csv", "", HEATED, None),
-    ("12c_words_shift.txt", "", HEATED, None),
-    ("13_one_step.csv", "", [("wire.voltage", 0, 1, 1200, 59.95)], None),
-    ("14_am_pm.csv", "", HEATED, None),
-    ("19_quantised.csv", "drig", [("wire.temperature", 300.65, 312.4, 3000, 35.145)], None),
-    ("r01_quoted_decimal_commas.csv", "rigv", MOVED, None),
-    ("r01b_quoted_decimal_commas_all.csv", "rigv", MOVED, None),
-    ("r02_thousands_quoted.csv", "rigv", PULLED, None),
-    ("r03_time_per_series.csv", "rigv", [("elongation", -7.89e-3, 0, 25, 19.5)], None),
-    ("r05_second_resolution.csv", "rigv", [("wire.voltage", 0, 3.25, 400, 39.9)], None),
-    ("r06_us_12h_clock.csv", "rigv", MOVED, 1773143990),
-    ("r06b_german_dates.csv", "rigv", MOVED, 1773133200),
-    ("r12_excel_elapsed.xlsx", "rigv", MOVED, None),
-    ("r12e_excel_text_commas.xlsx", "rigv", MOVED, None),
-    ("r60_quoted_title_with_comma.csv", "rigv", MOVED, None),
-    ("r71_units_in_cells.csv", "rigv", MOVED, None),
-    ("r72_si_prefix_in_cells.csv", "rigv", [*MOVED, ("wire.current", 0, 0.4643, 40, 19.5)], None),
-    ("r96_mat_units_cell.mat", "rigv", MOVED, None),
-    ("r99c_plotjuggler_export.csv", "rigv", JUGGLED, 1773136800),
-]
-# File, rig, of what is asked, a word of the question.
-ASKED = [
-    ("12d_unnamed_row_number.txt", "", "'Time'", "which unit"),
-    ("18_no_time.csv", "drig", "'row number'", "period"),
-    ("r10_time_fractional_ms_no_unit.csv", "rigv", "'time'", "which unit"),
-    ("r10b_time_minutes_no_unit.csv", "rigv", "'time'", "which unit"),
-    ("r20_duty_mean_current.csv", "rigd", "'current .A.'", "mean or peak"),
-    ("r95c_hdf5_compound.h5", "rigv", "'log/time'", "which unit"),
-]
-DSC = {"austenite_start_temperature": 318.15, "austenite_finish_temperature": 335.15,
-       "martensite_start_temperature": 311.15, "martensite_finish_temperature": 293.15}  # fmt: skip
-PULL = {"austenite_modulus": 55e9}
-INSTRUMENTS = {
-    "07_loop_with_dwell.csv": {"austenite_modulus": 50e9}, "08_testxpert_extensometer.txt": PULL,
-    "08b_testxpert_absolute_1200.txt": PULL, "09_unit_inside_title.csv": PULL,
-    "17_mts_blocks.dat": PULL, "10_ta_dos_degree.txt": DSC, "11_netzsch.txt": DSC,
-    "11e_mw_per_mg.csv": DSC, "11g_slash_units.csv": DSC,
-}  # fmt: skip
+CASES = yaml.safe_load(Path(__file__).with_name("field_tables.yaml").read_text())
 
 
 def loaded(name, rig, units=None):
     return load(FIELD / name, units=units or {}, params=FIELD / f"{rig}.yaml" if rig else None)
 
 
-@pytest.mark.parametrize(("name", "rig", "expected", "start"), READ)
+@pytest.mark.parametrize(("name", "rig", "expected", "start"), CASES["read"])
 def test_what_tells_its_meaning_is_read(name, rig, expected, start):
     record = loaded(name, rig)
     assert start is None or record.start_ns == start * 1_000_000_000
@@ -91,7 +38,7 @@ def test_what_tells_its_meaning_is_read(name, rig, expected, start):
         assert found.values.max() == pytest.approx(high, abs=2e-3 if high > 100 else 1e-4)
 
 
-@pytest.mark.parametrize(("name", "rig", "where", "word"), ASKED)
+@pytest.mark.parametrize(("name", "rig", "where", "word"), CASES["asked"])
 def test_what_does_not_is_asked(name, rig, where, word):
     with pytest.raises(InputError, match=f"unsure of {where}.*{word}"):
         loaded(name, rig, {"Position": "mm"} if name.startswith("12d") else None)
@@ -147,10 +94,10 @@ def test_decimal_commas_in_a_comma_separated_table_are_refused():
             loaded(name, "rigv")
 
 
-@pytest.mark.parametrize("name", INSTRUMENTS)
+@pytest.mark.parametrize("name", CASES["instruments"])
 def test_every_export_of_an_instrument_gives_what_it_measured(name):
-    true = INSTRUMENTS[name]
-    is_dsc = true is DSC
+    true = CASES["instruments"][name]
+    is_dsc = len(true) == 4
     given = Parameters.defaults() if is_dsc else read_parameters(FIELD / "rig60.yaml")
     phases = None if is_dsc else {"*": "austenite"}
     found = identify([load(FIELD / name)], given, phases=phases).estimates

@@ -111,19 +111,16 @@ def blind(kind, _, values):
     return [] if kind == "temperature" else values
 
 
-@pytest.mark.parametrize(
-    ("bench", "drive", "late", "seconds", "spoil", "said"),
-    [
-        (BENCH, by_turns, 0.0, 60.0, None, SOUND),
-        (CLAMPED, one_wire, 0.0, 30.0, None, SOUND),
-        (BENCH, by_turns, 10.5, 30.0, None, SOUND),  # joins in a pulse
-        (BENCH, by_turns, 16.5, 30.0, None, SOUND),  # while the wire cools
-        (BENCH, by_turns, 0.0, 60.0, coloured(0.3), None),
-        (BENCH, by_turns, 0.0, 60.0, coloured(30.0), None),
-        (BENCH, by_turns, 0.0, 40.0, no_numbers, None),
-        (BENCH, by_turns, 0.0, 60.0, blind, f"{SOUND}; not judged: thermal"),
-    ],
-)
+@pytest.mark.parametrize(("bench", "drive", "late", "seconds", "spoil", "said"), [
+    (BENCH, by_turns, 0.0, 60.0, None, SOUND),
+    (CLAMPED, one_wire, 0.0, 30.0, None, SOUND),
+    (BENCH, by_turns, 10.5, 30.0, None, SOUND),  # joins in a pulse
+    (BENCH, by_turns, 16.5, 30.0, None, SOUND),  # while the wire cools
+    (BENCH, by_turns, 0.0, 60.0, coloured(0.3), None),
+    (BENCH, by_turns, 0.0, 60.0, coloured(30.0), None),
+    (BENCH, by_turns, 0.0, 40.0, no_numbers, None),
+    (BENCH, by_turns, 0.0, 60.0, blind, f"{SOUND}; not judged: thermal"),
+])  # fmt: skip
 def test_a_bench_that_does_as_believed_is_never_called_a_gap(
     bench, drive, late, seconds, spoil, said
 ):
