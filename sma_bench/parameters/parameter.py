@@ -146,7 +146,7 @@ EFFECT_PREFIX = "effect."
 EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
 
 Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
-LOAD_KINDS = ("clamped", "force", "spring", "antagonist", "beam")
+LOAD_KINDS = ("clamped", "displacement", "force", "spring", "antagonist", "beam")
 LAWS = ("cosine", "exponential", "logistic", "normal")
 
 

@@ -177,6 +177,17 @@ class Parameters(Mapping[str, Value]):
             return (
                 f"bench.channel_sides: {list(sides)} with load.kind {kind}, expected {expected}"
             )
+        if self["load.friction"] > 0.0:
+            value = f"load.friction is {self['load.friction']:g} N"
+            if kind in ("beam", "displacement"):
+                return f"{value} with load.kind {kind}, expected 0"
+            if EFFECTS["slack"].is_on(self):  # the load rubs, not the wires that hang beside it
+                return f"{value} with effect slack, expected one of them at 0"
+        if kind == "displacement":  # what is imposed neither drifts nor hangs
+            for effect in EFFECTS.values():
+                if kind not in effect.loads and effect.is_on(self):
+                    others = " or ".join(effect.loads)
+                    return f"effect {effect.name} with load.kind {kind}, expected {others}"
         return ""
 
     def _fault_of_law(self) -> str:

@@ -1,7 +1,7 @@
 """What the wires of each side pull against: the load of the bench, or what an experiment holds."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Self
 
@@ -28,12 +28,14 @@ class Boundary:
     Attributes:
         stiffness: Pa, sum of stresses per contraction.
         load: Pa, sum of stresses at zero contraction.
-        contraction: prescribed e, or None.
+        contraction: prescribed e, or None; where a motion is imposed, that at its start.
         lever: m, deflection per contraction: positive toward the front; of a wire that moves its
             load, the negative length, so that its deflection is its elongation.
         coupled: both sides pull on one slider: the front's sum of stresses less the back's is load
             + stiffness e of the front, and what the one contracts stretches the other.
         prestretch: strain of a side's wires at zero contraction, which is the bench at rest.
+        friction: Pa, that the sum of stresses is more than that while contracting, less while
+            lengthening; between the two the wires stand.
     """
 
     stiffness: PerSide = 0.0
@@ -42,6 +44,7 @@ class Boundary:
     lever: PerSide = 0.0
     coupled: bool = False
     prestretch: PerSide = 0.0
+    friction: PerSide = 0.0
 
     @classmethod
     def clamped(cls, contraction: PerSide = 0.0) -> Self:
@@ -54,11 +57,18 @@ class Boundary:
         return cls(load=stress)
 
     @classmethod
+    def imposed(cls, parameters: Parameters, elongation: float) -> Self:
+        """A testing machine, `load.kind` displacement, at the start of a motion: elongation [m]."""
+        return replace(cls.of(parameters), contraction=-elongation / wire_length(parameters))
+
+    @classmethod
     def of(cls, parameters: Parameters) -> Self:
         """The rig's own load, `load.kind`: by default one wire is clamped, several bend a beam."""
         kind = load_kind(parameters)
         if kind == "clamped":
             return cls.clamped()
+        if kind == "displacement":  # not moved, unless a simulation is told how
+            return cls(contraction=0.0, lever=-wire_length(parameters))
         if kind == "beam":  # sum sigma_i = beta delta, delta = alpha e (eqs. 22, 23), each side
             alpha, front, back = bending_coefficients(parameters)
             ratio = parameters["effect.side_asymmetry.ratio"]
@@ -71,7 +81,7 @@ class Boundary:
         section, length = channel_section(parameters), wire_length(parameters)
         preload, held = parameters["load.preload"], parameters["load.force"]
         stiffness = parameters["load.stiffness"] * length / section
-        modulus = parameters["wire.martensite_modulus"]
+        modulus, rubs = parameters["wire.martensite_modulus"], parameters["load.friction"] / section
 
         # Two sides on a slider: A (sum_front sigma_i - sum_back sigma_i) = F + k x, x = l e_front.
         # Mounted so that in the middle, at rest, each pulls with the preload; the slider's own
@@ -81,14 +91,16 @@ class Boundary:
             pulled = preload / (section * wires * modulus)
             return cls(
                 stiffness, held / section, lever=(0.5 * length, -0.5 * length), coupled=True,
-                prestretch=tuple(pulled.tolist()),
+                prestretch=tuple(pulled.tolist()), friction=rubs,
             )
 
         # A weight, or a frame that holds a force; with a spring A sum sigma_i = F_0 + F + k l e.
         # Elongation is counted from the bench at rest, where martensite already bears the load.
         held, stiffness = (preload + held, stiffness) if kind == "spring" else (held, 0.0)
         stretch = held / section / (len(parameters["bench.channels"]) * modulus)
-        return cls(stiffness, held / section, lever=-length, prestretch=stretch)
+        return cls(
+            stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs
+        )
 
     def levers(self, parameters: Parameters) -> NDArray[np.float64]:
         """(s,) m, deflection per contraction of each side."""

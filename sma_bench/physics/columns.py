@@ -37,11 +37,11 @@ _SIDE = {
     # of the other side, which is stretched by e
     "constants": (
         "PRESCRIBED", "COUPLED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD",
-        "PULLS_OTHERWISE",
+        "PULLS_OTHERWISE", "FRICTION",  # of the sum of stresses, Pa, against the motion
     ),
     "state": ("CONTRACTION", "CONTRACTION_CHANGE", "BENDING"),  # the last bends the beam
     # the matrix with its relaxing part; and with the passive wires
-    "scratch": ("MATRIX_STIFFNESS", "MATRIX_LOAD", "BEAM_STIFFNESS", "BEAM_LOAD"),
+    "scratch": ("MATRIX_STIFFNESS", "MATRIX_LOAD", "BEAM_STIFFNESS", "BEAM_LOAD", "CAME_FROM"),
 }
 
 

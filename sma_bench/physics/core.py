@@ -5,7 +5,9 @@ A step of length dt at held voltages, for every wire i of every side s:
     T_i     = T_eq + (T_i0 - T_eq) exp(-dt/tau) + lag (xi_i - xi_i0)      (lag: latent heat)
     sigma_i = E(xi_i) [eps_L (1 - xi_i) - e_s] + Theta_T (T_i - T_inf)
     xi_i    = the law (laws/, material.py) at T_i, sigma_i
-    sum sigma_i = load_s + K_s e_s,   or e_s prescribed                   (e: contraction)
+    sum sigma_i = load_s + K_s e_s +- F_s,   or e_s prescribed            (e: contraction)
+
+Dry friction F_s is against the motion; within +-F_s of balance the side stays where it was.
 
 Two sides that pull on one slider are one equation: the sum of the front's stresses less that of the
 back's, e_back = -e_front.
@@ -356,14 +358,21 @@ def solve_side(wires, sides, side):
             if wires[i, at.SIDE] == side:
                 wires[i, at.GUESS] = solve_wire(wires, i, before)
         return 0.0
-    expected = before + sides[side, at.CONTRACTION_CHANGE]
+    expected, load = before + sides[side, at.CONTRACTION_CHANGE], sides[side, at.LOAD]
+    if sides[side, at.FRICTION] > 0.0:
+        expected = sides[side, at.CAME_FROM]
+        excess = side_imbalance(wires, sides, side, expected)
+        if abs(excess) <= sides[side, at.FRICTION]:
+            sides[side, at.CONTRACTION] = expected
+            return expected - before
+        sides[side, at.LOAD] += math.copysign(sides[side, at.FRICTION], excess)
     converged, after = solve_jointly(wires, sides, side, expected)
     if not converged:
         for i in range(wires.shape[0]):
             if pull_sign(wires, sides, i, side) != 0.0:
                 wires[i, at.GUESS] = wires[i, at.FRACTION]
         after = solve_nested(wires, sides, side, before)
-    sides[side, at.CONTRACTION] = after
+    sides[side, at.CONTRACTION], sides[side, at.LOAD] = after, load
     return after - before
 
 
@@ -377,6 +386,7 @@ def solve(wires, sides):
         if side > 0 and sides[0, at.COUPLED] > 0.0:
             sides[side, at.CONTRACTION] = -sides[0, at.CONTRACTION]
             break
+        sides[side, at.CAME_FROM] = sides[side, at.CONTRACTION]
         change = solve_side(wires, sides, side)
         if sides[side, at.PULLS_OTHERWISE] > 0.0:
             for _ in range(REGIME_LIMIT):
@@ -418,7 +428,7 @@ def run(time, voltage, wires, sides, history, strain):
         time: (n,) s; voltage: (n, w) V held from each sample to the next.
         wires, sides: of the bench, advanced in place; a TREND of 0 starts a history.
         history: (4, n, w) temperature, fraction, stress, reading; strain: (2, n, s) contraction,
-            and the part that bends; written.
+            and the part that bends; written, but for a PRESCRIBED contraction, which is read.
     """
     effects = False
     for i in range(wires.shape[0]):
@@ -442,6 +452,9 @@ def run(time, voltage, wires, sides, history, strain):
                     if sides[side, at.PULLS_OTHERWISE] > 0.0:
                         prepare_side(wires, sides, side, step)
             heat(wires, voltage, k - 1, step)
+            for side in range(sides.shape[0]):
+                if sides[side, at.PRESCRIBED] > 0.0:
+                    sides[side, at.CONTRACTION] = strain[0, k, side]
             solve(wires, sides)
             settle(wires, sides, step)
         for i in range(wires.shape[0]):

@@ -213,6 +213,7 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     load = per_side("load", boundary.load, count)
     sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
     sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
+    sides[:, at.FRICTION] = per_side("friction", boundary.friction, count)
     # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
     elastic = boundary.contraction is None and not boundary.coupled
     bends = (stiffness > 0.0) & elastic
@@ -271,11 +272,18 @@ class Kernel:
             sides[:, at.CONTRACTION], sides[:, at.CONTRACTION_CHANGE] = given, 0.0
         return wires, sides
 
-    def run(self, time: Array, voltage: Array, memory: tuple[Array, Array]) -> tuple[Array, Array]:
-        """Advance `memory` in place; history (4, n, w) and strain (2, n, s) as of core.run."""
+    def run(
+        self, time: Array, voltage: Array, memory: tuple[Array, Array],
+        contraction: Array | None = None,
+    ) -> tuple[Array, Array]:
+        """Advance `memory` in place; history (4, n, w) and strain (2, n, s) as of core.run. Sides
+        that are held stay where they are, or go through `contraction` (n,) from sample 1 on."""
         wires, sides = memory
         history = np.empty((4, time.size, self.wires))
         strain = np.empty((2, time.size, len(sides)))
+        if self.boundary.contraction is not None:
+            held = sides[:, at.CONTRACTION]
+            strain[0] = held if contraction is None else contraction[:, np.newaxis]
         core.run(time, heating_voltage(voltage, self.parameters), wires, sides, history, strain)
         return history, strain
 

@@ -42,7 +42,7 @@ from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 Array = NDArray[np.float64]
 Branch = Literal["heating", "cooling"]
 
-BEYOND = (*SMOOTHER, "wire.law", "wire.convection")  # eqs. (4), (10), (11)
+BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "load.friction")  # eqs. (4), (10), (11)
 _AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
 # Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
 _RANGES: dict[Branch, tuple[str, str, str]] = {

@@ -104,7 +104,7 @@ class Simulation(Readings, Drawn):
 
 def simulate(
     parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *, initial: State | None = None,
-    boundary: Boundary | None = None,
+    boundary: Boundary | None = None, elongation: ArrayLike | None = None,
 ) -> Simulation:
     """Solve the baseline model (contract section 4) with the law of the phase and the effects that
     the parameters name.
@@ -120,12 +120,17 @@ def simulate(
             One wire may come as (n,).
         initial: state at time[0], at rest when not given; `Simulation.final` continues a run.
         boundary: the rig's own load when not given.
+        elongation: (n,) m that is imposed under `load.kind` displacement, even between samples; 0
+            when not given.
 
     Raises:
-        InputError: wrong shape, time that does not increase, a number that is not finite, or, with
-            no `initial`, a bench that is too warm at rest for martensite.
+        InputError: wrong shape, time that does not increase, a number that is not finite, an
+            elongation that another load is to decide, or, with no `initial`, a bench that is too
+            warm at rest for martensite.
     """
-    return Bench(parameters, initial=initial, boundary=boundary).follow(time, voltage)
+    if elongation is not None and boundary is None and np.size(elongation):
+        boundary = Boundary.imposed(parameters, float(np.ravel(elongation)[0]))
+    return Bench(parameters, initial=initial, boundary=boundary).follow(time, voltage, elongation)
 
 
 class Bench(Readings):
@@ -146,9 +151,10 @@ class Bench(Readings):
         self._memory = self._kernel.memory(initial)
         self._settle()
 
-    def advance(self, voltage: ArrayLike, dt: float) -> State:
-        """Hold `voltage` (w,) V for `dt` s; the state after it; InputError: wrong shape, a voltage
-        that is not finite, or dt not above 0."""
+    def advance(self, voltage: ArrayLike, dt: float, elongation: float | None = None) -> State:
+        """Hold `voltage` (w,) V for `dt` s, at the end of which the imposed elongation is that [m],
+        or as it was; the state after it; InputError: wrong shape, a number that is not finite, dt
+        not above 0, or an elongation that another load is to decide."""
         if not 0.0 < dt < np.inf:
             raise InputError(f"bench step: dt is {dt} s, expected above 0")
         expected = (self._kernel.wires,)
@@ -157,12 +163,30 @@ class Bench(Readings):
             raise InputError(f"bench step: voltage has shape {volts.shape}, expected {expected}")
         if not np.all(np.isfinite(volts)):
             raise InputError(f"bench step: voltage is {volts}, expected finite numbers")
-        self._kernel.run(np.array([0.0, dt]), np.stack([volts, volts]), self._memory)
+        moved = None if elongation is None else self._contraction(np.full(2, elongation), 2)
+        self._kernel.run(np.array([0.0, dt]), np.stack([volts, volts]), self._memory, moved)
         return self._settle()
 
-    def follow(self, time: ArrayLike, voltage: ArrayLike) -> Simulation:
-        """Go on over samples as `simulate` takes them; time[0] is that of the present state;
-        InputError: as `simulate`."""
+    def _contraction(self, elongation: ArrayLike, samples: int) -> Array:
+        """(n,) of the wires at an imposed elongation (n,) m; InputError: as `simulate`."""
+        metres = np.asarray(elongation, dtype=float)
+        if (kind := load_kind(self.parameters)) != "displacement":
+            raise InputError(f"simulation: elongation with load.kind {kind}, expected displacement")
+        if metres.shape != (samples,):
+            expected = f"expected ({samples},)"
+            raise InputError(f"simulation: elongation has shape {metres.shape}, {expected}")
+        if not np.all(np.isfinite(metres)):
+            k = int(np.argmin(np.isfinite(metres)))
+            raise InputError(
+                f"simulation: elongation of sample {k} is {metres[k]}, expected finite"
+            )
+        return -metres / wire_length(self.parameters)
+
+    def follow(
+        self, time: ArrayLike, voltage: ArrayLike, elongation: ArrayLike | None = None
+    ) -> Simulation:
+        """Go on over samples as `simulate` takes them; time[0], and its elongation, is that of the
+        present state; InputError: as `simulate`."""
         seconds = np.ascontiguousarray(time, dtype=float)
         volts = np.ascontiguousarray(voltage, dtype=float)
         if seconds.ndim != 1 or seconds.size == 0:
@@ -184,7 +208,8 @@ class Bench(Readings):
                 "expected increasing"
             )
         started = float(self.clock)
-        history, strain = self._kernel.run(seconds, volts, self._memory)
+        moved = None if elongation is None else self._contraction(elongation, seconds.size)
+        history, strain = self._kernel.run(seconds, volts, self._memory, moved)
         temperature, fraction, stress, reading = history
         contraction, bending = strain
         return Simulation(

@@ -1,10 +1,14 @@
 """What wires pull against, and how they are driven: closed forms, a stiff solver, the energy."""
 
+import re
+
 import numpy as np
 import pytest
 from effect_references import refined, stiffly, triangle, typical
 from numpy.testing import assert_allclose
+from scipy.optimize import brentq
 
+from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import wire_length, wire_length_from_mass
@@ -91,6 +95,7 @@ AGAINST_COLD = loaded("spring", rig=STILL, stiffness=400.0 + COLD, preload=6.0)
 SAME = {  # two loads on which each effect does the same: rigs, sign of the motion, accuracy
     ("spring", "beam"): (ON_SPRING, loaded("beam", rig=WIRE.replace(BEAM)), -1.0, 1e-6),
     ("force", "spring"): (WEIGHT, SOFT, 1.0, 1e-6),
+    ("clamped", "displacement"): (WIRE, WIRE.replace({"load.kind": "displacement"}), None, 1e-12),
     ("clamped", "spring"): (WIRE, loaded("spring", stiffness=STIFFEST), None, 1e-3),
     ("antagonist", "spring"): (SLIDER, AGAINST_COLD, -1.0, 1e-6),
 }
@@ -171,3 +176,106 @@ def test_leads_take_their_share_of_the_voltage(effects, count):
     assert found.current[0, 0] == pytest.approx(6.0 / (ohm + 0.5))
     alone = simulate(WIRE.replace(effects), TIME, np.full(TIME.size, 6.0 * ohm / (ohm + 0.5)))
     assert found.temperature == pytest.approx(alone.temperature, rel=1e-12)
+
+
+# --- A motion that is imposed, and what rubs.
+
+MACHINE = WIRE.replace({"load.kind": "displacement"})
+
+
+def test_an_imposed_ramp_on_a_cold_wire_pulls_it_by_its_modulus():
+    moved = np.interp(TIME, [0.0, 30.0, 50.0, 80.0], [1e-4, 6e-4, 6e-4, 0.0])
+    found = simulate(MACHINE, TIME, 0.0 * TIME, elongation=moved)
+    assert found.elongation[:, 0] == pytest.approx(moved, abs=1e-15)
+    assert found.deflection == pytest.approx(moved, abs=1e-15)
+    assert found.force[:, 0] == pytest.approx(COLD * moved, rel=1e-9, abs=1e-9)
+    assert np.all(found.martensite_fraction == 1.0)
+
+
+def test_an_imposed_motion_of_a_warming_wire_follows_the_closed_form():
+    """While the temperature rises, xi is f(T, sigma) whichever way the ends move."""
+    moved = 2e-4 + 3e-4 * np.sin(0.4 * TIME)
+    found = simulate(MACHINE, TIME, np.sqrt(0.4 * TIME), elongation=moved)
+    assert 0.02 < found.martensite_fraction[-1, 0] < 0.9
+    start, finish = (WIRE[f"wire.austenite_{end}_temperature"] for end in ("start", "finish"))
+
+    def pulls(kelvin, metres, sigma):
+        below = (kelvin - start - sigma / WIRE["wire.stress_influence_austenite"])
+        xi = 0.5 * (1.0 + np.cos(np.pi * np.clip(below / (finish - start), 0.0, 1.0)))
+        modulus = 55.4e9 + xi * (22.8e9 - 55.4e9)
+        strain = metres / LENGTH + WIRE["wire.maximum_recoverable_strain"] * (1.0 - xi)
+        return modulus * strain + WIRE["wire.thermal_expansion_factor"] * (kelvin - 296.15), xi
+
+    for k in range(0, TIME.size, 100):
+        kelvin = found.temperature[k, 0]
+        sigma = brentq(lambda s: pulls(kelvin, moved[k], s)[0] - s, -1e9, 3e9)  # noqa: B023
+        assert found.force[k, 0] == pytest.approx(SECTION * sigma, rel=1e-6, abs=1e-6)
+        assert found.martensite_fraction[k, 0] == pytest.approx(pulls(kelvin, moved[k], sigma)[1])
+
+
+def test_a_live_machine_goes_where_a_recorded_one_does_and_stands_when_not_moved():
+    moved = 3e-4 * np.sin(0.3 * TIME)
+    found, live = simulate(MACHINE, TIME, HEATED, elongation=moved), Bench(MACHINE)
+    for k in range(2000):
+        live.advance(HEATED[k : k + 1], TIME[k + 1] - TIME[k], moved[k + 1])
+    assert live.force == pytest.approx(found.force[2000], rel=1e-9)
+    assert live.elongation == pytest.approx(moved[2000], abs=1e-15)
+    live.advance([0.0], 1.0)
+    assert live.elongation == pytest.approx(moved[2000], abs=1e-15)
+    second = simulate(
+        MACHINE, TIME[2000:], HEATED[2000:], elongation=moved[2000:],
+        initial=simulate(MACHINE, TIME[:2001], HEATED[:2001], elongation=moved[:2001]).final,
+    )
+    assert np.array_equal(second.force, found.force[2000:])
+
+
+@pytest.mark.parametrize(
+    ("rig", "moved", "words"),
+    [(MACHINE, np.zeros(3), "elongation has shape (3,), expected (4001,)"),
+     (MACHINE, np.where(TIME == 2.0, np.nan, 0.0), "elongation of sample 100 is nan"),
+     (WEIGHT, 0.0 * TIME, "elongation with load.kind force, expected displacement")],
+)  # fmt: skip
+def test_a_motion_that_cannot_be_imposed_is_refused(rig, moved, words):
+    with pytest.raises(InputError, match=re.escape(words)):
+        simulate(rig, TIME, HEATED, elongation=moved)
+
+
+def test_friction_has_a_spring_stand_until_the_pull_has_changed_by_twice_as_much():
+    """Below A_s a wire pulls by A Theta_T (T - T_inf): a play of 2 F/(k + E_M A/l)."""
+    warm = WIRE.replace({"wire.thermal_expansion_factor": 1e6})
+    rig = loaded("spring", rig=warm, stiffness=1500.0, preload=4.0, friction=0.1)
+    found = simulate(rig, TIME, 0.45 * HEATED)
+    assert found.temperature.max() < 325.0
+    stiffness = 1500.0 + COLD
+    free = SECTION * 1e6 * (found.temperature[:, 0] - 296.15)
+    expected = np.zeros(TIME.size)
+    for k in range(1, TIME.size):
+        low, high = (free[k] - 0.1) / stiffness, (free[k] + 0.1) / stiffness
+        expected[k] = min(max(expected[k - 1], low), high)
+    assert -found.elongation[:, 0] == pytest.approx(expected, abs=1e-12)
+    assert expected.max() > 3.0 * 0.2 / stiffness
+    # On the reversal it stands while the free wire would have moved by the dead zone.
+    top = int(np.argmax(free))
+    stands = free[top] - free[top:][found.elongation[top:, 0] == found.elongation[top, 0]]
+    assert stands.max() == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("name", RIGS)
+def test_friction_is_against_the_motion_and_holds_what_stands(name):
+    rig, effects = RIGS[name].replace({"load.friction": 0.8}), {
+        "effect.latent_heat.heat": 8e3, "effect.residual_strain.share": 0.1,
+    }  # fmt: skip
+    still = simulate(rig, TIME, np.zeros((TIME.size, len(rig["bench.channels"]))))
+    assert not np.any(still.contraction)
+    for changed in ({}, effects):
+        found = run(rig, **changed)
+        x = found.deflection if name == "antagonist" else -found.elongation[:, 0]
+        pull = found.force[:, 0] - (found.force[:, 1] if name == "antagonist" else 0.0)
+        held = rig["load.force"] + (rig["load.preload"] if name == "spring" else 0.0)
+        rubs, step = pull - held - (name != "force") * rig["load.stiffness"] * x, np.diff(x)
+        assert np.all(np.abs(rubs) < 0.8 + 1e-6)
+        assert rubs[1:][step > 1e-12] == pytest.approx(0.8, abs=1e-6)
+        assert rubs[1:][step < -1e-12] == pytest.approx(-0.8, abs=1e-6)
+        assert np.ptp(x) > 1e-3 and np.mean(step == 0.0) > 0.01
+        # Without it the same wires stand nowhere, and their loop is narrower.
+        assert np.ptp(run(RIGS[name], **changed).deflection) > np.ptp(found.deflection)

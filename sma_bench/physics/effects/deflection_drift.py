@@ -22,7 +22,7 @@ EFFECT = Effect(
         "assumed: of the order of the drift over some minutes", -1e-5, 1e-5, uncertainty=1e-7,
     )),
     shows="the rest position wanders with time, whatever is driven",
-    acts_on=("deflection",),
+    acts_on=("deflection",), loads=("clamped", "force", "spring", "antagonist", "beam"),
 )
 
 
