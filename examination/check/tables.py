@@ -6,7 +6,6 @@ user would, and what comes of it is compared with the truth.
     ./bench check tables --imports 4000 --seed 2 --json result.json
 """
 
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -25,17 +24,9 @@ ROW = "{:32}{:>7}" + "{:>9}" * len(OUTCOMES)
 def main(argv: Sequence[str] | None = None) -> int:
     """Write, import, compare; 0 if nothing was silently wrong, 1 if something was."""
     own = {"imports": (200, "how many"), "seed": (1, "of all")}
-    own |= {"package": (Path, "another checkout, whose package is judged")}
     own |= {"faults": (0, "show so many wrong ones")}
     options = options_of("tables", __doc__, argv, **own, **IN_PIECES)
-    if options.package:  # at least two pieces: one alone would run in this process
-        options.imports = max(options.imports, 2)
-    with tempfile.TemporaryDirectory() as folder:
-        if options.package:  # found first by every process of the pool
-            options.processes = max(options.processes, 2)
-            (Path(folder) / "sma_bench").symlink_to((options.package / "sma_bench").resolve())
-            sys.path.insert(0, folder)
-        found = in_blocks(import_block, options, options.imports)
+    found = in_blocks(import_block, options, options.imports)
     shown = [one for one in found if one["outcome"] in (WRONG, RAISED)]
     for one in shown[: options.faults]:
         print(f"{one['number']} {one['kind']}: {one['why']}\n    {one['odd']}")

@@ -20,6 +20,7 @@ from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
 from sma_bench.paper import printed as printed_forms
+from sma_bench.parameters.parameter import LAWS
 from sma_bench.physics import (
     Bench,
     Boundary,
@@ -178,10 +179,14 @@ def test_a_clamped_wire_and_a_composite_of_four_agree_with_lsoda():
 # --- Heat.
 
 
+@pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("latent_heat", [0.0, 12e3])
 @pytest.mark.parametrize("rig", [WIRE, COMPOSITE], ids=["wire", "composite"])
-def test_electrical_energy_is_stored_convected_or_latent_in_every_step(rig, latent_heat):
+def test_electrical_energy_is_stored_convected_or_latent_in_every_step(rig, latent_heat, law):
     """Convection from the temperature at a step's start: the one at its end must be right."""
+    if law != "cosine":
+        pytest.importorskip("numba", reason="many simulations: slow without numba")
+    rig = rig.replace({"wire.law": law})
     rng = np.random.default_rng(5)
     time = np.cumsum(rng.uniform(0.01, 0.4, 2000))
     voltage = rng.uniform(0.0, 6.5, (2000, len(rig["bench.channels"])))
