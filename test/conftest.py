@@ -9,6 +9,7 @@ import shutil
 import signal
 import subprocess
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -91,6 +92,11 @@ def pytest_collection_modifyitems(config, items):
     long = {item.path for item in items if item.get_closest_marker("slow")}
     order = {ROOT / "test" / f"{name}.py": k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.path, len(LONGEST) + (item.path not in long)))
+
+
+def pytest_runtest_setup(item):
+    if item.get_closest_marker("compiled") and find_spec("numba") is None:
+        pytest.skip("fits of whole records take minutes uncompiled")
 
 
 def pytest_collection_finish():

@@ -27,6 +27,7 @@ def steady_record(voltage, n=2000):
     return Record(Path("steady"), 0, {signal.name: signal for signal in signals})
 
 
+@pytest.mark.compiled
 def test_result_file_has_the_form_of_the_contract():
     document = identify([staircase(), ramp()], DEFAULTS).to_json()
     assert set(document) == {"parameters", "experiments", "warnings", "correlation", "fit", "card"}
@@ -36,6 +37,7 @@ def test_result_file_has_the_form_of_the_contract():
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
+@pytest.mark.compiled
 def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistance():
     record = staircase()
     del record.signals["wire.current"]
@@ -48,6 +50,7 @@ def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistan
         identify([record], DEFAULTS, ["E2", "E3"])
 
 
+@pytest.mark.compiled
 def test_default_resistance_that_nobody_measured_is_a_warning():
     found = identify([ramp()], WEIGHED)
     assert any(R in w and "nobody measured it" in w for w in found.warnings)
@@ -56,6 +59,7 @@ def test_default_resistance_that_nobody_measured_is_a_warning():
     assert not any("E1: not identified" in warning for warning in found.warnings)
 
 
+@pytest.mark.compiled
 def test_unmeasured_samples_are_left_out_and_counted():
     record = staircase()
     record["wire.temperature"].values[100:150] = np.nan

@@ -47,6 +47,7 @@ def test_numbers_share_the_errors_of_their_sensors():
     assert np.linalg.eigvalsh(correlation.matrix).min() > -1e-9
 
 
+@pytest.mark.compiled
 def test_a_calibration_puts_the_readings_right():
     wrong = {
         "current": lambda x: (x - 0.02) / 1.05,
@@ -94,6 +95,7 @@ def test_a_room_that_drifts_is_in_the_errors_or_taken_off(recorded):
         assert said[0].numbers["drift"] == pytest.approx(1.5, rel=0.1)
 
 
+@pytest.mark.compiled
 def test_staircases_in_different_air_are_not_pooled_without_a_word():
     still, moved = (staircase(Wire(coefficient=h), seed=7, dwell=12.0) for h in (410.0, 492.0))
     found = identify([still, moved], KNOWN, ["E1", "E2"])
@@ -105,6 +107,7 @@ def test_staircases_in_different_air_are_not_pooled_without_a_word():
     assert any(CP in w and "of which E2 says" in w for w in bent.warnings)
 
 
+@pytest.mark.compiled
 def test_what_the_cameras_messages_state_takes_the_data_sheets_place():
     read = []
     for record in records():

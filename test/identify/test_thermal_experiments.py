@@ -39,6 +39,7 @@ def test_an_offset_of_the_current_sensor_is_found_and_moves_no_number():
     assert offset["offset"] == pytest.approx(0.03, abs=3 * offset["offset_std"])
 
 
+@pytest.mark.compiled
 def test_resistance_that_differs_between_heating_and_cooling_is_noticed():
     found = result(staircase(cooling=(780.0, 2.70)), experiments=["E1"])
     (warning,) = about(found, R, ["heating", "cooling", "depends on the phase"])
@@ -50,6 +51,7 @@ def test_resistance_that_differs_between_heating_and_cooling_is_noticed():
     assert estimate.std > 0.02
 
 
+@pytest.mark.compiled
 def test_resistance_that_changes_with_the_phase_is_noticed_as_a_bend():
     found = result(staircase(Wire(resistance_change=-0.05)))
     assert about(found, R, ["not a straight line"])
@@ -58,6 +60,7 @@ def test_resistance_that_changes_with_the_phase_is_noticed_as_a_bend():
     assert abs(found.estimates[H].value - 410.0) < 2.0 * found.estimates[H].std
 
 
+@pytest.mark.compiled
 def test_coefficient_that_rises_with_temperature_is_noticed():
     found = result(staircase(Wire(bend=5e-4)))
     (warning,) = about(found, H, ["not a straight line", "rises"])
@@ -67,6 +70,7 @@ def test_coefficient_that_rises_with_temperature_is_noticed():
     assert about(found, R, ["straight"]) == []
 
 
+@pytest.mark.compiled
 def test_what_a_staircase_lacks_is_said():
     unsettled = result(staircase(Wire(mass=8e-3)))
     assert about(unsettled, H, ["plateaus had not settled"])
@@ -83,6 +87,7 @@ def test_what_a_staircase_lacks_is_said():
             result(record, experiments=[experiment])
 
 
+@pytest.mark.compiled
 def test_markers_keep_two_protocols_of_one_bag_apart():
     plain = result(staircase()).experiments[0]
     marks = tuple((30.0 * k + 0.1, f"staircase/step {k}") for k in range(51))
@@ -101,6 +106,7 @@ def behind_leads(record, leads, count):
     return replace(record, signals=signals)
 
 
+@pytest.mark.compiled
 def test_leads_and_parallel_wires_are_taken_off_what_is_identified():
     leads, count = 0.3, 2
     shown = (staircase(seed=5, increment=0.5), ramp(seed=5))
@@ -146,8 +152,8 @@ def test_differentiated_noise_biases_the_slope_of_the_paper_and_not_the_fit():
     assert len(curves["temperature"]) == len(curves["model"]) == len(curves["voltage"])
 
 
+@pytest.mark.compiled
 def test_offset_between_the_clocks_is_told_from_thermal_inertia():
-    pytest.importorskip("numba", reason="minutes of simulations without it")
     delay = 0.02
     found, cp = found_cp(ramp(sensors=Sensors(100.0, 80.0, delay=delay), seed=1))
     # A camera's lag of some milliseconds looks like a delay: the two are known together.
@@ -157,6 +163,7 @@ def test_offset_between_the_clocks_is_told_from_thermal_inertia():
     assert any("pass for thermal inertia" in text for text in remarks(found))
 
 
+@pytest.mark.compiled
 @pytest.mark.parametrize("late", [300_000, 5_000_000, 9_700_000])
 def test_steps_of_a_ramp_that_all_come_early_or_late_between_two_readings_are_no_delay(late):
     """As on a bench in real time, where commands and readings have one clock."""
@@ -188,6 +195,7 @@ def test_without_a_jump_the_clock_offset_stays_in_the_error():
     assert cp.std / cp.informed**0.5 > 0.03 * cp.value  # before it was joined with the known
 
 
+@pytest.mark.compiled
 def test_temperature_above_austenite_start_is_noticed_and_left_out():
     found, cp = found_cp(ramp(top=4.2))
     (warning,) = [w for w in found.warnings if "above A_s" in w]
@@ -200,6 +208,7 @@ def test_temperature_above_austenite_start_is_noticed_and_left_out():
     assert any("4 of 8 ramps are left out" in text for text in remarks(found))
 
 
+@pytest.mark.compiled
 def test_second_thermal_mass_is_noticed_in_the_residuals():
     found, cp = found_cp(ramp(lag=0.1, seed=3))
     assert abs(cp.value - 350.0) < 2.5 * cp.std
@@ -213,6 +222,7 @@ def test_ramps_alone_give_specific_heat_and_coefficient_together():
     assert abs(cp.value - 350.0) < 2.5 * cp.std < 8.0
 
 
+@pytest.mark.compiled
 def test_ramps_that_contradict_the_known_heat_loss_or_do_not_warm_are_noticed():
     found, cp = found_cp(ramp(Wire(coefficient=380.0)))
     assert any("ask for a steady rise +7." in w for w in found.warnings)

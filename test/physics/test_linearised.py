@@ -132,6 +132,7 @@ def test_any_load_and_drive_at_rest_where_it_is_linearised(load, branch):
     assert_tangent(point, weights, few_time_constants(rig))
 
 
+@pytest.mark.compiled
 def test_latent_heat_slows_the_linear_model_as_it_slows_the_nonlinear_one():
     point = OperatingPoint.at_deflection(COMPOSITE, 0.5 * maximum_deflection(COMPOSITE), "heating")
     time = np.linspace(0.0, 1.0, 20001)

@@ -129,6 +129,7 @@ def test_the_composites_figures_show_rests_the_ideal_and_what_the_paper_saw(pict
     assert "residual_strain.share 0.1" in pictures[16][0].caption
 
 
+@pytest.mark.compiled
 def test_a_diagram_a_joint_fit_and_a_moving_bench_are_drawn_too(tmp_path):
     isobaric = specimens.papers_records("isobaric", PAPER)
     bent = planted_record(tmp_path / "bag", quantities=("deflection",))
@@ -230,6 +231,7 @@ def test_e6_to_e8_are_identified_from_the_bags_of_their_protocols(tmp_path):
         assert found.std < 0.05 * abs(value), name
 
 
+@pytest.mark.compiled
 def test_records_feed_the_figures_they_can_and_the_rest_stays_synthetic(other_wire):
     wire, staircase, ramp = other_wire
     bare = Record(staircase.path, 0, {"wire.current": staircase["wire.current"]})
@@ -277,8 +279,8 @@ def test_sorting_tells_what_each_record_is_good_for(other_wire):
     assert len(found["upfr"]) == 3 and "isobaric" not in found
 
 
+@pytest.mark.compiled
 def test_parameters_without_records_redraw_the_paper_for_that_wire():
-    pytest.importorskip("numba", reason="minutes of simulations without it")
     values = {"wire.resistance": 4.1, "wire.heat_transfer_coefficient": 100.0}
     page = paper_page([], PAPER.replace(values | {"wire.austenite_modulus": 70e9}))
     found = {row.symbol: row.value for name in TABLES for row in page.tables[name]}
