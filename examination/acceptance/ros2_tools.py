@@ -246,24 +246,6 @@ def test_a_qos_override_by_parameter(stage):
     assert "BEST_EFFORT" in stage.run("ros2", "topic", "info", "-v", "/qos/wire/power")
 
 
-def test_a_protocol_that_is_none_is_refused_before_anything_starts(stage):
-    bench = stage.launch(protocol="bogus", record="true", namespace="bogus")
-    bench.ends()
-    assert bench.returncode not in (0, None) and "protocol bogus: not one of" in bench.output
-    assert "process started" not in bench.output and list(stage.folder.glob("record_*")) == []
-
-
-def test_what_param_dump_writes_param_load_sets(stage):
-    nodes = ["simulator", "experiment", "twin", "identification"]
-    bench = stage.launch(namespace="dumped", twin="true")
-    until(lambda: bench.output.count("]: ready") == len(nodes), "they are not ready")
-    for node in nodes:
-        file = stage.folder / f"{node}.yaml"
-        file.write_text(stage.run("ros2", "param", "dump", f"/dumped/{node}"))
-        said = stage.run("ros2", "param", "load", f"/dumped/{node}", str(file))
-        assert "successful" in said and "failed" not in said.lower()
-
-
 def test_the_suite_does_not_mind_what_launch_does_to_logging(stage):
     """`launch_testing` is a plugin of pytest wherever it is installed."""
     tests = ["test/commands/test_cli.py", "test/nodes/test_launch_files.py"]
