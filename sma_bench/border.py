@@ -5,12 +5,16 @@ here, or spends a Budget while unfolding them; what is over ends in one line. Na
 out again as `printable` text, and files are replaced whole, by `write_files`.
 """
 
+import contextlib
+import hashlib
 import json
 import math
 import os
 import re
 import shutil
+import socket
 import stat
+import struct
 import tempfile
 import time
 from collections.abc import Mapping
@@ -32,6 +36,7 @@ _SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
 _LOOK = 16 * 1024  # bytes, between two looks at the clock
 _LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
 _LONGEST_INTEGER, _LONGEST_REASON = 80, 150  # characters
+_STILL_HELD = 2.0  # s for which a name may still be held by a process that is ending
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 
 
@@ -319,6 +324,37 @@ def make_folder(folder: Path) -> Path:
     except OSError as error:
         raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
     return folder
+
+
+def claimed(name: str, said: str = "") -> socket.socket:
+    """Hold a name, of this machine's ROS domain or of what is `said` of it to others, until the
+    socket is closed or the process ends.
+
+    Waits a moment for one that is about to end: the graph still lists nodes that were killed.
+
+    Raises InputError: it is held already, by another process or this one.
+    """
+    said = said or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
+    named = hashlib.sha1(f"{said}/{name}".encode("utf-8", "surrogateescape"))
+    address = f"\0sma_bench/{named.hexdigest()}"
+    end = time.monotonic() + _STILL_HELD
+    while True:
+        held = socket.socket(socket.AF_UNIX)
+        try:
+            held.bind(address)
+            held.listen()
+            return held
+        except OSError:
+            held.close()
+        if time.monotonic() > end:
+            holder = "unknown"
+            with socket.socket(socket.AF_UNIX) as asking, contextlib.suppress(OSError):
+                asking.connect(address)
+                size = struct.calcsize("3i")
+                peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
+                holder = str(struct.unpack("3i", peer)[0])
+            raise InputError(f"{name} is {said}: process {holder}")
+        time.sleep(0.05)
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:

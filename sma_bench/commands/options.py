@@ -20,10 +20,9 @@ from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 import click
 from click.shell_completion import CompletionItem
 
-from sma_bench.border import load_yaml, read_yaml
+from sma_bench.border import claimed, load_yaml, read_yaml
 from sma_bench.commands import COMMANDS
 from sma_bench.errors import InputError, did_you_mean
-from sma_bench.ros.processes import claimed
 
 if TYPE_CHECKING:
     from sma_bench.parameters import Parameters
@@ -167,7 +166,7 @@ class Command(click.Command):
             read = [p.name for p in self.params if p.name and not isinstance(p.type, Output)]
             given = paths_in(ctx.params.get(name) for name in read)
             try:
-                written_by_nobody_else(path for path, kind in written.values() if kind != OWN)
+                written_by_nobody_else(path for path, _ in written.values())
                 keep_safe(written, given, bool(ctx.params.get("force")))
             except InputError:
                 ctx.close()

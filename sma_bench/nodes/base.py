@@ -26,14 +26,13 @@ from rclpy.qos import QoSProfile
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from sma_bench.border import shown
+from sma_bench.border import claimed, shown
 from sma_bench.errors import InputError
 from sma_bench.parameters import TABLE, Parameter, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.yaml_file import stated_names
 from sma_bench.ros.node import LATCHED, READINGS, OneThreadExecutor, OverridableNode
-from sma_bench.ros.processes import claimed
 
 # Real-time priorities: below any of the kernel's own threads, above all else that a desk's
 # computer does. What keeps the device supplied goes first.

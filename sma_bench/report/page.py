@@ -19,7 +19,15 @@ import jinja2
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from sma_bench.border import csv_cell, is_inside, load_yaml, printable, read_bytes, write_files
+from sma_bench.border import (
+    claimed,
+    csv_cell,
+    is_inside,
+    load_yaml,
+    printable,
+    read_bytes,
+    write_files,
+)
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
@@ -168,36 +176,37 @@ def write_report(
 
     Raises:
         InputError: the folder cannot be written, holds a file of a name in the report that is not a
-            report's, or an input cannot be read any more.
+            report's, an input cannot be read any more, or another report is being written there.
     """
     directory = Path(directory)
-    if made is not None:
-        summary = f"{summary} {made.when:%Y-%m-%d}, sma_bench {VERSION}.".strip()
-        sections = [*sections, _provenance(made)]
-    pictures = [picture for section in sections for picture in section.pictures]
-    files = {}
-    for picture in in_turn(pictures, report, lambda p: p.title):
-        files[f"{picture.name}.{picture.kind}"] = picture.content
-        if column is not None and isinstance(picture, Picture):
-            files |= picture.files(column)
-    if column is not None:
-        tables = [t for section in sections for t in section.tables if t.name]
-        files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
+    with claimed(os.path.realpath(directory), "being written as a report already"):
+        if made is not None:
+            summary = f"{summary} {made.when:%Y-%m-%d}, sma_bench {VERSION}.".strip()
+            sections = [*sections, _provenance(made)]
+        pictures = [picture for section in sections for picture in section.pictures]
+        files = {}
+        for picture in in_turn(pictures, report, lambda p: p.title):
+            files[f"{picture.name}.{picture.kind}"] = picture.content
+            if column is not None and isinstance(picture, Picture):
+                files |= picture.files(column)
+        if column is not None:
+            tables = [t for section in sections for t in section.tables if t.name]
+            files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
 
-    # Nothing from elsewhere, and no other script than the page's own.
-    digest = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode("ascii")
-    policy = (
-        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
-        f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-    )
-    style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
-    page = _template().render(
-        title=title, summary=summary, sections=sections, curves_of=curves_of,
-        policy=policy, plot_style=style,
-        script=script() if any(picture.over_time for picture in pictures) else "",
-    )
-    _write_together(directory, {**files, _PAGE: page.encode("utf-8")})
-    return directory / _PAGE
+        # Nothing from elsewhere, and no other script than the page's own.
+        digest = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode("ascii")
+        policy = (
+            "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+            f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+        )
+        style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
+        page = _template().render(
+            title=title, summary=summary, sections=sections, curves_of=curves_of,
+            policy=policy, plot_style=style,
+            script=script() if any(picture.over_time for picture in pictures) else "",
+        )
+        _write_together(directory, {**files, _PAGE: page.encode("utf-8")})
+        return directory / _PAGE
 
 
 @cache

@@ -8,15 +8,11 @@ it: LOCALHOST would add sockets that are not bound, and shared memory.
 """
 
 import contextlib
-import hashlib
 import json
 import os
 import signal
-import socket
-import struct
 import subprocess
 import sys
-import time
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
 from typing import Any, Self
@@ -36,7 +32,6 @@ _NO_OTHER_PROFILE = "SKIP_DEFAULT_XML_FILE"
 _ONLY, _SERVER, _PEERS = "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_STATIC_PEERS"
 _MIDDLEWARE = "RMW_IMPLEMENTATION"
 USERS_VARIABLES = (RANGE, _ONLY, _SERVER, _PEERS, TRANSPORTS, *_PROFILES)
-_PATIENCE = 2.0  # s for which a name may still be held by a node that is ending
 _PATIENCE_AT_THE_END = 8.0  # s that a node may take to end, at each of three signals
 _PRIVATE_DOMAINS = range(120, 220)
 
@@ -97,37 +92,6 @@ def private_ros_environment() -> None:
 
 def _own_profile() -> str:
     return str(share_directory() / "config" / "dds" / "this_machine.xml")
-
-
-def claimed(name: str, said: str = "") -> socket.socket:
-    """Hold a name, of this machine's ROS domain or of what is `said` of it to others, until the
-    socket is closed or the process ends.
-
-    Waits a moment for one that is about to end: the graph still lists nodes that were killed.
-
-    Raises InputError: it is held already, by another process or this one.
-    """
-    said = said or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
-    named = hashlib.sha1(f"{said}/{name}".encode("utf-8", "surrogateescape"))
-    address = f"\0sma_bench/{named.hexdigest()}"
-    end = time.monotonic() + _PATIENCE
-    while True:
-        held = socket.socket(socket.AF_UNIX)
-        try:
-            held.bind(address)
-            held.listen()
-            return held
-        except OSError:
-            held.close()
-        if time.monotonic() > end:
-            holder = "unknown"
-            with socket.socket(socket.AF_UNIX) as asking, contextlib.suppress(OSError):
-                asking.connect(address)
-                size = struct.calcsize("3i")
-                peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-                holder = str(struct.unpack("3i", peer)[0])
-            raise InputError(f"{name} is {said}: process {holder}")
-        time.sleep(0.05)
 
 
 def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:

@@ -1,5 +1,6 @@
 """Nothing lost by accident: no command replaces what exists without --force, and no input ever."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -8,8 +9,9 @@ import click
 import pytest
 import yaml
 
+from sma_bench import border
 from sma_bench.cli import COMMANDS, load_command, main
-from sma_bench.commands.options import BAG, FILE, FOLDER, NEW, Output
+from sma_bench.commands.options import BAG, FILE, FOLDER, NEW, OWN, Output
 
 PARAMETERS = [
     (name, parameter)
@@ -109,6 +111,15 @@ main(["effects", "--json", {str(lab / "new.json")!r}])
         said = refused("effects", "--json", lab / ".." / lab.name / "new.json")
         assert f"new.json is being written already: process {first.pid}" in said
     assert main(["effects", "--json", str(lab / "new.json")]) == 0
+
+
+@pytest.mark.parametrize(("name", "option", "kind"), outputs(FILE, FOLDER, BAG, NEW, OWN))
+def test_no_command_writes_what_another_is_writing(name, option, kind, lab, refused, monkeypatch):
+    monkeypatch.setattr(border, "_STILL_HELD", 0.0)
+    before, words = content(lab), words_for(name, option, lab / "shared", lab / "given.csv")
+    with border.claimed(str(lab / "shared"), "being written already"):
+        assert f"shared is being written already: process {os.getpid()}" in refused(*words)
+    assert content(lab) == before
 
 
 @pytest.mark.parametrize(("name", "option", "kind"), outputs(FILE, FOLDER, BAG, reading=True))

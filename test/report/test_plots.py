@@ -12,6 +12,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import sma_bench
+from sma_bench import border
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records.bag_writer import write_record
@@ -92,7 +93,13 @@ def test_a_report_replaces_a_report_whole_and_nothing_else(tmp_path, monkeypatch
     assert [p.name for p in folder.iterdir()] == ["index.html"]
     (folder / "index.html").unlink()
     (folder / "notes.txt").write_text("mine")
-    write_report(folder, "one", "s", sections)
+    monkeypatch.setattr(border, "_STILL_HELD", 0.0)
+
+    def meanwhile(*_):
+        with pytest.raises(InputError, match="is being written as a report already: process"):
+            write_report(folder / ".." / "r", "two", "s", sections)
+
+    write_report(folder, "one", "s", sections, report=meanwhile)
     before = {p.name: p.read_bytes() for p in folder.iterdir()}
 
     def fail(source, target):
