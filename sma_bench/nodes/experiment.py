@@ -20,9 +20,8 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, Freshness, Guard, Limits
-from sma_bench.live.closed_loop import ClosedLoop
 from sma_bench.live.recording import BRIDGE, RECORDER, Readiness, recorder_failure
-from sma_bench.live.run import ABORTED, IDLE, OpenLoop, Run, Surroundings
+from sma_bench.live.run import ABORTED, IDLE, ClosedLoop, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, is_path

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from sma_bench.control import PI, DeflectionController, Gains, Heating, TemperatureController
 from sma_bench.control import OutputLimits as Limits
 from sma_bench.errors import InputError
-from sma_bench.live.closed_loop import ClosedLoop
+from sma_bench.live.run import ClosedLoop
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
