@@ -40,7 +40,6 @@ def test_a_wrong_number_is_within_its_error_or_warned_of(name):
         assert doubted == {"wire.heat_transfer_coefficient", "wire.specific_heat"}
 
 
-@pytest.mark.compiled
 def test_a_clean_bag_raises_no_warning():
     result = attacks.judge(attacks.clean_bag(np.random.default_rng(1), 1))
     assert result["warnings"] == [] and silent(result) == []

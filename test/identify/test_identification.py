@@ -37,7 +37,6 @@ def test_result_file_has_the_form_of_the_contract():
     assert json.loads(json.dumps(document, allow_nan=False)) == document
 
 
-@pytest.mark.compiled
 def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistance():
     record = staircase()
     del record.signals["wire.current"]

@@ -47,7 +47,6 @@ def test_numbers_share_the_errors_of_their_sensors():
     assert np.linalg.eigvalsh(correlation.matrix).min() > -1e-9
 
 
-@pytest.mark.compiled
 def test_a_calibration_puts_the_readings_right():
     wrong = {
         "current": lambda x: (x - 0.02) / 1.05,

@@ -208,7 +208,6 @@ def test_temperature_above_austenite_start_is_noticed_and_left_out():
     assert any("4 of 8 ramps are left out" in text for text in remarks(found))
 
 
-@pytest.mark.compiled
 def test_second_thermal_mass_is_noticed_in_the_residuals():
     found, cp = found_cp(ramp(lag=0.1, seed=3))
     assert abs(cp.value - 350.0) < 2.5 * cp.std
