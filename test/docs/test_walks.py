@@ -5,6 +5,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from planted import few_effects
 
 import sma_bench
 from sma_bench.cli import main
@@ -60,9 +61,17 @@ def live(_):
     return lambda: run.follow(parse_protocol(PULSE, bench))
 
 
+def diagnosed(bag):
+    def work():  # every call is looked at: beside two effects the walk is the same
+        with few_effects(("supply_drop", "latent_heat")):
+            main(["diagnose", bag])
+
+    return work
+
+
 PLAYED = {
     "A bag to R": lambda bag: lambda: main(["identify", bag]),
-    "A bag to a verdict": lambda bag: lambda: main(["diagnose", bag]),
+    "A bag to a verdict": diagnosed,
     "A volt to a temperature": live,
 }
 
