@@ -59,7 +59,7 @@ LONGEST = (
     "identify/test_checks", "nodes/test_controller_nodes", "report/test_plots",
     "commands/test_investigate", "identify/test_moving_loads", "reliability/test_lifeline",
     "identify/test_isobaric", "identify/test_composite", "identify/test_load_frame",
-)
+)  # fmt: skip
 
 # Run again when they fail, and why; the summary names every rerun. All others have one try.
 RERUN = {

@@ -63,7 +63,7 @@ def _forks():
         node.module
         for path in (ROOT / "sma_bench" / "nodes").glob("*.py")
         for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.ImportFrom)
-    }
+    }  # fmt: skip
     context.set_forkserver_preload(
         [name for name in sorted(libraries) if not name.startswith(_AFTER_THE_FORK)]
     )

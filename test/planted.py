@@ -77,7 +77,7 @@ def sensor_noise(kind, count, std, random):
 def planted_record(
     path, effects=None, *, quantities=ALL, kind="white", seed=1, turned=False, bench=None,
     protocol=None,
-):
+):  # fmt: skip
     """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""
     parameters = bench or true_bench(effects)
     channels = parameters["bench.channels"]

@@ -298,4 +298,4 @@ ATTACKS = (
         Attack(experiment, name, partial(make, **own))
         for experiment, make in _MAKERS.items() for name, own in FAULTS[experiment].items()
     ),
-)
+)  # fmt: skip

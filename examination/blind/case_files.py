@@ -126,7 +126,7 @@ def _clauses(answer: Answer) -> Iterator[tuple[str, bool]]:
     yield f"probabilities sum to {total:.4f}, expected 1", abs(total - 1.0) <= SUM_TOLERANCE
     yield f"verdict {answer.verdict} with the cause {cause}", bool(cause) == (
         answer.verdict == "effect"
-    )
+    )  # fmt: skip
     yield f"cause {cause}, not among the candidates", set(cause) <= effects
     yield "where is empty", answer.verdict == NO_GAP if place is None else bool(place.signal)
     for c in answer.candidates:

@@ -43,8 +43,12 @@ def blind() -> None:
 
 
 @blind.command("make", help="Bags with effects that only a sealed file names.")
-@click.option("--seed", type=int, required=True,
-              help="1000 to 1999: development, 2000 to 2999: frozen test, others: open")
+@click.option(
+    "--seed",
+    type=int,
+    required=True,
+    help="1000 to 1999: development, 2000 to 2999: frozen test, others: open",
+)
 @click.option("--n", default=200, show_default=True, help="cases")
 @click.option("--out", required=True, metavar="DIR", help="new folder")
 @click.option("--load", type=click.Choice(LOADS), default="beam", help="what the wires pull")
@@ -84,8 +88,12 @@ def run_cases(
 
 @blind.command("score", help="Open the labels, once all are answered, and print every measure.")
 @click.argument("folder", metavar="DIR")
-@click.option("--answers", metavar="DIR", multiple=True,
-              help="folder of answers (repeatable; default: all that lie in DIR/answers)")
+@click.option(
+    "--answers",
+    metavar="DIR",
+    multiple=True,
+    help="folder of answers (repeatable; default: all that lie in DIR/answers)",
+)
 @click.option("--jobs", type=click.IntRange(1), default=2, help="follow-ups at a time")
 @click.option("--no-follow-up", is_flag=True, help="do not perform what answers ask for")
 @click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
@@ -94,7 +102,7 @@ def run_cases(
 def score_cases(
     folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool, markdown: str | None,
     result: str | None, force: bool,
-) -> None:
+) -> None:  # fmt: skip
     from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, follow_up
     from examination.blind.score import followed_up, handed_in, open_labels, page, score

@@ -182,7 +182,7 @@ def asks_for_more(kept: Kept) -> bool:
 def follow_up(
     cases: CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee, answers: Path,
     jobs: int = 1,
-) -> None:
+) -> None:  # fmt: skip
     """Do what the examinee's answers ask for, and keep each one after it in `answers`/after_1 to
     after_3; what has been answered stays."""
     for number, name in enumerate(FOLLOW_UPS):
@@ -198,7 +198,7 @@ def follow_up(
 def _do_and_ask(
     case: Path, place: Path, seed: int, label: Mapping[str, Any], history: Sequence[Kept],
     examinee: Examinee,
-) -> str:
+) -> str:  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
         bags: list[Path] = []
         try:
@@ -220,7 +220,7 @@ def _do_and_ask(
                 signals = measure(
                     happen(world, grid, voltage), world, stage.sensors, protocol.channels, random,
                     tuple(q for q in QUANTITIES["all"] if q in wanted),
-                )
+                )  # fmt: skip
                 write_record(bags[-1], signals, "bench", _START_NS + number * _HOUR_NS)
         except InputError as error:
             keep(place.parent, place.name, None, str(error), 0.0)
@@ -233,7 +233,7 @@ def _do_and_ask(
 def after_tests(
     label: Mapping[str, Any], asked: NextExperiment, believed: Parameters,
     rng: np.random.Generator,
-) -> Parameters:
+) -> Parameters:  # fmt: skip
     """What is believed after a test of some parameters; raises InputError for one that no test
     gives."""
     stds, truth = asked.parameters, label["truth"]

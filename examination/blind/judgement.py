@@ -172,7 +172,7 @@ class Judged:
             name: claim.fraction for name, claim in said.shrinkage.items()
             if claim.fraction is not None and name in self.shrunk
             and math.isfinite(self.shrunk[name].fraction)
-        }
+        }  # fmt: skip
         if usable:
             largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
             name = "deflection" if "deflection" in usable else largest
@@ -256,7 +256,7 @@ def moved_parameters(nominal: Parameters, improved: Parameters) -> frozenset[str
     return frozenset(
         name for name, std in stated
         if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std
-    )
+    )  # fmt: skip
 
 
 # --- Measures over judged cases, with their intervals.

@@ -86,6 +86,7 @@ def size(case: Case) -> Sized:
         drawn = cases.draw({**EFFECTS, **OUTSIDE}[name], rng, case.peak_current())
         amount = natural = drawn.natural(rng)
         if target is not None:
+
             def gap(amount: float, drawn: Draw = drawn) -> float:
                 return measured(case, drawn.features(base, amount), base, quantities, COARSE)
 
@@ -98,7 +99,7 @@ def size(case: Case) -> Sized:
 def measured(
     stage: Stage, features: Features, other: Features,
     quantities: tuple[str, ...] = QUANTITIES[cases.ALL], fine: float = 1.0,
-) -> float:
+) -> float:  # fmt: skip
     """Gap over noise between two worlds: the largest over signals and records."""
     found = 0.0
     for record in RECORDS:
@@ -125,7 +126,7 @@ _SHAPES = (0.25, 0.75)  # places within the range of a setting
 def separation(
     stage: Stage, base: Features, truth: Readings, without: Readings, quantities: tuple[str, ...],
     own: str = "",
-) -> dict[str, Any]:
+) -> dict[str, Any]:  # fmt: skip
     """Distances [standard deviations] of one difference from every rival explanation, the closest
     rival with its own, and whether every rival is out of reach. `base`: features without the
     effect; `truth`, `without`: noise-free readings by record, with and without what is hidden;

@@ -273,7 +273,7 @@ class Stage:
     def play(
         self, features: Mapping[str, float], record: str, fine: float = 1.0,
         parameters: Parameters | None = None,
-    ) -> Outcome:
+    ) -> Outcome:  # fmt: skip
         """What happens in a record under these features, every 20 ms, in steps of at most
         5 ms/fine, with other parameters than the rig's true ones where they are given."""
         # What only the instruments do does not change what happens.
@@ -291,7 +291,7 @@ class Stage:
     def read(
         self, features: Mapping[str, float], record: str, fine: float = 1.0,
         parameters: Parameters | None = None,
-    ) -> dict[str, Array]:
+    ) -> dict[str, Array]:  # fmt: skip
         """What the instruments would read without noise: signal -> (n,), every 20 ms."""
         outcome = self.play(features, record, fine, parameters)
         return self.named(readings(outcome, world_of(self.truth, features), self.sensors))
@@ -316,7 +316,7 @@ def quantity_of(signal: str) -> str:
 def gaps(
     one: Mapping[str, Array], other: Mapping[str, Array], sensors: Sensors,
     quantities: Iterable[str],
-) -> dict[str, float]:
+) -> dict[str, float]:  # fmt: skip
     """Root mean square of the difference over the noise, for every signal of the quantities."""
     wanted = set(quantities)
     return {
@@ -329,7 +329,7 @@ def gaps(
 def where(
     with_effect: Mapping[str, Array], without: Mapping[str, Array], stage: Stage, record: str,
     quantities: Iterable[str],
-) -> list[dict[str, Any]]:
+) -> list[dict[str, Any]]:  # fmt: skip
     """The gap by signal, phase and side, largest share first: rows of signal, phase, side, gap
     (over noise, root mean square in the cell) and share (of the squared gaps over noise of all
     samples that the record holds)."""

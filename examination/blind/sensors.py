@@ -145,7 +145,7 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
     return {
         "voltage": outcome.voltage, "current": outcome.current, "temperature": seen,
         "deflection": read,
-    }
+    }  # fmt: skip
 
 
 def drift_shape(time: Array, seed: int) -> Array:
@@ -171,7 +171,7 @@ def shutter_offset(time: Array, seed: int) -> Array:
 def measure(
     outcome: Outcome, world: World, sensors: Sensors, channels: tuple[str, ...],
     rng: np.random.Generator, quantities: tuple[str, ...] = QUANTITIES,
-) -> list[Signal]:
+) -> list[Signal]:  # fmt: skip
     """Signals of the contract as these instruments would record an outcome on a uniform grid from
     0, whose voltage and current hold until the next time; voltages are recorded always."""
     clean = readings(outcome, world, sensors)

@@ -179,9 +179,7 @@ def lost_seconds(bag: Path, killed: float, began: float) -> float:
 # may lose.
 _TIMEOUT, _SLACK, _TO_DISK = 0.5, 1.0, 1.5
 _VOLTS = 1.0
-_HOLD = (
-    f"name: hold\nsteps:\n- {{kind: hold, name: warm, level: {_VOLTS}, duration: 600.0}}\n"
-)
+_HOLD = f"name: hold\nsteps:\n- {{kind: hold, name: warm, level: {_VOLTS}, duration: 600.0}}\n"
 
 
 # Every order of killing with every order of starting again.

@@ -25,7 +25,7 @@ RUNNERS = ("pytest-xdist", "pytest-rerunfailures")
 SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "8", "--dist", "loadfile", "--no-loadscope-reorder")
 
 # What importing launch.logging does to Python's own; launch_testing is a plugin of pytest.
-LAUNCH = '''\
+LAUNCH = """\
 import logging
 
 
@@ -37,7 +37,7 @@ class LaunchLogger(logging.getLoggerClass()):
 
 logging.root.setLevel(logging.INFO)
 logging.setLoggerClass(LaunchLogger)
-'''
+"""
 INFO = "launch_testing-0.dist-info"
 PLUGIN = {
     "launch/__init__.py": "",

@@ -98,7 +98,7 @@ class World:
             "draughts": self.draught > 0.0, "aged wires": max(self.age) > 1.0,
             "noisy sensors": self.noise > 1.0, "slow sensors": self.slow,
             "supply that sags": self.sag > 0.0, "no camera": not self.camera,
-        }
+        }  # fmt: skip
         return [name for name, true in found.items() if true]
 
     def parameters(
@@ -229,7 +229,7 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple
             world.room
             + kelvin_gain * (made.temperature_reading[kelvin_every::kelvin_every, 0] - world.room)
             + world.errors[4] - CELSIUS_ZERO
-        ) + CELSIUS_ZERO
+        ) + CELSIUS_ZERO  # fmt: skip
         silent = silences(rng, world, len(kelvins))
         powers = list(zip(volts.tolist(), amperes.tolist(), strict=True))
         temperatures, asked = kelvins.tolist(), commands.tolist()

@@ -111,7 +111,7 @@ def _started(name: str, folder: Path) -> subprocess.Popen[bytes]:
 def _stopped(
     rng: random.Random, while_starting: bool, processes: dict[str, subprocess.Popen[bytes]],
     folder: Path, node: Any,
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, dict[str, Any]]:  # fmt: skip
     """By node: s until it had ended, whether it was ready, and what was wrong, "" for nothing."""
 
     def said(name: str) -> str:

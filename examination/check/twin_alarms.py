@@ -122,9 +122,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     )  # fmt: skip
     random = np.random.default_rng(options.seed)
     print(f"alarms a week, of {options.weeks} weeks of a bench with {SIGNALS} signals; the twin's "
-          f"limit is {SURPRISING:g}")
+          f"limit is {SURPRISING:g}")  # fmt: skip
     print("drift [allowed]  time [s]  " + "  ".join(f"limit {limit:3g}" for limit in LIMITS)
-          + "  at most (95 %)")
+          + "  at most (95 %)")  # fmt: skip
     worst = 0.0
     for share, time in product(options.drift, options.time):
         counts = np.zeros(len(LIMITS), int)

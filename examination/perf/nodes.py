@@ -215,7 +215,7 @@ def _whole_bench(
             rclpy.spin_once(node, timeout_sec=0.01)
         used = sum(processor_of(process.pid) for process in processes) - before
         resident, own = (sum(_memory(process.pid, kind) for process in processes)
-                         for kind in ("Rss", "Pss"))
+                         for kind in ("Rss", "Pss"))  # fmt: skip
     finally:
         _stop(processes)
         node.destroy_node()
@@ -243,7 +243,7 @@ def _start(
         with log.open("ab") as out:
             processes.append(subprocess.Popen(
                 words, stdout=out, stderr=subprocess.STDOUT, env=tied_to_this_process()
-            ))
+            ))  # fmt: skip
     while log.read_text().count("]: ready") < 6:
         if time.monotonic() - begin > _STARTING or any(p.poll() is not None for p in processes):
             raise RuntimeError(f"the bench did not start: {log.read_text()[-400:]}")

@@ -211,13 +211,13 @@ def _clock(
         "none": [], "date and time": [dates, (title, "", written("%H:%M:%S.%f"), 0)],
         "date and whole s": [dates, (title, "", written("%H:%M:%S"), 0)],
         "mm:ss": [(title, "", [f"{int(t // 60):02d}:{t % 60:06.3f}" for t in time], 0)],
-    }
+    }  # fmt: skip
     if how in clocks:
         return clocks[how]
     forms = {
         "AM/PM": "%I:%M:%S.%f %p", "hh:mm:ss": "%H:%M:%S.%f", "whole seconds": "%Y-%m-%d %H:%M:%S",
         "ISO with zone": "%Y-%m-%dT%H:%M:%S.%f+01:00",
-    }
+    }  # fmt: skip
     if how in forms:
         return [(title, "", written(forms[how]), 0)]
     columns = [("Timestamp", "", written(f"{day} %H:%M:%S.%f"), 0)]

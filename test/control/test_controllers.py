@@ -25,7 +25,7 @@ from sma_bench.synthetic.bench_records import run_loop
 AFTER_IDENTIFICATION = {
     "wire.resistance": 0.03, "wire.heat_transfer_coefficient": 8.0, "wire.specific_heat": 10.0,
     "environment.ambient_temperature": 0.5,
-}
+}  # fmt: skip
 NUMBERS = st.floats(-1e3, 1e3)
 PAPER = Parameters.of_paper()
 WIRE = PAPER.replace({}, AFTER_IDENTIFICATION)
@@ -49,11 +49,11 @@ def run(bench, controller, reference, duration, period=PERIOD, **reading):
             lambda wanted, read, ahead: controller.step(
                 float(wanted), float(read), period, float(ahead)
             ), duration, period, **reading,
-        )
+        )  # fmt: skip
     return run_loop(
         bench, lambda plant: np.array(plant.temperature), lambda t: np.array([reference(t)]),
         lambda wanted, read, _: controller.step(wanted, read, period), duration, period, **reading,
-    )
+    )  # fmt: skip
 
 
 def lag_response(loop, reference, seconds):
@@ -94,7 +94,7 @@ THERMAL = [
     p.name for p in TABLE
     if p.uncertainty and p.default and p.name.startswith(("wire.", "env"))
     and ("temperature" not in p.name or "ambient" in p.name)
-]
+]  # fmt: skip
 LEVELS = [303.15, 308.15, 313.15, 318.15, 323.15, 328.15]  # K, below A_s
 
 
@@ -107,7 +107,7 @@ def test_staircase_below_a_s_is_tracked(wire, dwell, settling, seed):
         off_by_deviations(wire, THERMAL, seed), controller,
         lambda t: LEVELS[min(int(t / dwell + 1e-9), len(LEVELS) - 1)], dwell * len(LEVELS),
         late=1, seed=seed, **KELVIN,
-    )
+    )  # fmt: skip
     times, kelvins = (a.reshape(len(LEVELS), -1) for a in (found.time, found.actual))
     for time, kelvin, level in zip(times, kelvins, LEVELS, strict=True):
         off = kelvin - level
@@ -163,7 +163,7 @@ def test_power_toward_a_temperature_leads_there():
 @pytest.mark.parametrize("drive", [
     {"bench.drive": "duty", "bench.supply_voltage": 12.0, "bench.lead_resistance": 0.4},
     {"bench.drive": "current", "wire.count": 2, "bench.maximum_current": 8.0},
-])
+])  # fmt: skip
 def test_any_drive_holds_a_temperature_and_stays_within_the_current(drive):
     rig = WIRE.replace(drive)
     controller = TemperatureController(rig, PERIOD)
@@ -182,12 +182,12 @@ def test_any_drive_holds_a_temperature_and_stays_within_the_current(drive):
 COMPOSITE = WIRE.replace({
     "bench.channels": ["front_1", "front_2", "back_1", "back_2"],
     "bench.channel_sides": ["front", "front", "back", "back"],
-})
+})  # fmt: skip
 UNCERTAIN = [
     p.name for p in TABLE
     if p.uncertainty and p.default and p.name.startswith(("wire.", "environment.", "composite."))
     and "_per_" not in p.name
-]
+]  # fmt: skip
 FRONT = np.array([True, True, False, False])
 PEAK, RISE, REST = 0.03, 5.0, 5.0  # m, s
 CYCLE = 2.0 * (2.0 * RISE + REST)
@@ -286,7 +286,7 @@ PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
 SPRING = PAPER.replace({
     "load.kind": "spring", "load.stiffness": 800.0, "load.preload": 5.0,
     "bench.lead_resistance": 0.3,
-})
+})  # fmt: skip
 LOADS = {
     "force": PAPER.replace({"load.kind": "force", "load.force": 8.0, "bench.drive": "duty"}),
     "spring": SPRING,
@@ -294,7 +294,7 @@ LOADS = {
         **PAIR, "load.kind": "antagonist", "load.stiffness": 200.0, "load.preload": 6.0,
         "bench.drive": "current",
     }),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("load", LOADS)
@@ -357,7 +357,7 @@ def test_a_bad_number_and_a_reference_out_of_reach_are_quoted():
         (DeflectionController, [-1e-3], SPRING, ""),
         (DeflectionController, [1e-3], SPRING, "a wire with a load only shortens"),
         (DeflectionController, [-0.05], SPRING, "expected at most"),
-    ):
+    ):  # fmt: skip
         fault = controller.reference_fault(reference, bench)
         assert expected in fault and bool(expected) == bool(fault)
 

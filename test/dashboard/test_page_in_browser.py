@@ -42,7 +42,7 @@ def bench(monkeypatch):
             "lines": ["deflection: error 1.2 mm rms before, 0.2 mm after, noise 0.1 mm", EVIL],
             "rows": [],
         },
-    }.items():
+    }.items():  # fmt: skip
         made.state.show(panel, shown)
     return made
 
@@ -64,7 +64,7 @@ def test_it_shows_signals_limits_progress_nodes_and_results_as_text(browser, ben
     bench.state.show("identification", {
         "title": "2 numbers", "lines": ["a warning"],
         "rows": [("wire.resistance", "2.7 ± 0.03 ohm"), ("wire.mass", EVIL)],
-    })
+    })  # fmt: skip
     with opened(browser, url) as shown:
         shown.until(SETTLED)
         for selector, texts in {
@@ -73,7 +73,7 @@ def test_it_shows_signals_limits_progress_nodes_and_results_as_text(browser, ben
             "#plots": ["front_1 3.00 V commanded 3.00 V"],
             "#nodes": [EVIL, "gone (last: idle)"], "#diagnosis": [EVIL, "0.2 mm after"],
             "#identification-content": [EVIL, "2.7 ± 0.03 ohm", "a warning"],
-        }.items():
+        }.items():  # fmt: skip
             said = shown.text(selector)
             assert [text for text in texts if text not in said] == []
         assert shown.page.evaluate("document.getElementById('protocol-bar').value") == 0.25

@@ -33,7 +33,7 @@ def diagnosed(load, effect, drive=()):
             ("voltage", "elongation", "deflection", "force"),
         )  # fmt: skip
         for shape, seed in (("triangle", 4), ("step", 5), ("sine", 13))
-    )
+    )  # fmt: skip
     with few_effects(("latent_heat", "residual_strain", "deflection_drift")):
         return diagnose(seen, believed, [unseen])
 

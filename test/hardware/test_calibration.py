@@ -102,7 +102,7 @@ def test_sensors_and_outputs_are_those_of_the_sides():
         (SIDES, 0.08, 0.112, 0.011), (SIDES, math.inf, 0.112, 0.012),
         (SIDES, math.inf, math.inf, math.nan),
         (("front",), 0.08, 0.2, 0.010),
-    ):
+    ):  # fmt: skip
         settings["range.sensors"] = mounted
         found = read(ranges=(1.0 / front, 1.0 / back), sides=SIDES, **settings)
         assert found.deflection == pytest.approx(metres, nan_ok=True)

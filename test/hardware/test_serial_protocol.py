@@ -38,7 +38,7 @@ def test_messages_are_decoded_and_what_is_none_is_refused():
         current=pytest.approx((-0.102, 0.0)), range_voltage=pytest.approx((1.5002, 1.499)),
         duty=pytest.approx((2844 / 65536, 0.0, 0.0, 65535 / 65536)), echo=1,
         drop=pytest.approx((0.432, 0.0)),
-    )
+    )  # fmt: skip
     for body, message in (
         (TEXT, expected), (FRAME, expected), (b"K A 13841", serial_messages.Accepted("A", 13841)),
         (b"N V 6", Refused("V", 6)), (b"P 3 4294967295 5", serial_messages.Pong(3, 4294967295, 5)),
@@ -104,7 +104,7 @@ def identity(old="", new=""):
     return serial_messages.DeviceIdentity.from_lines({
         letter: Named(letter, dict(pair.split("=") for pair in text.replace(old, new).split()))
         for letter, text in HANDSHAKE.items()
-    })
+    })  # fmt: skip
 
 
 def test_handshake_gives_limits_in_si_units_or_what_it_lacks():
@@ -149,7 +149,7 @@ def window(number, period_us=10000):
 @given(
     uptime=st.integers(1000, 2_000_000), first=st.integers(1, 50),
     period=st.sampled_from((2000, 10000, 100000)),
-)
+)  # fmt: skip
 def test_a_restart_is_noticed_after_any_uptime(uptime, first, period):
     """Most of all between half a turn of the clock, 35.8 min, and a whole one."""
     status = LinkStatus()

@@ -62,7 +62,7 @@ def test_pictures_of_either_byte_order_and_padded_rows_are_read_and_a_wrong_one_
     decode = partial(thermal_image.decode_frame, (6, 4))
     for step, big, data in (
         (12, False, pixels.astype("<u2")), (12, True, pixels.astype(">u2")), (18, False, padded),
-    ):
+    ):  # fmt: skip
         frame = decode("mono16", 6, 4, step, big, data.tobytes())
         np.testing.assert_array_equal(frame, pixels)
         assert frame.dtype == np.uint16
@@ -90,7 +90,7 @@ def test_frames_that_are_frozen_stale_or_warned_of_are_held_back():
         (0.3, 0.3, "frozen", frozen.copy()), (0.4, 0.4, ""), (1.0, 1.5, "0.5 s old"),
         (1.6, 1.6, ""), (1.6, 1.65, "there before"), (1.55, 1.66, "there before"),
         (9.0, 1.7, "in the future"), (1.75, 1.75, ""),
-    ):
+    ):  # fmt: skip
         assert is_said(said, stamp, now, *frame)
     # The shutter, by its flag and by a uniform picture, which settles after it.
     assert np.ptp(camera.shutter()) < 10 < np.ptp(camera.empty())  # tenths of a kelvin

@@ -151,13 +151,14 @@ def test_a_wire_as_warm_as_its_background_is_not_invented_and_noise_is_no_wire()
 
 # --- regions
 
+
 def test_a_region_runs_along_its_longer_side_unless_told_and_a_bad_one_is_one_line():
     for text, expected in (
         ("1 2 3", "expected 'X Y WIDTH HEIGHT'"), ("a 0 30 30", "expected 'X Y WIDTH HEIGHT'"),
         ("-1 0 30 30", "expected 'X Y WIDTH HEIGHT'"),
         ("40 0 30 100", "beyond the frame of 60 x 120"),
         ("0 0 60 8 x", "expected 18 pixels or more along the wire and 14 across"),
-    ):
+    ):  # fmt: skip
         with pytest.raises(InputError, match=f"^regions: wire[^\n]*{expected}[^\n]*$"):
             Region.parse(text, WIDTH, HEIGHT, "regions: wire")
     for text, along_x in (("5 6 40 20", True), ("5 6 20 40", False), ("5 6 40 20 y", False)):
@@ -180,7 +181,7 @@ def drawn_error(random, seed):
         Surface(min(emissivity + off["emissivity"], 1.0), reflected + off["reflected"]),
         background, random.uniform(0, 5), random.uniform(0.3, 1.1), random.uniform(0.04, 0.15),
         seed,
-    )
+    )  # fmt: skip
     picture = camera.picture([kelvin], random.uniform(-25, 25)).astype(int)
     frame = (picture + round(10 * off["camera"])).astype(np.uint16)
     surface = Surface(emissivity, reflected, STDS["emissivity"], STDS["reflected"])
@@ -239,7 +240,7 @@ def test_a_cooling_wire_is_read_all_the_way_and_a_hot_one_is_lost_unless_it_can_
         (340.0, 3.0, ""), (None, 3.01, "left its region"), (350.0, 3.02, ""), (ROOM, 3.82, ""),
         (None, 3.9, "its voltage makes it 36.9 degC or more", 310.0), (330.0, 4.0, "", 310.0),
         (None, 4.01, "left its region"),
-    ):
+    ):  # fmt: skip
         frame = camera.empty() if kelvin is None else camera.picture([kelvin])
         found = own.read(frame, time, *expected)
         assert reason in found.reason and bool(reason) == bool(found.reason), time

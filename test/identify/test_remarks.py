@@ -44,7 +44,7 @@ def test_every_cause_has_its_facts_and_is_used():
 
 def test_a_text_scales_its_facts_and_keeps_numbers_in_si_units():
     found = remark("size of the expansion", "warning", value=-0.3e6, std=1e4, alpha_E_low=0.15e6,
-                   alpha_E_high=0.6e6, verdict="plausible")
+                   alpha_E_high=0.6e6, verdict="plausible")  # fmt: skip
     assert found.severity == "warning" and found.subject == "Theta_T"
     assert "Theta_T = -0.3 +- 0.01 MPa/K against -0.15 to -0.60 MPa/K" in found.text
     assert found.numbers["value"] == -0.3e6

@@ -250,7 +250,7 @@ def test_what_is_recorded_and_that_messages_of_one_tick_keep_their_order():
         ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
         ("/bench/wire/power", "sensor_msgs/msg/BatteryState"),
         ("/bench/experiment/progress", ""), ("/other/wire/power", ""),
-    ):
+    ):  # fmt: skip
         assert recorded_type(topic, "/bench/") == kind
     bag = Mock(path="bag")
     recording, tell = recording_to(bag)

@@ -33,7 +33,7 @@ KINDS = {
     "voltage_command": (Float64MultiArray,), "setpoint": (Float64MultiArray,),
     "diagnostics": (DiagnosticArray,), "gap": (DiagnosticArray, LATCHED), "thermal": (Float64,),
     "state": (String, LATCHED), "result": (String, LATCHED), "progress": (String, LATCHED),
-}
+}  # fmt: skip
 
 
 class RunningNode:

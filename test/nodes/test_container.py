@@ -132,6 +132,6 @@ def test_a_containers_command_line_is_nodes_each_with_its_own_arguments():
         ([], "no node"), (["--ros-args"], "no node"), (["serial_bridge"], "'serial_bridge', exp"),
         (["twin", "twin"], "'twin', expected"), (["-p", "speed:=2.0", "twin"], "'-p', expected"),
         (["twin", "lamp"], "'lamp', expected names of nodes"),
-    ):
+    ):  # fmt: skip
         with pytest.raises(InputError, match=said):
             contained(words)

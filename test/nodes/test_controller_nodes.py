@@ -18,13 +18,13 @@ COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
 FAST = {
     "speed": 10.0, "rate__power": 20.0, "rate__temperature": 40.0, "rate__mechanics": 40.0,
     "lockstep_patience": 60.0,
-}
+}  # fmt: skip
 LONG = 300.0
 FROM_A_TOPIC = {
     # Its temperatures are what the test says, whatever is commanded.
     "bench__temperature_tolerance": 500.0,
     "reference": "''", "autostart": True, "feedback_timeout": 1.0,
-}
+}  # fmt: skip
 
 
 def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):

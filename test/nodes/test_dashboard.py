@@ -159,9 +159,7 @@ def driven(rig):
 
 
 @pytest.mark.acceptance
-def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(
-    request, bench, uno
-):
+def test_its_stop_takes_the_emulated_unos_pulses_away_in_a_tenth_of_a_second(request, bench, uno):
     with bridged_rig(bench, uno) as rig:
         shown, measured = Dashboard(bench), []
         rig.until(lambda: "serial_bridge" in shown.panels()["stops"])

@@ -90,7 +90,7 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
         assert not result.successful and "read-only" in result.reason
     # A text is a state, the marker, or JSON that has a schema.
     texts = {p.topic_name.removeprefix("/bench/") for node in nodes.values()
-             for p in node.publishers if p.msg_type is String}
+             for p in node.publishers if p.msg_type is String}  # fmt: skip
     texts -= {marker, *(f"{name}/state" for name in NODE_TABLES if name != "recorder")}
     assert texts == json_schema.topics().keys()
     offered = {p.topic_name: p.qos_profile for p in nodes["experiment"].publishers}
@@ -98,8 +98,12 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
     assert state.reliability.name == "RELIABLE"  # was made from the profile of `progress`
     marker = offered[f"/bench/{marker}"]
     assert (marker.durability.name, marker.depth) == ("TRANSIENT_LOCAL", 1)  # for latecomers
-    for name, result in (("diagnosis", "improved"), ("diagnosis", "report"),
-                         ("identification", "output_directory"), ("investigation", "folder")):
+    for name, result in (
+        ("diagnosis", "improved"),
+        ("diagnosis", "report"),
+        ("identification", "output_directory"),
+        ("investigation", "folder"),
+    ):
         before = nodes[name].get_parameter(result).value
         (answer,) = nodes[name].set_parameters([RosParameter(result, value="/etc/x.yaml")])
         assert not answer.successful and "/etc/x.yaml lies outside output_root" in answer.reason

@@ -23,7 +23,7 @@ DRIVEN = {
     "command_rate": 100.0, "autostart": True, "feedback_timeout": 1.0,
     # Readings are what the test says, whatever is commanded.
     "bench__temperature_tolerance": 500.0, "bench__voltage_tolerance": 10.0,
-}
+}  # fmt: skip
 FROM_A_TOPIC = DRIVEN | {"reference": "''"}
 REFERENCES = {
     "temperature_controller": (Float64MultiArray, [40.0] * 4),
@@ -47,7 +47,7 @@ class Driven:
         self.given = given = {
             "experiment": DRIVEN | {"protocol": str(hold)}, "twin": {},
             "recorder": {"output": str(folder / "bag")},
-        }.get(name, FROM_A_TOPIC)
+        }.get(name, FROM_A_TOPIC)  # fmt: skip
         self.node = bench.start(name, *([] if name == "recorder" else [COMPOSITE]), **given)
         self._reference = None
         if self.drives:

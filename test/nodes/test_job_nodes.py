@@ -139,7 +139,7 @@ def test_only_records_and_results_inside_their_roots_are_taken(tmp_path, monkeyp
         (tmp_path, "Makefile", "ends in .yaml"),
         (tmp_path, "theirs.yaml", "not a file that sma-bench has written"),
         ("", "../a.yaml", "lies outside output_root .*sma_bench_results"),
-    ):
+    ):  # fmt: skip
         with pytest.raises(InputError, match=said):
             output(folder, path)
     with pytest.raises(InputError, match="not a file that sma-bench has written"):

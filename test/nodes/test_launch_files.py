@@ -129,7 +129,7 @@ def test_arguments_reach_the_nodes_and_a_camera_takes_the_place_of_true_temperat
     assert own(actions, "simulator") == {"speed": 10.0}
     assert own(actions, "experiment") == {
         "protocol": "ramp", "autostart": True, "use_sim_time": True, "require_recorder": True
-    }
+    }  # fmt: skip
     assert own(actions, "recorder") == {"output": "20261121", "use_sim_time": True}
     # Else launch_ros reads a number where the node wants a text.
     assert isinstance(node(actions, "recorder").parameters[-1]["output"], KINDS["ParameterValue"])

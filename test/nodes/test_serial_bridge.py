@@ -70,7 +70,7 @@ def assert_no_reading_is_stamped_before_its_cause(rig):
         rig.voltage, begin = (level,), len(rig.lags)
         late = rig.bench.stamped_after(
             rig.power, lambda m: m.voltage > level - 0.1, int, rig.until  # noqa: B023
-        )
+        )  # fmt: skip
         lost = max(rig.lags[begin:]) - min(rig.lags)
         assert -lost <= 1e-9 * late < 1.0
 

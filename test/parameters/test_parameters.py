@@ -122,9 +122,7 @@ def test_a_bad_file_gives_one_line_that_names_it_and_a_good_one_outlives_a_faile
 
 def test_the_committed_page_is_the_one_the_tables_generate_and_has_every_parameter():
     page = (Path(__file__).resolve().parents[2] / "docs" / "parameters.md").read_text()
-    assert page == parameter_page(), (
-        "run: ./bench parameters --markdown > docs/parameters.md"
-    )
+    assert page == parameter_page(), "run: ./bench parameters --markdown > docs/parameters.md"
     assert [p.name for p in TABLE if f"| `{p.name}` |" not in page] == []
 
 

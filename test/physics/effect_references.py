@@ -24,7 +24,7 @@ COMPOSITE = WIRE.replace({
     **FOUR, **dict(zip(INFLUENCES, (7.3e6, 8.0e6), strict=True)),
     "composite.deflection_per_strain": 1.0,
     "composite.stress_per_deflection_front": 5.0e9, "composite.stress_per_deflection_back": 4.0e9,
-})
+})  # fmt: skip
 SWITCHES = [p for p in TABLE if p.name.startswith("effect.") and p.default == 0.0]
 SECONDARY = {
     "effect.matrix_thermal_mass.inner_share": 0.3,

@@ -200,7 +200,7 @@ def test_an_imposed_motion_of_a_warming_wire_follows_the_closed_form():
     start, finish = (WIRE[f"wire.austenite_{end}_temperature"] for end in ("start", "finish"))
 
     def pulls(kelvin, metres, sigma):
-        below = (kelvin - start - sigma / WIRE["wire.stress_influence_austenite"])
+        below = kelvin - start - sigma / WIRE["wire.stress_influence_austenite"]
         xi = 0.5 * (1.0 + np.cos(np.pi * np.clip(below / (finish - start), 0.0, 1.0)))
         modulus = 55.4e9 + xi * (22.8e9 - 55.4e9)
         strain = metres / LENGTH + WIRE["wire.maximum_recoverable_strain"] * (1.0 - xi)
@@ -225,7 +225,7 @@ def test_a_live_machine_goes_where_a_recorded_one_does_and_stands_when_not_moved
     second = simulate(
         MACHINE, TIME[2000:], HEATED[2000:], elongation=moved[2000:],
         initial=simulate(MACHINE, TIME[:2001], HEATED[:2001], elongation=moved[:2001]).final,
-    )
+    )  # fmt: skip
     assert np.array_equal(second.force, found.force[2000:])
 
 

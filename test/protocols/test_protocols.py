@@ -124,7 +124,7 @@ def test_a_mistake_is_one_line_with_its_file_and_step(tmp_path):
         (tmp_path / "none.yaml", "No such file"), ("stairs", "not one of "),
         ("hold at 2 V\nfor 3 s", "yaml"), ("hold at 1 V " * 40, "yaml"),  # steps in words
         (tmp_path / f"{'x' * 400}.yaml", "too long"),
-    ):
+    ):  # fmt: skip
         line = refused(said, load_protocol, name, WIRE)
         assert name != "stairs" or "staircase" in line
     for document, said in REFUSED["references"]:
@@ -139,7 +139,7 @@ def test_a_mistake_is_one_line_with_its_file_and_step(tmp_path):
     | st.dictionaries(st.sampled_from(["kind", "steps", "repeat", "drive", "level", "duration"])
                       | st.text(max_size=4), inner, max_size=4),
     max_leaves=12,
-))
+))  # fmt: skip
 @settings(max_examples=50)
 def test_any_document_is_a_protocol_or_an_input_error(document):
     try:

@@ -151,8 +151,9 @@ def test_a_record_on_two_clocks_is_told_and_a_stalled_recorder_is_not():
     # A simulated clock that is heard in leaps, by a recorder that has much to do.
     room = np.arange(100.0)
     slow = record(ambient_temperature=(room, 296.0 + 0.1 * (room % 3)))
-    assert "turns" not in found(received(
-        slow, "ambient.temperature", np.floor(room / 1.7) * 1.7)).get("ambient.temperature", {})
+    assert "turns" not in found(
+        received(slow, "ambient.temperature", np.floor(room / 1.7) * 1.7)
+    ).get("ambient.temperature", {})
     ticks = orderly
     for name in orderly.signals:
         ticks = received(ticks, name, np.floor(CLOCK / 0.05) * 0.05)

@@ -137,7 +137,7 @@ def test_what_is_unsure_is_asked_in_one_line_and_in_the_map(
     if said == "no unit is given":  # as it is, the map answers nothing; filled in, it imports
         assert main([*words, "--map", str(asked)]) == 2 and not bag.exists()
         assert "unit is 'ask'" in capsys.readouterr().err
-        document = yaml.safe_load(asked.read_text().replace('unit: ask', 'unit: mm'))
+        document = yaml.safe_load(asked.read_text().replace("unit: ask", "unit: mm"))
         for entry in document["signals"]:
             entry["scale"] = 1e3 / 77 if entry["signal"] == "elongation" else 1.0
         asked.write_text(yaml.safe_dump(document))

@@ -21,7 +21,7 @@ NAMES = {
     "wire.temperature": ("K", float), "ambient.temperature": ("K", float),
     "front.range": ("m", np.float32), "deflection": ("m", float), "elongation": ("m", float),
     "force": ("N", float),
-}
+}  # fmt: skip
 CLOCK = np.arange(50) * 0.02
 RAMP = Signal("wire.voltage", "V", CLOCK, 1 + CLOCK)
 

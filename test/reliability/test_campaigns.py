@@ -57,9 +57,7 @@ def test_killed_recorders_lose_a_second_at_most(ros_domain, nodes_forked, tmp_pa
 
 
 @pytest.mark.slow
-def test_nodes_go_on_under_foreign_traffic_and_kills(
-    ros_domain, nodes_forked, tmp_path
-):
+def test_nodes_go_on_under_foreign_traffic_and_kills(ros_domain, nodes_forked, tmp_path):
     pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from examination.campaign.nodes import ORDERS, foreign_traffic, restarted_nodes
 

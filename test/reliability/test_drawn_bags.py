@@ -1,6 +1,5 @@
 """Other people's bags: a few as `./bench check bags` draws them, against the truth."""
 
-
 import numpy as np
 import pytest
 

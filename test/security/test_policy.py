@@ -1,6 +1,5 @@
 """The SROS 2 policy lists what the contract and the nodes themselves have, and no more."""
 
-
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")

@@ -24,7 +24,7 @@ def isobaric(
     shift: float = 0.0, directions: tuple[str, ...] = ("heating", "cooling"),
     span: tuple[float, float] = (293.15, 413.15), points: int = 600, growth: float = 0.0,
     zero: float = 0.05,
-) -> IsobaricRecord:
+) -> IsobaricRecord:  # fmt: skip
     """One cycle at one stress (Pa); eps_L may grow with stress (1/Pa)."""
     rng = np.random.default_rng(seed)
     theta, ambient = parameters["wire.thermal_expansion_factor"], 296.15
@@ -43,4 +43,4 @@ def isobaric(
             Branch(direction, t[order], strain[order], np.full(points, stress))  # type: ignore[arg-type]
         )
     return IsobaricRecord(Path(f"{stress / 1e6:.0f} MPa.txt"), f"s/{stress / 1e6:.0f} MPa {seed}",
-                          stress, "1", (Cycle(1, tuple(branches)),))
+                          stress, "1", (Cycle(1, tuple(branches)),))  # fmt: skip

@@ -63,4 +63,4 @@ def unfolding_tables(folder):
     return [
         shared_texts(folder / "often.xlsx", ROWS, texts), shared_array(folder / "often.h5"),
         dictionary_text(folder / "often.parquet"),
-    ]
+    ]  # fmt: skip

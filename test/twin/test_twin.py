@@ -149,7 +149,7 @@ LOADS = {
         "bench.lead_resistance": 0.3,
     },
     "antagonist": {"load.kind": "antagonist", "load.stiffness": 200.0, "load.preload": 6.0},
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("load", LOADS)

@@ -105,7 +105,7 @@ def beam(world: World) -> Beam:
         p["wire.austenite_modulus"], p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
         p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
         p["environment.ambient_temperature"], world.numbers,
-    )
+    )  # fmt: skip
 
 
 def pull_at_rest(beam: Beam) -> Pull:

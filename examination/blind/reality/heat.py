@@ -168,7 +168,7 @@ def strip_of(world: World) -> Strip:
         np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
         np.concatenate([skin[:-1][::-1], middle, skin[:-1]]), float(skin[-1]),
         loss / (1.0 - share), relative_film(world),
-    )
+    )  # fmt: skip
 
 
 @inlined

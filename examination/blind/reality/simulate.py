@@ -253,7 +253,7 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
         world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
         strip_of(world), np.array([front, back], dtype=np.int64).T.copy(),
         grain_classes(world), ramp_table(world.feature("kinetics_smoothness")), beam(world),
-    )
+    )  # fmt: skip
     # Cold, all martensite, never driven.
     still = float(p["environment.ambient_temperature"])
     before, after = np.full((2, wires), still)
@@ -272,4 +272,4 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
         values[:, MARTENSITE], values[:, STRESS],
         deflection=tip if world.load in ("beam", "antagonist") else -tip,
         side_deflection=sides, ambient=inputs.ambient,
-    )
+    )  # fmt: skip

@@ -147,7 +147,7 @@ def grains_at_rest(wires: int, classes: int) -> Grains:
     return Grains(
         np.ones(wires, dtype=np.bool_), np.ones(shape), np.zeros(shape), line,
         np.zeros(shape, dtype=np.int64), np.zeros((*shape, LOOPS, 3)),
-    )
+    )  # fmt: skip
 
 
 @inlined

@@ -37,7 +37,7 @@ def _read() -> tuple[Feature, ...]:
     return tuple(
         Feature(name=name, stage=stage, **numbers)
         for stage, features in by_stage.items() for name, numbers in features.items()
-    )
+    )  # fmt: skip
 
 
 FEATURES = _read()

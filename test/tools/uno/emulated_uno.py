@@ -52,7 +52,7 @@ _LAYOUT = (
     ("noise divider divider_time reference bandgap relay_time bootloader_time", ctypes.c_double),
     ("switch_is", ctypes.c_int32 * CHANNELS), ("relay_is lost_bytes", ctypes.c_int32),
     ("on_time wire_time square_time", _FOUR), ("time started longest_blocked", ctypes.c_double),
-)
+)  # fmt: skip
 
 
 _FIELDS = tuple((name, kind) for names, kind in _LAYOUT for name in names.split())
@@ -63,7 +63,7 @@ NOMINAL = {
     "clipping": 25.0,  # where its output meets its own supply, at 100 mV/A
     "noise": 2e-3, "divider": 4.0, "divider_time": 0.75e-6, "reference": 5.0, "bandgap": 1.1,
     "relay_time": 10e-3,
-}
+}  # fmt: skip
 
 
 class Electrics(ctypes.Structure):
@@ -85,7 +85,7 @@ class EmulatedUno:
             "write": (ctypes.c_char_p, ctypes.c_uint32), "reset": (ctypes.c_uint8,),
             "read": (ctypes.c_char_p, ctypes.c_uint32), "is_storing": (),
             "poke": (ctypes.c_uint16, ctypes.c_uint8),
-        }.items():
+        }.items():  # fmt: skip
             getattr(self._library, f"uno_{name}").argtypes = [ctypes.c_void_p, *kinds]
         self._uno = self._library.uno_new(str(image).encode(), seed)
         if not self._uno:
@@ -148,7 +148,7 @@ _PROGRAMS = {"avr-gcc": "gcc-avr", "avr-size": "binutils-avr", "make": "make", "
 _HEADERS = {
     "simavr/sim_avr.h": "libsimavr-dev", "libelf.h": "libelf-dev",
     "../lib/avr/include/avr/io.h": "avr-libc",
-}
+}  # fmt: skip
 
 
 def missing_tools() -> str:
@@ -183,7 +183,7 @@ def build_emulator(folder: Path) -> Path:
         ["cc", "-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared",
          "-isystem", str(_INCLUDE / "simavr"), "-o", str(library), str(HERE / "uno.c"),
          "-lsimavr", "-lelf", "-lm"],
-    )
+    )  # fmt: skip
     return library
 
 
