@@ -107,7 +107,8 @@ def simulate(
     Args:
         drive: name of a protocol or path of its file; the mapping of such a file (`steps`);
             a pair of time (n,) s and voltage (n, w) V, one column a channel, each held to the next
-            sample; or anything that `load` takes, whose measured voltages then drive the model.
+            sample, and third, under `load.kind` displacement, the imposed elongation (n,) m; or
+            anything that `load` takes, whose measured voltages (and elongation) then drive it.
         parameters: as for `load_parameters`; `bench.channels` says which rig it is.
         effects: size by name, `{"latent_heat": 12e3}`, beyond those in the parameters; other
             numbers of an effect by `name.number`.
@@ -131,7 +132,7 @@ def simulate(
             raise InputError(f"simulate: rate is {rate:g} Hz, expected 0 to 10000")
         return bench_records.simulate_protocol(protocol, bench, 1.0 / rate)
     if isinstance(drive, tuple):
-        if len(drive) != 2:
+        if len(drive) not in (2, 3):
             raise InputError(f"simulate: {len(drive)} arrays given, expected time and voltage")
         return bench_records.simulate_finely(bench, *drive)
     if isinstance(drive, str) and not os.path.exists(drive):

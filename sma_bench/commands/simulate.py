@@ -1,4 +1,5 @@
-"""sma-bench simulate: the paper's model on a protocol or on the voltages of a bag."""
+"""sma-bench simulate: the paper's model on a protocol or on the voltages of a bag, and on the
+elongation that a testing machine imposed."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +15,9 @@ _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
 
 @options.command("simulate")
 def run(args: SimpleNamespace) -> int:
+    from sma_bench.findings import Finding
+    from sma_bench.live.virtual_bench import STANDS
+    from sma_bench.parameters.parameters import load_kind
     from sma_bench.physics.effects import effect_values
     from sma_bench.protocols import load_protocol
     from sma_bench.records import read_record
@@ -52,6 +56,8 @@ def run(args: SimpleNamespace) -> int:
         start_ns, writing = record.start_ns if record else 0, part(report, _INSTRUMENTS[1], 1.0)
         write_record(Path(args.out), signals, start_ns=start_ns, report=writing, replace=args.force)
     findings = bench.limits_passed(simulation)
+    if protocol is not None and load_kind(simulation.parameters) == "displacement":
+        findings.append(Finding("warning", "load.kind", STANDS))
     if args.json:
         write_json(args.json, {
             "bag": args.out, "protocol": args.protocol, "input": args.input,

@@ -23,6 +23,7 @@ from sma_bench.protocols import Protocol
 from sma_bench.records.record import Signal
 
 NANOSECONDS = 1_000_000_000
+STANDS = "nothing imposes a motion here, the elongation is held at 0"
 RATES = ("power", "temperature", "mechanics", "ambient")
 
 

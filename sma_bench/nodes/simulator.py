@@ -14,11 +14,13 @@ from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.live.virtual_bench import (
     NANOSECONDS,
     REAL_TIME,
+    STANDS,
     GroupReading,
     Lockstep,
     VirtualBench,
 )
 from sma_bench.nodes.base import BenchNode
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.ros.node import COMMAND, READINGS, BenchTopics, Commanders
 
 _REAL_TIME_SLICE = 0.01  # s: a bench answers within 10 ms, the period of its power readings
@@ -69,6 +71,8 @@ class Simulator(BenchNode):
         self._commanders = Commanders(self)
         self.every(max(slice_length / speed, _SHORTEST_TICK), self._tick)
         self.get_logger().info(f"simulating {', '.join(channels)}, {speed:g} s a second")
+        if load_kind(self.parameters) == "displacement":
+            self.get_logger().warning(f"load.kind displacement: {STANDS}")
 
     def on_command(self, message: Float64MultiArray) -> None:
         sender, fault = self._commanders.judge(message, self._bench.channels)

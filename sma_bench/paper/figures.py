@@ -75,7 +75,7 @@ def composite_run(
         InputError: the record lacks the voltage of a channel, or a deflection.
     """
     measured = next(m for m in find_rig(record, parameters).measured if m.quantity == "deflection")
-    driven, time, voltage = drive_of(record, parameters)
+    driven, time, voltage, _ = drive_of(record, parameters)
     simulated, lifelike = simulate(driven, time, voltage).deflection, None
     if with_rest_deflection:
         lifelike = simulate(driven.replace(RESTS_BENT), time, voltage).deflection

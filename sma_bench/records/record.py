@@ -15,7 +15,7 @@ from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import as_recorded
+from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.records.contract import unit_of
 
 FloatArray = NDArray[np.float64]
@@ -287,13 +287,32 @@ def require_pandas() -> Any:
 # --- The voltages that a bench applied, on one clock.
 
 
-def drive_of(record: Record, parameters: Parameters) -> tuple[Parameters, FloatArray, FloatArray]:
-    """The bench as a record shows it, time (n,) s and volts (n, w) that drive it: of a current
-    source whose current alone was measured the command that stands for it. Raises InputError: the
-    record lacks what drives a channel."""
+def drive_of(
+    record: Record, parameters: Parameters
+) -> tuple[Parameters, FloatArray, FloatArray, FloatArray | None]:
+    """The bench as a record shows it, time (n,) s, volts (n, w) that drive it, of a current source
+    whose current alone was measured the command that stands for it, and the elongation (n,) m that
+    was imposed, None but for `load.kind` displacement. Raises InputError: the record lacks what
+    drives a channel, or that elongation."""
     record, ohms = with_commands(record, parameters)
     bench = parameters if ohms else as_recorded(parameters)
-    return bench, *held_voltages(record, parameters["bench.channels"])
+    time, volts = held_voltages(record, parameters["bench.channels"])
+    if load_kind(parameters) != "displacement":
+        return bench, time, volts, None
+    moments, metres = imposed_elongation(record)
+    both = np.union1d(time, moments[(moments > time[0]) & (moments < time[-1])])
+    volts = volts[np.searchsorted(time, both, side="right") - 1]
+    return bench, both, volts, np.interp(both, moments, metres)
+
+
+def imposed_elongation(record: Record) -> tuple[FloatArray, FloatArray]:
+    """Time (n,) s and elongation (n,) m that a testing machine went through. Raises InputError: the
+    record does not have it."""
+    if not has_samples(record, "elongation"):
+        raise InputError(
+            f"{record.path}: no elongation, expected the imposed one with load.kind displacement"
+        )
+    return samples(record, "elongation")
 
 
 def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float]:

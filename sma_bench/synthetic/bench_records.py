@@ -44,11 +44,17 @@ _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress"
 # --- A simulated bench, and its signals.
 
 
-def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike) -> Simulation:
+def simulate_finely(
+    parameters: Parameters, time: ArrayLike, voltage: ArrayLike,
+    elongation: ArrayLike | None = None,
+) -> Simulation:
     """`simulate` at the samples time (n,) s and voltage (n, w) V, held to the next sample, in steps
-    between them that are short enough for effects. Raises InputError: as `simulate`."""
+    between them that are short enough for effects; elongation (n,) m as there. Raises InputError:
+    as `simulate`."""
     fine, volts, first = _refined(parameters, time, voltage)
-    run = simulate(parameters, fine, volts)
+    if elongation is not None and len(fine) > np.size(time) == np.size(elongation):
+        elongation = np.interp(fine, np.asarray(time), np.asarray(elongation))
+    run = simulate(parameters, fine, volts, elongation=elongation)
     if len(first) == len(run.time):
         return run
     return replace(run, **{name: getattr(run, name)[first] for name in _OF_SAMPLES})
@@ -88,10 +94,11 @@ def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float)
     edges = np.unique(np.append(starts, len(fine) - 1))
     force = protocol.forces(time, bench["load.force"])
     held = np.interp(fine[edges], time, force) / channel_section(bench)
-    pulled = Bench(bench, boundary=Boundary.held_stress(float(held[0])))
+    frame = Boundary(friction=Boundary.of(bench).friction)
+    pulled = Bench(bench, boundary=replace(frame, load=float(held[0])))
     parts = []
     for start, stop, stress in zip(edges[:-1], edges[1:], held[1:].tolist(), strict=True):
-        pulled.pull_against(Boundary.held_stress(stress))
+        pulled.pull_against(replace(frame, load=stress))
         parts.append(pulled.follow(fine[start : stop + 1], volts[start : stop + 1]))
     joined: dict[str, Any] = {}
     for name in _OF_SAMPLES:

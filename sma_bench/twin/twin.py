@@ -13,9 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import as_recorded
+from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics.boundary import side_names
 from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, BinStatistics, Comparison
 from sma_bench.twin.free_run import FreeRun, MeasuredVoltages
@@ -98,7 +99,10 @@ class Twin:
         self, parameters: Parameters, settings: Settings,
         on_prediction: Callable[[Prediction], None], on_residual: Callable[[Residual], None],
     ) -> None:
-        """`settings` are the twin node's own parameters; the callbacks get the output."""
+        """`settings` are the twin node's own parameters; the callbacks get the output. InputError:
+        a bench whose motion is imposed, which the twin is not told in time."""
+        if (kind := load_kind(parameters)) == "displacement":
+            raise InputError(f"twin: load.kind is {kind}, expected a load that follows the wires")
         self._parameters = as_recorded(parameters)  # readings are direct volts, whatever switches
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]

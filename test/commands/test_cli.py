@@ -6,12 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hostile_texts import VALUES
 
+import sma_bench
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.records import read_record
+from sma_bench.records.bag_writer import write_record
+from sma_bench.synthetic.bench_records import signals_of
 
 LONGEST_NAME = 255  # of a file, of Linux
 ROOT = Path(__file__).resolve().parents[2]
@@ -53,6 +57,29 @@ def test_simulated_bag_holds_the_protocol_and_its_steady_state(tmp_path, capsys)
     assert "a bench of a, b" in line and "one of wire" in line
     assert "config/wire_rig.yaml" in line
     assert len(refuse(capsys, "info", "x" * 5000)) < LONGEST_LINE + 30
+
+
+def test_a_machine_moves_as_its_bag_says_and_stands_in_a_protocol(tmp_path, capsys):
+    machine, bag, again = {"load.kind": "displacement"}, tmp_path / "bag", tmp_path / "again"
+    time = np.arange(0.0, 30.0, 0.05)
+    moved = np.interp(time, [3.0, 12.0, 24.0], [0.0, 5e-4, 1e-4])
+    true = sma_bench.simulate((time, 0.1 * time, moved), machine)
+    without = [s for s in signals_of(true) if s.name != "force"]
+    write_record(bag, without)
+    words = ["--set", "load.kind=displacement", "--out"]
+    assert main(["simulate", "--input", str(bag), *words, str(again)]) == 0
+    found = read_record(again)
+    for name, exact in (("force", true.force[:, 0]), ("elongation", moved)):
+        actual = np.interp(time, found[name].time, found[name].values)
+        assert actual == pytest.approx(exact, abs=1e-5 * np.ptp(exact)), name
+    capsys.readouterr()
+    ramp = ["simulate", "--protocol", "ramp", "--rate", "20", *words, str(tmp_path / "ramp")]
+    assert main(ramp) == 0
+    assert "the elongation is held at 0" in " ".join(capsys.readouterr().out.split())
+    assert not np.any(read_record(tmp_path / "ramp")["elongation"].values)
+    write_record(tmp_path / "bare", [s for s in without if s.name != "elongation"])
+    line = refuse(capsys, "simulate", "--input", tmp_path / "bare", *words, tmp_path / "no")
+    assert "no elongation, expected the imposed one with load.kind displacement" in line
 
 
 @pytest.mark.parametrize("words", ["audit --json", "simulate --protocol ramp --out",

@@ -8,6 +8,7 @@ from planted import ONE_WIRE, true_bench
 from scipy.signal import lfilter
 
 from examination.check import twin_alarms
+from sma_bench.errors import InputError
 from sma_bench.live.virtual_bench import VirtualBench
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -297,3 +298,8 @@ def test_rates_and_patience_may_change_while_it_runs():
         stream.run(1.0, heard=False)
         stream.run(1.0)
         assert stream.twin.restarts == restarts
+
+
+def test_a_twin_is_not_told_in_time_what_a_testing_machine_does():
+    with pytest.raises(InputError, match="twin: load.kind is displacement, expected a load"):
+        Stream(CLAMPED, CLAMPED.replace({"load.kind": "displacement"}))
