@@ -27,10 +27,10 @@ _WIRE = {
     ),
     "state": (
         "TEMPERATURE", "FRACTION", "STRESS", "TREND", "CHANGE", "PHASE_REVERSED", "OWN_REVERSED",
-        "OTHER_REVERSED", "OTHER_POSITION_REVERSED", "CLOCK", "READING", *["PLAY"] * PLAYS,
+        "OTHER_REVERSED", "OTHER_POSITION_REVERSED", "CLOCK", "READING", "RETREAT", *["PLAY"] * PLAYS,
     ),
     # temperature = START + LAG xi; OFFSET is strain beyond the contract's
-    "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET"),
+    "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET", "STRETCHED"),
 }
 _SIDE = {
     # sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED; if COUPLED, the sum less that

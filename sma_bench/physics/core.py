@@ -12,7 +12,9 @@ Dry friction F_s is against the motion; within +-F_s of balance the side stays w
 Two sides that pull on one slider are one equation: the sum of the front's stresses less that of the
 back's, e_back = -e_front.
 
-A wire's temperature is monotone within the step, so reversals fall on samples.
+A wire's temperature is monotone within the step, so reversals fall on samples. A wire whose ends
+are moved turns where T - sigma/C_A would, did it only stretch: that is what its phase goes by, and
+at a held temperature all that changes.
 
 All lies in two plain arrays (columns.py): `wires` (w, WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS);
 `i` is a wire, `side` a side. `run` allocates nothing, so no function counts references, and those
@@ -52,6 +54,7 @@ BISECTION_LIMIT = 200
 BRACKET = 1e-15
 REGIME_LIMIT = 12
 LARGEST_STRAIN = 1e6
+TURN = 0.3  # K, by which what drives the phase goes back before it is no error of an encoder
 
 
 # --- What effects change of a step; a new one's `added_strain` and `after_step` are found here.
@@ -332,6 +335,18 @@ def set_step(wires, step):
         wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
 
 
+@borrowing
+def turn_by_drive(wires, i, excess):
+    """Turn a wire whose ends are moved when T - sigma/C_A, did it only stretch, has gone back."""
+    modulus = wires[i, at.AUSTENITE_MODULUS] + wires[i, at.FRACTION] * wires[i, at.MODULUS_CHANGE]
+    falls = excess * (1.0 - wires[i, at.DECAY])
+    falls += modulus * wires[i, at.STRETCHED] * wires[i, at.AUSTENITE_SHIFT]
+    wires[i, at.RETREAT] = max(wires[i, at.RETREAT] + falls * wires[i, at.TREND], 0.0)
+    if wires[i, at.RETREAT] > TURN:
+        wires[i, at.RETREAT] = 0.0
+        reverse(wires, i, -wires[i, at.TREND])
+
+
 @inlined
 def heat(wires, voltage, k, step):
     """Temperatures at the end of the step, as far as they do not depend on xi; reversals."""
@@ -341,7 +356,9 @@ def heat(wires, voltage, k, step):
         else:
             steady = wires[i, at.AMBIENT] + wires[i, at.HEATING] * voltage[k, i] * voltage[k, i]
         excess = wires[i, at.TEMPERATURE] - steady
-        if excess * wires[i, at.TREND] > 0.0:
+        if wires[i, at.STRETCHED] != 0.0:
+            turn_by_drive(wires, i, excess)
+        elif excess * wires[i, at.TREND] > 0.0:
             reverse(wires, i, -wires[i, at.TREND])
         wires[i, at.START] = steady + excess * wires[i, at.DECAY]
         wires[i, at.START] -= wires[i, at.LAG] * wires[i, at.FRACTION]
@@ -421,6 +438,15 @@ def settle(wires, sides, step):
 
 
 @borrowing
+def impose(wires, sides, side, contraction):
+    """Move the ends of a side's wires."""
+    for i in range(wires.shape[0]):
+        if wires[i, at.SIDE] == side:
+            wires[i, at.STRETCHED] = sides[side, at.CONTRACTION] - contraction
+    sides[side, at.CONTRACTION] = contraction
+
+
+@borrowing
 def run(time, voltage, wires, sides, history, strain):
     """Advance a bench over all samples of one drive, recording it at each.
 
@@ -451,10 +477,10 @@ def run(time, voltage, wires, sides, history, strain):
                 for side in range(sides.shape[0]):
                     if sides[side, at.PULLS_OTHERWISE] > 0.0:
                         prepare_side(wires, sides, side, step)
-            heat(wires, voltage, k - 1, step)
             for side in range(sides.shape[0]):
                 if sides[side, at.PRESCRIBED] > 0.0:
-                    sides[side, at.CONTRACTION] = strain[0, k, side]
+                    impose(wires, sides, side, strain[0, k, side])
+            heat(wires, voltage, k - 1, step)
             solve(wires, sides)
             settle(wires, sides, step)
         for i in range(wires.shape[0]):

@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import wire_length, wire_length_from_mass
 from sma_bench.physics import Bench, simulate
 from sma_bench.physics.bending import channel_section
@@ -193,8 +193,8 @@ def test_an_imposed_ramp_on_a_cold_wire_pulls_it_by_its_modulus():
 
 
 def test_an_imposed_motion_of_a_warming_wire_follows_the_closed_form():
-    """While the temperature rises, xi is f(T, sigma) whichever way the ends move."""
-    moved = 2e-4 + 3e-4 * np.sin(0.4 * TIME)
+    """While it warms faster than it is pulled, xi is f(T, sigma) whichever way the ends move."""
+    moved = 2e-4 + 5e-5 * np.sin(0.4 * TIME)
     found = simulate(MACHINE, TIME, np.sqrt(0.4 * TIME), elongation=moved)
     assert 0.02 < found.martensite_fraction[-1, 0] < 0.9
     start, finish = (WIRE[f"wire.austenite_{end}_temperature"] for end in ("start", "finish"))
@@ -211,6 +211,33 @@ def test_an_imposed_motion_of_a_warming_wire_follows_the_closed_form():
         sigma = brentq(lambda s: pulls(kelvin, moved[k], s)[0] - s, -1e9, 3e9)  # noqa: B023
         assert found.force[k, 0] == pytest.approx(SECTION * sigma, rel=1e-6, abs=1e-6)
         assert found.martensite_fraction[k, 0] == pytest.approx(pulls(kelvin, moved[k], sigma)[1])
+
+
+def test_at_a_held_temperature_a_pulled_wire_goes_by_one_branch_and_comes_back_by_the_other():
+    """Superelasticity: martensite by g(T, sigma) while it is pulled, austenite by f on the way
+    back, where the temperature changes by rounding only."""
+    moved = LENGTH * np.interp(TIME, [0.0, 10.0, 40.0, 70.0], [0.0, -0.045, 0.02, -0.045])
+    found = simulate(MACHINE, TIME, 6.0 + 0.0 * TIME, elongation=moved)
+    kelvin, (a_s, a_f, m_s, m_f) = found.temperature[-1, 0], (WIRE[n] for n in TRANSITIONS.values())
+    influences = [WIRE[f"wire.stress_influence_{phase}"] for phase in ("martensite", "austenite")]
+    offset = WIRE["wire.thermal_expansion_factor"] * (kelvin - 296.15)
+
+    def branch(sigma, pulled):
+        low, high, influence = (m_f, m_s, influences[0]) if pulled else (a_s, a_f, influences[1])
+        part = np.clip((kelvin - sigma / influence - low) / (high - low), 0.0, 1.0)
+        return 0.5 * (1.0 + np.cos(np.pi * part))
+
+    def excess(sigma, metres, pulled):
+        xi = branch(sigma, pulled)
+        strain = metres / LENGTH + WIRE["wire.maximum_recoverable_strain"] * (1.0 - xi)
+        return (55.4e9 + xi * (22.8e9 - 55.4e9)) * strain + offset - sigma
+
+    for k in (*range(600, 2000, 100), *range(2001, 3500, 100)):
+        sigma = brentq(excess, -1e9, 3e9, args=(moved[k], k < 2000))
+        assert found.stress[k, 0] == pytest.approx(sigma, rel=1e-6, abs=1e3)
+    assert found.martensite_fraction[[600, 2000], 0] == pytest.approx([0.0, 1.0], abs=1e-9)
+    pull, release = (found.force[k, 0] for k in (1500, 2500))  # at one elongation
+    assert moved[1500] == pytest.approx(moved[2500]) and pull > release + 1.5
 
 
 def test_a_live_machine_goes_where_a_recorded_one_does_and_stands_when_not_moved():
