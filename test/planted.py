@@ -138,6 +138,7 @@ def few_effects(names=FEW):
 # --- Wires that pull a weight, a spring, each other or a beam.
 
 INFLUENCES = ("wire.stress_influence_austenite", "wire.stress_influence_martensite")
+ENCODER = 2e-6  # m, of a testing machine
 READ_WITHIN = {"elongation": 2e-5, "deflection": 2e-5, "force": 0.02}  # m, m, N
 
 
@@ -166,13 +167,24 @@ def strokes(bench, shape, period, duration, top=5.5):
     return time, volts
 
 
+def machine_drive(bench, shape, period, duration, top=5.5):
+    """The same strokes of a wire between grips that go to and fro, with rests: time, volts and the
+    elongation [m] that is imposed."""
+    rough, volts = strokes(bench, shape, period, duration, top)
+    time = np.arange(0.0, rough[-1], 0.004)  # a force that is read to 0.1 % tells 20 ms of a drive
+    turn, corners = (time / (1.4 * period)) % 1.0, [0.0, 0.15, 0.45, 0.6, 0.8]
+    moved = np.interp(turn, corners, [0.0, -2e-3, -2e-3, 2e-4, 0.0])
+    return time, np.interp(time, rough, volts[:, 0]), moved
+
+
 def moving_record(bench, drive, seed, keep=("voltage", "elongation", "deflection")):
-    """What sensors read of a bench under (time, volts)."""
+    """What sensors read of a bench under (time, volts), or (time, volts, elongation)."""
     random, signals = np.random.default_rng(seed), {}
     for s in signals_of(simulate_finely(bench, *drive)):
         quantity = s.name.rpartition(".")[2]
         if quantity in keep:
-            noise = READ_WITHIN.get(quantity, 0.0)
+            within = READ_WITHIN | ({"elongation": ENCODER} if len(drive) > 2 else {})
+            noise = within.get(quantity, 0.0)
             values = s.values + noise * random.standard_normal(len(s.values))
             signals[s.name] = Signal(s.name, s.unit, s.time, values)
     return Record(Path("moving"), 0, signals)

@@ -143,6 +143,7 @@ def diagnose(
     unrelated = [
         replace(f, subject=f"{record.path}, {f.subject}")
         for record in whole for f in check_response(record)
+        if f.subject != "elongation" or load_kind(parameters) != "displacement"
     ]
     if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
         whole = [
@@ -223,7 +224,7 @@ def diagnose(
     if share < _OF_ONE_KIND:
         text += ": how far the gap shrinks under drives of another kind was not tried"
     measured = {quantity for obs in observations for quantity in obs.quantities}
-    moves = load_kind(parameters) != "clamped"
+    moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(
         verdict=verdict,
         cause=candidates[0].effects if verdict == "effect" else (),

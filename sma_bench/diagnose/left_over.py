@@ -162,7 +162,7 @@ def _features(obs: Observation, simulation: Simulation) -> list[tuple[Key, Array
     found = []
     clock = (obs.grid - obs.grid[0]) / 100.0
     for signal in obs.signals:
-        of = _of_motion if signal.quantity == "deflection" else _of_wire
+        of = _of_motion if signal.quantity in ("deflection", "force") else _of_wire
         histories = [clock, clock**2, *of(signal, obs, simulation)]
         histories += [np.ones_like(clock)] if signal.quantity == "current" else []
         block = np.column_stack([signal.average @ h for h in histories]) * signal.noise

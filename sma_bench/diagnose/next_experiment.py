@@ -374,8 +374,10 @@ def _planned(
             average=average, count=np.full(len(rows), float(np.median(signal.count))),
         ))  # fmt: skip
     noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more}
+    stands = None if like.imposed is None else np.full(len(time), like.imposed[0])
     obs = replace(
-        like, grid=time, voltage=voltage, signals=tuple(signals), path=document["name"], delays={}
+        like, grid=time, voltage=voltage, signals=tuple(signals), path=document["name"], delays={},
+        imposed=stands,
     )
     # Where a level is held for longer than ever, the wires get hotter than they were.
     hottest = float(obs.simulate(fitted.parameters).temperature.max())

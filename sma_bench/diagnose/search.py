@@ -200,6 +200,8 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     in yet."""
     stated, load, law = stated_effects(parameters), load_kind(parameters), parameters["wire.law"]
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
+    # Where the motion is imposed, the force shows what else shows in the motion.
+    quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
     return [
         name for name, effect in EFFECTS.items()
         if name not in known and load in effect.loads and law in effect.laws

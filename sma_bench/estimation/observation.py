@@ -1,7 +1,8 @@
 """A record as the engine sees it: the drive on a grid of cells, every signal in bins of time.
 
 Each bin of each signal is a row of an averaging matrix on what the simulation does on the grid. The
-loads or clamps of a load frame are boundaries of the simulation, on the same grid.
+loads or clamps of a load frame are boundaries of the simulation, on the same grid; what a testing
+machine imposed is an input, as the drive.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -20,7 +21,7 @@ from sma_bench.estimation.unknowns import LOADS
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage, commands_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind, wire_length
-from sma_bench.physics import simulate
+from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.kernel import at_rest
 from sma_bench.physics.material import current, time_constant
@@ -28,6 +29,7 @@ from sma_bench.physics.simulate import Bench, Simulation
 from sma_bench.records.record import (
     Record,
     has_samples,
+    imposed_elongation,
     ohms_of_source,
     require_channels,
     samples,
@@ -58,6 +60,7 @@ _FEWEST_SAMPLES = 20
 _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
+_ZERO_STD = 1e-4  # m, of where a testing machine's elongation is 0, by a careful hand
 _MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
 _HISTORIES = (
     "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction", "bending",
@@ -132,6 +135,8 @@ class Observation:
         grid: (n,) s; voltage: (n, w) V held over each cell; drive: the voltages as read.
         left_out: what the record holds that is not compared.
         holds: what a load frame did, empty for the composite and a bare wire.
+        imposed: (n,) m, elongation at each grid time, where a testing machine moves; one hold is
+            then its zero.
         place: (e,) of the jumps between their two samples; delays: s, by quantity, of stamps.
         ohms: volts for an ampere, where a current source's current stands for its voltage; or 0.
     """
@@ -145,6 +150,7 @@ class Observation:
     signals: tuple[BinnedSignal, ...]
     left_out: tuple[str, ...]
     holds: tuple[Hold, ...] = ()
+    imposed: Array | None = None
     place: Array | float = 0.0
     delays: Mapping[str, float] = field(default_factory=dict)
     ohms: float = 0.0
@@ -170,12 +176,14 @@ class Observation:
         wanted = np.arange(self.grid[0], self.grid[-1], cell) if cell > 0.0 else self.grid
         nearest = np.searchsorted(0.5 * (self.grid[1:] + self.grid[:-1]), wanted)
         grid = self.grid[np.unique(np.append(nearest, len(self.grid) - 1))]
-        if self.holds or len(grid) > _WORTHWHILE * len(self.grid):
+        stepwise = bool(self.holds) and self.imposed is None
+        if stepwise or len(grid) > _WORTHWHILE * len(self.grid):
             return self
         onto = _interpolation(grid, self.grid)
         volts = self.drive.on_grid(grid, self.place + np.zeros(len(self.drive.early)))
         signals = tuple(replace(s, average=s.average @ onto) for s in self.signals)
-        return replace(self, grid=grid, voltage=volts, signals=signals)
+        imposed = None if self.imposed is None else np.interp(grid, self.grid, self.imposed)
+        return replace(self, grid=grid, voltage=volts, signals=signals, imposed=imposed)
 
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
@@ -191,6 +199,13 @@ class Observation:
         volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
         if not self.holds:
             return simulate(parameters, self.grid, volts, initial=at_rest(parameters))
+        if self.imposed is not None:
+            moved = self.imposed + (0.0 if loads is None else float(loads[0]))
+            load = Boundary.imposed(parameters, float(moved[0]))
+            return simulate(
+                parameters, self.grid, volts, initial=at_rest(parameters, load), boundary=load,
+                elongation=moved,
+            )
         # One hold after the other, each from the last sample of the one before.
         errors = np.zeros(len(self.holds)) if loads is None else loads
         begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
@@ -294,7 +309,8 @@ def _course(quantity: str, simulation: Simulation) -> Array:
     if quantity == "elongation":
         return -wire_length(simulation.parameters) * simulation.contraction[:, :1]
     if quantity in ("temperature", "force"):
-        return simulation.force if quantity == "force" else simulation.temperature_reading
+        whole = simulation.force.sum(axis=1)[:, np.newaxis]
+        return whole if quantity == "force" else simulation.temperature_reading
     state = simulation.temperature, simulation.martensite_fraction
     return current(simulation.parameters, 1.0, *state)
 
@@ -336,6 +352,7 @@ class Rig:
     holds: tuple[Hold, ...]
     measured: tuple[Measured, ...]
     ohms: float
+    moved: tuple[Array, Array] | None  # s and m, of a testing machine
 
 
 def find_rig(record: Record, parameters: Parameters) -> Rig:
@@ -357,8 +374,17 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
     voltage = applied_voltage(voltages, commands)
     start = min(float(time[0]) for time, _ in voltages)
     stop = max(float(time[-1]) for time, _ in voltages)
-    moves = pulls_a_load(record, parameters)
-    holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
+    moves, moved = pulls_a_load(record, parameters), None
+    if load_kind(parameters) == "displacement":
+        time, metres = imposed_elongation(record)
+        if len(time) < _FEWEST_SAMPLES:
+            raise InputError(f"{record.path}: {len(time)} samples of elongation, too few to impose")
+        # Ramps and holds are freed of their noise as those of a voltage; in tenths of the stroke.
+        unit = 0.1 * float(np.ptp(metres)) or 1.0
+        moved = time, unit * applied_voltage([(time, metres / unit)]).channels[0].voltage
+        holds: tuple[Hold, ...] = (Hold(start, stop, True, 0.0, _ZERO_STD),)
+    else:
+        holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
 
     # What is measured. Of a record with one wire of a beam, or a bare one of the same alloy, the
     # tip is not asked.
@@ -408,7 +434,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         raise InputError(
             f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
         )
-    return Rig(record, channels, sides, voltage, start, stop, holds, tuple(measured), ohms)
+    return Rig(record, channels, sides, voltage, start, stop, holds, tuple(measured), ohms, moved)
 
 
 def pulls_a_load(record: Record, parameters: Parameters) -> bool:
@@ -487,6 +513,8 @@ def observe(
     if np.max(np.abs(level)) > _DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
         begin = start + _FORGOTTEN * forgets
         known = [m.where(m.time >= begin) for m in known if np.sum(m.time >= begin) > 1]
+    if rig.moved is not None and "deflection" in quantities:  # of which the force tells instead
+        quantities = {*quantities, "force"}
     known = [m for m in known if m.quantity in quantities]
     if not known and any(m.quantity in quantities for m in rig.measured):
         raise InputError(
@@ -505,7 +533,7 @@ def observe(
         str(record.path), rig.channels, rig.sides, grid,
         rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
         tuple(m.name for m in rig.measured if m.quantity not in quantities), rig.holds,
-        ohms=rig.ohms,
+        None if rig.moved is None else np.interp(grid, *rig.moved), ohms=rig.ohms,
     )
 
 

@@ -407,6 +407,7 @@ def unknowns_of_records(
 
     names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
+    load_frame |= load_kind(parameters) == "displacement"
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         if own:

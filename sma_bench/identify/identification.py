@@ -25,6 +25,7 @@ from sma_bench.identify.result import Experiment, Identification, SignalFit, rem
 from sma_bench.identify.run import SIGNIFICANT, IdentificationRun, about_wire
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
 from sma_bench.records.check import check_record, mended
@@ -97,9 +98,12 @@ def identify(
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
+    imposed = "elongation" if load_kind(known) == "displacement" else ""  # as no wire moves
     for record in bags:
         run.notes.extend(record.findings)
-        checked = (f for f in check_record(record) if f.severity != "info")
+        checked = (
+            f for f in check_record(record) if f.severity != "info" and f.subject != imposed
+        )
         run.notes.extend(f for f in checked if f not in record.findings)
     run.notes.extend(about_wire(known))
 
@@ -199,7 +203,7 @@ def _whole_model(
         r for r in bags
         if signals.holds_frame(r)
         and not any(r is moving for moving in bent)  # equal records would compare their arrays
-        and not find_pulls(r)
+        and (load_kind(run.given) == "displacement" or not find_pulls(r))
     ]
     name = "E10" if bent else "E9"
     loaded = not all(is_clamped(record) for record in framed)
@@ -314,8 +318,9 @@ def _material(
     dsc = [r for r in records if isinstance(r, DscRecord)]
     tensile = [r for r in records if isinstance(r, TensileRecord)]
     isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
+    moved = load_kind(run.given) == "displacement"  # whose motion E9 has as its input
     for record in still:
-        if find_pulls(record):
+        if not moved and find_pulls(record):
             from sma_bench.identify.tensile import tensile_tests
 
             tensile += tensile_tests(record, run.improved())

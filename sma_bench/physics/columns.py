@@ -27,7 +27,8 @@ _WIRE = {
     ),
     "state": (
         "TEMPERATURE", "FRACTION", "STRESS", "TREND", "CHANGE", "PHASE_REVERSED", "OWN_REVERSED",
-        "OTHER_REVERSED", "OTHER_POSITION_REVERSED", "CLOCK", "READING", "RETREAT", *["PLAY"] * PLAYS,
+        "OTHER_REVERSED", "OTHER_POSITION_REVERSED", "CLOCK", "READING", "RETREAT",
+        *["PLAY"] * PLAYS,
     ),
     # temperature = START + LAG xi; OFFSET is strain beyond the contract's
     "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET", "STRETCHED"),

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from planted import LOADS, few_effects, moving_lab, moving_record, strokes
+from planted import LOADS, few_effects, machine_drive, moving_lab, moving_record, strokes
 
 from sma_bench.diagnose import diagnose, search
 from sma_bench.estimation.unknowns import unknowns_of_records
@@ -52,6 +52,22 @@ def test_what_was_planted_is_named_from_motion_and_voltage(load):
     assert {o.quantities for o in found.observations} == {("deflection",)}
     assert bool(found.to_json()["where"]["side"]) == (load == "antagonist")
     assert ("side" in f"{found} {' '.join(found.to_json()['why'])}") == (load == "antagonist")
+
+
+def test_an_effect_beside_an_imposed_motion_is_named_by_the_force():
+    believed = moving_lab("displacement")
+    bench = believed.replace({"effect.residual_strain.share": 0.15})
+    seen = [
+        moving_record(bench, machine_drive(bench, shape, 20.0, 60.0), seed,
+                      ("voltage", "elongation", "force"))
+        for shape, seed in (("triangle", 4), ("sine", 5))
+    ]  # fmt: skip
+    with few_effects(("latent_heat", "residual_strain", "deflection_drift")):
+        found = diagnose(seen, believed)
+    assert (found.verdict, found.cause) == ("effect", ("residual_strain",))
+    assert found.shrinkage["force"].fraction > 0.8 and "deflection" not in found.not_compared
+    assert found.to_json()["where"]["signal"] == "force"
+    assert "deflection_drift" not in {name for c in found.candidates for name in c.effects}
 
 
 def test_a_drive_of_its_one_wire_is_proposed_where_parameters_may_hide_an_effect():

@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from planted import moving_lab, moving_record, strokes
+from planted import machine_drive, moving_lab, moving_record, strokes
 
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
 import sma_bench
 from examination.check import loads
+from sma_bench.errors import InputError
 from sma_bench.identify import identify, whole_model
 from sma_bench.records.record import first_order_lag
 from sma_bench.synthetic.bench_records import signals_of, simulate_finely
@@ -60,6 +61,30 @@ def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
         assert abs(estimate.value - truth[name]) < 4.0 * estimate.std, name
         assert estimate.std <= believed.std(name) * 1.0001
     assert max(estimate.informed for estimate in found.estimates.values()) > 0.9
+
+
+def test_force_under_an_imposed_motion_tells_the_wire_and_predicts_another_motion():
+    believed = moving_lab("displacement")
+    truth, keep = drawn(believed, seed=4), ("voltage", "elongation", "force")
+    seen, other, unseen = (
+        moving_record(truth, machine_drive(truth, shape, period, 80.0), seed, keep)
+        for shape, period, seed in (("triangle", 35.0, 1), ("sine", 27.0, 2), ("sine", 21.0, 3))
+    )
+    found = identify([seen, other], believed)
+    assert [e.name for e in found.experiments] == ["E9"]
+    assert {name: one.verdict for name, one in found.fit.items()} == {"force": "ok"}
+    assert not any("elongation" in str(warning) for warning in found.warnings)
+    exact = unseen["force"].values
+    before, after = (
+        np.std(sma_bench.simulate(unseen, p).force[:, 0] - exact) / np.ptp(exact)
+        for p in (believed, found.parameters)
+    )
+    assert after < min(0.01, 0.5 * before)
+    for name, estimate in found.estimates.items():
+        assert abs(estimate.value - truth[name]) < 4.0 * estimate.std, name
+    bare = replace(seen, signals={n: s for n, s in seen.signals.items() if n != "elongation"})
+    with pytest.raises(InputError, match="no elongation, expected the imposed one"):
+        identify([bare], believed, ["E9"])
 
 
 def test_a_current_source_needs_no_voltmeter():
