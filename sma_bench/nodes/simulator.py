@@ -89,8 +89,13 @@ class Simulator(BenchNode):
     def _tick(self, slices: int = _SLICES_AT_ONCE) -> None:
         if not self._begun:  # time begins here, not when the node was made
             self._epoch, self._begun = time.time_ns(), time.monotonic_ns()
+        wall = time.monotonic_ns() - self._begun
         for _ in range(slices):
-            if (until := self._until()) <= self._now:
+            until = min(self._now + self._slice, wall)
+            if self._fast:
+                goes = self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic())
+                until = self._now + goes * self._slice
+            if until <= self._now:
                 break
             for reading in self._bench.advance(self._gate.outputs(self._now / NANOSECONDS), until):
                 self._publish(reading)
@@ -99,13 +104,6 @@ class Simulator(BenchNode):
         # /clock is best effort at its readers: a lost one must not stop the lockstep.
         if time.monotonic() - self._clock_sent > _CLOCK_REPEAT:
             self._publish_clock()
-
-    def _until(self) -> int:
-        """Where the next slice ends, ns; now where it must wait."""
-        if self._fast:
-            goes = self._lockstep.may_advance(self._now / NANOSECONDS, time.monotonic())
-            return self._now + goes * self._slice
-        return min(self._now + self._slice, time.monotonic_ns() - self._begun)
 
     def _publish(self, reading: GroupReading) -> None:
         kind, values, stamp = reading.kind, reading.values, self._epoch + reading.time

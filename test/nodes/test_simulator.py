@@ -5,6 +5,7 @@ import math
 import signal
 import threading
 import time
+from itertools import count
 from types import SimpleNamespace
 
 import pytest
@@ -73,9 +74,12 @@ def test_no_reading_is_stamped_before_the_command_that_it_shows(bench):
 
 def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(bench, monkeypatch):
     """Not at a reading: of a ramp's steps the readings would be late by half their period."""
-    wall, found, milli = 7_000_000_000, [], 1_000_000
+    wall, found, milli, looks = 7_000_000_000, [], 1_000_000, count()  # a clock goes on
     monkeypatch.setattr(simulator, "time", SimpleNamespace(
-        time_ns=lambda: wall, monotonic_ns=lambda: wall, monotonic=lambda: wall / 1e9))  # fmt: skip
+        time_ns=lambda: wall, monotonic=lambda: wall / 1e9,
+        monotonic_ns=lambda: wall + next(looks)))  # fmt: skip
+    advance, steps = VirtualBench.advance, []
+    monkeypatch.setattr(VirtualBench, "advance", lambda *given: steps.append(0) or advance(*given))
     monkeypatch.setattr(simulator.Simulator, "_publish", lambda _, reading: found.append(reading))
     node = simulator.Simulator()
     try:
@@ -83,6 +87,7 @@ def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(bench, mon
         for end, level in ((13, 3.0), (57, 0.0), (457, 0.0)):
             wall = (7000 + end) * milli  # without a tick since the last command
             node.on_command(volts(level))
+        assert len(steps) < 60  # a slice or less each
         there = VirtualBench(node.parameters, node.settings)
         expected = [
             reading for volt, end in ((0.0, 13), (3.0, 57), (0.0, 457))
