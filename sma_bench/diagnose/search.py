@@ -16,6 +16,7 @@ from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.unknowns import (
     Unknowns,
+    has_friction,
     number_of_effect,
     stated_effects,
     unknowns_of,
@@ -202,6 +203,7 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
     # Where the motion is imposed, the force shows what else shows in the motion.
     quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
+    known |= {"slack"} if has_friction(parameters) else set()  # the core refuses the two together
     return [
         name for name, effect in EFFECTS.items()
         if name not in known and load in effect.loads and law in effect.laws

@@ -48,10 +48,11 @@ FRONT, BACK = "composite.stress_per_deflection_front", "composite.stress_per_def
 BENDING = ("composite.deflection_per_strain", FRONT, BACK)
 # What is unknown of a load that wires pull against; a spring's preload has its weight in it.
 LOADS = {
-    "force": ("load.force",),
-    "spring": ("load.stiffness", "load.preload"),
-    "antagonist": ("load.stiffness", "load.preload", "load.force"),
+    "force": ("load.force", "load.friction"),
+    "spring": ("load.stiffness", "load.preload", "load.friction"),
+    "antagonist": ("load.stiffness", "load.preload", "load.force", "load.friction"),
 }
+FRICTION = "load.friction"
 # A load frame shows strains and stresses by the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
 SPREAD = "wire.hysteresis_spread"
@@ -407,6 +408,8 @@ def unknowns_of_records(
 
     names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
+    if not has_friction(parameters):
+        own = tuple(name for name in own if name != FRICTION)
     load_frame |= load_kind(parameters) == "displacement"
     if "deflection" in quantities or load_frame:
         names += MATERIAL
@@ -421,6 +424,12 @@ def unknowns_of_records(
     elif "temperature" not in quantities:
         names = ["wire.resistance"]
     return unknowns_of(parameters, names, shapes=shapes, sides_apart=sides_apart)
+
+
+def has_friction(parameters: Parameters) -> bool:
+    """Whether somebody states that what moves rubs, or how much of it is unknown; where nobody
+    does, nothing is taken to, as friction would pass for hysteresis."""
+    return parameters[FRICTION] > 0.0 or parameters.given_uncertainty.get(FRICTION, 0.0) > 0.0
 
 
 def stated_effects(parameters: Parameters) -> list[str]:

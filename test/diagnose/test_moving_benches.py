@@ -88,3 +88,14 @@ def test_an_effect_that_is_stated_is_moved_under_its_prior_and_no_candidate(load
         found = [(item.mean, item.std) for item in unknowns.items if item.name == name]
         assert found == [(value, std)] * (std > 0.0)  # of none it is exact
         assert "latent_heat" not in search.possible_effects(rig, ("deflection",))
+
+
+@pytest.mark.parametrize("load", ["force", "spring", "antagonist"])
+def test_friction_is_unknown_where_it_is_stated_and_then_no_wire_hangs_slack(load):
+    for given, stds, moved in (({}, {}, False), ({}, {"load.friction": 0.2}, True),
+                               ({"load.friction": 0.5}, {}, True),
+                               ({"load.friction": 0.5}, {"load.friction": 0.0}, False)):
+        rig = moving_lab(load, given, stds)
+        assert ("load.friction" in unknowns_of_records(rig, ("deflection",)).names) == moved
+        slack = "slack" in search.possible_effects(rig, ("deflection",))
+        assert slack == (load == "spring" and not given and not stds)

@@ -63,6 +63,15 @@ def test_motion_and_voltage_of_two_runs_predict_a_third(kind):
     assert max(estimate.informed for estimate in found.estimates.values()) > 0.9
 
 
+def test_friction_that_is_unknown_is_told_from_the_wires_own_hysteresis():
+    believed = moving_lab("spring", stds={"load.friction": 0.3, "load.stiffness": 40.0})
+    truth = drawn(believed, seed=4).replace({"load.friction": 0.4})
+    found = identify([recorded(truth, s, k) for k, s in enumerate(("triangle", "step"))], believed)
+    friction, exact = found.estimates["load.friction"], motion(truth, "sine")
+    assert abs(friction.value - 0.4) < 3.0 * friction.std < 0.2 and friction.informed > 0.9
+    assert np.std(motion(found.parameters, "sine") - exact) < 0.003 * np.ptp(exact)
+
+
 def test_force_under_an_imposed_motion_tells_the_wire_and_predicts_another_motion():
     believed = moving_lab("displacement")
     truth, keep = drawn(believed, seed=4), ("voltage", "elongation", "force")
