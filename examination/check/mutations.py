@@ -2,9 +2,9 @@
 
 Made mechanically: a comparison turned, a limit doubled, a state forgotten, at every place of the
 files below where there is one; drawn by seed. A mutation is made in a copy of this folder. The
-fast tests of its file judge it first, then, a minute, the faults of its rule on the emulated bench
-(`./bench check faults`). mutations.yaml has the tests, the faults, and of those that nobody can
-notice, why.
+fast tests of its file judge it first; then, a minute each, the faults of its rule on the emulated
+bench (`./bench check faults`) those that survived. mutations.yaml has the tests, the faults, and of
+those that nobody can notice, why.
 
     ./bench check mutations [--number 200] [--seed 1] [--tests-only] [--json mutations.json]
 """
@@ -288,7 +288,7 @@ def copy() -> Copy:
 def tried(name: str, tests_only: bool) -> str:
     """How a mutation ended, by its name."""
     found = [m for file in FILES for m in mutations_of(file) if m.name == name]
-    return copy().outcome(found[0], with_faults=not tests_only and name not in EQUIVALENT)
+    return copy().outcome(found[0], with_faults=not tests_only)
 
 
 def report(outcomes: dict[Mutation, str]) -> float:
@@ -320,8 +320,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         **IN_PIECES,
     )  # fmt: skip
     chosen = drawn(options.number, options.seed)
-    ends = in_pieces(tried, [(one.name, options.tests_only) for one in chosen], options)
-    return 0 if report(dict(zip(chosen, ends, strict=True))) >= LEAST_CAUGHT else 1
+    ends = in_pieces(tried, [(one.name, True) for one in chosen], options)
+    outcomes = dict(zip(chosen, ends, strict=True))
+    if not options.tests_only:
+        left = [m for m, end in outcomes.items() if end == SURVIVED and m.name not in EQUIVALENT]
+        ends = in_pieces(tried, [(one.name, False) for one in left], options)
+        outcomes |= dict(zip(left, ends, strict=True))
+    return 0 if report(outcomes) >= LEAST_CAUGHT else 1
 
 
 if __name__ == "__main__":

@@ -489,6 +489,24 @@ TEST(a_mean_above_its_limit_stops)
     CHECK(is_off_for(FRONT_OVER_CURRENT));
 }
 
+TEST(a_mean_just_below_its_limit_lets_be_and_just_above_stops_either_way)
+{
+    for (int way = -1; way <= 1; way += 2) {
+        fake_start(1);
+        CHECK(answers("C 10000 5970 12000 1900 8000 2000", "K C 0")); /* 122 1/4 steps */
+        arm();
+        say(volts(1, 9500, 9500, 0, 0));
+        fake_run_ms(50);
+        fake_set_current(0, (uint16_t)(512 + way * 122));
+        fake_run_ms(100);
+        CHECK(fake_any_output());
+        say(volts(2, 9500, 9500, 0, 0));
+        fake_set_current(0, (uint16_t)(512 + way * 123));
+        fake_run_ms(100);
+        CHECK(is_off_for(FRONT_OVER_CURRENT));
+    }
+}
+
 TEST(current_while_idle_stops_too)
 {
     fake_start(1);
