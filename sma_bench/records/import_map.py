@@ -388,6 +388,9 @@ class _Proposal:
         name, channels = column.name, self.bench["bench.channels"]
         unit, signal = self.unit(column, meaning), QUANTITIES[meaning].get("signal", "")
         if signal == "elongation":
+            if load_kind(self.bench) == "displacement":
+                self.remarks[name] = "imposed: zero and sign are the machine's, longer is positive"
+                return Entry(signal, name, unit, clock)
             is_pulled = load_kind(self.bench) in ("beam", "antagonist")  # by two sides
             return Entry("deflection" if is_pulled else signal, name, unit, clock, reference="rest")
         if signal:
@@ -452,7 +455,7 @@ class _Proposal:
         if signal == "force" and len(own.values) and np.median(own.values) < 0.0:
             self.remarks[name] = "mostly negative: counted as compression"
             return {"sign": -1}
-        if signal != "elongation":
+        if signal != "elongation" or load_kind(self.bench) == "displacement":
             return {}
         found: dict[str, Any] = {}
         if len(own.values) and any(other.kind in _DRIVES for other in read):

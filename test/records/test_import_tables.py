@@ -182,6 +182,14 @@ def test_what_needs_no_duty_or_no_position_is_read(tmp_path, rig):
     titles = ["time [s]", "duty [%]", "temperature [degC]"]
     clamped = text_file(tmp_path / "h.csv", titles, [TIME, DUTY * 100, 23.0 + 400.0 * DUTY])
     assert set(load(clamped, params=rig).signals) == {"wire.voltage", "wire.temperature"}
+    # What a machine imposes is as it counts: heat, which comes with it, tells nothing of its sign.
+    machine = tmp_path / "machine.yaml"
+    machine.write_text(RIG.replace("{kind: spring, stiffness: 200.0, preload: 6.0}",
+                                   "{kind: displacement}"))
+    titles = ["time [s]", "duty [%]", "displacement [mm]", "force [N]"]
+    columns = [TIME, DUTY * 100, 1.5 + 1e3 * MOVED, 20.0 - 1e3 * MOVED]
+    moved = load(text_file(tmp_path / "m.csv", titles, columns), params=machine)["elongation"]
+    np.testing.assert_allclose(moved.values, 1.5e-3 + MOVED, atol=1e-9)
     titles = ["t (s)", "strom (mA)", "winkel (grad)"]
     turned = text_file(tmp_path / "w.csv", titles, [TIME, 800.0 * (DUTY > 0), MOVED * 4e3])
     with pytest.raises(InputError, match=r"m of movement for a radian\? load.lever"):
