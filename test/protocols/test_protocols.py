@@ -157,7 +157,7 @@ def test_isobaric_hangs_a_wire_under_the_papers_force_unless_the_bench_has_a_loa
         assert protocol.bench(bench) is bench
     assert load_protocol("triangle", WIRE).bench(WIRE)["load.kind"] == ""
     rope = {"steps": [{"kind": "rest", "duration": 1.0}], "load": "rope"}
-    refused("load is 'rope', expected clamped, displacement, force", parse_protocol, rope, COMPOSITE)
+    refused("load is 'rope', expected clamped, displacement", parse_protocol, rope, COMPOSITE)
 
 
 def test_steps_say_what_force_the_frame_comes_to():
