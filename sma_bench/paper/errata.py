@@ -7,12 +7,12 @@ the paper's own.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib import resources
+from pathlib import Path
 
 import numpy as np
 from scipy.integrate import trapezoid
 
-from sma_bench.border import load_yaml
+from sma_bench.border import read_yaml
 from sma_bench.findings import Finding
 from sma_bench.paper import printed as paper
 from sma_bench.parameters import Parameters
@@ -73,9 +73,8 @@ def paper_errata() -> list[Erratum]:
         **_beam(Beam.of(rig)), **_linearised(point), **_audited({f.subject: f for f in findings}),
         **_loads(numbers), **_history(numbers), 19: _layers(rig),
     }  # fmt: skip
-    text = resources.files("sma_bench.paper").joinpath("errata.yaml").read_text("utf-8")
     errata = []
-    for number, said in load_yaml(text).items():
+    for number, said in read_yaml(Path(__file__).with_name("errata.yaml")).items():
         own = facts.get(number, {})
         lines = [tuple(cell.format(**own) for cell in line) for line in said.get("lines", ())]
         form = (said["place"], said["printed"], said["corrected"])

@@ -4,10 +4,10 @@ identified values, its errata."""
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
-from sma_bench.border import load_yaml
+from sma_bench.border import read_yaml
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
 from sma_bench.identify.result import Experiment
@@ -124,9 +124,8 @@ class Row:
 
 
 def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
-    text = resources.files("sma_bench.paper").joinpath("tables.yaml").read_text("utf-8")
     found: dict[str, tuple[str, tuple[Row, ...]]] = {}
-    for table, content in load_yaml(text).items():
+    for table, content in read_yaml(Path(__file__).with_name("tables.yaml")).items():
         rows = []
         for row in content["rows"]:
             # What does not stand in the row is the parameter's.
@@ -221,10 +220,10 @@ def paper_pictures(
             name = f"{picture.name}_{k}" if k > 1 else picture.name
             found[number].append(replace(picture, name=name))
     for number, name in DRAWINGS.items():
-        folder, text = resources.files("sma_bench.paper").joinpath("drawings"), captions()[name]
+        text, file = captions()[name], Path(__file__).with_name("drawings") / f"{name}.svg"
         caption = f"{text['caption']} Data: none, the numbers are the paper's."
-        svg = folder.joinpath(f"{name}.svg").read_bytes()
-        found[number] = [Drawing(name, f"Fig. {number}: {text['title']}", caption, svg)]
+        title = f"Fig. {number}: {text['title']}"
+        found[number] = [Drawing(name, title, caption, file.read_bytes())]
     return dict(sorted(found.items()))
 
 

@@ -23,9 +23,9 @@ from sma_bench.border import (
     claimed,
     csv_cell,
     is_inside,
-    load_yaml,
     printable,
     read_bytes,
+    read_yaml,
     write_files,
 )
 from sma_bench.errors import InputError
@@ -117,8 +117,7 @@ class Drawing:
 @cache
 def captions() -> dict[str, dict[str, str]]:
     """Of every figure title, caption, and what its data are where they are synthetic."""
-    text = resources.files("sma_bench.report").joinpath("captions.yaml").read_text("utf-8")
-    found: dict[str, dict[str, str]] = load_yaml(text)
+    found: dict[str, dict[str, str]] = read_yaml(Path(__file__).with_name("captions.yaml"))
     return found
 
 

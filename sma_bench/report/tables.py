@@ -2,12 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sma_bench.border import load_yaml
+from sma_bench.border import read_yaml
 from sma_bench.results import in_print, percent, two_errors, with_error
 
 if TYPE_CHECKING:
@@ -101,9 +101,8 @@ def value_cell(value: Any) -> str:
 
 def record_tables(described: Mapping[str, Any], name: str = "") -> list[Table]:
     """Of a record as `records.describe` has it; `name` leads those of the tables."""
-    text = resources.files("sma_bench.report").joinpath("records.yaml").read_text("utf-8")
     tables = []
-    for key, columns in load_yaml(text).items():
+    for key, columns in read_yaml(Path(__file__).with_name("records.yaml")).items():
         rows = []
         for row in described.get(key) or ():
             cells = [(row[of], form) for of, form in columns.values()]
