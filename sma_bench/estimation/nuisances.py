@@ -5,7 +5,7 @@ converter holds between two of its steps, straight stretches of a noisy voltage,
 held. A fit takes them along; those of a sensor are worth telling when they are found.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,8 +15,17 @@ from sma_bench.compiled import in_threads
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import JUMP_STD, BinnedSignal, Observation
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME
 
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
+STATE = "state"
+# What differs from run to run of one bench, one standard deviation: K of its room, shares of its
+# draught and stroke.
+STATES = {
+    "environment.ambient_temperature": 1.5,
+    "wire.heat_transfer_coefficient": 0.07,
+    "wire.maximum_recoverable_strain": 0.025,
+}
 _LAST = 0.49  # of the time between two samples
 # What may be off this far apart is so in one simulation, if the one is forgotten by the next.
 _FORGOTTEN = 60.0  # s
@@ -73,10 +82,12 @@ def moved_to(observation: Observation, own: Nuisances, z: Array) -> tuple[Observ
 
 
 def nuisances_about(
-    observation: Observation, parameters: Parameters, voltage_noise: bool = False
+    observation: Observation, parameters: Parameters, voltage_noise: bool = False,
+    states: float = 0.0,
 ) -> Nuisances:
     """All of a record, linear about the model at these parameters; `voltage_noise`: with what the
-    voltmeter's noise leaves open of every straight stretch."""
+    voltmeter's noise leaves open of every straight stretch; `states`: with those of the run, so
+    many times as far off as usual."""
     simulation = observation.simulate(parameters)
     base = np.concatenate(observation.readings(simulation))
 
@@ -123,7 +134,22 @@ def nuisances_about(
     columns += [
         column[:, np.newaxis] for column in in_threads(moved, [(None, error) for error in loads])
     ]
+    for name in STATES if states else ():
+        there = in_state(parameters, {name: states})
+        off = there[name] - parameters[name]
+        items.append(Nuisance(STATE, name, off, BY_NAME[name].unit))
+        columns.append((observation.predict([there])[:, 0] - base)[:, np.newaxis])
     return Nuisances(tuple(items), np.hstack(columns))
+
+
+def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:
+    """The bench in a run whose `STATES` are so many standard deviations away."""
+    return parameters.replace({
+        name: parameters[name] + far * STATES[name] * (
+            1.0 if BY_NAME[name].unit == "K" else parameters[name]
+        )
+        for name, far in away.items()
+    })
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,6 +57,7 @@ _END_OF_CELLS = 4_000_000  # whatever the stamps
 _SAMPLES_A_BIN = 2.0
 _WORTHWHILE = 0.7  # of the cells
 _FEWEST_SAMPLES = 20
+_SOME, _RETURNS = 3, 0.012  # bins; of a stroke
 _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
@@ -285,6 +286,19 @@ class Observation:
         first = self.grid[np.argmax(driven)] if driven.any() else np.inf
         at = np.clip(np.searchsorted(self.grid, time, side="right") - 1, 0, len(self.grid) - 1)
         return np.where(time < first, "initial", np.where(driven[at], "drive", "rest"))
+
+    def zeroed(self) -> "Observation":
+        """Motions as from where they were before the drive, to which a bench returns within 1.2 %
+        of its stroke; of a record that begins so, else this one."""
+        signals = []
+        for s in self.signals:
+            before = self.phase_of(s.time) == "initial"
+            if s.quantity in ("deflection", "elongation") and np.sum(before) > _SOME:
+                std = min(s.sensor.zero_std, _RETURNS * float(np.ptp(s.value)))
+                zero = float(np.mean(s.value[before]))
+                s = replace(s, value=s.value - zero, sensor=replace(s.sensor, zero_std=std))
+            signals.append(s)
+        return replace(self, signals=tuple(signals))
 
     @property
     def strokes(self) -> int:

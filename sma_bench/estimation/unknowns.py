@@ -21,7 +21,13 @@ from sma_bench.parameters.parameter import (
     TRANSITIONS,
     Parameter,
 )
-from sma_bench.parameters.parameters import LOAD_NEEDS, SMOOTHER, load_kind, nearest_spread
+from sma_bench.parameters.parameters import (
+    BRANCH,
+    LOAD_NEEDS,
+    SMOOTHER,
+    load_kind,
+    nearest_spread,
+)
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
 
@@ -74,6 +80,24 @@ UNMODELLED = (
     "effect.phase_dependent_resistance.austenite_change",
     "effect.residual_strain.share",
 )
+# Wires of the field, where nobody states it: mean and one standard deviation. NiTi has 450 to 550
+# J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat and a martensite of 0 to 30 % more
+# resistance than austenite (Ikuta 1991); a correlation of free convection is good to 30 % in a
+# room; hystereses are 20 to 40 K wide, about a centre of 65 degC.
+FIELD = {
+    "wire.specific_heat": (500.0, 75.0),
+    "wire.thermal_expansion_factor": (-3.5e5, 1.5e5),
+    "wire.maximum_recoverable_strain": (0.03, 0.015),
+    "effect.residual_strain.share": (0.0, 0.03),
+    "effect.latent_heat.heat": (15e3, 6e3),
+    "effect.phase_dependent_resistance.austenite_change": (-0.13, 0.09),
+}
+_OF_CONVECTION = ("effect.temperature_dependent_convection.rise",)
+_FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # share that is unknown; what a room adds to still air
+_FIELD_TEMPERATURES = (340.5, 365.5, 335.5, 310.5)  # K: A_s, A_f, M_s, M_f
+_WIDEST_SPREAD = 1.5  # of its hystereses
+_LEAST_HALF_WIDTH = 0.1  # K, of the law that is made of hystereses
+_FIELD_HALF_WIDTH = 0.3  # of the half width's logarithm, about theirs
 # Products: what is known of the second factor is carried by the first, which the fit moves.
 PRODUCTS = {
     "wire.heat_transfer_coefficient": "wire.surface_area",
@@ -105,10 +129,15 @@ _COORDINATES = np.array(
      [0.0, 0.0, 1.0, -1.0]]
 )  # fmt: skip
 _TEMPERATURES = np.linalg.inv(_COORDINATES)
+# The two ranges of one wire are as wide as each other, but for a third of what wires differ by.
+_ALIKE = np.linalg.cholesky(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.85], [0.0, 0.0, 0.85, 1.0]]
+)
 _LOWEST = float(BY_NAME[TEMPERATURES[0]].low or 0.0)
 _HIGHEST = float(BY_NAME[TEMPERATURES[0]].high or 0.0)
 _NARROWEST = 0.2  # K, of a range: the core divides by its width
 _FARTHEST = 5.0  # of a logarithm
+_WIDEST = (5.0, 2.0, 2.0)  # of those of the half width and of the two ranges
 _TINY = 1e-4  # prior deviations, of a difference
 
 
@@ -141,7 +170,9 @@ class Transitions:
         coordinates = _COORDINATES @ mean
         scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
         scale[0] = _SPREADS[0]
-        root = _TEMPERATURES * scale
+        if tuple(mean.tolist()) == _FIELD_TEMPERATURES:
+            scale[1] = _FIELD_HALF_WIDTH * coordinates[1]
+        root = _TEMPERATURES * scale @ _ALIKE
         covariance = root @ root.T
         if stated.any():
             std = np.array([parameters.std(n) for n in np.array(TEMPERATURES)[stated]])
@@ -174,8 +205,10 @@ class Transitions:
         centre, *widths = (_COORDINATES @ straight).tolist()
         half, austenite, martensite = (
             width if known <= 0.0  # an impossible hysteresis is left as it is
-            else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), _FARTHEST))
-            for width, known in zip(widths, (_COORDINATES[1:] @ self.mean).tolist(), strict=True)
+            else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), most))
+            for width, known, most in zip(
+                widths, (_COORDINATES[1:] @ self.mean).tolist(), _WIDEST, strict=True
+            )
         )
         branches = [[centre + half, 0.5 * austenite], [centre - half, 0.5 * martensite]]
         exact = [k for k in range(4) if k not in self.moving]
@@ -359,15 +392,23 @@ class Unknowns:
             found = self.transitions.values(x[self._together]).tolist()
             four = dict(zip(TEMPERATURES, found, strict=True))
             values |= four
-            if self.base["wire.law"] == "normal":  # widths as they can vary with these four
-                values[SPREAD] = nearest_spread(four, self.base[SPREAD])
+            if self.base["wire.law"] == "normal":  # a hysteresis, of widths as these allow
+                a_s, a_f, m_s, m_f = found
+                apart = abs(a_f - a_s - m_s + m_f) / (2.0 * BRANCH * _WIDEST_SPREAD)
+                least = max(_LEAST_HALF_WIDTH, apart)
+                lack = max(4.0 * least - (a_s + a_f - m_s - m_f), 0.0) / 2.0
+                four[TEMPERATURES[3]] = lower = max(m_f - lack, _LOWEST)
+                lack -= m_f - lower
+                four[TEMPERATURES[2]] = max(m_s - lack, lower + _NARROWEST)
+                values |= four
+                values[SPREAD] = nearest_spread(four, values.get(SPREAD, self.base[SPREAD]))
         values |= {other: values[name] for other, name in self.tied.items()}
         return self.base.replace(values)
 
     def nudged(self, bench: Parameters, x: Array, i: int, step: float) -> Parameters:
         """The bench at x, one of its unknowns moved."""
         item = self.items[i]
-        if item.name in TEMPERATURES:
+        if item.name in (*TEMPERATURES, SPREAD):
             there = x.copy()
             there[i] += step
             return self.parameters(there)
@@ -406,16 +447,22 @@ def unknowns_of_records(
     def of_table(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
         return {name: (parameters.std(name), *range_of(name)) for name in names}
 
-    names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
     if not has_friction(parameters):
         own = tuple(name for name in own if name != FRICTION)
     load_frame |= load_kind(parameters) == "displacement"
+    names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         if own:
             shapes |= LOADED_SHAPES if unmodelled else {}
-            shapes |= of_table(n for n in UNMODELLED if unmodelled or parameters[n] != 0.0)
+            free = parameters["wire.convection"] == "free"
+            shapes |= of_table(
+                n for n in UNMODELLED
+                if parameters[n] != 0.0 or (unmodelled and not (free and n in _OF_CONVECTION))
+            )
+            if parameters["wire.law"] == "normal":
+                shapes[SPREAD] = (parameters.std(SPREAD), 0.02, 2.0)
             names += [*own, "wire.diameter"]
             names += [] if parameters["wire.length"] else ["wire.mass"]
         elif "deflection" in quantities:
@@ -430,6 +477,19 @@ def has_friction(parameters: Parameters) -> bool:
     """Whether somebody states that what moves rubs, or how much of it is unknown; where nobody
     does, nothing is taken to, as friction would pass for hysteresis."""
     return parameters[FRICTION] > 0.0 or parameters.given_uncertainty.get(FRICTION, 0.0) > 0.0
+
+
+def as_in_the_field(parameters: Parameters) -> Parameters:
+    """A wire of which nobody has stated more than is given, as such wires are: `FIELD`."""
+    values = {n: mean for n, (mean, _) in FIELD.items() if n not in parameters.given}
+    std = {n: FIELD[n][1] for n in values}
+    h = "wire.heat_transfer_coefficient"
+    if parameters["wire.convection"] == "free" and h not in parameters.given:
+        values[h] = _NOT_STILL * parameters[h]
+        std[h] = _FREE_CONVECTION * values[h]
+    if not parameters.given.intersection(TEMPERATURES):
+        values |= dict(zip(TEMPERATURES, _FIELD_TEMPERATURES, strict=True))
+    return parameters.assuming(values, std)
 
 
 def stated_effects(parameters: Parameters) -> list[str]:

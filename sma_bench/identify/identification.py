@@ -21,7 +21,7 @@ from sma_bench.identify import signals
 from sma_bench.identify.estimate import SYMBOLS, combine
 from sma_bench.identify.heat_transfer import GAIN, coefficient, identify_heat_transfer
 from sma_bench.identify.resistance import heated, identify_resistance
-from sma_bench.identify.result import Experiment, Identification, SignalFit, remark
+from sma_bench.identify.result import Experiment, Identification, Law, SignalFit, remark
 from sma_bench.identify.run import SIGNIFICANT, IdentificationRun, about_wire
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
@@ -169,6 +169,10 @@ def identify(
     return Identification(
         improved, estimates, tuple(run.experiments), tuple(run.notes), fits, run.correlation(),
         tuple(dict.fromkeys(lines)), accounts=tuple(filter(None, map(account_line, records))),
+        law=next((
+            Law(e.laws[0].law, e.laws[0].probability, {o.law: o.probability for o in e.laws[1:]})
+            for e in run.experiments if e.laws
+        ), None),
     )
 
 

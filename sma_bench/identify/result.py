@@ -16,8 +16,11 @@ from sma_bench.border import load_yaml
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.laws import Band, predict
+from sma_bench.estimation.observation import observe
 from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import Parameters
+from sma_bench.records.record import Record
 from sma_bench.results import card_html, card_rows, card_text, decoded, sentences
 
 Array = npt.NDArray[np.float64]
@@ -67,11 +70,20 @@ class Correlation:
 
 
 @dataclass(frozen=True)
+class Law:
+    """The law of the wire that the records speak for, with its probability and the others'."""
+
+    name: str
+    probability: float
+    others: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Experiment:
     """One experiment of the paper as far as the records hold it: `estimates` by parameter name;
     `details` further numbers (one direction, one rate, another method) under names of their own;
     `curves` the arrays of its figure, never written to JSON; `correlation` of the errors of
-    estimates which one fit gave together."""
+    estimates which one fit gave together; `laws` of the wire that were weighed, best first."""
 
     name: str
     title: str
@@ -81,6 +93,13 @@ class Experiment:
     source: str = ""
     details: dict[str, Estimate] = field(default_factory=dict)
     correlation: Correlation | None = None
+    laws: tuple[Any, ...] = ()  # of LawFit, which no file holds
+
+    @property
+    def model(self) -> dict[str, str]:
+        """What names the model that the estimates are numbers of, where laws were weighed."""
+        own = self.laws[0].fit.parameters
+        return {name: own[name] for name in ("wire.law", "wire.convection")}
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the curves."""
@@ -103,7 +122,8 @@ class Identification(Reported):
     `experiments` one each record and channel; `fit` of the model with these parameters to every
     signal that they were identified from; `warnings` to read before using the numbers; `notes` what
     could not be identified and why, and what was remarked on the records; `path` of the result
-    file; `accounts` what became of each record's rows and columns.
+    file; `accounts` what became of each record's rows and columns; `law` of the wire, where laws
+    were weighed.
     """
 
     writer = ("reports", "write_identification_report")
@@ -118,6 +138,23 @@ class Identification(Reported):
     warnings: tuple[str, ...] = ()
     path: str = "identification"
     accounts: tuple[str, ...] = ()
+    law: Law | None = None
+
+    def predict(self, record: Record, probability: float = 0.9) -> dict[str, Band]:
+        """What the bench will read on the voltages of a record, by signal, and the limits that hold
+        a share of the readings.
+
+        Averaged over the laws of the wire, over what the records leave open of every number, and
+        over what runs of one bench differ by.
+
+        Raises:
+            InputError: no moving load was identified here, or `record` lacks a voltage or motion.
+        """
+        laws = next((e.laws for e in self.experiments if e.laws), ())
+        if not laws:
+            raise refusal("nothing to predict from")
+        observation = observe(record, laws[0].fit.parameters)
+        return predict(laws, observation, probability)
 
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from, "" of none."""
@@ -161,6 +198,7 @@ class Identification(Reported):
 
     def to_json(self) -> dict[str, Any]:
         """The result file of the contract, section 5."""
+        law = {"law": asdict(self.law)} if self.law else {}
         return {
             "parameters": {
                 name: {**e.to_json(), "warnings": list(e.warnings)}
@@ -171,6 +209,7 @@ class Identification(Reported):
             "correlation": self.correlation.to_json(),
             "experiments": [experiment.to_json() for experiment in self.experiments],
             "warnings": list(self.warnings),
+            **law,
         }
 
 
@@ -183,6 +222,7 @@ class _File:
     warnings: tuple[str, ...]
     fit: dict[str, SignalFit] = field(default_factory=dict)
     correlation: dict[str, list[Any]] = field(default_factory=dict)
+    law: Law | None = None
 
 
 def identification_from(document: Any, where: str) -> Identification:
@@ -205,7 +245,7 @@ def identification_from(document: Any, where: str) -> Identification:
     }
     return Identification(
         Parameters.defaults(), estimates, found.experiments, (), found.fit,
-        Correlation(tuple(map(str, names)), numbers), found.warnings, where,
+        Correlation(tuple(map(str, names)), numbers), found.warnings, where, law=found.law,
     )
 
 

@@ -114,6 +114,10 @@ class IdentificationRun:
         """The given parameters with what is identified put in, as far as they may hold it."""
         found, waiting = self.given, dict(self.estimates)
         reasons: dict[str, str] = {}
+        if model := next((e.model for e in self.experiments if e.laws), None):
+            values, std = ({n: getattr(e, key) for n, e in waiting.items()}
+                           for key in ("value", "std"))
+            return found.replace(model | values, std, "identified")
         # An end of a range may only fit once its other end has been put in: at most one a pass.
         for _ in self.estimates:
             for name, e in list(waiting.items()):

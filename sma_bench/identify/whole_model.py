@@ -11,11 +11,19 @@ from scipy.special import chdtrc
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.laws import (
+    LawFit,
+    independent_readings,
+    log_evidence,
+    repeatability,
+    starts,
+    weigh_laws,
+)
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import Observation, observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of, scale_errors
-from sma_bench.estimation.solver import Fit, fit_with_misfit, recalibrate
+from sma_bench.estimation.solver import Fit, fit_imperfect, recalibrate
 from sma_bench.estimation.unknowns import (
     HEAT,
     LOADS,
@@ -23,7 +31,6 @@ from sma_bench.estimation.unknowns import (
     SHAPES,
     UNMODELLED,
     Unknown,
-    Unknowns,
     shares_of_factor,
     unknowns_of_records,
 )
@@ -40,8 +47,6 @@ from sma_bench.records.record import Record
 _THERMAL = ("current", "temperature")
 _NUISANCES = (*SHAPES, *UNMODELLED)
 _MOTIONS = ("deflection", "elongation")
-_SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
-_DRAWN, _SEED = 2, 17  # further starts, drawn from the prior
 _UNINFORMED = 0.2  # share of information
 _FAR, _FAR_TOO = 3.5, 2.0  # prior deviations
 _LAGS, _RARE = 20, 1e-6
@@ -118,15 +123,21 @@ def fit_experiment(
 ) -> Experiment:
     """Fit everything that the records can depend on, and report it."""
     quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
-    unknowns = unknowns_of_records(
-        parameters, quantities, load_frame=any(one.holds for one in observations),
-        own_load=any(not one.holds for one in observations), sides_apart=True, unmodelled=True,
-    )
-    problem, tries = Problem.of(observations, voltage_noise=True), starts(unknowns)[:most_starts]
-    fitted, tried = recalibrate(problem, parameters, unknowns, tries, report, keep_noise=True)
-    fitted, tried = _with_lag(fitted, tried, parameters)
-    if load_kind(parameters) in LOADS:  # what ten strokes leave of a beam is not yet measured
-        fitted = fit_with_misfit(fitted)
+    moving = any(not one.holds for one in observations)
+    laws: tuple[LawFit, ...] = ()
+    if moving and load_kind(parameters) in LOADS and "deflection" in quantities:
+        laws = weigh_laws(observations, parameters, quantities, report)
+        fitted, tried = _with_lag(laws[0].fit, list(laws[0].tried), parameters)
+        laws = (replace(laws[0], fit=fitted, tried=tuple(tried)), *laws[1:])
+    else:
+        unknowns = unknowns_of_records(
+            parameters, quantities, load_frame=any(one.holds for one in observations),
+            own_load=moving, sides_apart=True, unmodelled=True,
+        )
+        problem = Problem.of(observations, voltage_noise=True)
+        tries = starts(unknowns)[:most_starts]
+        fitted, tried = recalibrate(problem, parameters, unknowns, tries, report, keep_noise=True)
+        fitted, tried = _with_lag(fitted, tried, parameters)
     result = result_of(fitted, tried, scale_errors(fitted))
     numbers = [replace(n, name=CAMERA_LAG) if n.name == LAG else n for n in result.numbers]
     result = replace(result, numbers=tuple(numbers))
@@ -177,20 +188,27 @@ def fit_experiment(
             f"{head}.model": signal.value - left,
         }
     return Experiment(
-        name, title, estimates, tuple(_findings(result)), curves,
+        name, title, estimates, (*_of_laws(laws), *_findings(result)), curves,
         "; ".join(one.path for one in observations), details,
-        Correlation(tuple(estimates), result.correlation[np.ix_(which, which)]),
+        Correlation(tuple(estimates), result.correlation[np.ix_(which, which)]), laws,
     )
 
 
-def starts(unknowns: Unknowns) -> list[Array]:
-    """What is believed, with sharp and with smooth kinetics, and some believable benches."""
-    tries, random = [unknowns.start(spread) for spread in _SPREADS], np.random.default_rng(_SEED)
-    for _ in range(_DRAWN):
-        x = unknowns.start(abs(float(random.standard_normal())))
-        x[: unknowns.bench] = random.standard_normal(unknowns.bench)
-        tries.append(x)
-    return tries
+def _of_laws(laws: Sequence[LawFit]) -> Iterator[Finding]:
+    """Which law, the runner-up and what it predicts differently; how the bench repeats."""
+    if not laws:
+        return
+    first, *others = laws
+    if others:
+        second, blocks = others[0], first.fit.problem.blocks
+        apart = first.fit.predicted - second.fit.predicted
+        shares = [float(np.std(apart[b.rows]) / np.ptp(b.signal.value)) for b in blocks]
+        yield remark(
+            "law", law=first.law, probability=first.probability, other=second.law,
+            second=second.probability, apart=max(shares),
+        )
+    if np.isfinite(repeats := repeatability(first.fit)):
+        yield remark("repeats", repeats=repeats)
 
 
 def _with_lag(
@@ -207,14 +225,20 @@ def _with_lag(
         return fitted, tried
     if CAMERA_LAG not in parameters.given_uncertainty:  # nobody has measured this thermometer's
         std = max(std, float(BY_NAME[LAG].uncertainty or 0.0))
-    own = fitted.unknowns
+    own, before = fitted.unknowns, fitted.problem
     item = Unknown(LAG, mean, std, 0.0, float(BY_NAME[LAG].high or np.inf))
     unknowns = replace(own, items=(*own.items, item), baseline=own.baseline + 1)
     first = item.x_of(max(mean, std))
     starts = [np.append(one, first) for one in (own.start(), fitted.x)]
-    found, lagged = recalibrate(Problem.of(
-        fitted.problem.observations, fitted.problem.voltage_noise), parameters, unknowns, starts)
-    return (found, lagged) if found.evidence > fitted.evidence + _BETTER else (fitted, tried)
+    problem = Problem.of(before.observations, before.voltage_noise)
+    if before.weights:
+        found, lagged = fit_imperfect(problem, own.base, unknowns, starts)
+        readings = independent_readings(fitted)
+        gain = log_evidence(found, readings) - log_evidence(fitted, readings)
+    else:
+        found, lagged = recalibrate(problem, parameters, unknowns, starts)
+        gain = found.evidence - fitted.evidence
+    return (found, lagged) if gain > _BETTER else (fitted, tried)
 
 
 def _findings(result: Result) -> Iterator[Finding]:

@@ -70,7 +70,8 @@ def nearest_spread(parameters: Mapping[str, Any], wanted: float) -> float:
     """The possible spread of hysteresis widths nearest to what is wanted, a little within."""
     low, high = possible_spread(parameters)
     keep = _WITHIN * (high - low)
-    return min(max(wanted, low + keep), high - keep)
+    widest = float(BY_NAME["wire.hysteresis_spread"].high or math.inf)
+    return max(min(max(wanted, low + keep), high - keep, widest), 0.0)
 
 
 class Parameters(Mapping[str, Value]):
@@ -268,6 +269,13 @@ class Parameters(Mapping[str, Value]):
         other = copy(self)
         other._values, other._std = dict(self._values), dict(self._std)
         other._put(values or {}, uncertainty or {}, where)
+        return other
+
+
+    def assuming(self, values: Mapping[str, Any], uncertainty: Mapping[str, float]) -> "Parameters":
+        """As `replace`, but nobody has stated them."""
+        other = self.replace(values, uncertainty)
+        other.given = self.given
         return other
 
 
