@@ -34,7 +34,7 @@ _WIRE = {
     "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET", "STRETCHED"),
 }
 _SIDE = {
-    # sum of stresses = LOAD + STIFFNESS e, or e stays if PRESCRIBED; if COUPLED, the sum less that
+    # sum of stresses = LOAD + STIFFNESS e, or e is PRESCRIBED; if COUPLED, the sum less that
     # of the other side, which is stretched by e
     "constants": (
         "PRESCRIBED", "COUPLED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD",
@@ -42,7 +42,7 @@ _SIDE = {
     ),
     "state": ("CONTRACTION", "CONTRACTION_CHANGE", "BENDING"),  # the last bends the beam
     # the matrix with its relaxing part; and with the passive wires
-    "scratch": ("MATRIX_STIFFNESS", "MATRIX_LOAD", "BEAM_STIFFNESS", "BEAM_LOAD", "CAME_FROM"),
+    "scratch": ("MATRIX_STIFFNESS", "MATRIX_LOAD", "BEAM_STIFFNESS", "BEAM_LOAD"),
 }
 
 

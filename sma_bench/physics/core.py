@@ -54,6 +54,7 @@ BISECTION_LIMIT = 200
 BRACKET = 1e-15
 REGIME_LIMIT = 12
 LARGEST_STRAIN = 1e6
+MOVED = 2.0  # of PRESCRIBED, where ends are not only held
 TURN = 0.3  # K, by which what drives the phase goes back before it is no error of an encoder
 
 
@@ -367,8 +368,9 @@ def heat(wires, voltage, k, step):
 
 
 @borrowing
-def solve_side(wires, sides, side):
-    """Fractions and contraction of a side at the end of the step; how far it contracted."""
+def solve_side(wires, sides, side, start):
+    """Fractions and contraction of a side at the end of the step; how far it contracted. `start`:
+    where it was at the step's beginning, and where it stays if friction holds it."""
     before = sides[side, at.CONTRACTION]
     if sides[side, at.PRESCRIBED] > 0.0:
         for i in range(wires.shape[0]):
@@ -377,11 +379,11 @@ def solve_side(wires, sides, side):
         return 0.0
     expected, load = before + sides[side, at.CONTRACTION_CHANGE], sides[side, at.LOAD]
     if sides[side, at.FRICTION] > 0.0:
-        expected = sides[side, at.CAME_FROM]
-        excess = side_imbalance(wires, sides, side, expected)
+        expected = start
+        excess = side_imbalance(wires, sides, side, start)
         if abs(excess) <= sides[side, at.FRICTION]:
-            sides[side, at.CONTRACTION] = expected
-            return expected - before
+            sides[side, at.CONTRACTION] = start
+            return start - before
         sides[side, at.LOAD] += math.copysign(sides[side, at.FRICTION], excess)
     converged, after = solve_jointly(wires, sides, side, expected)
     if not converged:
@@ -403,13 +405,13 @@ def solve(wires, sides):
         if side > 0 and sides[0, at.COUPLED] > 0.0:
             sides[side, at.CONTRACTION] = -sides[0, at.CONTRACTION]
             break
-        sides[side, at.CAME_FROM] = sides[side, at.CONTRACTION]
-        change = solve_side(wires, sides, side)
+        start = sides[side, at.CONTRACTION]
+        change = solve_side(wires, sides, side, start)
         if sides[side, at.PULLS_OTHERWISE] > 0.0:
             for _ in range(REGIME_LIMIT):
                 if not change_regime(wires, sides, side):
                     break
-                change += solve_side(wires, sides, side)
+                change += solve_side(wires, sides, side, start)
         sides[side, at.CONTRACTION_CHANGE] = change
 
 
@@ -438,12 +440,13 @@ def settle(wires, sides, step):
 
 
 @borrowing
-def impose(wires, sides, side, contraction):
-    """Move the ends of a side's wires."""
+def impose(wires, sides, strain, k):
+    """Move the ends of the wires to where they are at sample k."""
     for i in range(wires.shape[0]):
-        if wires[i, at.SIDE] == side:
-            wires[i, at.STRETCHED] = sides[side, at.CONTRACTION] - contraction
-    sides[side, at.CONTRACTION] = contraction
+        side = int(wires[i, at.SIDE])
+        wires[i, at.STRETCHED] = sides[side, at.CONTRACTION] - strain[0, k, side]
+    for side in range(sides.shape[0]):
+        sides[side, at.CONTRACTION] = strain[0, k, side]
 
 
 @borrowing
@@ -454,7 +457,7 @@ def run(time, voltage, wires, sides, history, strain):
         time: (n,) s; voltage: (n, w) V held from each sample to the next.
         wires, sides: of the bench, advanced in place; a TREND of 0 starts a history.
         history: (4, n, w) temperature, fraction, stress, reading; strain: (2, n, s) contraction,
-            and the part that bends; written, but for a PRESCRIBED contraction, which is read.
+            and the part that bends; written, but for a MOVED contraction, which is read.
     """
     effects = False
     for i in range(wires.shape[0]):
@@ -465,7 +468,7 @@ def run(time, voltage, wires, sides, history, strain):
             shift_transition(wires, i)
     for side in range(sides.shape[0]):
         effects = effects or sides[side, at.PULLS_OTHERWISE] > 0.0
-    last_step = 0.0
+    last_step, moved = 0.0, sides[0, at.PRESCRIBED] == MOVED
     for k in range(time.shape[0]):
         if k > 0:
             step = time[k] - time[k - 1]
@@ -477,9 +480,8 @@ def run(time, voltage, wires, sides, history, strain):
                 for side in range(sides.shape[0]):
                     if sides[side, at.PULLS_OTHERWISE] > 0.0:
                         prepare_side(wires, sides, side, step)
-            for side in range(sides.shape[0]):
-                if sides[side, at.PRESCRIBED] > 0.0:
-                    impose(wires, sides, side, strain[0, k, side])
+            if moved:
+                impose(wires, sides, strain, k)
             heat(wires, voltage, k - 1, step)
             solve(wires, sides)
             settle(wires, sides, step)

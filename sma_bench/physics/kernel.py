@@ -282,8 +282,9 @@ class Kernel:
         history = np.empty((4, time.size, self.wires))
         strain = np.empty((2, time.size, len(sides)))
         if self.boundary.contraction is not None:
-            held = sides[:, at.CONTRACTION]
-            strain[0] = held if contraction is None else contraction[:, np.newaxis]
+            sides[:, at.PRESCRIBED], wires[:, at.STRETCHED] = 1.0, 0.0
+            if contraction is not None:
+                sides[:, at.PRESCRIBED], strain[0] = core.MOVED, contraction[:, np.newaxis]
         core.run(time, heating_voltage(voltage, self.parameters), wires, sides, history, strain)
         return history, strain
 
