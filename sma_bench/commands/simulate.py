@@ -3,11 +3,16 @@ elongation that a testing machine imposed."""
 
 from pathlib import Path
 from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, progress, say, write_json
 from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
 from sma_bench.progress import part
+
+if TYPE_CHECKING:
+    from sma_bench.physics import Simulation
 
 LARGEST_RATE = 10_000.0  # Hz
 _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
@@ -24,6 +29,7 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.records.bag_writer import write_record
     from sma_bench.records.record import drive_of
     from sma_bench.synthetic import bench_records as bench
+    from sma_bench.synthetic.bands import band_of
 
     options.one_only(args, "protocol", "input", required=True)
     parameters = options.parameters_from_options(args)
@@ -41,14 +47,27 @@ def run(args: SimpleNamespace) -> int:
         raise InputError(f"--noise is {args.noise}, expected a seed of 0 or more")
     protocol = load_protocol(args.protocol, parameters) if args.protocol else None
     record = read_record(args.input) if args.input else None
+    if args.band is not None and not args.json:
+        raise InputError("--band adds to the result file, expected --json FILE")
+
+    def simulated(parameters: Parameters) -> "Simulation":
+        if protocol is not None:
+            return bench.simulate_protocol(protocol, parameters, 1.0 / args.rate)
+        assert record is not None
+        return bench.simulate_finely(*drive_of(record, parameters))
 
     with progress("simulate") as report:
         report(0.0, "the model")
-        if protocol is not None:
-            simulation = bench.simulate_protocol(protocol, parameters, 1.0 / args.rate)
-        else:
-            assert record is not None
-            simulation = bench.simulate_finely(*drive_of(record, parameters))
+        simulation = simulated(parameters)
+        band: dict[str, Any] = {}
+        if args.band is not None:
+            limits = band_of(parameters, simulated, args.band, part(report, 0.0, _INSTRUMENTS[0]))
+            named = {
+                name: {"low": low.tolist(), "high": high.tolist()}
+                for name, (low, high) in limits.items()
+            }
+            time_s = simulation.time.tolist()
+            band = {"band": {"share": args.band, "time": time_s, "limits": named}}
         time, signals, noise = simulation.time, bench.signals_of(simulation), "no noise"
         if args.noise is not None:
             signals = bench.read_signals(signals, args.noise, part(report, *_INSTRUMENTS))
@@ -64,6 +83,7 @@ def run(args: SimpleNamespace) -> int:
             "effects": list(args.effects), "noise_seed": args.noise, "samples": len(time),
             "duration": float(time[-1] - time[0]),
             "signals": {signal.name: signal.unit for signal in signals},
+            **band,
             "findings": [finding.to_json() for finding in findings],
         })  # fmt: skip
     print_findings(findings)

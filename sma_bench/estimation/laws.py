@@ -31,6 +31,8 @@ from sma_bench.progress import Report, part, silent
 # How probable a law is before any record: real wires have inner loops and soft ends.
 PRIOR = {"normal": 0.72, "logistic": 0.14, "cosine": 0.1, "exponential": 0.04}
 _TEMPERED = 0.25
+_DIFFERENT = 0.7  # probability that the runs of a bench differ, before any
+_TINY = 1e-300
 _NEGLIGIBLE = 0.02  # probability
 _DRAWS, _FEWEST = 30, 8  # of all laws; of one
 _FLOOR = 0.005  # of what a signal spans, that no model predicts
@@ -44,12 +46,22 @@ _MOTIONS = ("deflection", "elongation")
 
 @dataclass(frozen=True, eq=False)
 class LawFit:
-    """The model under one law, and how probable this law is beside the others."""
+    """The model under one law, and how probable this law is beside the others; `others`: its less
+    probable fit, with runs that differ or are alike, and the share of the probability that it has
+    of this law's."""
 
     law: str
     probability: float
     fit: Fit
     tried: tuple[Fit, ...]
+    others: tuple[tuple[float, Fit], ...] = ()
+
+    @property
+    def weighed(self) -> tuple[tuple[float, Fit], ...]:
+        """Every fit with its probability."""
+        rest = 1.0 - sum(share for share, _ in self.others)
+        shares = ((rest, self.fit), *self.others)
+        return tuple((self.probability * share, one) for share, one in shares)
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +90,7 @@ def weigh_laws(
     if not parameters.given & {"wire.convection", "wire.heat_transfer_coefficient"}:
         parameters = parameters.assuming({"wire.convection": "free"}, {})
     problem = Problem.of([one.zeroed() for one in observations])
-    fits: dict[str, tuple[Fit, list[Fit]]] = {}
+    fits: dict[str, tuple[list[Fit], list[Fit]]] = {}
     fault: InputError | None = None
     for number, law in enumerate(laws):
         try:
@@ -97,18 +109,25 @@ def weigh_laws(
             fault = InputError(str(error))
     if not fits:
         raise fault or InputError("no law of the wire was tried")
-    readings = max(independent_readings(fitted) for fitted, _ in fits.values())
+    every = [(law, one) for law, (found, _) in fits.items() for one in found]
+    readings = max(independent_readings(one) for _, one in every)
     told = np.array([
-        np.log(PRIOR.get(law, 1.0)) + _TEMPERED * log_evidence(fitted, readings)
-        for law, (fitted, _) in fits.items()
+        np.log(PRIOR.get(law, 1.0) * (_DIFFERENT if one.problem.states else 1.0 - _DIFFERENT))
+        + _TEMPERED * log_evidence(one, readings)
+        for law, one in every
     ])
     weights = np.exp(told - told.max())
     weights /= weights.sum()
-    found = [
-        LawFit(law, float(weight), fitted, tuple(tried))
-        for weight, (law, (fitted, tried)) in zip(weights, fits.items(), strict=True)
-    ]
-    return tuple(sorted(found, key=lambda one: -one.probability))
+    weighed = []
+    for law, (_, tried) in fits.items():
+        fitted = sorted(
+            ((float(w), one) for w, (name, one) in zip(weights, every, strict=True) if name == law),
+            key=lambda pair: -pair[0],
+        )
+        probability = sum(w for w, _ in fitted)
+        others = tuple((w / max(probability, _TINY), one) for w, one in fitted[1:])
+        weighed.append(LawFit(law, probability, fitted[0][1], tuple(tried), others))
+    return tuple(sorted(weighed, key=lambda one: -one.probability))
 
 
 def starts(unknowns: Unknowns) -> list[Array]:
@@ -154,24 +173,23 @@ def predict(
     """
     random = np.random.default_rng(_SEED)
     means, weights, variance = [], [], 0.0
-    differ = max(laws[0].fit.problem.states, least_scale(laws[0].fit))
-    for one in laws:
-        if one.probability < _NEGLIGIBLE:
+    for weight, fitted in (pair for one in laws for pair in one.weighed):
+        if weight < _NEGLIGIBLE:
             continue
-        unknowns, fitted = one.fit.unknowns, one.fit
+        unknowns, differ = fitted.unknowns, max(fitted.problem.states, least_scale(fitted))
         low, high = unknowns.bounds()
         values, vectors = np.linalg.eigh(fitted.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         benches = []
-        for _ in range(max(round(_DRAWS * one.probability), _FEWEST)):
+        for _ in range(max(round(_DRAWS * weight), _FEWEST)):
             x = np.clip(fitted.x + root @ random.standard_normal(len(root)), low, high)
             off = differ * random.standard_normal(len(STATES))
             away = dict(zip(STATES, off.tolist(), strict=True))
             benches.append(in_state(unknowns.parameters(x), away))
         best, drawn = np.split(observation.predict([fitted.parameters, *benches]), [1], axis=1)
         means.append(best[:, 0])
-        weights.append(one.probability)
-        variance = variance + one.probability * np.mean((drawn - best) ** 2, axis=1)
+        weights.append(weight)
+        variance = variance + weight * np.mean((drawn - best) ** 2, axis=1)
     shares = np.array(weights) / np.sum(weights)
     mean = shares @ np.array(means)
     variance = variance / np.sum(weights) + shares @ (np.array(means) - mean) ** 2
@@ -181,7 +199,7 @@ def predict(
         own = slice(first, first + len(signal.time))
         first = own.stop
         floor = _FLOOR * float(np.ptp(mean[own]))
-        zero = differ * _ZERO * float(np.ptp(mean[own])) if signal.quantity in _MOTIONS else 0.0
+        zero = _ZERO * float(np.ptp(mean[own])) if signal.quantity in _MOTIONS else 0.0
         off = reach * np.sqrt(variance[own] + floor**2 + zero**2)
         bands[signal.name] = Band(signal.time, mean[own], mean[own] - off, mean[own] + off)
     return bands

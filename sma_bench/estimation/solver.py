@@ -188,10 +188,10 @@ def recalibrate(
 def fit_imperfect(
     problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
     report: Report = silent,
-) -> tuple[Fit, list[Fit]]:
+) -> tuple[list[Fit], list[Fit]]:
     """As `recalibrate`, by a model that is never quite right: records are weighed by what it leaves
-    (`Problem.with_weights`), found again as the fit improves; several runs have states of
-    their own (`STATES`), as different as they show, where these pay for themselves."""
+    (`Problem.with_weights`), found again as the fit improves. Of several runs two fits: all alike,
+    and each with states of its own (`STATES`), as different as they show."""
     several = float(len(problem.observations) > 1)
     first = problem.with_nuisances(parameters, several).with_weights()
 
@@ -211,8 +211,7 @@ def fit_imperfect(
             )
             states = _scale_of_states(fitted)
         found.append(fitted)
-    readings = max(independent_readings(one) for one in found)
-    return max(found, key=lambda one: log_evidence(one, readings)), tried
+    return found, tried
 
 
 def independent_readings(fitted: Fit) -> float:

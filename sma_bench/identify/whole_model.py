@@ -232,8 +232,9 @@ def _with_lag(
     starts = [np.append(one, first) for one in (own.start(), fitted.x)]
     problem = Problem.of(before.observations, before.voltage_noise)
     if before.weights:
-        found, lagged = fit_imperfect(problem, own.base, unknowns, starts)
+        both, lagged = fit_imperfect(problem, own.base, unknowns, starts)
         readings = independent_readings(fitted)
+        found = max(both, key=lambda one: log_evidence(one, readings))
         gain = log_evidence(found, readings) - log_evidence(fitted, readings)
     else:
         found, lagged = recalibrate(problem, parameters, unknowns, starts)
