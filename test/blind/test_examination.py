@@ -2,10 +2,11 @@
 
 import copy
 import json
-import math
 import sys
+from pathlib import Path
 
 import pytest
+import yaml
 
 from examination.blind.case_files import checked_answer, read_kept
 from examination.blind.examination import Examinee, examine, open_cases
@@ -103,22 +104,8 @@ def test_every_answer_and_failure_is_kept_once_and_asked_for_no_more(make):
 
 # --- Answers to the contract are read; every broken clause is one line.
 
-GOOD = {
-    "verdict": "effect",
-    "cause": ["slack"],
-    "candidates": [
-        {"name": "no_gap", "stage": "", "probability": 0.02, "parameters": {}},
-        {"name": "slack", "stage": "mechanical", "probability": 0.9,
-         "parameters": {"p": {"value": 0.004, "std": 0.001, "unit": "1"}}},
-        {"name": "slack+latent_heat", "stage": "mechanical", "probability": 0.05, "parameters": {}},
-        {"name": "recalibration", "stage": "", "probability": 0.02, "parameters": {}},
-        {"name": "unexplained", "stage": "", "probability": 0.01, "parameters": {}},
-    ],
-    "where": {"signal": "deflection", "phase": "drive", "side": "back", "stage": "mechanical"},
-    "shrinkage": {"deflection": {"fraction": 0.8, "ci90": [0.7, 0.9]},
-                  "current": {"fraction": None, "ci90": None}},
-    "next_experiment": {"why": "", "separates": ["slack", "no_gap"], "protocol": {}},
-}  # fmt: skip
+ANSWERS = yaml.safe_load(Path(__file__).with_name("answers.yaml").read_text())
+GOOD = ANSWERS["good"]
 
 
 def test_a_good_answer_is_read_with_the_most_probable_candidate_first():
@@ -132,20 +119,7 @@ def test_a_good_answer_is_read_with_the_most_probable_candidate_first():
     assert checked_answer(GOOD | quiet).where is None
 
 
-BROKEN = (
-    ("verdict", "maybe"), ("verdict", "ambiguous"), ("cause", []), ("cause", "slack"),
-    ("cause", ["supply_drop"]), ("cause", ["no\ngap"]), ("candidates", []),
-    ("candidates 1 probability", 1.2), ("candidates 1 probability", "high"),
-    ("candidates 1 probability", 0.5), ("candidates 0 name", "recalibration"),
-    ("candidates 4 name", "supply_drop+slack"), ("candidates 1 stage", "thermal"),
-    ("candidates 1 parameters p value", math.inf), ("where", None), ("where signal", ""),
-    ("shrinkage", [1]), ("shrinkage deflection ci90", [0.9, 0.7]),
-    ("shrinkage deflection ci90", [0, 1, 2]), ("next_experiment separates", ["x"]),
-    ("next_experiment protocol", "ramp"),
-)  # fmt: skip
-
-
-@pytest.mark.parametrize(("path", "value"), BROKEN)
+@pytest.mark.parametrize(("path", "value"), ANSWERS["broken"])
 def test_a_broken_clause_is_refused_in_one_line(path, value):
     document = copy.deepcopy(GOOD)
     *way, last = [int(key) if key.isdigit() else key for key in path.split()]
