@@ -20,6 +20,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 if missing := [tool for tool in ("ros2", "colcon") if shutil.which(tool) is None]:
@@ -110,7 +111,12 @@ def every_node_ends(stage: Stage, times: int = 6) -> str:
         until(lambda: not alive(nodes), "left over", 2.0 * IN_TIME)  # noqa: B023
         slowest, stopped = max(slowest, time.monotonic() - begin), stopped + len(nodes)
         bench.ends()
-        until(lambda: name not in stage.run("ros2", "node", "list"), "ghosts", IN_TIME)  # noqa: B023
+
+        def ghosts() -> list[str]:
+            return re.findall(rf"/{name}/\w+", stage.run("ros2", "node", "list"))  # noqa: B023
+
+        said = bench.output[-300:]
+        until(lambda: not ghosts(), lambda: f"{ghosts()}: {said}", IN_TIME)  # noqa: B023
     assert slowest < IN_TIME, slowest
     return f"{stopped} processes, all gone within {slowest:.2f} s, no ghost in ros2 node list"
 
@@ -207,8 +213,11 @@ def a_stop_is_confirmed_by_stamps(stage: Stage) -> str:
         with connection.getresponse() as response:
             return response.status, response.read().decode()
 
-    time.sleep(3.0)
-    answer = json.loads(ask("POST", "stop")[1])
+    def stop() -> dict[str, Any]:
+        return json.loads(ask("POST", "stop")[1])
+
+    until(lambda: "Nothing to stop" not in stop()["said"], "it hears no voltage")
+    answer = stop()
     assert not answer["stopped"], answer
     status, _ = ask("GET", "", Origin="http://[")
     assert status == 403

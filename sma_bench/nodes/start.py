@@ -61,7 +61,6 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         for number in ending_signals():
             signal.signal(number, lambda *_: os._exit(0))
         print(f"starting {name}", flush=True)  # its libraries take a second, or many
-    gc.disable()  # a tenth of what libraries take, who leave no garbage
     from sma_bench.errors import InputError
 
     if asks_for_help:
@@ -119,8 +118,6 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
                 )
                 node.get_logger().info(f"limits: {node.limits}")
         making.clear()
-        gc.freeze()
-        gc.enable()
         with ThreadPoolExecutor(len(nodes)) as pool:
             runs = [pool.submit(_serve, node, over) for node in nodes.values()]
             while not over:
