@@ -1,17 +1,316 @@
-"""sma-bench demo: simulated benches, identified and diagnosed through the real nodes."""
+"""sma-bench demo: two acts on benches of real nodes, simulated and recorded: Table I of a wire,
+and a composite that hides an effect. The diagnosis node sees a lab's file and two bags of it."""
 
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
+
+from sma_bench.border import make_folder, read_yaml
 from sma_bench.commands import options
+from sma_bench.commands.terminal import (
+    WorkState,
+    output_console,
+    print_table,
+    progress,
+    say,
+    write_json,
+)
 from sma_bench.errors import InputError
+from sma_bench.installation import share_directory
+from sma_bench.lifeline import tied_to_this_process
+from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, EFFECTS
+from sma_bench.progress import COMPILING, Report, part, shares
+from sma_bench.protocols import load_protocol
+from sma_bench.report.tables import Table, diagnosis_tables
+from sma_bench.results import card_text
+
+# The first act: the paper's E1 to E3 on short forms of its protocols, and what a lab knows of its
+# wire without a volt, by a scale and a ruler.
+TABLE_ONE = {
+    "wire.resistance": "R", "wire.heat_transfer_coefficient": "h", "wire.specific_heat": "c_p"
+}
+QUICK = ("quick_staircase", "quick_ramp")
+SIGMAS, LARGEST_ERROR = 2.0, 0.01  # standard errors, and of the value
+_PAPER = Parameters.of_paper()
+_WEIGHED = {name: _PAPER[name] for name in ("wire.mass", "wire.surface_area", "wire.diameter")}
+
+# The second act.
+HIDEABLE: dict[str, dict[str, tuple[float, float]]] = read_yaml(
+    Path(__file__).with_name("demo.yaml")
+)["hideable"]
+RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
+LAB_FILE = share_directory() / "config" / "demo_rig.yaml"  # what the lab believes of its bench
+_EITHER_SIGN = ("phase_dependent_resistance",)
+_FARTHEST = 2.0  # standard errors
+_ALL_BUT_CERTAIN = 0.8  # probability of a candidate
+# An Uno's own 5 V range. Over the usual 10 V, 10 bit are steps of 10 mV, far above the noise: a
+# held level would be off by what heats the wire as much as a small effect.
+_INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
+
+# One a command: nodes that talk cost more of the processor than all that is computed.
+_RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.0)
+_PROTOCOLS = share_directory() / "config" / "protocols"
+_PATIENCE = 600.0  # s: the service may have to wait for the compiler
+# Seconds of two quiet cores; nodes do not exceed so many times real time by much.
+_STARTING, _COMPILING, _IDENTIFYING, _DRAWING, _DIAGNOSING = 3.0, 20.0, 4.0, 3.0, 12.0
+_REACHED = 30.0
 
 
 @options.command("demo")
 def run(args: SimpleNamespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
-    wrong, 1 when not."""
-    from sma_bench.commands.demo_acts import play
+    wrong, 1 when not. Raises InputError: no ROS 2 here, or a folder that cannot be made."""
+    from sma_bench.compiled import is_compiled
+    from sma_bench.diagnose.result import diagnosis_from
+    from sma_bench.physics import core
+    from sma_bench.report.reports import write_identification_report
+    from sma_bench.tasks.work import identify_files
 
     if args.draw is not None and args.draw < 0:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
-    return play(args)
+    started, console, speed = time.monotonic(), output_console(), args.speed
+    truth, lab = simulated_truth(args.draw), read_parameters(LAB_FILE)
+    seed = time.time_ns() % 2**31 if args.draw is None else args.draw
+    out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
+    gap = out / "simulated_gap"
+    for folder in (out, gap):
+        make_folder(folder / "bags")
+        make_folder(folder / "logs")
+    write_parameters(out / "truth.yaml", truth, "What the simulated bench is made of.")
+    hidden_file = gap / "hidden.yaml"
+    title = "The truth of the simulated bench."
+    write_parameters(hidden_file, hidden_bench(lab, seed), title)
+
+    # What each step takes, about: the time left is that of the whole demo.
+    pace = min(speed, _REACHED)
+    plan = {COMPILING: 0.0 if is_compiled(core.run) else _COMPILING}
+    plan |= {name: _STARTING + load_protocol(name, truth).duration / pace for name in QUICK}
+    plan |= {"identify": _IDENTIFYING, "report": _DRAWING}
+    plan |= {n: _STARTING + load_protocol(n, lab).duration / pace for n in (RECORD, HOLD_OUT)}
+    plan |= {"diagnose": _DIAGNOSING}
+    state = WorkState()
+    steps = {step: part(state.report, *ends) for step, ends in shares(plan).items()}
+
+    # The first act.
+    console.print("[bold]1. From a commanded volt to Table I[/]")
+    with progress("demo", state):
+        if not is_compiled(core.run):  # ./bench may be compiling already
+            begin, command = time.monotonic(), [sys.executable, "-P", "-m", "sma_bench.physics"]
+            with subprocess.Popen(command, env=tied_to_this_process()) as process:
+                while process.poll() is None:
+                    steps[COMPILING]((time.monotonic() - begin) / _COMPILING, COMPILING)
+                    time.sleep(0.1)
+        bags, found = _recorded_and_asked(
+            out, "/demo", out / "truth.yaml", QUICK, {"speed": speed}, steps,
+            "identification/identify",
+            lambda bags: {"output_directory": ".", **_WEIGHED, "record": bags},
+        )
+        result = identify_files(bags, Parameters(_WEIGHED))  # as the node did, for its page
+        page = write_identification_report(out / "report", result, steps["report"])
+    estimates, rows = found["parameters"], []
+    for name, symbol in TABLE_ONE.items():
+        cells = ["-", "-", "-"]  # not identified: the warnings say why
+        if own := estimates.get(name):
+            off = _deviation(own, truth[name])
+            cells = [f"{own['value']:.5g}", f"{own['std']:.2g}", f"{off:+.2f}"]
+        known = f"{_PAPER[name]:.5g}", f"{truth[name]:.5g}"
+        rows.append((symbol, BY_NAME[name].unit, *known, *cells))
+    header = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
+    print_table(Table(header, rows, frozenset(range(2, len(header))), title="Table I"))
+    for warning in found["warnings"]:
+        say(f"note {warning}")
+    holds = promise_holds(estimates, truth)
+    say(
+        f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
+        f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}"
+    )
+    say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {out / 'identified.yaml'}")
+
+    # The second: the card and the candidates, then the truth, which only the bench has read so far.
+    console.print("\n[bold]2. The gap between simulation and bench[/]")
+    say("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
+    gap_page, improved = gap / "report" / "index.html", gap / "improved.yaml"
+    with progress("demo", state):
+        simulator = {"speed": speed, **_INSTRUMENTS}
+        files = {"improved": str(improved.resolve()), "report": str(gap_page.parent.resolve())}
+        _, answer = _recorded_and_asked(
+            gap, "/demo_gap", hidden_file, (RECORD, HOLD_OUT), simulator, steps,
+            "diagnosis/diagnose",
+            lambda bags: {"record": bags[:1], "hold_out": bags[1:], **files}, (LAB_FILE,),
+        )
+    write_json(str(gap / "diagnosis.json"), answer)
+    diagnosis = diagnosis_from(answer, "diagnosis")
+    console.print(f"{card_text(diagnosis, console.width)}\n", markup=False, soft_wrap=True)
+    print_table(diagnosis_tables(diagnosis)["candidates"])
+    say(f"report     {gap_page}\nbags       {gap / 'bags'}\nnodes load {improved}")
+    hidden = read_parameters(hidden_file)
+    say(f"\nThe truth, from {hidden_file}")
+    for sentence in reveal(answer, hidden):
+        say(sentence)
+    say(f"The same again: --draw {seed}\n{time.monotonic() - started:.0f} s")
+
+    right = {"table_one": holds, "gap": not confidently_wrong(answer, hidden)}
+    if args.json:
+        effect, numbers = hidden_effect(hidden)
+        true = {"table_one": {name: truth[name] for name in TABLE_ONE},
+                "gap": {"effect": effect, "numbers": numbers}}  # fmt: skip
+        write_json(args.json, {
+            "synthetic": True, "folder": str(out), "holds": right, "truth": true,
+            "report": {"table_one": str(page), "gap": str(gap_page)},
+            "estimates": estimates, "diagnosis": answer, "draw": seed,
+        })  # fmt: skip
+    return 0 if all(right.values()) else 1
+
+
+def _recorded_and_asked(
+    folder: Path, namespace: str, file: Path, protocols: Sequence[str],
+    simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
+    settings: Callable[[list[str]], Mapping[str, Any]], files: tuple[Path, ...] = (),
+) -> tuple[list[str], dict[str, Any]]:
+    """Bags of protocols, run one after the other by the nodes of a simulated bench that is what the
+    file says; and what a node's `service` makes of them, with the settings for these bags and its
+    parameter files."""
+    node, _, work = service.partition("/")
+    with options.needs_ros("demo"):
+        from sma_bench.ros.bench_client import BenchClient
+        from sma_bench.ros.processes import NodeProcesses, private_ros_environment
+    private_ros_environment()
+    bench = read_parameters(file)
+    kinds = ("power", "temperature")
+    readings = [f"{channel}/{kind}" for channel in bench["bench.channels"] for kind in kinds]
+
+    def look() -> None:
+        """While the client waits: do the nodes live, and how far is the service?"""
+        nodes.check()
+        if share := client.progress(node):
+            steps[work](*share)
+
+    def record(protocol: str) -> str:
+        duration, begin = load_protocol(protocol, bench).duration, list[float]()
+
+        def heed(state: str) -> None:
+            if state.startswith("running"):
+                begin[:] = begin or [client.simulated_seconds]
+                gone = client.simulated_seconds - begin[0]
+                done = f"{protocol}, {gone:.0f} of {duration:.0f} simulated s"
+                steps[protocol](gone / duration, done)
+
+        steps[protocol](0.0, protocol)
+        bag = (folder / "bags" / protocol).resolve()
+        client.run_recorded(
+            _PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed, simulated_time=True,
+            needed=["voltage_command", "experiment/marker", *readings],
+        )
+        return str(bag)
+
+    driven = {"protocol": protocols[0], "protocol_root": str(_PROTOCOLS), "use_sim_time": True}
+    with (
+        NodeProcesses(namespace, folder / "logs") as nodes,
+        BenchClient(namespace, meanwhile=look) as client,
+    ):
+        nodes.start("simulator", {**_RATES, **simulator}, (file,))
+        nodes.start("experiment", driven, (file,))
+        bags = [record(protocol) for protocol in protocols]
+        for name in ("experiment", "simulator"):  # they have done their part
+            nodes.end(name)
+        roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
+        nodes.start(node, {**roots, **settings(bags)}, files)
+        steps[work](0.0, work)
+        client.follow(node)
+        return bags, json.loads(client.trigger(service, _PATIENCE))
+
+
+# --- What is simulated and hidden, and whether what was said of it is right.
+
+
+def simulated_truth(seed: int | None) -> Parameters:
+    """Table I, or where a seed is given a wire drawn within +-10 % of it."""
+    truth = read_parameters(share_directory() / "config" / "wire_rig.yaml")
+    if seed is None:
+        return truth
+    rng = np.random.default_rng(seed)
+    return truth.replace({name: float(truth[name] * rng.uniform(0.9, 1.1)) for name in TABLE_ONE})
+
+
+def _deviation(estimate: Mapping[str, Any], true: float) -> float:
+    """Estimate less truth, in stated standard errors."""
+    return float((estimate["value"] - true) / estimate["std"])
+
+
+def promise_holds(estimates: Mapping[str, Any], truth: Parameters) -> bool:
+    """Whether R, h and c_p are all there, within two stated errors of the truth, and what the
+    scales of the sensors leave of these is below 1 % of the value."""
+    return all(
+        name in estimates
+        and abs(_deviation(estimates[name], truth[name])) <= SIGMAS
+        and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
+        for name in TABLE_ONE
+    )
+
+
+def hidden_bench(lab: Parameters, seed: int) -> Parameters:
+    """The bench as it is: what the lab believes, off by the errors that it states, and one effect
+    on; `seed` draws everything."""
+    from sma_bench.estimation.unknowns import BACK, FRONT
+
+    rng = np.random.default_rng(seed)
+    effect = str(rng.choice(list(HIDEABLE)))
+    sign = rng.choice((-1.0, 1.0)) if effect in _EITHER_SIGN else 1.0
+    numbers = {
+        f"{EFFECT_PREFIX}{effect}.{number}": float(sign * np.exp(rng.uniform(*np.log(ends))))
+        for number, ends in HIDEABLE[effect].items()
+    }
+    errors = np.clip(rng.standard_normal(len(lab.given_uncertainty)), -_FARTHEST, _FARTHEST)
+    off = {
+        name: float(lab[name] + error * std)
+        for (name, std), error in zip(lab.given_uncertainty.items(), errors, strict=True)
+    }
+    if lab[FRONT] == lab[BACK]:  # sides that are built alike are off alike
+        off[BACK] = off[FRONT]
+    return Parameters({name: lab[name] for name in lab.given} | off | numbers)
+
+
+def hidden_effect(bench: Parameters) -> tuple[str, dict[str, float]]:
+    """The one effect of a bench that hides one, and its numbers by their full names."""
+    (effect,) = (name for name, effect in EFFECTS.items() if effect.is_on(bench))
+    names = [f"{EFFECT_PREFIX}{effect}.{number}" for number in HIDEABLE[effect]]
+    return effect, {name: bench[name] for name in names}
+
+
+def confidently_wrong(answer: Mapping[str, Any], hidden: Parameters) -> bool:
+    """Whether a diagnosis result of a bench names an effect, or holds anything for all but
+    certain, that is not the truth."""
+    effect, _ = hidden_effect(hidden)
+    certain = [c["name"] for c in answer["candidates"] if c["probability"] >= _ALL_BUT_CERTAIN]
+    named = [answer["cause"]] if answer["cause"] else []
+    return any(effect not in own for own in (*named, *(name.split("+") for name in certain)))
+
+
+def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
+    """The truth against what was said, a sentence a line; arguments of `confidently_wrong`."""
+    effect, numbers = hidden_effect(hidden)
+    amounts = {name: f"{value:.4g} {BY_NAME[name].unit}".removesuffix(" 1")
+               for name, value in numbers.items()}  # fmt: skip
+    short = {name: name.removeprefix(EFFECT_PREFIX) for name in numbers}
+    sizes = ", ".join(f"{short[name]} {amount}" for name, amount in amounts.items())
+    yield f"The bench hid {effect} ({EFFECTS[effect].stage}): {sizes}."
+
+    first = answer["candidates"][0]
+    with_truth = [c for c in answer["candidates"] if effect in c["name"].split("+")]
+    said = f"First choice of the diagnosis: {first['name']}, probability {first['probability']:.2f}"
+    if first in with_truth:
+        yield f"{said}: right{'.' if first['name'] == effect else ', but not alone.'}"
+    else:
+        yield f"{said}: WRONG; it gave the truth {sum(c['probability'] for c in with_truth):.2f}."
+    for name, true in numbers.items():
+        if found := first["parameters"].get(name):
+            off = f" ({_deviation(found, true):+.1f} standard errors)" if found["std"] else ""
+            yield f"{short[name]}: found {found['value']:.4g}, true {amounts[name]}{off}"

@@ -9,7 +9,7 @@ import pytest
 
 from examination.blind.case_files import checked_answer
 from sma_bench.cli import main
-from sma_bench.commands.demo_acts import (
+from sma_bench.commands.demo import (
     HIDEABLE,
     HOLD_OUT,
     QUICK,
