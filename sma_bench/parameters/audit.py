@@ -7,13 +7,14 @@ from functools import cache
 from typing import Any
 
 from sma_bench.findings import Finding, Severity
-from sma_bench.parameters.convection import natural_convection, radiation
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS, read_declarations
 from sma_bench.parameters.parameters import (
     CONVECTION_FACTOR,
     NITI_EXPANSION,
     Parameters,
     load_kind,
+    natural_convection,
+    radiation,
     wire_length,
     wire_length_from_mass,
     wire_section,

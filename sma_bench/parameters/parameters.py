@@ -7,7 +7,6 @@ from copy import copy
 from typing import Any
 
 from sma_bench.errors import InputError, did_you_mean
-from sma_bench.parameters.convection import free_coefficient
 from sma_bench.parameters.parameter import (
     BY_NAME,
     EFFECTS,
@@ -29,6 +28,11 @@ _CHOICES = {
 # Of a branch of wire.law normal: its range in deviations, from 2.5 to 97.5 %.
 BRANCH = 3.92
 _WITHIN = 0.05  # of what is possible, that an unstated spread keeps from its ends
+GRAVITY = 9.81  # m/s2
+STEFAN_BOLTZMANN = 5.670e-8  # W/(m2 K4)
+REFERENCE_EXCESS = 60.0  # K above ambient, of the coefficient that results name
+OXIDISED = 0.4  # emissivity of a drawn wire with its oxide
+_EXCESSES = (30.0, 120.0)  # K, between which the exponent of free convection is taken
 _LONGEST_LIST = 800  # characters of what stands for a set of parameters
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 # What must hold between numbers, beside the range of each in the table: the first below the second,
@@ -305,3 +309,44 @@ def as_recorded(parameters: Parameters) -> Parameters:
     if parameters["bench.drive"] == "voltage":
         return parameters
     return parameters.replace({"bench.drive": "voltage"})
+
+
+# --- Heat that still air and radiation take from a thin wire, `wire.convection: free`: h(T) of
+# Churchill and Chu (1975) for its diameter, as a power of the excess over air, and grey radiation.
+# `wire.heat_transfer_coefficient` is what both give 60 K above ambient, theirs if nobody states it.
+
+
+def natural_convection(diameter: float, surface: float, ambient: float) -> float:
+    """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air, of Churchill and
+    Chu (1975), air at film temperature and 1 atm. `diameter` [m]; `surface`, `ambient`:
+    temperatures [K], surface above ambient."""
+    film = 0.5 * (surface + ambient)
+    conductivity = 0.0241 * (film / 273.15) ** 0.81
+    viscosity = 1.716e-5 * (film / 273.15) ** 1.5 * (273.15 + 110.4) / (film + 110.4)
+    density = 101325.0 / (287.05 * film)
+    heat_capacity = 1007.0
+    prandtl = viscosity * heat_capacity / conductivity
+    diffusivity = conductivity / (density * heat_capacity)
+    rayleigh = (
+        GRAVITY * (surface - ambient) * diameter**3 / (film * (viscosity / density) * diffusivity)
+    )
+    shape = (1.0 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)
+    nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / shape) ** 2
+    return nusselt * conductivity / diameter
+
+
+def radiation(emissivity: float, surface: float, ambient: float) -> float:
+    """Heat transfer coefficient [W/(m2 K)] of grey radiation to surroundings at `ambient` [K]."""
+    return emissivity * STEFAN_BOLTZMANN * (surface**2 + ambient**2) * (surface + ambient)
+
+
+def free_coefficient(diameter: float, ambient: float) -> float:
+    """h [W/(m2 K)] of a bare wire of that diameter [m] in still air, 60 K above ambient [K]."""
+    surface = ambient + REFERENCE_EXCESS
+    return natural_convection(diameter, surface, ambient) + radiation(OXIDISED, surface, ambient)
+
+
+def free_exponent(diameter: float, ambient: float) -> float:
+    """n of convection's part of h, in proportion to (T - ambient)^n."""
+    cool, hot = (natural_convection(diameter, ambient + e, ambient) for e in _EXCESSES)
+    return math.log(hot / cool) / math.log(_EXCESSES[1] / _EXCESSES[0])

@@ -2,7 +2,7 @@
 
     h A_c = C [(x^2 + 2^2)/(60^2 + 2^2)]^(n/2) + e s A_c (T + T_inf)(T^2 + T_inf^2)
 
-x = T - T_inf in K, rounded within 2 K; n by the wire's diameter (parameters/convection.py); e =
+x = T - T_inf in K, rounded within 2 K; n by the wire's diameter (parameters/parameters.py); e =
 0.4, s Stefan and Boltzmann's constant. C is what is left of `wire.heat_transfer_coefficient` A_c,
 which holds 60 K above ambient. Source: Churchill and Chu 1975; Morgan 1975 has n of 0.15 for wires
 as thin.
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.convection import (
+from sma_bench.parameters.parameters import (
     OXIDISED,
     REFERENCE_EXCESS,
     free_exponent,
