@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -16,12 +16,13 @@ from sma_bench.border import load_yaml
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.laws import Band, predict
-from sma_bench.estimation.observation import observe
 from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import Parameters
-from sma_bench.records.record import Record
 from sma_bench.results import card_html, card_rows, card_text, decoded, sentences
+
+if TYPE_CHECKING:
+    from sma_bench.estimation.laws import Band
+    from sma_bench.records.record import Record
 
 Array = npt.NDArray[np.float64]
 FitVerdict = Literal["ok", "imperfect", "misfit"]
@@ -140,7 +141,7 @@ class Identification(Reported):
     accounts: tuple[str, ...] = ()
     law: Law | None = None
 
-    def predict(self, record: Record, probability: float = 0.9) -> dict[str, Band]:
+    def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
         """What the bench will read on the voltages of a record, by signal, and the limits that hold
         a share of the readings.
 
@@ -153,6 +154,9 @@ class Identification(Reported):
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
             raise refusal("nothing to predict from")
+        from sma_bench.estimation.laws import predict
+        from sma_bench.estimation.observation import observe
+
         observation = observe(record, laws[0].fit.parameters)
         return predict(laws, observation, probability)
 

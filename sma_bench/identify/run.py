@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -115,9 +116,12 @@ class IdentificationRun:
         found, waiting = self.given, dict(self.estimates)
         reasons: dict[str, str] = {}
         if model := next((e.model for e in self.experiments if e.laws), None):
-            values, std = ({n: getattr(e, key) for n, e in waiting.items()}
-                           for key in ("value", "std"))
-            return found.replace(model | values, std, "identified")
+            values = {name: e.value for name, e in waiting.items()}
+            std = {name: e.std for name, e in waiting.items()}
+            with suppress(InputError):  # then one by one, what cannot be is named
+                return found.replace(model | values, std, "identified")
+            with suppress(InputError):
+                found = found.replace(model)
         # An end of a range may only fit once its other end has been put in: at most one a pass.
         for _ in self.estimates:
             for name, e in list(waiting.items()):

@@ -29,6 +29,7 @@ from sma_bench.estimation.unknowns import (
     LOADS,
     PRODUCTS,
     SHAPES,
+    SPREAD,
     UNMODELLED,
     Unknown,
     shares_of_factor,
@@ -157,8 +158,9 @@ def fit_experiment(
             shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
         shares |= shares_of_factor(n.name, n.value, parameters)
         # What nobody measured better is not known better: sensors' scales are in what was known.
+        value = fitted.parameters[SPREAD] if n.name == SPREAD else n.value  # as it can be
         estimates[n.name] = Estimate(
-            n.value, n.std, BY_NAME[n.name].unit, words, samples, informed=n.informed
+            value, n.std, BY_NAME[n.name].unit, words, samples, informed=n.informed
         ).with_shares(shares).capped(n.prior_std)
 
     # Products that the data know better than their factors, zeros of sensors, delays.
