@@ -20,6 +20,7 @@ _INSTRUMENTS = (0.1, 0.5)  # from which share of the time to which
 
 @options.command("simulate")
 def run(args: SimpleNamespace) -> int:
+    from sma_bench.estimation.bands import band_of
     from sma_bench.findings import Finding
     from sma_bench.live.virtual_bench import STANDS
     from sma_bench.parameters.parameters import load_kind
@@ -29,7 +30,6 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.records.bag_writer import write_record
     from sma_bench.records.record import drive_of
     from sma_bench.synthetic import bench_records as bench
-    from sma_bench.synthetic.bands import band_of
 
     options.one_only(args, "protocol", "input", required=True)
     parameters = options.parameters_from_options(args)
@@ -61,7 +61,10 @@ def run(args: SimpleNamespace) -> int:
         simulation = simulated(parameters)
         band: dict[str, Any] = {}
         if args.band is not None:
-            limits = band_of(parameters, simulated, args.band, part(report, 0.0, _INSTRUMENTS[0]))
+            limits = band_of(
+                parameters, lambda drawn: bench.signals_of(simulated(drawn)), args.band,
+                part(report, 0.0, _INSTRUMENTS[0]),
+            )
             named = {
                 name: {"low": low.tolist(), "high": high.tolist()}
                 for name, (low, high) in limits.items()

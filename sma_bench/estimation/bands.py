@@ -1,7 +1,7 @@
 """Between which limits a bench will read, as far as its parameter file tells: every number drawn
 within its stated deviation, each by itself, and what runs of one bench differ by."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.special import ndtri
@@ -12,24 +12,23 @@ from sma_bench.estimation.nuisances import STATES, in_state
 from sma_bench.estimation.unknowns import TEMPERATURES, range_of, unknowns_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECT_PREFIX
-from sma_bench.physics.simulate import Simulation
 from sma_bench.progress import Report, silent
-from sma_bench.synthetic.bench_records import signals_of
+from sma_bench.records.record import Signal
 
 _DRAWS, _SEED = 40, 43
 _FLOOR = 0.005  # of what a signal spans, that no model predicts
 
 
 def band_of(
-    parameters: Parameters, simulated: Callable[[Parameters], Simulation], probability: float,
-    report: Report = silent,
+    parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
+    probability: float, report: Report = silent,
 ) -> dict[str, tuple[Array, Array]]:
     """Lower and upper limit (n,) of every signal but the voltages, in its unit, that hold a share
     of the readings.
 
     Args:
         parameters: numbers with a stated `uncertainty.` are drawn, the others are as they are.
-        simulated: the run that is asked for, on a bench; probability: between 0 and 1.
+        simulated: the signals of the run that is asked for, on a bench; probability: between 0 and 1.
 
     Raises:
         InputError: another probability, or no number has a stated uncertainty.
@@ -47,12 +46,12 @@ def band_of(
     }
     unknowns = unknowns_of(parameters, names, shapes=shapes)
     random, (low, high) = np.random.default_rng(_SEED), unknowns.bounds()
-    exact, drawn = signals_of(simulated(parameters)), []
+    exact, drawn = simulated(parameters), []
     for number in range(_DRAWS):
         report(number / _DRAWS, f"draw {number + 1} of {_DRAWS}")
         x = np.clip(random.standard_normal(len(low)), low, high)
         away = dict(zip(STATES, random.standard_normal(len(STATES)).tolist(), strict=True))
-        drawn.append(signals_of(simulated(in_state(unknowns.parameters(x), away))))
+        drawn.append(simulated(in_state(unknowns.parameters(x), away)))
     found, reach = {}, float(ndtri(0.5 + probability / 2.0))
     for k, signal in enumerate(exact):
         if signal.name.endswith("voltage"):
