@@ -28,7 +28,7 @@ def band_of(
 
     Args:
         parameters: numbers with a stated `uncertainty.` are drawn, the others are as they are.
-        simulated: the signals of the run that is asked for, on a bench; probability: between 0 and 1.
+        simulated: signals of the run that is asked for, on a bench; probability: between 0 and 1.
 
     Raises:
         InputError: another probability, or no number has a stated uncertainty.
