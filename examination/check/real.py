@@ -22,7 +22,8 @@ from scipy.optimize import least_squares
 from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.compiled import compiled
 from sma_bench.errors import InputError
-from sma_bench.identify import Identification, identify
+from sma_bench.estimation.laws import repeatability
+from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
 from sma_bench.records.record import Signal
@@ -40,10 +41,9 @@ WITHIN, MEDIAN = 0.15, 6.05
 
 def main(argv: Sequence[str] | None = None) -> int:
     """1 if the rival is not the one that is meant, or is not beaten."""
-    own = {"folder": (..., "of clones"), "pairs": (False, "fit every pair of runs, 36 of them")}
-    options = options_of("real", __doc__, argv, **own, **IN_PIECES)
-    folder = Path(options.folder) / BENCH["repository"].partition("/")[2]
-    if not folder.is_dir():
+    own = {"folder": (..., "of clones"), "pairs": (False, "fit every pair of runs")} | IN_PIECES
+    options = options_of("real", __doc__, argv, **own)
+    if not (folder := Path(options.folder) / BENCH["repository"].partition("/")[2]).is_dir():
         print(f"skipped: {folder} is not there, see docs/real_benches.md")
         return 0
     pairs = list(itertools.combinations(RUNS, 2)) if options.pairs else []
@@ -54,22 +54,22 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("fitted to", ">eight numbers", ">this model", ">band holds", ">its width", "law"),
         [_row(names, found[names]) for names in STATED],
     )
-    same = [found[pair]["repeats"] for pair in itertools.combinations(SAME_INPUT, 2)]
-    print(f"one run predicts another of the same input to {_percents(same)}, as told from pairs; "
-          f"measured: {_percents(_measured_repeats(folder))}")
+    told = [found[pair]["repeats"] for pair in itertools.combinations(SAME_INPUT, 2)]
+    same, seen = (np.round(np.multiply(100.0, x), 1).tolist() for x in (told, _repeats(folder)))
+    print(f"one run predicts another of its input to {same} %, told from pairs; measured {seen} %")
     rival = [found[names]["rival"] for names in STATED]
     good = all(abs(a - b) <= WITHIN for a, b in zip(rival, EXPECTED, strict=True))
     if pairs:
-        ours, theirs = (np.array([found[p][who] for p in pairs]) for who in ("ours", "rival"))
-        runs = [a <= b for p in pairs for a, b in zip(*(found[p][f"{w} by run"] for w in
-                ("ours", "rival")), strict=True)]
+        of = [found[pair] for pair in pairs]
+        ours, theirs = (np.array([one[who] for one in of]) for who in ("ours", "rival"))
         for name, own in (("eight numbers", theirs), ("this model", ours)):
-            print(f"{len(pairs)} pairs, {name}: median {np.median(own):.2f} %, mean "
-                  f"{np.mean(own):.2f} %, worst {np.max(own):.1f} %")
-        print(f"not worse than the eight numbers: {np.mean(ours <= theirs):.0%} of pairs, "
-              f"{np.mean(runs):.0%} of runs; band of 90 % holds "
-              f"{np.mean([found[p]['held'] for p in pairs]):.1%}, "
-              f"{np.mean([found[p]['width'] for p in pairs]):.1%} of the stroke wide")
+            low, mean, high = np.median(own), np.mean(own), np.max(own)
+            print(f"{len(of)} pairs, {name}: median {low:.2f} %, mean {mean:.2f}, worst {high:.1f}")
+        runs, held, width = (
+            float(np.mean([one[key] for one in of])) for key in ("not worse", "held", "width")
+        )
+        print(f"not worse: {np.mean(ours <= theirs):.0%} of pairs, {runs:.0%} of runs")
+        print(f"the 90 % band holds {held:.1%}, {width:.1%} of the stroke wide")
         good &= abs(float(np.median(theirs)) - MEDIAN) <= WITHIN
     return 0 if good else 1
 
@@ -79,10 +79,6 @@ def _row(names: Sequence[str], r: dict[str, Any]) -> tuple[str, ...]:
     ours = f"{r['ours']:.2f}" + (f" ({r['with states']:.2f} with states)" if len(names) > 2 else "")
     laws = ", ".join(f"{name} {p:.0%}" for name, p in r["laws"].items() if p > 0.01)
     return what, f"{r['rival']:.2f}", ours, f"{r['held']:.0%}", f"{r['width']:.0%}", laws
-
-
-def _percents(shares: Sequence[float]) -> str:
-    return ", ".join(f"{share:.1%}" for share in shares)
 
 
 def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
@@ -95,36 +91,27 @@ def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
     for run in (runs[name] for name in unseen):
         time, moved = motion(run)
         band = model.predict(run)["deflection"]
-        mean, low, high = (np.interp(time, band.time, own) for own in
-                           (band.mean, band.low, band.high))
+        mean, low, high = (
+            np.interp(time, band.time, own) for own in (band.mean, band.low, band.high)
+        )
         stroke = float(np.ptp(moved))
         scores["ours"].append(100.0 * _rms(mean - moved) / stroke)
         scores["rival"].append(100.0 * _rms(eight_numbers(rival, run) - moved) / stroke)
         scores["held"].append(float(np.mean((moved > low) & (moved < high))))
         scores["width"].append(float(np.mean(high - low)) / stroke)
+    fit = model.experiments[0].laws[0].fit  # its runs' states found
+    left = [_rms(fit.left[b.rows]) / np.ptp(b.signal.value) for b in fit.problem.blocks]
     return {
         **{key: float(np.mean(own)) for key, own in scores.items()},
-        "ours by run": scores["ours"], "rival by run": scores["rival"],
-        "with states": 100.0 * _left(model), "repeats": _repeats(model),
+        "not worse": float(np.mean(np.less_equal(scores["ours"], scores["rival"]))),
+        "with states": 100.0 * float(np.mean(left)),
+        "repeats": repeatability(fit),
         "laws": {model.law.name: model.law.probability, **model.law.others} if model.law else {},
     }
 
 
-def _left(model: Identification) -> float:
-    """What the fit itself leaves, its runs' states found: a mean over runs, in strokes."""
-    fit = model.experiments[0].laws[0].fit
-    return float(np.mean([
-        _rms(fit.left[b.rows]) / np.ptp(b.signal.value) for b in fit.problem.blocks
-    ]))
-
-
-def _repeats(model: Identification) -> float:
-    found = [f.numbers["repeats"] for f in model.experiments[0].findings if "repeats" in f.numbers]
-    return found[0] if found else float("nan")
-
-
-def _measured_repeats(folder: Path) -> list[float]:
-    """Of every pair of runs with the same input: by how much one misses the other, in strokes."""
+def _repeats(folder: Path) -> list[float]:
+    """Measured: by how much one run misses another of the same input, in strokes."""
     moved = [motion(run_of(folder, name))[1] for name in SAME_INPUT]
     return [_rms(a - b) / float(np.ptp(b)) for a, b in itertools.combinations(moved, 2)]
 
@@ -146,10 +133,9 @@ def run_of(folder: Path, name: str) -> Record:
     volts = BENCH["supply"] * np.sqrt(np.maximum(duty, 0.0))
     elongation = position[stamps < BENCH["still"]].mean() - position
     kept = time <= stamps[-1]
-    return Record(Path(name), 0, {
-        "wire.voltage": Signal("wire.voltage", "V", time[kept][::5], volts[kept][::5]),
-        "elongation": Signal("elongation", "m", stamps, elongation),
-    })
+    drive = Signal("wire.voltage", "V", time[kept][::5], volts[kept][::5])
+    moved = Signal("elongation", "m", stamps, elongation)
+    return Record(Path(name), 0, {one.name: one for one in (drive, moved)})
 
 
 def _series(path: Path) -> tuple[Array, Array]:
@@ -218,16 +204,14 @@ def fit_rival(runs: Sequence[Record]) -> Array:
     truth = [motion(run)[1] for run in runs]
 
     def missed(numbers: Array) -> Array:
-        return np.concatenate([
-            100.0 * (eight_numbers(numbers, run) - moved) / np.ptp(moved)
-            for run, moved in zip(runs, truth, strict=True)
-        ])
+        left = [eight_numbers(numbers, run) - own for run, own in zip(runs, truth, strict=True)]
+        return np.concatenate([100.0 * a / np.ptp(b) for a, b in zip(left, truth, strict=True)])
 
-    scale = np.array([0.1, 0.1, 5.0, 0.3, 5.0, 0.3])
+    scale, mm, kelvin = [0.1, 0.1, 5.0, 0.3, 5.0, 0.3], np.log(16.0), np.log(4.0)
     tries = [
-        least_squares(missed, [np.log(16.0), np.log(tau), hot, np.log(4.0), cold, np.log(4.0)],
-                      x_scale=scale, max_nfev=60)
-        for tau in (5.0, 10.0) for hot, cold in ((40.0, 25.0), (30.0, 15.0), (60.0, 35.0))
+        least_squares(missed, [mm, np.log(tau), *branches], x_scale=scale, max_nfev=60)
+        for tau in (5.0, 10.0)
+        for branches in ((h, kelvin, c, kelvin) for h, c in ((40.0, 25.0), (30, 15), (60, 35)))
     ]
     return np.asarray(min(tries, key=lambda one: float(one.cost)).x)
 
