@@ -1,0 +1,155 @@
+"""How often do the intervals of an effect's numbers hold the truth?
+
+    ./bench check effects [--seed 1000] [--cases 60]
+
+The single effects of a development set of the withheld-effect check, each fitted to its two records
+as a diagnosis fits it. The truth is the reality's own number where it has the same meaning; else
+the one that fits best where there is no noise and nothing of the bench unknown beyond what is said.
+Counted are effects that gain more than a verdict asks for. Some ten seconds a case; synthetic.
+"""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from examination.blind.cases import QUANTITIES, SPLITS, Case, draw_cases
+from examination.blind.judgement import UNSEEN, proportion, unseen_drive
+from examination.blind.make import size
+from examination.blind.reality import World
+from examination.blind.rigs import BACK, FRONT, RECORDS, Stage, true_values
+from examination.blind.sensors import Sensors, measure
+from examination.pieces import options_of
+from sma_bench.diagnose.decision import THRESHOLD
+from sma_bench.diagnose.search import Remainder, find_start
+from sma_bench.estimation.observation import observe, shared_bin
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import fit, recalibrate
+from sma_bench.estimation.unknowns import unknowns_of_records
+from sma_bench.records.record import Record
+
+INTERVAL = 1.645  # standard errors: 90 %
+WANTED = (0.80, 0.95)
+_QUIET = 1e-3  # of the sensors' noise
+_STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread, as a diagnosis begins
+
+# Numbers that mean the same in the model and in the reality. The others do not: two relaxation
+# times are no one, a wave no parabola, the silicone beside a wire no room.
+SAME = {
+    "effect.supply_drop.resistance": "supply_resistance",
+    "effect.phase_dependent_resistance.austenite_change": "resistance_austenite_change",
+    "effect.phase_dependent_resistance.temperature_coefficient": (
+        "resistance_temperature_coefficient"
+    ),
+    "effect.latent_heat.heat": "latent_heat",
+    "effect.side_heat_coupling.conductance": "side_conductance",
+    "effect.residual_strain.share": "unrecovered_strain",
+    "effect.side_asymmetry.ratio": "stiffness_asymmetry",
+    "effect.slack.strain": "slack",
+    "effect.temperature_lag.time_constant": "camera_lag",
+}
+_SLOPE = "effect.stress_dependent_transition."
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One number of an effect: as stated, with the error of the noise alone beside it, and true;
+    `gain` of its effect over recalibration [nats]."""
+
+    case: str
+    number: str
+    value: float
+    std: float
+    noise_std: float
+    true: float
+    same_meaning: bool
+    gain: float
+
+
+def claims_of(case: Case) -> list[Claim]:
+    (effect,) = case.card.effects
+    stage = replace(case)  # what is played for it goes with it
+    features = size(stage).features
+
+    def recorded(stage: Stage, name: str, sensors: Sensors) -> Record:
+        random = case.stream(name) if name in RECORDS else np.random.default_rng(case.seed)
+        outcome, quantities = stage.play(features, name), QUANTITIES[case.card.signals]
+        world = World(case.truth, features)
+        signals = measure(outcome, world, sensors, stage.channels, random, quantities)
+        return Record(Path(name), 0, {signal.name: signal for signal in signals})
+
+    # The candidate of this effect, and its gain over recalibration.
+    records = [recorded(stage, name, case.sensors) for name in RECORDS]
+    shortest = shared_bin(records, case.nominal)
+    seen = [observe(record, case.nominal, shortest) for record in records]
+    baseline = unknowns_of_records(case.nominal, tuple({q: 0 for o in seen for q in o.quantities}))
+    starts = [baseline.start(spread) for spread in _STARTS]
+    recalibrated, _ = recalibrate(Problem.of(seen), case.nominal, baseline, starts)
+    unknowns = baseline.with_effects([effect])
+    start = find_start(Remainder(recalibrated), unknowns, effect)
+    first = fit(recalibrated.problem, unknowns, start.x, rounds=2, frozen=recalibrated.derivatives)
+    about = first.problem.with_nuisances(first.parameters)
+    found = fit(about, unknowns, first.x, rounds=2)
+    gain = found.evidence - recalibrated.evidence
+
+    # Numbers of the effect that fit best where there is no noise.
+    drives = {**case.drives, UNSEEN: unseen_drive(case.drives)}
+    noise = {q: replace(n, std=_QUIET * n.std) for q, n in case.sensors.noise.items()}
+    quiet = replace(case.sensors, noise=noise)
+    stage = Stage(case.truth, quiet, drives)
+    right = true_values(case.truth)
+    known = case.nominal.replace(right | {BACK: right[FRONT]})
+    clear = tuple(observe(recorded(stage, name, quiet), known, shortest) for name in drives)
+    plain = unknowns_of_records(known, tuple({q: 0 for o in clear for q in o.quantities}))
+    wanted = plain.with_effects(found.unknowns.effects)
+    x = np.clip(wanted.x_of(found.unknowns.values(found.x)), *wanted.bounds())
+    problem = Problem(clear, found.problem.noise, ()).with_nuisances(wanted.parameters(x))
+    fitted = wanted.values(fit(problem, wanted, x, rounds=2, keep_noise=True).x)
+    best = {wanted.names[k]: float(fitted[k]) for k in range(plain.baseline, len(fitted))}
+
+    claims, values = [], found.unknowns.values(found.x)
+    for k in range(found.unknowns.baseline, len(found.x)):
+        name = found.unknowns.names[k]
+        is_slope = name.startswith(_SLOPE)
+        true = features[SAME[name]] if name in SAME else best[name]
+        if is_slope:
+            influence = name.replace(_SLOPE, "stress_influence_")
+            factor = features[influence.replace("influence", "influence_factor")]
+            true = (factor - 1.0) / case.truth[f"wire.{influence}"]
+        errors, same = (float(found.errors[k]), float(found.std[k])), is_slope or name in SAME
+        claims.append(Claim(case.name, name, float(values[k]), *errors, true, same, gain))
+    return claims
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    options = options_of("effects", __doc__, argv, seed=(1000, "1000 to 1999"),
+                         cases=(60, "size of the set"))  # fmt: skip
+    if options.seed not in SPLITS["development"]:
+        print(f"seed {options.seed}, expected one of development, 1000 to 1999", file=sys.stderr)
+        return 2
+    counted: list[Claim] = []
+    for case in draw_cases(options.seed, options.cases):
+        for c in claims_of(case) if case.card.kind == "single" else ():
+            counts = c.gain > THRESHOLD
+            counted += [c] * counts
+            print(
+                f"{c.case} {c.number.removeprefix('effect.'):55s} {c.value:11.4g}"
+                f" +- {c.std:8.2g} (noise alone {c.noise_std:8.2g})"
+                f" true {c.true:11.4g}{'' if c.same_meaning else ' (best)':7s}"
+                f" {(c.value - c.true) / c.std:+5.1f}{'' if counts else '  not counted'}",
+                flush=True,
+            )
+    for title, error in (("noise alone", "noise_std"), ("as stated", "std")):
+        held = [abs(c.value - c.true) < INTERVAL * getattr(c, error) for c in counted]
+        share = proportion(held)
+        print(
+            f"{title}: {share.hits} of {share.n} intervals of 90 % hold the truth,"
+            f" {100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
+        )
+    return 0 if WANTED[0] <= share.value <= WANTED[1] else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
