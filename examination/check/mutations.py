@@ -4,7 +4,7 @@ Made mechanically: a comparison turned, a limit doubled, a state forgotten, at e
 files below where there is one; drawn by seed. A mutation is made in a copy of this folder. The
 fast tests of its file judge it first; then, a minute each, the faults of its rule on the emulated
 bench (`./bench check faults`) those that survived. mutations.yaml has the tests, the faults, and of
-those that nobody can notice, why.
+those that change nothing, why.
 
     ./bench check mutations [--number 200] [--seed 1] [--tests-only] [--json mutations.json]
 """

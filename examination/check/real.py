@@ -2,7 +2,7 @@
 
 FOLDER holds clones of the repositories that docs/real_benches.md names; what is not there is said
 and skipped. Of a bench some runs are identified, the others predicted from their drive alone, and
-beside it a rival that knows no physics: one time constant and two logistic branches. Both are
+next to a rival that knows no physics: one time constant and two logistic branches. Both are
 judged by the root mean square of what they miss, in % of a run's stroke, at 0.2 s.
 
     ./bench check real FOLDER [--pairs] [--json real.json]
@@ -54,11 +54,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         ("fitted to", ">eight numbers", ">this model", ">band holds", ">its width", "law"),
         [_row(names, found[names]) for names in STATED],
     )
-    told = [found[pair]["repeats"] for pair in itertools.combinations(SAME_INPUT, 2)]
-    same, seen = (np.round(np.multiply(100.0, x), 1).tolist() for x in (told, _repeats(folder)))
-    print(f"one run predicts another of its input to {same} %, told from pairs; measured {seen} %")
+    pairwise = [found[pair]["repeats"] for pair in itertools.combinations(SAME_INPUT, 2)]
+    same, seen = (np.round(np.multiply(100.0, x), 1).tolist() for x in (pairwise, _repeats(folder)))
+    print(f"one run predicts another of its input to {same} % by pairs; measured {seen} %")
     rival = [found[names]["rival"] for names in STATED]
     good = all(abs(a - b) <= WITHIN for a, b in zip(rival, EXPECTED, strict=True))
+    good &= all(found[names]["ours"] < found[names]["rival"] for names in STATED)
     if pairs:
         of = [found[pair] for pair in pairs]
         ours, theirs = (np.array([one[who] for one in of]) for who in ("ours", "rival"))

@@ -66,11 +66,11 @@ def run(args: SimpleNamespace) -> int:
                 part(report, 0.0, _INSTRUMENTS[0]),
             )
             named = {
-                name: {"low": low.tolist(), "high": high.tolist()}
-                for name, (low, high) in limits.items()
+                name: {"low": own.low.tolist(), "high": own.high.tolist()}
+                for name, own in limits.items()
             }
-            time_s = simulation.time.tolist()
-            band = {"band": {"share": args.band, "time": time_s, "limits": named}}
+            seconds = simulation.time.tolist()
+            band = {"band": {"share": args.band, "time": seconds, "limits": named}}
         time, signals, noise = simulation.time, bench.signals_of(simulation), "no noise"
         if args.noise is not None:
             signals = bench.read_signals(signals, args.noise, part(report, *_INSTRUMENTS))

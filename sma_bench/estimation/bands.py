@@ -1,63 +1,138 @@
-"""Between which limits a bench will read, as far as its parameter file tells: every number drawn
-within its stated deviation, each by itself, and what runs of one bench differ by."""
+"""Between which limits a bench will read: by an identification, or as far as a parameter file says.
+
+Benches are drawn within what is open of their numbers, each in a run of its own (`STATES`). The
+limits are those of a normal distribution about the most probable reading, with a floor of 0.5 % of
+what the signal spans. Where no fitted record has been, the draws part by themselves.
+"""
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import ndtri
 
 from sma_bench.errors import InputError
+from sma_bench.estimation.laws import LawFit
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import STATES, in_state
-from sma_bench.estimation.unknowns import TEMPERATURES, range_of, unknowns_of
+from sma_bench.estimation.observation import MOVED, RETURNS, Observation
+from sma_bench.estimation.solver import least_scale
+from sma_bench.estimation.unknowns import TEMPERATURES, Unknowns, range_of, unknowns_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECT_PREFIX
 from sma_bench.progress import Report, silent
 from sma_bench.records.record import Signal
 
-_DRAWS, _SEED = 40, 43
+_DRAWS, _FEWEST, _SEED = 40, 8, 43  # of all laws; of one
+_NEGLIGIBLE = 0.02  # probability of a law
 _FLOOR = 0.005  # of what a signal spans, that no model predicts
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """What a signal will read: `mean` and the limits (n,) of a share of readings at `time` (n,) s,
+    in the signal's unit."""
+
+    time: Array
+    mean: Array
+    low: Array
+    high: Array
+
+    @classmethod
+    def about(cls, time: Array, mean: Array, variance: Array, reach: float) -> "Band":
+        """Limits that are `reach` standard deviations off."""
+        off = reach * np.sqrt(variance + (_FLOOR * float(np.ptp(mean))) ** 2)
+        return cls(time, mean, mean - off, mean + off)
+
+
+def reach_of(probability: float) -> float:
+    """Standard deviations within which that share of readings lies. Raises InputError: no share."""
+    if not 0.0 < probability < 1.0:
+        raise InputError(f"a band of {probability:g}, expected a share between 0 and 1")
+    return float(ndtri(0.5 + probability / 2.0))
+
+
+def predict(
+    laws: Sequence[LawFit], observation: Observation, probability: float = 0.9
+) -> dict[str, Band]:
+    """What a run with this drive will show, by signal, after an identification of other runs: the
+    mean of the laws' most probable readings, the limits as the laws and their numbers leave them.
+    Raises InputError: `probability` is no share."""
+    reach, random = reach_of(probability), np.random.default_rng(_SEED)
+    means, weights, variances = [], [], []
+    for weight, fitted in (pair for one in laws for pair in one.weighed):
+        if weight < _NEGLIGIBLE:
+            continue
+        values, vectors = np.linalg.eigh(fitted.covariance)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        differ = max(fitted.problem.states, least_scale(fitted))
+        benches = [
+            _drawn(fitted.unknowns, fitted.x, root, differ, random)
+            for _ in range(max(round(_DRAWS * weight), _FEWEST))
+        ]
+        best, drawn = np.split(observation.predict([fitted.parameters, *benches]), [1], axis=1)
+        means.append(best[:, 0])
+        weights.append(weight)
+        variances.append(np.mean((drawn - best) ** 2, axis=1))
+    shares, every = np.array(weights) / np.sum(weights), np.array(means)
+    mean = shares @ every
+    variance = shares @ (np.array(variances) + (every - mean) ** 2)
+    bands, first = {}, 0
+    for signal in observation.signals:
+        own = slice(first, first + len(signal.time))
+        first = own.stop
+        zero = RETURNS * float(np.ptp(mean[own])) if signal.quantity in MOVED else 0.0
+        bands[signal.name] = Band.about(signal.time, mean[own], variance[own] + zero**2, reach)
+    return bands
 
 
 def band_of(
     parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
     probability: float, report: Report = silent,
-) -> dict[str, tuple[Array, Array]]:
-    """Lower and upper limit (n,) of every signal but the voltages, in its unit, that hold a share
-    of the readings.
+) -> dict[str, Band]:
+    """What a run will show, by signal but the voltages, as far as a parameter file says.
 
     Args:
-        parameters: numbers with a stated `uncertainty.` are drawn, the others are as they are.
+        parameters: numbers of wire, room, load and effects with a stated `uncertainty.` are drawn,
+            each by itself; sensors and all others are as they are.
         simulated: signals of the run that is asked for, on a bench; probability: between 0 and 1.
 
     Raises:
         InputError: another probability, or no number has a stated uncertainty.
     """
-    if not 0.0 < probability < 1.0:
-        raise InputError(f"a band of {probability:g}, expected a share between 0 and 1")
-    stated = [n for n, std in parameters.given_uncertainty.items() if std > 0.0]
+    reach = reach_of(probability)
+    stated = [
+        n for n, std in parameters.given_uncertainty.items()
+        if std > 0.0 and not n.startswith("sensor.")
+    ]
     if not stated:
         raise InputError("a band needs numbers with an uncertainty., the parameters have none")
-    names = [n for n in stated if not n.startswith((EFFECT_PREFIX, "sensor."))]
+    names = [n for n in stated if not n.startswith(EFFECT_PREFIX)]
     if set(names) & set(TEMPERATURES):
         names = [*(n for n in names if n not in TEMPERATURES), *TEMPERATURES]
     shapes = {
         n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)
     }
     unknowns = unknowns_of(parameters, names, shapes=shapes)
-    random, (low, high) = np.random.default_rng(_SEED), unknowns.bounds()
+    k, random = len(unknowns.items), np.random.default_rng(_SEED)
     exact, drawn = simulated(parameters), []
     for number in range(_DRAWS):
         report(number / _DRAWS, f"draw {number + 1} of {_DRAWS}")
-        x = np.clip(random.standard_normal(len(low)), low, high)
-        away = dict(zip(STATES, random.standard_normal(len(STATES)).tolist(), strict=True))
-        drawn.append(simulated(in_state(unknowns.parameters(x), away)))
-    found, reach = {}, float(ndtri(0.5 + probability / 2.0))
-    for k, signal in enumerate(exact):
-        if signal.name.endswith("voltage"):
-            continue
-        away_from = np.mean([(one[k].values - signal.values) ** 2 for one in drawn], axis=0)
-        floor = _FLOOR * float(np.ptp(signal.values))
-        off = reach * np.sqrt(away_from + floor**2)
-        found[signal.name] = signal.values - off, signal.values + off
-    return found
+        drawn.append(simulated(_drawn(unknowns, np.zeros(k), np.eye(k), 1.0, random)))
+    return {
+        signal.name: Band.about(
+            signal.time, signal.values,
+            np.mean([(one[i].values - signal.values) ** 2 for one in drawn], axis=0), reach,
+        )
+        for i, signal in enumerate(exact) if not signal.name.endswith("voltage")
+    }
+
+
+def _drawn(
+    unknowns: Unknowns, x: Array, root: Array, differ: float, random: np.random.Generator
+) -> Parameters:
+    """A bench about x (k,) by a covariance's root (k, k), in a run whose states differ by so many
+    times the usual."""
+    there = np.clip(x + root @ random.standard_normal(len(x)), *unknowns.bounds())
+    off = differ * random.standard_normal(len(STATES))
+    return in_state(unknowns.parameters(there), dict(zip(STATES, off.tolist(), strict=True)))

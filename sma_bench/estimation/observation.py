@@ -57,7 +57,8 @@ _END_OF_CELLS = 4_000_000  # whatever the stamps
 _SAMPLES_A_BIN = 2.0
 _WORTHWHILE = 0.7  # of the cells
 _FEWEST_SAMPLES = 20
-_SOME, _RETURNS = 3, 0.012  # bins; of a stroke
+MOVED = ("deflection", "elongation")
+_SOME, RETURNS = 3, 0.012  # bins; of a stroke, to which a bench returns from run to run
 _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
@@ -293,18 +294,12 @@ class Observation:
         signals = []
         for s in self.signals:
             before = self.phase_of(s.time) == "initial"
-            if s.quantity in ("deflection", "elongation") and np.sum(before) > _SOME:
-                std = min(s.sensor.zero_std, _RETURNS * float(np.ptp(s.value)))
+            if s.quantity in MOVED and np.sum(before) > _SOME:
+                std = min(s.sensor.zero_std, RETURNS * float(np.ptp(s.value)))
                 zero = float(np.mean(s.value[before]))
                 s = replace(s, value=s.value - zero, sensor=replace(s.sensor, zero_std=std))
             signals.append(s)
         return replace(self, signals=tuple(signals))
-
-    @property
-    def strokes(self) -> int:
-        """How often the drive begins."""
-        driven = np.append(False, self.phase_of(self.grid) == "drive")
-        return int(np.sum(driven[1:] & ~driven[:-1]))
 
     def between(self, start: float, stop: float) -> "Observation":
         """The same drive, the signals of a span of time only."""

@@ -29,7 +29,6 @@ USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0
 _LEAST_COUNT = 8.0
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
-MOTIONS = ("deflection", "elongation", "force")
 
 
 @dataclass(frozen=True, eq=False)

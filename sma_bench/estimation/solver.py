@@ -215,13 +215,10 @@ def fit_imperfect(
 
 
 def independent_readings(fitted: Fit) -> float:
-    """How many readings that know nothing of each other its records are worth."""
-    counts = [
-        len(block.signal.time) * (1.0 - rho) / (1.0 + rho)
-        for block, rho in zip(fitted.problem.blocks, fitted.problem.correlations(fitted.left),
-                              strict=True)
-    ]
-    return float(np.sum(np.maximum(counts, 1.0)))
+    """How many independent readings its records are worth."""
+    rho = np.array(fitted.problem.correlations(fitted.left))
+    bins = np.array([len(block.signal.time) for block in fitted.problem.blocks])
+    return float(np.sum(np.maximum(bins * (1.0 - rho) / (1.0 + rho), 1.0)))
 
 
 def log_evidence(fitted: Fit, readings: float) -> float:
@@ -246,8 +243,8 @@ def log_evidence(fitted: Fit, readings: float) -> float:
 
 
 def _scale_of_states(fitted: Fit) -> float:
-    """By how many times the usual the states of these runs differ from each other, beside half a
-    usual one; what all runs share is not told from the bench's own numbers."""
+    """By how many times the usual the states of these runs differ from each other, half a usual
+    one added; what all runs share cannot be separated from the bench's own numbers."""
     before, runs = fitted.problem.states, len(fitted.problem.observations)
     items = [item for own in fitted.problem.nuisances for item in own.items]
     names = {item.subject for item in items if item.kind == STATE}
@@ -263,10 +260,10 @@ def _scale_of_states(fitted: Fit) -> float:
 
 
 def least_scale(fitted: Fit) -> float:
-    """By how many times the usual the states of a further run may differ, whatever these show: of
-    one run nobody knows it."""
-    told = len(STATES) * (len(fitted.problem.observations) - 1)
-    return float(np.sqrt(_USUAL_STATES / (_USUAL_STATES + told)))
+    """By how many times the usual the states of a further run may differ at least: 1 after one
+    run, less the more runs have been compared."""
+    compared = len(STATES) * (len(fitted.problem.observations) - 1)
+    return float(np.sqrt(_USUAL_STATES / (_USUAL_STATES + compared)))
 
 
 class _State:

@@ -80,8 +80,8 @@ UNMODELLED = (
     "effect.phase_dependent_resistance.austenite_change",
     "effect.residual_strain.share",
 )
-# Wires of the field, where nobody states it: mean and one standard deviation. NiTi has 450 to 550
-# J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat and a martensite of 0 to 30 % more
+# Typical wires, for what a file does not state: mean and one standard deviation. NiTi has 450 to
+# 550 J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat and a martensite of 0 to 30 % more
 # resistance than austenite (Ikuta 1991); a correlation of free convection is good to 30 % in a
 # room; hystereses are 20 to 40 K wide, about a centre of 65 degC.
 FIELD = {
@@ -92,7 +92,7 @@ FIELD = {
     "effect.latent_heat.heat": (15e3, 6e3),
     "effect.phase_dependent_resistance.austenite_change": (-0.13, 0.09),
 }
-_OF_CONVECTION = ("effect.temperature_dependent_convection.rise",)
+_RISE = "effect.temperature_dependent_convection.rise"  # which free convection has already
 _FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # share that is unknown; what a room adds to still air
 _FIELD_TEMPERATURES = (340.5, 365.5, 335.5, 310.5)  # K: A_s, A_f, M_s, M_f
 _WIDEST_SPREAD = 1.5  # of its hystereses
@@ -459,7 +459,7 @@ def unknowns_of_records(
             free = parameters["wire.convection"] == "free"
             shapes |= of_table(
                 n for n in UNMODELLED
-                if parameters[n] != 0.0 or (unmodelled and not (free and n in _OF_CONVECTION))
+                if parameters[n] != 0.0 or (unmodelled and not (free and n == _RISE))
             )
             if parameters["wire.law"] == "normal":
                 shapes[SPREAD] = (parameters.std(SPREAD), 0.02, 2.0)
@@ -474,13 +474,13 @@ def unknowns_of_records(
 
 
 def has_friction(parameters: Parameters) -> bool:
-    """Whether somebody states that what moves rubs, or how much of it is unknown; where nobody
-    does, nothing is taken to, as friction would pass for hysteresis."""
+    """Whether a value or an uncertainty of it is stated; else it is taken as 0, as friction would
+    pass for hysteresis."""
     return parameters[FRICTION] > 0.0 or parameters.given_uncertainty.get(FRICTION, 0.0) > 0.0
 
 
 def as_in_the_field(parameters: Parameters) -> Parameters:
-    """A wire of which nobody has stated more than is given, as such wires are: `FIELD`."""
+    """The same with typical values for what is not stated: `FIELD`."""
     values = {n: mean for n, (mean, _) in FIELD.items() if n not in parameters.given}
     std = {n: FIELD[n][1] for n in values}
     h = "wire.heat_transfer_coefficient"

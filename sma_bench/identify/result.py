@@ -21,7 +21,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.results import card_html, card_rows, card_text, decoded, sentences
 
 if TYPE_CHECKING:
-    from sma_bench.estimation.laws import Band
+    from sma_bench.estimation.bands import Band
     from sma_bench.records.record import Record
 
 Array = npt.NDArray[np.float64]
@@ -142,19 +142,18 @@ class Identification(Reported):
     law: Law | None = None
 
     def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
-        """What the bench will read on the voltages of a record, by signal, and the limits that hold
-        a share of the readings.
-
-        Averaged over the laws of the wire, over what the records leave open of every number, and
-        over what runs of one bench differ by.
+        """What the bench will read on the voltages of a record, by signal: the mean over the wire's
+        laws, and limits that hold a share of the readings, by what the records leave open of every
+        number and by what runs of one bench differ by.
 
         Raises:
-            InputError: no moving load was identified here, or `record` lacks a voltage or motion.
+            InputError: no moving load was identified here, `record` lacks a voltage or motion, or
+                `probability` is no share.
         """
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
             raise refusal("nothing to predict from")
-        from sma_bench.estimation.laws import predict
+        from sma_bench.estimation.bands import predict
         from sma_bench.estimation.observation import observe
 
         observation = observe(record, laws[0].fit.parameters)

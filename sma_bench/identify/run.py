@@ -120,8 +120,7 @@ class IdentificationRun:
             std = {name: e.std for name, e in waiting.items()}
             with suppress(InputError):  # then one by one, what cannot be is named
                 return found.replace(model | values, std, "identified")
-            with suppress(InputError):
-                found = found.replace(model)
+            found = found.replace(model)
         # An end of a range may only fit once its other end has been put in: at most one a pass.
         for _ in self.estimates:
             for name, e in list(waiting.items()):

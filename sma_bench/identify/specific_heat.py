@@ -113,8 +113,8 @@ def identify_specific_heat(
         })
         lean.append((alone, one_wire(parameters, drive.channel)))
     shortest = max(shared_bin([record], rig, 0.0) for record, rig in lean)
-    # When between two readings of the voltage a commanded step came, nobody reads; those of a ramp
-    # come alike, where commands and readings have one clock.
+    # When a commanded step came between two readings of the voltage is not recorded; on one clock
+    # the steps of a ramp are all off alike.
     steps = [
         record[f"{drive.channel}.voltage"].period / math.sqrt(12.0)
         if record.get("voltage_command") else 0.0 for record, drive, _ in used

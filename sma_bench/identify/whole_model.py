@@ -20,7 +20,7 @@ from sma_bench.estimation.laws import (
     weigh_laws,
 )
 from sma_bench.estimation.noise_model import Array
-from sma_bench.estimation.observation import Observation, observe, shared_bin
+from sma_bench.estimation.observation import MOVED, Observation, observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of, scale_errors
 from sma_bench.estimation.solver import Fit, fit_imperfect, recalibrate
@@ -30,6 +30,7 @@ from sma_bench.estimation.unknowns import (
     PRODUCTS,
     SHAPES,
     SPREAD,
+    TEMPERATURES,
     UNMODELLED,
     Unknown,
     shares_of_factor,
@@ -47,7 +48,6 @@ from sma_bench.records.record import Record
 
 _THERMAL = ("current", "temperature")
 _NUISANCES = (*SHAPES, *UNMODELLED)
-_MOTIONS = ("deflection", "elongation")
 _UNINFORMED = 0.2  # share of information
 _FAR, _FAR_TOO = 3.5, 2.0  # prior deviations
 _LAGS, _RARE = 20, 1e-6
@@ -72,7 +72,7 @@ def identify_moving_bench(
         InputError: no voltage of some channel, or no motion in any record.
     """
     observations = observe_all(records, parameters)
-    if not any(set(_MOTIONS) & set(one.quantities) for one in observations):
+    if not any(set(MOVED) & set(one.quantities) for one in observations):
         where = ", ".join(str(record.path) for record in records) or "no records"
         raise refusal("no motion", where=where)
     return fit_experiment(
@@ -158,7 +158,8 @@ def fit_experiment(
             shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
         shares |= shares_of_factor(n.name, n.value, parameters)
         # What nobody measured better is not known better: sensors' scales are in what was known.
-        value = fitted.parameters[SPREAD] if n.name == SPREAD else n.value  # as it can be
+        # Numbers that bound each other are as the fit had them together.
+        value = fitted.parameters[n.name] if n.name in (*TEMPERATURES, SPREAD) else n.value
         estimates[n.name] = Estimate(
             value, n.std, BY_NAME[n.name].unit, words, samples, informed=n.informed
         ).with_shares(shares).capped(n.prior_std)

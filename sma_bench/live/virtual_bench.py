@@ -135,8 +135,8 @@ class Lockstep:
     Simulated time runs in slices, as long as the period of the commands. While commands come, one
     slice is run for each. A driver that stays away for `patience` s of wall time is either slower
     than declared, and is waited for less often from then on, or gone, and its silence runs into
-    the command timeout as it would on the real bench. At real time it is the other way round: time
-    waits for nobody, and there is no lockstep.
+    the command timeout as it would on the real bench. In real time there is no
+    lockstep: time goes on without commands.
 
     All times in s; `simulated` counts from the start of the simulation, `wall` is a steady clock.
     """

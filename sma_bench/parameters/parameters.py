@@ -186,7 +186,7 @@ class Parameters(Mapping[str, Value]):
             value = f"load.friction is {self['load.friction']:g} N"
             if kind in ("beam", "displacement"):
                 return f"{value} with load.kind {kind}, expected 0"
-            if EFFECTS["slack"].is_on(self):  # the load rubs, not the wires that hang beside it
+            if EFFECTS["slack"].is_on(self):  # the load rubs, not wires that hang
                 return f"{value} with effect slack, expected one of them at 0"
         if kind == "displacement":  # what is imposed neither drifts nor hangs
             for effect in EFFECTS.values():
@@ -275,9 +275,8 @@ class Parameters(Mapping[str, Value]):
         other._put(values or {}, uncertainty or {}, where)
         return other
 
-
     def assuming(self, values: Mapping[str, Any], uncertainty: Mapping[str, float]) -> "Parameters":
-        """As `replace`, but nobody has stated them."""
+        """As `replace`, but they do not count as stated."""
         other = self.replace(values, uncertainty)
         other.given = self.given
         return other
@@ -313,7 +312,7 @@ def as_recorded(parameters: Parameters) -> Parameters:
 
 # --- Heat that still air and radiation take from a thin wire, `wire.convection: free`: h(T) of
 # Churchill and Chu (1975) for its diameter, as a power of the excess over air, and grey radiation.
-# `wire.heat_transfer_coefficient` is what both give 60 K above ambient, theirs if nobody states it.
+# `wire.heat_transfer_coefficient` is what both give 60 K above ambient, theirs if it is not stated.
 
 
 def natural_convection(diameter: float, surface: float, ambient: float) -> float:

@@ -67,7 +67,7 @@ class Boundary:
         kind = load_kind(parameters)
         if kind == "clamped":
             return cls.clamped()
-        if kind == "displacement":  # not moved, unless a simulation is told how
+        if kind == "displacement":  # not moved, unless a simulation has a motion
             return cls(contraction=0.0, lever=-wire_length(parameters))
         if kind == "beam":  # sum sigma_i = beta delta, delta = alpha e (eqs. 22, 23), each side
             alpha, front, back = bending_coefficients(parameters)

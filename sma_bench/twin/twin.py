@@ -100,7 +100,7 @@ class Twin:
         on_prediction: Callable[[Prediction], None], on_residual: Callable[[Residual], None],
     ) -> None:
         """`settings` are the twin node's own parameters; the callbacks get the output. InputError:
-        a bench whose motion is imposed, which the twin is not told in time."""
+        a bench whose motion is imposed, which the twin does not hear in time."""
         if (kind := load_kind(parameters)) == "displacement":
             raise InputError(f"twin: load.kind is {kind}, expected a load that follows the wires")
         self._parameters = as_recorded(parameters)  # readings are direct volts, whatever switches

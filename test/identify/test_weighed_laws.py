@@ -32,7 +32,7 @@ def run(truth, shape, seed, top=5.5, period=35.0):
 def weighed(request):
     truth = bench(request.param, {"wire.resistance": 2.75, "effect.latent_heat.heat": 8e3})
     records = [run(truth, shape, seed) for seed, shape in enumerate(("triangle", "step"))]
-    known = bench()  # of which nobody states a law
+    known = bench()
     stated = {n: known[n] for n in known.given - {"wire.law"}}
     believed = Parameters(stated, known.given_uncertainty)
     return truth, identify(records, believed)
@@ -65,7 +65,7 @@ def test_a_stated_law_is_kept_and_others_are_not_tried():
 def test_runs_that_differ_are_said_to_and_widen_the_band():
     truth = bench()
 
-    def told(rooms):
+    def differing(rooms):
         """What is found of runs in rooms so many K away, which also stretch the wire."""
         benches = [
             truth.replace({ROOM: 296.15 + away, STROKE: 0.044 * (1.0 + 0.01 * away)})
@@ -78,8 +78,8 @@ def test_runs_that_differ_are_said_to_and_widen_the_band():
         band = found.predict(run(truth, "step", 8))["deflection"]
         return records, repeats, np.mean(band.high - band.low)
 
-    records, restless, wide = told((0.0, 2.5, -2.5, 1.5))
-    _, quiet, narrow = told((0.0, 0.0, 0.0, 0.0))
+    records, restless, wide = differing((0.0, 2.5, -2.5, 1.5))
+    _, quiet, narrow = differing((0.0, 0.0, 0.0, 0.0))
     moved = [record["elongation"].values for record in records]
     pairs = [(a, b) for k, a in enumerate(moved) for b in moved[:k]]
     measured = np.sqrt(np.mean([np.mean((a - b) ** 2) for a, b in pairs])) / np.ptp(moved[0])
