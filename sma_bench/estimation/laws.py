@@ -104,8 +104,8 @@ def weigh_laws(
             key=lambda pair: -pair[0],
         )
         probability = sum(w for w, _ in fitted)
-        others = tuple((w / max(probability, _TINY), one) for w, one in fitted[1:])
-        weighed.append(LawFit(law, probability, fitted[0][1], tuple(tried), others))
+        best, *rest = ((w / max(probability, _TINY), f.with_repeated_misfit()) for w, f in fitted)
+        weighed.append(LawFit(law, probability, best[1], tuple(tried), tuple(rest)))
     return tuple(sorted(weighed, key=lambda one: -one.probability))
 
 

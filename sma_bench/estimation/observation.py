@@ -301,6 +301,12 @@ class Observation:
             signals.append(s)
         return replace(self, signals=tuple(signals))
 
+    @property
+    def strokes(self) -> int:
+        """How often the drive begins."""
+        driven = np.append(False, self.phase_of(self.grid) == "drive")
+        return int(np.sum(driven[1:] & ~driven[:-1]))
+
     def between(self, start: float, stop: float) -> "Observation":
         """The same drive, the signals of a span of time only."""
         kept = [(s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals]

@@ -96,6 +96,13 @@ class Fit:
         ]
         return np.hypot(self.jackknifed, factors)
 
+    def with_repeated_misfit(self) -> "Fit":
+        """The same fit with the errors that a misfit leaves which every stroke shows again."""
+        problem = self.problem.with_weights(self.left, repeated=True)
+        rows = np.hstack([problem.whiten(self.derivatives), problem.white_nuisances])
+        joint = np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1]))
+        return replace(self, joint=np.asarray(joint, dtype=np.float64))
+
     @cached_property
     def jackknifed(self) -> Array:
         """(k,) standard errors as large as what the model leaves asks for, the prior's at most.
