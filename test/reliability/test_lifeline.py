@@ -38,8 +38,8 @@ SAYS_WHEN_IT_IS_READY = """
 import signal, sys
 before = signal.signal
 signal.signal = lambda *given: (before(*given), print("ready", flush=True))[0]
-from sma_bench.nodes.start import start
-sys.exit(start(sys.argv[1], []))
+from sma_bench.nodes import start
+getattr(start, sys.argv.pop(1))()  # as the executables of an installation
 """
 RUNS_A_JOB = """
 import sys, threading, time
