@@ -163,12 +163,15 @@ class Card(NamedTuple):
 # --- From a result's facts to text.
 
 
-def sentences(result: Any, macro: str, *more: Any) -> list[str]:
-    """Lines that a macro of the result's template makes; `result.template` names it."""
-    made = str(getattr(_templates(TEMPLATES).get_template(result.template).module, macro)(
-        result, *more
-    ))  # fmt: skip
+def lines_of(template: str, macro: str, *facts: Any) -> list[str]:
+    """Lines that a macro of a template makes of facts."""
+    made = str(getattr(_templates(TEMPLATES).get_template(template).module, macro)(*facts))
     return [" ".join(line.split()) for line in made.splitlines() if line.strip()]
+
+
+def sentences(result: Any, macro: str, *more: Any) -> list[str]:
+    """Lines of a result, by the template that it names."""
+    return lines_of(result.template, macro, result, *more)
 
 
 def cells(result: Any, macro: str, *more: Any) -> list[tuple[str, ...]]:
@@ -225,6 +228,9 @@ def _templates(folder: Path) -> "jinja2.Environment":
         "two_errors": two_errors, "is_finite": math.isfinite, "plain_effect": _plain_effect,
         "shown_unit": lambda unit: "" if unit == "1" else unit,
         "with_error": lambda number: with_error(number.value, number.std),
+        "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
+        # JSON has null for a number that does not exist.
+        "or_empty": lambda value, form, unit="": f"{value:{form}}{unit}" * math.isfinite(value),
     }
     return environment
 

@@ -2,6 +2,8 @@
 documentation that the tables of parameters and effects generate."""
 
 from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Any
 
 from sma_bench.errors import InputError
 from sma_bench.parameters.parameter import (
@@ -41,64 +43,36 @@ def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF
         raise InputError(f"{where}: {unknown_parameter_message(name, (*BY_NAME, *known))}")
 
 
-# --- Pages.
+# --- Pages, of the template pages.md.j2.
+
+
+def _pages() -> Any:
+    import jinja2  # which nodes do without
+
+    environment = jinja2.Environment(  # noqa: S701 (no HTML)
+        loader=jinja2.FileSystemLoader(Path(__file__).parent), undefined=jinja2.StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True,
+    )
+    environment.filters["range"] = range_of
+    return environment.get_template("pages.md.j2").module
 
 
 def parameter_page() -> str:
     """Markdown page of the contract's parameters and of every node's own."""
-    lines = [read_declarations("pages.yaml")["parameters"], *parameter_table(TABLE)]
-    for node, table in NODE_TABLES.items():
-        lines += ["", f"## Node `{node}`", "", *parameter_table(table)]
-    return "\n".join(lines) + "\n"
+    return str(_pages().parameters(TABLE, NODE_TABLES))
 
 
 def parameter_table(table: tuple[Parameter, ...]) -> list[str]:
     """Lines of a Markdown table, a row a parameter."""
-    lines = [
-        "| parameter | unit | default | uncertainty | spread | range | meaning | source |",
-        "| --- | --- | --- | --- | --- | --- | --- | --- |",
-    ]
-    for p in table:
-        meaning = p.description + (" Read only." if p.read_only else "")
-        source = p.provenance + (f"; spread: {p.spread_source}" if p.spread_source else "")
-        known = p.low is not None or p.high is not None
-        between = f"{_number(p.low)} to {_number(p.high)}" if known else ""
-        cells = (f"`{p.name}`", p.unit, _number(p.default), _number(p.uncertainty),
-                 _number(p.default_std), between, meaning, source)  # fmt: skip
-        escaped = (cell.replace("|", "\\|").replace("<", "&lt;") for cell in cells)
-        lines.append(f"| {' | '.join(escaped)} |")
-    return lines
+    return str(_pages().table(table)).splitlines()
 
 
 def effects_page() -> str:
     """Markdown page: one line an effect, then every effect's equation, source and numbers."""
-    lines = [read_declarations("pages.yaml")["effects"].rstrip("\n")]
-    for effect in EFFECTS.values():
-        number = effect.size.name.rsplit(".", 1)[1]
-        cells = (f"[`{effect.name}`](#{effect.name})", effect.stage, f"`{number}`",
-                 range_of(effect.size), ", ".join(effect.acts_on), effect.shows)  # fmt: skip
-        lines.append(f"| {' | '.join(cells)} |")
-    for effect in EFFECTS.values():
-        lines += ["", f"## `{effect.name}`", "", effect.text, ""]
-        if effect.loads != LOAD_KINDS:
-            lines += [f"Only under `load.kind` {' or '.join(effect.loads)}.", ""]
-        lines += [
-            f"- `{p.name}` ({range_of(p)}, default {p.default:g}): {p.description} "
-            f"{p.provenance[0].upper()}{p.provenance[1:]}."
-            for p in effect.parameters
-        ]
-    return "\n".join(lines) + "\n"
+    return str(_pages().effects(EFFECTS, LOAD_KINDS))
 
 
 def range_of(parameter: Parameter) -> str:
     """Range of a number with its unit; pure numbers without."""
     unit = "" if parameter.unit == "1" else f" {parameter.unit}"
     return f"{parameter.low:g} to {parameter.high:g}{unit}"
-
-
-def _number(value: object) -> str:
-    if isinstance(value, tuple):
-        return f"[{', '.join(value)}]"
-    if isinstance(value, float):
-        return f"{value:.6g}"
-    return "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

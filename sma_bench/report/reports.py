@@ -26,12 +26,12 @@ from sma_bench.report.page import Made, Picture, Section, digest, write_report
 from sma_bench.report.tables import (
     Table,
     diagnosis_tables,
-    estimate_table,
     record_line,
     record_tables,
+    table_of,
     value_cell,
 )
-from sma_bench.results import LARGEST, card, scale_of, sentences, signed, with_error
+from sma_bench.results import LARGEST, card, sentences, signed, with_error
 
 
 def write_identification_report(
@@ -57,7 +57,8 @@ def write_identification_report(
                     pictures=experiment_pictures(e))
             for e in result.experiments
         ),
-        Section("How each number was found", tables=[estimate_table(result.estimates, "numbers")]),
+        Section("How each number was found",
+                tables=[table_of(result, "plain_numbers", result.estimates, name="numbers")]),
     ]  # fmt: skip
     sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))
     return write_report(
@@ -121,21 +122,16 @@ def _looked_at(result: Diagnosis) -> Section:
 
 
 def _noise(result: Diagnosis) -> Table:
-    rows = []
+    """Of every sensor, those of the worst quantity first."""
     problem = result.model.problem
     order = list(dict.fromkeys([*(q for q, _ in result.worst_first), *QUANTITIES]))
-    for name, noise in sorted(
-        problem.noise.items(), key=lambda item: order.index(item[0].rpartition(".")[2])
-    ):
-        unit, factor = scale_of(name)
-        slow = noise.drift > 0.0
-        rows.append((
-            name, f"{factor * sample_noise(problem, name):.3g} {unit}",
-            f"{factor * noise.drift:.3g} {unit}" if slow else "none found",
-            f"{noise.time:{'.2g' if noise.time < 10.0 else '.0f'}}" if slow else "",
-        ))
-    header = ("sensor", "noise of a sample", "slow part", "its memory [s]")
-    return Table(header, rows, frozenset({1, 2, 3}))
+    sensors = [
+        (name, sample_noise(problem, name), max(noise.drift, 0.0), noise.time)
+        for name, noise in sorted(
+            problem.noise.items(), key=lambda item: order.index(item[0].rpartition(".")[2])
+        )
+    ]
+    return table_of(result, "noise_table", sensors)
 
 
 def improvements(result: Diagnosis) -> Table:
@@ -196,14 +192,16 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
         # How the numbers agree with what is known, how their errors hang together, and what else
         # each experiment gave.
         kind, warnings = "identification", [*result.warnings]
-        tables = [estimate_table(result.estimates, f"{name}_parameters", "Parameters")]
+        tables = [table_of(result, "plain_numbers", result.estimates, name=f"{name}_parameters",
+                           title="Parameters")]  # fmt: skip
         shown = {key: (n.value, n.std) for key, n in result.estimates.items()}
         for k, e in enumerate(result.experiments, 1):
             own = {key: n for key, n in {**e.estimates, **e.details}.items()
                    if (n.value, n.std) != shown.get(key)}  # fmt: skip
             if own:
                 title = f"{e.name} {e.title}, from {e.source}"
-                tables.append(estimate_table(own, f"{name}_experiment_{k}", title))
+                own_name = f"{name}_experiment_{k}"
+                tables.append(table_of(result, "plain_numbers", own, name=own_name, title=title))
         pictures = _present(
             plots.agreement_picture(result, f"{name}_agreement"),
             plots.correlation_picture(result, f"{name}_correlation"),
