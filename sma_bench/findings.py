@@ -9,18 +9,13 @@ Severity = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True)
 class Finding:
-    """A remark with the numbers it rests on.
-
-    `subject` names what it is about (a parameter, a signal, an experiment); `numbers` holds the
-    figures behind `text`, in SI units, for machines; `audit`: of parameters that were given, not of
-    what was measured.
-    """
+    """A remark with the numbers it rests on."""
 
     severity: Severity
-    subject: str
+    subject: str  # what it is about: a parameter, a signal, an experiment
     text: str
-    numbers: dict[str, float] = field(default_factory=dict)
-    audit: bool = False
+    numbers: dict[str, float] = field(default_factory=dict)  # behind `text`, in SI units
+    audit: bool = False  # of parameters that were given, not of what was measured
 
     @classmethod
     def read(cls, line: str) -> "Finding":

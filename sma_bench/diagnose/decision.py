@@ -80,26 +80,18 @@ class Candidate(Explanation):
 
 @dataclass(frozen=True)
 class Weights:
-    """What probabilities are made of, once the candidates are fitted.
+    """What probabilities are made of, once the candidates are fitted."""
 
-    Attributes:
-        gains: evidence over recalibration of every effect and pair [nats]; gaps: what each does,
-            in noise; worth: log odds by that.
-        moved: gap between the parameters as believed and as recalibrated, in noise.
-        signs: log odds that something else is at work; surprise: that by parameters that nobody
-            believes in; remains: that by the share of a sign which the best effect leaves.
-        records: how many have been weighed; unsteady: by effect, how often the records tell the
-            same again: what its size scatters, as variance over what noise and STEADY allow.
-    """
-
-    gains: Mapping[str, float]
-    gaps: Mapping[str, float]
-    worth: Mapping[str, float]
-    moved: float
-    signs: float
-    surprise: float
-    remains: float = -LARGEST_SIGN
-    records: int = USUAL_RECORDS
+    gains: Mapping[str, float]  # evidence over recalibration of every effect and pair [nats]
+    gaps: Mapping[str, float]  # what each does, in noise
+    worth: Mapping[str, float]  # log odds by that
+    moved: float  # gap between the parameters as believed and as recalibrated, in noise
+    signs: float  # log odds that something else is at work
+    surprise: float  # that by parameters that nobody believes in
+    remains: float = -LARGEST_SIGN  # by the share of a sign that the best effect leaves
+    records: int = USUAL_RECORDS  # how many have been weighed
+    # by effect, how often the records tell the same again: what its size scatters, as variance over
+    # what noise and STEADY allow
     unsteady: Mapping[str, float] = field(default_factory=dict)
 
     def probabilities(self) -> dict[str, float]:

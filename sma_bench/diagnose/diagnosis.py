@@ -73,25 +73,19 @@ _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong wi
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class Diagnosis(DiagnosisResult, Reported):
-    """The result with the fits behind it; `to_json` is the contract's.
-
-    Attributes:
-        candidates: with their fits; parameters: as believed; search: all fits.
-        model: the fit that the improved parameters are of; improved: these parameters.
-        observations: all records; fitted, held_out: those, or the parts of them, that the fit of
-            the shrinkage has seen and has not.
-    """
+    """The result with the fits behind it; `to_json` is the contract's."""
 
     writer = ("reports", "write_diagnosis_report")
 
-    candidates: tuple[Candidate, ...]
-    parameters: Parameters
-    search: Search
-    model: Fit
+    candidates: tuple[Candidate, ...]  # with their fits
+    parameters: Parameters  # as believed
+    search: Search  # all fits
+    model: Fit  # the fit that the improved parameters are of
     improved: Parameters
-    observations: tuple[Observation, ...]
+    observations: tuple[Observation, ...]  # all records
+    # those, or the parts of them, that the fit of the shrinkage has seen
     fitted: tuple[Observation, ...]
-    held_out: tuple[Observation, ...]
+    held_out: tuple[Observation, ...]  # and has not
 
 
 def diagnose(

@@ -32,22 +32,16 @@ _MOST_CELLS = 1_000_000  # of an even grid
 
 @dataclass(frozen=True)
 class Left:
-    """What a fit leaves in motion and at rest.
+    """What a fit leaves in motion and at rest."""
 
-    Attributes:
-        ratio: log of moving over resting variance, in its standard deviations, the largest of all
-            signals; signal: which one.
-        size: of the part that is not noise, over the white noise of a sample, which is the same
-            for all fits; 0 where the ratio is not sure.
-        outlier: largest whitened residual, in standard deviations: a single event shows there.
-        drift: nats, how improbable the drift is that sensors had to be credited with.
-    """
-
+    # log of moving over resting variance, in its standard deviations, the largest of all
     ratio: float
-    signal: str
+    signal: str  # which one
+    # of the part that is not noise, over the white noise of a sample, which is the same for all
+    # fits; 0 where the ratio is not sure
     size: float
-    outlier: float
-    drift: float
+    outlier: float  # largest whitened residual, in standard deviations: a single event shows there
+    drift: float  # nats, how improbable the drift is that sensors had to be credited with
 
 
 def left_over(fitted: Fit) -> Left:
@@ -84,19 +78,13 @@ Key = tuple[str, int]  # name and number of a signal's features, for another ben
 
 @dataclass(frozen=True, eq=False)
 class Flexible:
-    """What a smooth response of free form explains of a fit's residual.
+    """What a smooth response of free form explains of a fit's residual."""
 
-    Attributes:
-        gain: of evidence over the fit, both with the noise that they leave.
-        response: (n,) of the missing term; weights: (p,) of the features.
-        columns: which of the p are a signal's; gap: of the response, in noise.
-    """
-
-    gain: float
-    response: Array
-    weights: Array
-    columns: Mapping[Key, slice]
-    gap: float = 0.0
+    gain: float  # of evidence over the fit, both with the noise that they leave
+    response: Array  # (n,) of the missing term
+    weights: Array  # (p,) of the features
+    columns: Mapping[Key, slice]  # which of the p are a signal's
+    gap: float = 0.0  # of the response, in noise
 
     def on(self, obs: Observation, simulation: Simulation) -> Array:
         """(n,) of the missing term on another drive; none on a sensor never heard."""

@@ -18,35 +18,27 @@ WORTH = 0.05  # probability more than now that the true cause is given
 
 @dataclass(frozen=True)
 class Cell:
-    """One signal in one phase on one side.
-
-    `gap` is the root mean square over the noise of a sample; `share` of the squared gap over noise
-    of all samples of all records; `rms` in the signal's unit.
-    """
+    """One signal in one phase on one side."""
 
     signal: str
     phase: str
     side: str
-    gap: float
-    share: float
-    rms: float
+    gap: float  # root mean square over the noise of a sample
+    share: float  # of the squared gap over noise of all samples of all records
+    rms: float  # in the signal's unit
 
 
 @dataclass(frozen=True)
 class Shrinkage:
-    """Root mean squares in the signal's unit over the samples of the held-out data: with the
-    parameters as believed, with the best ones of the model without an effect, with the effect.
+    """Root mean squares in the signal's unit over the samples of the held-out data."""
 
-    `fraction` of the gap beyond `noise_floor` that is gone; `ci90` its interval, from blocks of
-    time drawn anew and the spread between drives of different kinds.
-    """
-
-    rmse_before: float
-    rmse_after: float
-    fraction: float
+    rmse_before: float  # with the parameters as believed
+    rmse_after: float  # with the best model, an effect in it where there is one
+    fraction: float  # of the gap beyond `noise_floor` that is gone
+    # its interval, from blocks of time drawn anew and the spread between drives of different kinds
     ci90: tuple[float, float]
     noise_floor: float
-    rmse_recalibrated: float = math.nan
+    rmse_recalibrated: float = math.nan  # with the best parameters without an effect
 
     @property
     def times_noise(self) -> float:
@@ -62,26 +54,18 @@ class Shrinkage:
 
 @dataclass(frozen=True)
 class NextExperiment:
-    """What to do next.
+    """What to do next."""
 
-    Attributes:
-        kind: protocol, sensor, DSC, or E1 to E9.
-        why: what it is for; separates: the causes; protocol: as a protocol file holds it, empty
-            for a test of the paper; minutes: that it takes, on the bench or at the instrument.
-        chance: that the verdict names the true cause after it.
-        worth: probability more than now that the true cause will be given.
-        parameters: that a test of the paper measures, with its standard deviations.
-        quantities: that the protocol needs measured, if not those of the records.
-    """
-
-    kind: str = "protocol"
-    why: str = ""
-    separates: tuple[str, ...] = ()
-    protocol: Mapping[str, Any] = field(default_factory=dict)
-    minutes: float = math.nan
-    chance: float = math.nan
-    worth: float = 0.0
+    kind: str = "protocol"  # protocol, sensor, DSC, or E1 to E9
+    why: str = ""  # what it is for
+    separates: tuple[str, ...] = ()  # the causes
+    protocol: Mapping[str, Any] = field(default_factory=dict)  # as its file; of a test none
+    minutes: float = math.nan  # that it takes, on the bench or at the instrument
+    chance: float = math.nan  # that the verdict names the true cause after it
+    worth: float = 0.0  # probability more than now that the true cause will be given
+    # that a test of the paper measures, with its standard deviations
     parameters: Mapping[str, float] = field(default_factory=dict)
+    # that the protocol needs measured, if not those of the records
     quantities: tuple[str, ...] = ()
 
     @property
@@ -156,36 +140,28 @@ class LeftOver:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class DiagnosisResult:
-    """What diagnose has found, or its file holds.
-
-    Attributes:
-        candidates: the most probable first; cause: effects, empty unless the verdict is effect.
-        shrinkage: by quantity, on data that no fit saw.
-        moved, smoother: what the best model needs elsewhere than stated, and shapes of its kinetics
-            beside the cosine's; difference: of the two best; left: what the best model leaves.
-        unexplained_sign: what speaks most for a cause outside the library, "" without a sign.
-        not_compared: quantities that no record holds; findings: remarks on records and parameters.
-        record: what is known of the records' readings, and what was held back or mended for it.
-        path: of the result file.
-    """
+    """What diagnose has found, or its file holds."""
 
     template: ClassVar[str] = "diagnosis.j2"
 
     verdict: Verdict
-    cause: tuple[str, ...]
-    candidates: tuple[Explanation, ...]
+    cause: tuple[str, ...]  # effects, empty unless the verdict is effect
+    candidates: tuple[Explanation, ...]  # the most probable first
     where: Where
-    shrinkage: dict[str, Shrinkage]
-    moved: tuple[Moved, ...] = ()
+    shrinkage: dict[str, Shrinkage]  # by quantity, on data that no fit saw
+    moved: tuple[Moved, ...] = ()  # what the best model needs elsewhere than stated
+    # shapes of its kinetics beside the cosine's
     smoother: dict[str, Estimate] = field(default_factory=dict)
-    difference: Difference | None = None
-    left: LeftOver | None = None
+    difference: Difference | None = None  # of the two best
+    left: LeftOver | None = None  # what the best model leaves
+    # what speaks most for a cause outside the library, "" without a sign
     unexplained_sign: str = ""
-    not_compared: tuple[str, ...] = ()
+    not_compared: tuple[str, ...] = ()  # quantities that no record holds
     next_experiment: NextExperiment | None = None
+    # what is known of the records' readings, held back or mended for it
     record: tuple[str, ...] = ()
-    findings: tuple[Finding, ...] = ()
-    path: str = "diagnosis"
+    findings: tuple[Finding, ...] = ()  # remarks on records and parameters
+    path: str = "diagnosis"  # of the result file
 
     @property
     def worst_first(self) -> list[tuple[str, Shrinkage]]:

@@ -76,27 +76,18 @@ class Start(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """Every candidate, fitted to all records.
-
-    Attributes:
-        nominal: the parameters as believed, only the sensors' noise and zeros fitted.
-        recalibrated: the same model, parameters moved under their priors.
-        singles: by effect; pairs: by two effects, those that were worth a fit.
-        best: of all these, the one with the largest evidence.
-        flexible: of what recalibration leaves; beyond: of what the best candidate leaves.
-        left, left_by_best: whether that still depends on what the bench does.
-    """
+    """Every candidate, fitted to all records."""
 
     problem: Problem
-    nominal: Fit
-    recalibrated: Fit
-    singles: dict[str, Fit]
-    pairs: dict[tuple[str, str], Fit]
-    best: Fit
-    flexible: Flexible
-    beyond: Flexible
-    left: Left
-    left_by_best: Left
+    nominal: Fit  # the parameters as believed, only the sensors' noise and zeros fitted
+    recalibrated: Fit  # the same model, parameters moved under their priors
+    singles: dict[str, Fit]  # by effect
+    pairs: dict[tuple[str, str], Fit]  # by two effects, those that were worth a fit
+    best: Fit  # of all these, the one with the largest evidence
+    flexible: Flexible  # of what recalibration leaves
+    beyond: Flexible  # of what the best candidate leaves
+    left: Left  # whether what recalibration leaves depends on what the bench does
+    left_by_best: Left  # of the best
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""

@@ -106,15 +106,10 @@ def slope_at(kelvin: float) -> float:
 
 @dataclass(frozen=True)
 class Surface:
-    """What a wire does to radiation, each number with one standard deviation.
+    """What a wire does to radiation, each number with one standard deviation."""
 
-    Attributes:
-        emissivity: in the camera's band, above 0, at most 1.
-        reflected_temperature: K, of the surroundings that the wire mirrors (a black body's).
-    """
-
-    emissivity: float
-    reflected_temperature: float
+    emissivity: float  # in the camera's band, above 0, at most 1
+    reflected_temperature: float  # K, of the surroundings that the wire mirrors (a black body's)
     emissivity_std: float = 0.0
     reflected_std: float = 0.0
 

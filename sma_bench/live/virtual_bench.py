@@ -28,15 +28,12 @@ RATES = ("power", "temperature", "mechanics", "ambient")
 
 
 class GroupReading(NamedTuple):
-    """What one group of instruments read at `time` ns since the start.
-
-    `values` per kind: power, (V, A) of every channel; temperature, degC of every channel; ambient,
-    degC; mechanics, (elongation m, force N) of a wire, or (front m, back m) of the range sensors
-    beside a tip.
-    """
+    """What one group of instruments read."""
 
     kind: str
-    time: int
+    time: int  # ns since the start
+    # power: (V, A) of every channel; temperature: degC of every channel; ambient: degC; mechanics:
+    # (elongation m, force N) of a wire, or (front m, back m) of the range sensors beside a tip
     values: list[Any]
 
 

@@ -45,21 +45,15 @@ Facts = dict[int, dict[str, object]]
 
 @dataclass(frozen=True)
 class Erratum:
-    """One item.
+    """One item."""
 
-    Attributes:
-        number: 1 to 19; place: in the paper.
-        printed, corrected: the forms, in words or as a formula.
-        lines: quantity, printed, corrected and independently checked value with units, ready to
-            read; remark: what follows.
-    """
-
-    number: int
-    place: str
-    printed: str
+    number: int  # 1 to 19
+    place: str  # in the paper
+    printed: str  # the form, in words or as a formula
     corrected: str
+    # quantity, printed, corrected and independently checked value with units, ready to read
     lines: tuple[tuple[str, ...], ...]
-    remark: str
+    remark: str  # what follows
 
 
 def paper_errata() -> list[Erratum]:

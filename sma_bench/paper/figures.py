@@ -29,23 +29,16 @@ RESTS_BENT = {
 
 @dataclass(frozen=True)
 class CompositeRun:
-    """One record of the composite and its simulation.
+    """One record of the composite and its simulation."""
 
-    Attributes:
-        record: where it comes from.
-        time: (n,) s; voltage: (n,) V, front positive and back negative; simulated: (n,) m.
-        measured: time (m,) s and deflection (m,) m.
-        rests: (start, stop) s of the intervals at zero voltage after a drive.
-        lifelike: (n,) m, simulated with RESTS_BENT; None of a measured record.
-    """
-
-    record: Record
-    time: Array
-    voltage: Array
-    simulated: Array
-    measured: tuple[Array, Array]
+    record: Record  # where it comes from
+    time: Array  # (n,) s
+    voltage: Array  # (n,) V, front positive and back negative
+    simulated: Array  # (n,) m
+    measured: tuple[Array, Array]  # time (m,) s and deflection (m,) m
+    # (start, stop) s of the intervals at zero voltage after a drive
     rests: tuple[tuple[float, float], ...]
-    lifelike: Array | None = None
+    lifelike: Array | None = None  # (n,) m, simulated with RESTS_BENT; None of a measured record
 
     def left_over(self) -> list[tuple[float, float]]:
         """Deflection [m] measured and simulated at the end of every rest."""

@@ -68,29 +68,20 @@ class ExperimentResults:
 
 @dataclass(frozen=True)
 class Row:
-    """A number of the paper and, where a record gave it, the identified one.
-
-    Attributes:
-        printed, printed_std: in `unit`, NaN where none is printed.
-        kind: experiment that finds it; name: its estimate there or, with a star for anything, a
-            detail.
-        scale: from SI to the unit; reason: why synthetic data give another one.
-        estimate: None where it was not identified; synthetic: whether of synthetic data; source: of
-            which records, or why there is none.
-    """
+    """A number of the paper and, where a record gave it, the identified one."""
 
     symbol: str
     description: str
     unit: str
-    printed: float
+    printed: float  # in `unit`, NaN where none is printed
     printed_std: float
-    kind: str
-    name: str
-    scale: float = 1.0
-    reason: str = ""
-    estimate: Estimate | None = None
-    synthetic: bool = False
-    source: str = ""
+    kind: str  # experiment that finds it
+    name: str  # of its estimate there or, with a star for anything, a detail
+    scale: float = 1.0  # from SI to the unit
+    reason: str = ""  # why synthetic data give another one
+    estimate: Estimate | None = None  # None where it was not identified
+    synthetic: bool = False  # whether of synthetic data
+    source: str = ""  # of which records, or why there is none
 
     @property
     def value(self) -> float:

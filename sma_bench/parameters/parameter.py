@@ -36,32 +36,24 @@ _UNIT_SLIPS = (1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
 
 @dataclass(frozen=True)
 class Parameter:
-    """Declaration of one parameter, under a dotted name that files, nodes and commands share.
-
-    Attributes:
-        unit: SI unit, "" for none.
-        provenance: paper table or equation, or "assumed: why".
-        low, high: inclusive range of a number, in its unit.
-        uncertainty: standard deviation, in its unit, of a value that a file states without one:
-            what a careful lab knows such a number to.
-        spread: of a value that nobody stated: how far such numbers lie apart between the wires and
-            benches of the field, by spread_source. None: as uncertainty (a sensor's data sheet, an
-            effect's number).
-        read_only: a running node cannot change it.
-    """
+    """Declaration of one parameter, under a dotted name that files, nodes and commands share."""
 
     name: str
-    unit: str
+    unit: str  # SI, "" for none
     default: Value
     description: str
-    provenance: str
-    low: float | None = None
+    provenance: str  # paper table or equation, or "assumed: why"
+    low: float | None = None  # inclusive range of a number, in its unit
     high: float | None = None
+    # standard deviation, in its unit, of a value that a file states without one: what a careful lab
+    # knows such a number to
     uncertainty: float | None = None
+    # of a value that nobody stated: how far such numbers lie apart between the wires and benches of
+    # the field, by spread_source; None: as uncertainty (a sensor's data sheet, an effect's number)
     spread: float | None = None
     spread_source: str = ""
     kind: Kind = "double"
-    read_only: bool = False
+    read_only: bool = False  # a running node cannot change it
 
     @property
     def default_std(self) -> float | None:
@@ -152,42 +144,32 @@ LAWS = ("cosine", "exponential", "logistic", "normal")
 
 @dataclass(frozen=True)
 class Effect:
-    """One departure from the paper's model, called as its file; off with every default.
-
-    Attributes:
-        parameters: its numbers, `effect.<name>.<number>`, its size first.
-        shows: what an engineer sees at the bench.
-        acts_on: signals that it can change, in the order of the chain.
-        loads: kinds of load under which a bench can have it; laws: of the phase, beside which.
-        marks: columns of the core that are 1 where it is on: the step takes the longer way there.
-        row: what its columns are of, every wire or every side that bends.
-        columns: number to the column that holds it, where the core reads it as it is.
-        constants, state, scratch: further columns of that row: what a bench is; what one step hands
-            to the next, 0 at the start; what is noted within a step. A name that stands n times is
-            the first of n columns.
-        beside: parameter whose value depends on where the effect is counted from: what a multiple
-            of it would do as well is no part of what the effect does.
-        times: number to the parameter that it enters the model with, as a product: no record of
-            the bench tells one from the other, so what is unknown of it is in the number's error.
-        text: title, equation and source: the docstring of its file.
-    """
+    """One departure from the paper's model, called as its file; off with every default."""
 
     name: str
     stage: Stage
-    parameters: tuple[Parameter, ...]
-    shows: str
-    acts_on: tuple[str, ...] = ("temperature", "deflection")
-    loads: tuple[str, ...] = LOAD_KINDS
-    laws: tuple[str, ...] = LAWS
+    parameters: tuple[Parameter, ...]  # its numbers, `effect.<name>.<number>`, its size first
+    shows: str  # what an engineer sees at the bench
+    acts_on: tuple[str, ...] = ("temperature", "deflection")  # signals, in the order of the chain
+    loads: tuple[str, ...] = LOAD_KINDS  # under which a bench can have it
+    laws: tuple[str, ...] = LAWS  # of the phase, beside which
+    # columns of the core that are 1 where it is on: the step takes the longer way there
     marks: tuple[str, ...] = ()
-    row: Literal["wire", "side"] = "wire"
+    row: Literal["wire", "side"] = "wire"  # what its columns are of
+    # number to the column that holds it, where the core reads it as it is
     columns: Mapping[str, str] | None = None
+    # Further columns of that row: what a bench is; what one step hands to the next, 0 at the start;
+    # what is noted within a step. A name that stands n times is the first of n columns.
     constants: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
     scratch: tuple[str, ...] = ()
+    # parameter whose value depends on where the effect is counted from: what a multiple of it would
+    # do as well is no part of what the effect does
     beside: str = ""
+    # number to the parameter that it enters the model with, as a product: no record of the bench
+    # tells one from the other, so what is unknown of it is in the number's error
     times: Mapping[str, str] | None = None
-    text: str = ""
+    text: str = ""  # title, equation and source: the docstring of its file
 
     @property
     def size(self) -> Parameter:

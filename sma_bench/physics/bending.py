@@ -13,27 +13,17 @@ from sma_bench.parameters.parameters import wire_section
 
 @dataclass(frozen=True)
 class Beam:
-    """Two-layer beam: the elastomer matrix (passive) and the sheet of wires (active).
+    """Two-layer beam: the elastomer matrix (passive) and the sheet of wires (active)."""
 
-    Attributes:
-        length: l [m], from the clamping to the point of measurement.
-        width: w_c [m].
-        thickness, modulus: h_c [m] and E_c [Pa] of the matrix.
-        layer_thickness, layer_modulus: h [m] and E [Pa] of the active layer.
-        layer_width: w_s [m], of the active layer: real wires fill a small part of w_c.
-        offset: a [m], wires to centre line.
-        wire_section: A [m2], cross-section of the wires of one channel.
-    """
-
-    length: float
-    width: float
-    thickness: float
-    modulus: float
-    layer_thickness: float
-    layer_modulus: float
-    layer_width: float
-    offset: float
-    wire_section: float
+    length: float  # l [m], from the clamping to the point of measurement
+    width: float  # w_c [m]
+    thickness: float  # h_c [m], of the matrix
+    modulus: float  # E_c [Pa], of the matrix
+    layer_thickness: float  # h [m], of the active layer
+    layer_modulus: float  # E [Pa], of the active layer
+    layer_width: float  # w_s [m], of the active layer: real wires fill a small part of w_c
+    offset: float  # a [m], wires to centre line
+    wire_section: float  # A [m2], cross-section of the wires of one channel
 
     @classmethod
     def of(cls, parameters: Parameters) -> "Beam":

@@ -24,26 +24,21 @@ class Boundary:
 
     e = -(eps - eps_0) is the contraction shared by the wires of a side. Each field is one number
     for all sides, or one a side in the order of `side_names`.
-
-    Attributes:
-        stiffness: Pa, sum of stresses per contraction.
-        load: Pa, sum of stresses at zero contraction.
-        contraction: prescribed e, or None; where a motion is imposed, that at its start.
-        lever: m, deflection per contraction: positive toward the front; of a wire that moves its
-            load, the negative length, so that its deflection is its elongation.
-        coupled: both sides pull on one slider: the front's sum of stresses less the back's is load
-            + stiffness e of the front, and what the one contracts stretches the other.
-        prestretch: strain of a side's wires at zero contraction, which is the bench at rest.
-        friction: Pa, that the sum of stresses is more than that while contracting, less while
-            lengthening; between the two the wires stand.
     """
 
-    stiffness: PerSide = 0.0
-    load: PerSide = 0.0
-    contraction: PerSide | None = None
+    stiffness: PerSide = 0.0  # Pa, sum of stresses per contraction
+    load: PerSide = 0.0  # Pa, sum of stresses at zero contraction
+    contraction: PerSide | None = None  # prescribed e; of an imposed motion that at its start
+    # m, deflection per contraction: positive toward the front; of a wire that moves its load, the
+    # negative length, so that its deflection is its elongation
     lever: PerSide = 0.0
+    # both sides pull on one slider: the front's sum of stresses less the back's is load + stiffness
+    # e of the front, and what the one contracts stretches the other
     coupled: bool = False
+    # strain of a side's wires at zero contraction, which is the bench at rest
     prestretch: PerSide = 0.0
+    # Pa, that the sum of stresses is more than that while contracting, less while lengthening;
+    # between the two the wires stand
     friction: PerSide = 0.0
 
     @classmethod

@@ -23,20 +23,14 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All that the future of a bench depends on, apart from the voltages to come.
+    """All that the future of a bench depends on, apart from the voltages to come; carried from one
+    simulation into the next, it continues to the last bit."""
 
-    Carried from one simulation into the next, it continues to the last bit.
-
-    Attributes:
-        temperature: (w,) K; martensite_fraction: (w,); stress: (w,) Pa.
-        contraction: (s,), sides in the order of `side_names`.
-        memory: what the kernel keeps of the history (reversals, last changes), or None at rest.
-    """
-
-    temperature: Array
-    martensite_fraction: Array
-    stress: Array
-    contraction: Array
+    temperature: Array  # (w,) K
+    martensite_fraction: Array  # (w,)
+    stress: Array  # (w,) Pa
+    contraction: Array  # (s,), sides in the order of `side_names`
+    # what the kernel keeps of the history (reversals, last changes)
     memory: tuple[Array, Array] | None = None
 
     @property

@@ -61,18 +61,14 @@ class SideModel:
 
     Along a branch xi = s f (heating) or 1 - xi = s g (cooling), with the ramps f, g of material.py
     and a share s that is constant between two reversals, 1 on a full loop.
-
-    Attributes:
-        parameters: of the wires; wires: n; stiffness: K [Pa]; load: [Pa]; lever: m, signed
-            deflection per contraction; prestretch: strain at zero contraction.
     """
 
-    parameters: Parameters
-    wires: int
-    stiffness: float
-    load: float
-    lever: float
-    prestretch: float = 0.0
+    parameters: Parameters  # of the wires
+    wires: int  # n
+    stiffness: float  # K [Pa]
+    load: float  # Pa
+    lever: float  # m, signed deflection per contraction
+    prestretch: float = 0.0  # strain at zero contraction
 
     @classmethod
     def of(cls, parameters: Parameters, side: str, state: State | None = None) -> Self:
@@ -161,18 +157,12 @@ class SideModel:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class OperatingPoint(State):
-    """A steady state, without history, and the direction of the change to come.
-
-    Attributes:
-        parameters, boundary: the rig.
-        branch: heating if temperatures are about to rise, cooling if they are about to fall.
-        voltage: (w,) V, commands that hold the temperatures.
-    """
+    """A steady state, without history, and the direction of the change to come."""
 
     parameters: Parameters
     boundary: Boundary
-    branch: Branch
-    voltage: Array
+    branch: Branch  # heating if temperatures are about to rise, cooling if to fall
+    voltage: Array  # (w,) V, commands that hold the temperatures
 
     @property
     def deflection(self) -> float:
@@ -276,20 +266,13 @@ def maximum_deflection(parameters: Parameters, side: str = "front") -> float:
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """First-order change of everything per kelvin of each wire, and the temperatures' dynamics.
+    """First-order change of everything per kelvin of each wire, and the temperatures' dynamics."""
 
-    Attributes:
-        point: where; latent_heat: J/kg, as it was linearised with.
-        fraction_per_kelvin, stress_per_kelvin: (w, w), row: wire that changes, column: wire that
-            warms; 1/K and Pa/K.
-        contraction_per_kelvin: (s, w) 1/K.
-    """
-
-    point: OperatingPoint
-    latent_heat: float
-    fraction_per_kelvin: Array
-    stress_per_kelvin: Array
-    contraction_per_kelvin: Array
+    point: OperatingPoint  # where
+    latent_heat: float  # J/kg, as it was linearised with
+    fraction_per_kelvin: Array  # (w, w) 1/K, row: wire that changes, column: wire that warms
+    stress_per_kelvin: Array  # (w, w) Pa/K
+    contraction_per_kelvin: Array  # (s, w) 1/K
 
     @cached_property
     def deflection_per_kelvin(self) -> Array:

@@ -40,20 +40,14 @@ _COLUMNS: dict[str, list[tuple[str, str, str]]] = {
 
 @dataclass
 class _Samples:
-    """Decoded messages of one topic, in the order of the bag until sorted.
-
-    Attributes:
-        stamp: (n,) ns, header.stamp; the receive time for header-less types.
-        received: (n,) ns.
-        is_stamped: whether the stamps are not the receive times.
-        columns: (n,) or (n, k) by name, NaN where not measured; strings of a String topic.
-    """
+    """Decoded messages of one topic, in the order of the bag until sorted."""
 
     topic: str
     type: str
-    stamp: IntArray
-    received: IntArray
-    is_stamped: bool
+    stamp: IntArray  # (n,) ns, header.stamp; the receive time for header-less types
+    received: IntArray  # (n,) ns
+    is_stamped: bool  # whether the stamps are not the receive times
+    # (n,) or (n, k) by name, NaN where not measured; strings of a String topic
     columns: dict[str, NDArray[np.generic]] = field(default_factory=dict)
 
     def keep(self, rows: NDArray[np.bool_] | IntArray) -> None:

@@ -27,25 +27,16 @@ _LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of num
 
 @dataclass(frozen=True, repr=False)
 class Signal:
-    """One measured or commanded quantity.
+    """One measured or commanded quantity."""
 
-    Attributes:
-        name: contract name, for instance `wire.voltage`.
-        unit: SI unit of `values`.
-        time: (n,) s since the start of the record, strictly increasing when read from a bag.
-        values: (n,) or (n, k); a bag's missing values (NaN) are left out, not kept.
-        received: (n,) s, when the recorder got the message, on the same zero; None if unknown.
-        topic: where it came from, empty for a computed signal.
-        std: (n,) standard deviation that each reading's own message states; None if none does.
-    """
-
-    name: str
-    unit: str
+    name: str  # of the contract, for instance `wire.voltage`
+    unit: str  # SI
+    # (n,) s since the start of the record, strictly increasing when read from a bag
     time: FloatArray
-    values: FloatArray
-    received: FloatArray | None = None
-    topic: str = ""
-    std: FloatArray | None = None
+    values: FloatArray  # (n,) or (n, k); a bag's missing values (NaN) are left out, not kept
+    received: FloatArray | None = None  # (n,) s, when the recorder got the message, on that zero
+    topic: str = ""  # where it came from, empty for a computed signal
+    std: FloatArray | None = None  # (n,) standard deviation that each reading's own message states
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or len(self.values) != len(self.time):
@@ -78,23 +69,14 @@ class Topic:
 
 @dataclass(frozen=True, repr=False)
 class Record(Drawn):
-    """Everything read from one bag, or simulated in its place.
+    """Everything read from one bag, or simulated in its place."""
 
-    Attributes:
-        path: where it was read from.
-        start_ns: nanoseconds since the epoch of t = 0, the first stamp.
-        signals: by name; what was not measured is absent.
-        markers: (time in s, text) of the protocol steps, in order of time.
-        topics: every topic of the bag by name, decoded or not.
-        findings: what the reader noticed: losses, disorder, values left out.
-    """
-
-    path: Path
-    start_ns: int
-    signals: dict[str, Signal]
-    markers: tuple[tuple[float, str], ...] = ()
-    topics: dict[str, Topic] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
+    path: Path  # where it was read from
+    start_ns: int  # ns since the epoch of t = 0, the first stamp
+    signals: dict[str, Signal]  # by name; what was not measured is absent
+    markers: tuple[tuple[float, str], ...] = ()  # (time in s, text) of the protocol steps, in order
+    topics: dict[str, Topic] = field(default_factory=dict)  # every topic of the bag, decoded or not
+    findings: tuple[Finding, ...] = ()  # what the reader noticed: losses, disorder, values left out
 
     def __repr__(self) -> str:
         names = ", ".join(sorted(self.signals)) or "no signals"

@@ -49,19 +49,14 @@ _PIECE = 1 << 16
 
 @dataclass
 class RawTopic:
-    """Serialised messages of one topic in the order of the files, one behind the other in `data`.
-
-    Attributes:
-        wanted: whether they are kept; others are only counted.
-        times, lengths: of each message, ns and bytes.
-    """
+    """Serialised messages of one topic in the order of the files, one behind the other."""
 
     name: str
     type: str
-    wanted: bool
+    wanted: bool  # whether they are kept; others are only counted
     count: int = 0
-    times: "array[int]" = field(default_factory=lambda: array("q"))
-    lengths: "array[int]" = field(default_factory=lambda: array("q"))
+    times: "array[int]" = field(default_factory=lambda: array("q"))  # of each message, ns
+    lengths: "array[int]" = field(default_factory=lambda: array("q"))  # bytes
     data: bytearray = field(default_factory=bytearray)
 
     def add(self, records: "np.ndarray") -> None:

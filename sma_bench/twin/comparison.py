@@ -35,38 +35,30 @@ _MOST_WHITE = 2.0  # of the scatter of neighbours: a residual that scatters more
 
 
 class Bin(NamedTuple):
-    """Mean residual of a bin.
-
-    `off`: what moments and zeros that are not known may add to it, one standard deviation, in the
-    signal's unit; `cause`: what the residual is compared with, the signal's own prediction; `side`:
-    number of the side it belongs to.
-    """
+    """Mean residual of a bin."""
 
     time: float
     residual: float
     samples: int
-    off: float
-    cause: float
-    side: int
+    off: float  # what moments and zeros that are not known may add to it, one standard deviation
+    cause: float  # what the residual is compared with, the signal's own prediction
+    side: int  # number of the side it belongs to
 
 
 class BinStatistics(NamedTuple):
-    """What the last bins of a signal say.
+    """What the last bins of a signal say."""
 
-    `energy`: mean square of the whitened residual, 1 for noise; `surprise`: standard deviations by
-    which the energy or the level is beyond that of the noise before the window; `gap`: root mean
-    square of the residual over the noise of a sample, per side, NaN where the signal was not on
-    that side; `residual`, `cause`, `tolerance`: (n,) of the bins, in the signal's unit; `share`:
-    residual over cause, least squares over all bins at hand, not just the last, NaN where the
-    causes are no larger than the tolerance.
-    """
-
-    energy: float
+    energy: float  # mean square of the whitened residual, 1 for noise
+    # standard deviations by which the energy or the level is beyond that of the noise before the
+    # window
     surprise: float
+    # rms of the residual over the noise of a sample, per side, NaN where the signal was not there
     gap: Array
-    residual: Array
-    cause: Array
-    tolerance: Array
+    residual: Array  # (n,) of the bins, in the signal's unit
+    cause: Array  # (n,)
+    tolerance: Array  # (n,)
+    # residual over cause, least squares over all bins at hand, not just the last, NaN where the
+    # causes are no larger than the tolerance
     share: float
 
 

@@ -88,21 +88,14 @@ class MeasuredVoltages:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What the model did, a row a step.
+    """What the model did, a row a step."""
 
-    Attributes:
-        time: (n,) s; temperature, reading: (n, w) K, of the wires and of their sensors.
-        conductance: (n, w) A/V of the electrical readings.
-        mechanics: (n,) deflection [m], or force [N] of a clamped wire.
-        driven: (n,) number of the wire with the highest voltage, of the last one in a rest.
-    """
-
-    time: Array
-    temperature: Array
-    reading: Array
-    conductance: Array
-    mechanics: Array
-    driven: NDArray[np.int64]
+    time: Array  # (n,) s
+    temperature: Array  # (n, w) K
+    reading: Array  # (n, w) K, of the sensors
+    conductance: Array  # (n, w) A/V of the electrical readings
+    mechanics: Array  # (n,) deflection [m], or force [N] of a clamped wire
+    driven: NDArray[np.int64]  # wire with the highest voltage, of the last one in a rest
 
     def rows(self, start: float, stop: float) -> slice:
         """Rows in (start, stop], and the one before them."""

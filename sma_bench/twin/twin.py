@@ -62,17 +62,12 @@ class Residual(NamedTuple):
 
 
 class StageState(NamedTuple):
-    """What one stage shows.
-
-    `energy`: mean square of its whitened residuals, 1 for noise, NaN while learning; `gap`: root
-    mean square of its residuals over the noise of a sample, of the worse side; `counted`: the part
-    of it, a side, that is this stage's own and no noise.
-    """
+    """What one stage shows."""
 
     stage: str
-    energy: float
-    gap: float
-    counted: Array
+    energy: float  # mean square of its whitened residuals, 1 for noise, NaN while learning
+    gap: float  # rms of its residuals over the noise of a sample, of the worse side
+    counted: Array  # the part of it, a side, that is this stage's own and no noise
 
 
 class Verdict(NamedTuple):
