@@ -204,16 +204,10 @@ class TemperatureController:
         self, parameters: Parameters, period: float, *, delay: float = 0.0,
         closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
     ) -> None:
-        """Tuned for steps of `period` s.
-
-        Args:
-            delay: s from a temperature to the power that answers it, beyond half a period, which
-                the held output is late by itself.
-            closed_loop_time, maximum_power, power_rate: as `Gains.simc`, `Heating`.
-
-        Raises:
-            InputError: a number out of range.
-        """
+        """Tuned for steps of `period` s. `delay`: s from a temperature to the power that answers
+        it, beyond half a period, which the held output is late by itself; `closed_loop_time`,
+        `maximum_power`, `power_rate`: as `Gains.simc`, `Heating`. Raises InputError: a number out
+        of range."""
         require("temperature control", "period", period, " s")
         self.heating = Heating(parameters, maximum_power, power_rate)
         self.gains = Gains.simc(
@@ -223,15 +217,9 @@ class TemperatureController:
         self._loops: list[PI | None] = [None] * len(parameters["bench.channels"])  # all off
 
     def step(self, reference: ArrayLike, measured: ArrayLike, dt: float) -> Array:
-        """Voltages (w,) [V] from now until `dt` s later.
-
-        Args:
-            reference, measured: (w,) K; NaN switches a wire off, and so does a reference that
-                needs no heat: ambient temperature or less.
-
-        Raises:
-            InputError: wrong shape, or dt not above 0.
-        """
+        """Voltages (w,) [V] from now until `dt` s later. `reference`, `measured`: (w,) K; NaN
+        switches a wire off, and so does a reference that needs no heat: ambient temperature or
+        less. Raises InputError: wrong shape, or dt not above 0."""
         wanted, kelvin = (np.asarray(values, float) for values in (reference, measured))
         expected = (len(self._loops),)
         for name, values in (("reference", wanted), ("measured", kelvin)):
@@ -336,15 +324,9 @@ class DeflectionController:
         closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
         feedback: bool = True,
     ) -> None:
-        """Designed for steps of `period` s.
-
-        Args:
-            delay, closed_loop_time, maximum_power, power_rate: as `TemperatureController`.
-            feedback: False leaves the feed-forward alone, an open loop.
-
-        Raises:
-            InputError: the rig does not move, or a number out of range.
-        """
+        """Designed for steps of `period` s. `delay`, `closed_loop_time`, `maximum_power`,
+        `power_rate`: as `TemperatureController`; `feedback`: False leaves the feed-forward alone,
+        an open loop. Raises InputError: the rig does not move, or a number out of range."""
         require("deflection control", "period", period, " s")
         self.parameters, self._feedback = parameters, feedback
         self.heating = Heating(parameters, maximum_power, power_rate)

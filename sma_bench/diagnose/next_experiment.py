@@ -139,20 +139,12 @@ def next_experiment(
     verdict: Verdict, candidates: Sequence[Candidate], search: Search, weights: Weights,
     observations: Sequence[Observation], parameters: Parameters,
 ) -> NextExperiment | None:
-    """The quickest of what would settle the matter nearly as often as anything.
-
-    Args:
-        candidates: the most probable first.
-        observations: the records, for what is measured and how hard the bench was driven.
-
-    Returns:
-        For `unexplained` a drive that shows more of it than all records do. Else None where one
-        candidate makes up the credible set or no experiment could be worth it, and one that does
-        not `settle` where none of those that the bench can do is.
-
-    Raises:
-        InputError: the bench's limits refuse every drive.
-    """
+    """The quickest of what would settle the matter nearly as often as anything. `candidates`: the
+    most probable first; `observations`: the records, for what is measured and how hard the bench
+    was driven. For `unexplained` a drive that shows more of it than all records do. Else None where
+    one candidate makes up the credible set or no experiment could be worth it, and one that does
+    not `settle` where none of those that the bench can do is. Raises InputError: the bench's limits
+    refuse every drive."""
     matter = Matter(candidates, search, weights, observations, parameters)
     if verdict == UNEXPLAINED:
         return _showing(search, matter)
@@ -341,12 +333,9 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
 def _planned(
     document: Mapping[str, Any], fitted: Fit, matter: Matter, mounted: Sequence[str]
 ) -> Problem:
-    """The bench on a protocol that it has not run: the same sensors at the same rates, and new
-    ones of the quantities that are `mounted`.
-
-    Raises:
-        InputError: the wires would get hotter than the bench's limit.
-    """
+    """The bench on a protocol that it has not run: the same sensors at the same rates, and new ones
+    of the quantities that are `mounted`. Raises InputError: the wires would get hotter than the
+    bench's limit."""
     protocol = parse_protocol(dict(document), matter.parameters, "next experiment")
     time, commanded = protocol.sample(_PERIOD)
     voltage = heating_voltage(commanded, matter.parameters)

@@ -367,14 +367,8 @@ class Remainder:
 def find_start(
     remainder: Remainder, unknowns: Unknowns, name: str, quick: bool = False
 ) -> Start:
-    """Best of the tried sizes of one effect, added to a fit.
-
-    Args:
-        remainder: of the fit without this effect; unknowns: with this effect's numbers last.
-        quick: every shape at its default.
-
-    Where no size promises anything the fit begins with the effect off.
-    """
+    """Best of the tried sizes of one effect, added to a fit. `remainder`: of the fit without this
+    effect; `unknowns`: with this effect's numbers last; `quick`: every shape at its default."""
     fitted, effect, bounds = remainder.fitted, EFFECTS[name], unknowns.bounds()
     first = len(unknowns.names) - len(effect.parameters)
     switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]

@@ -291,15 +291,10 @@ class SensorFit(NamedTuple):
 def fit_sensor(
     name: str, readings: Sequence[float], known: Sequence[float], shift: float = 0.0
 ) -> SensorFit:
-    """Fit a sensor of SENSORS to readings (n,) of known loads (n,).
-
-    Args:
-        shift: m, depth of the lens behind the face of a range sensor; others have none.
-
-    Raises:
-        InputError: fewer than two different readings, values that are not finite, a gain of zero, a
-            distance that is not in front of the lens.
-    """
+    """Fit a sensor of SENSORS to readings (n,) of known loads (n,). `shift`: m, depth of the lens
+    behind the face of a range sensor; others have none. Raises InputError: fewer than two different
+    readings, values that are not finite, a gain of zero, a distance that is not in front of the
+    lens."""
     kind, std = SENSORS[name], dict[str, float]()
     x, y = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
     if x.shape != y.shape:

@@ -85,16 +85,10 @@ class StrainTangents(NamedTuple):
 
 
 def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTangents:
-    """Start, finish and transformation strain of one branch.
-
-    Args:
-        companion: the other branch of the cycle. Where this branch has no straight stretch at one
-            of its ends, as when it was turned round before it had transformed, the line there
-            goes through its end with the companion's slope.
-
-    Raises:
-        InputError: too few points, or no transformation stands out of the scatter.
-    """
+    """Start, finish and transformation strain of one branch. `companion`: the other branch of the
+    cycle. Where this branch has no straight stretch at one of its ends, as when it was turned round
+    before it had transformed, the line there goes through its end with the companion's slope.
+    Raises InputError: too few points, or no transformation stands out of the scatter."""
     # Means over narrow intervals of temperature, rising.
     binned = []
     for one in filter(None, (branch, companion)):
@@ -255,9 +249,7 @@ def fit_cosine(
     tangents (the other branch's). Errors hold scatter with its autocorrelation, the choice of the
     points, what the moduli's errors do to the bow, and gaps of the logging at the ends.
 
-    Args:
-        parameters: E_A, E_M.
-        stress: Pa; 0 where strain has no unit.
+    `parameters`: E_A, E_M; `stress`: Pa; 0 where strain has no unit.
     """
     bins = Bins.of(branch.temperature)
     t = bins.mean(branch.temperature)

@@ -156,12 +156,9 @@ def fit_constitutive(
     `details` holds every fitted number and the fit error per stress, as rms over the strain
     recovered at that stress; `curves` `<record, cycle>/temperature`, `/strain` and `/model`.
 
-    Args:
-        parameters: E_A and E_M with their uncertainties (isobaric tests cannot tell them from
-            eps_L), and C_A, C_M in case all tests are at one stress.
-
-    Raises:
-        InputError: no records, or too few points.
+    `parameters`: E_A and E_M with their uncertainties (isobaric tests cannot tell them from eps_L),
+    and C_A, C_M in case all tests are at one stress. Raises InputError: no records, or too few
+    points.
     """
     if not records:
         raise InputError("constitutive fit: no records")
@@ -286,8 +283,7 @@ def _fit_law(
     Standard errors hold the scatter in every loop with its autocorrelation (a misfit of the law
     is no white noise), and the uncertainty of E_A and E_M, which the data do not give.
 
-    Raises:
-        InputError: fewer points than unknowns, or no loop that shows a transformation.
+    Raises InputError: fewer points than unknowns, or no loop that shows a transformation.
     """
     from scipy.optimize import least_squares  # half a second to load
 

@@ -35,12 +35,9 @@ def identify_heat_transfer(
     1/A_c, and only the product h A_c enters the heat equation. `details` holds the thermal gain
     1/(R h A_c) in K/V^2, which depends on neither R nor A_c.
 
-    Args:
-        record: with voltage and temperature of the channel, perhaps `ambient.temperature`.
-        resistance: V^2 over the heat of a wire, with its error: R, where there are no leads.
-
-    Raises:
-        InputError: no temperature, one that does not follow the voltage, or free convection.
+    `record`: with voltage and temperature of the channel, perhaps `ambient.temperature`;
+    `resistance`: V^2 over the heat of a wire, with its error: R, where there are no leads. Raises
+    InputError: no temperature, one that does not follow the voltage, or free convection.
     """
     if parameters["wire.convection"] != "constant":
         raise refusal("free convection", path=record.path)

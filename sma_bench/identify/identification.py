@@ -76,14 +76,11 @@ def identify(
     along: the same alloy). Several records are combined: the resistance of one bag serves the ramps
     of another.
 
-    Args:
-        experiments: names out of EXPERIMENTS; all that the records hold when None, but E9 on
-            clamped wires and isobaric files, which takes a minute, only when named.
-        phases: of tensile tests, by file name or pattern of names.
-
-    Raises:
-        InputError: unknown experiment, one that was asked for but cannot be done, or nothing at
-            all to identify; the line lists what was found and what is missing.
+    `experiments`: names out of EXPERIMENTS; all that the records hold when None, but E9 on clamped
+    wires and isobaric files, which takes a minute, only when named; `phases`: of tensile tests, by
+    file name or pattern of names. Raises InputError: unknown experiment, one that was asked for but
+    cannot be done, or nothing at all to identify; the line lists what was found and what is
+    missing.
     """
     wanted = frozenset(EXPERIMENTS if experiments is None else experiments)
     unknown = sorted(wanted - set(EXPERIMENTS))

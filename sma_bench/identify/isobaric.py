@@ -96,12 +96,9 @@ def identify_isobaric(
     `/strain`, `/tangents` (4, 2) and `/cosine` (n, 2) K and strain) and the stress-temperature
     diagram (`diagram/A_s/stress`, ...).
 
-    Args:
-        parameters: moduli for the elastic part of the strain, and C_A, C_M to refer a single
-            stress to zero; the table's when None.
-
-    Raises:
-        InputError: no records, or no branch with a transformation.
+    `parameters`: moduli for the elastic part of the strain, and C_A, C_M to refer a single stress
+    to zero; the table's when None. Raises InputError: no records, or no branch with a
+    transformation.
     """
     parameters = parameters or Parameters.defaults()
     if not records:

@@ -32,11 +32,8 @@ def identify_resistance(
     Heating and cooling plateaus are joined where they agree within two standard errors; otherwise
     the heating slope counts, as in the paper, and half the difference is added to the error.
 
-    Args:
-        record: with `<channel>.voltage` [V] and `<channel>.current` [A].
-
-    Raises:
-        InputError: no current, too few samples, or leads with more resistance than was measured.
+    `record`: with `<channel>.voltage` [V] and `<channel>.current` [A]. Raises InputError: no
+    current, too few samples, or leads with more resistance than was measured.
     """
     v, i = (staircase.means(record, name) for name in ("voltage", "current"))
     volts, amps, n = v.value, i.value, len(v.value)

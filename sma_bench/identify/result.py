@@ -144,12 +144,8 @@ class Identification(Reported):
     def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
         """What the bench will read on the voltages of a record, by signal: the mean over the wire's
         laws, and limits that hold a share of the readings, by what the records leave open of every
-        number and by what runs of one bench differ by.
-
-        Raises:
-            InputError: no moving load was identified here, `record` lacks a voltage or motion, or
-                `probability` is no share.
-        """
+        number and by what runs of one bench differ by. Raises InputError: no moving load was
+        identified here, `record` lacks a voltage or motion, or `probability` is no share."""
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
             raise refusal("nothing to predict from")
@@ -229,11 +225,8 @@ class _File:
 
 
 def identification_from(document: Any, where: str) -> Identification:
-    """An identification from what its JSON held.
-
-    Raises:
-        InputError: one line that begins with `where` and names the field.
-    """
+    """An identification from what its JSON held. Raises InputError: one line that begins with
+    `where` and names the field."""
     found = decoded(_File, document, where)
     names, matrix = (found.correlation.get(key, []) for key in ("names", "matrix"))
     k = len(names)

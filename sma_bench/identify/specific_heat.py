@@ -85,8 +85,7 @@ def identify_specific_heat(
     are ambient and the camera's zero, delay (of the size of a sample period) and lag; the standard
     error includes these, R and h, coloured noise and that of the voltage.
 
-    Raises:
-        InputError: no ramp, no temperature, or no rise of it below A_s.
+    Raises InputError: no ramp, no temperature, or no rise of it below A_s.
     """
     limit = float(parameters["wire.austenite_start_temperature"])
     chosen, where, findings = _windows(drives, limit)
@@ -436,8 +435,7 @@ def slope_of_rates(
     A differentiator of 0.1 s gives dT/dt; f passes the same filter, so that both lag alike. The
     camera's noise is in both f and dT/dt and biases the slope.
 
-    Args:
-        ambient: K, one a window; resistance: ohm; heat_loss: h A_c in W/K; mass: kg.
+    `ambient`: K, one a window; `resistance`: ohm; `heat_loss`: h A_c in W/K; `mass`: kg.
     """
     rates, forces = [], []
     for w, surrounding in zip(windows, ambient, strict=True):

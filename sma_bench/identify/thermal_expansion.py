@@ -30,15 +30,10 @@ _BAD_MISFIT = 9.0  # chi square per degree of freedom
 
 
 def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
-    """Evaluate clamped staircases of temperature.
-
-    Args:
-        records: each of one wire, with its temperature [K] and `force` [N].
-        parameters: diameter (area), A_s and C_A (above which the wire transforms), moduli (check).
-
-    Raises:
-        InputError: a signal is absent, or fewer than three temperatures remain below A_s.
-    """
+    """Evaluate clamped staircases of temperature. `records`: each of one wire, with its temperature
+    [K] and `force` [N]; `parameters`: diameter (area), A_s and C_A (above which the wire
+    transforms), moduli (check). Raises InputError: a signal is absent, or fewer than three
+    temperatures remain below A_s."""
     # A point (K, Pa, with errors) a plateau of each record, and which of them count.
     findings: list[Finding] = []
     points, used, total = [], [], 0
@@ -138,11 +133,8 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
 
 
 def steady_windows(time: Array, temperature: Array) -> Array:
-    """(p, 2) s: the later parts of the stretches in which temperature holds still.
-
-    Args:
-        time: (n,) s, increasing; temperature: (n,) K.
-    """
+    """(p, 2) s: the later parts of the stretches in which temperature holds still. `time`: (n,) s,
+    increasing; `temperature`: (n,) K."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else _WINDOW
     half = max(round(0.5 * _WINDOW / period), 2)
     if len(time) < 4 * half:

@@ -73,8 +73,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     The tangents touch the outermost flank on either side: where a transformation goes in steps
     (an R-phase, a mixed powder) it starts with the first and ends with the last of them.
 
-    Raises:
-        InputError: too short, nothing straight at its beginning, or no peak stands out.
+    Raises InputError: too short, nothing straight at its beginning, or no peak stands out.
     """
     # Heating takes the latent heat up, cooling gives it back: the peak shall point upward.
     upward = (segment.kind == "heating") == (record.endothermic_up is not False)
@@ -214,8 +213,7 @@ def identify_transition_temperatures(records: Sequence[DscRecord] | DscRecord) -
     run of several rates): start, finish, peak in K and latent_heat in J/kg; `curves` its heat flow
     in W/kg (transformation upward) over temperature in K with baselines and tangents.
 
-    Raises:
-        InputError: no record, or one without a whole peak.
+    Raises InputError: no record, or one without a whole peak.
     """
     runs = [records] if isinstance(records, DscRecord) else list(records)
     if not runs:

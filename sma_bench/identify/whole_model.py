@@ -68,8 +68,7 @@ def identify_moving_bench(
     `uncertainty.`; what the records cannot tell stays there and is named in the findings. Records
     of a single wire in a load frame may join: the same alloy.
 
-    Raises:
-        InputError: no voltage of some channel, or no motion in any record.
+    Raises InputError: no voltage of some channel, or no motion in any record.
     """
     observations = observe_all(records, parameters)
     if not any(set(MOVED) & set(one.quantities) for one in observations):
@@ -85,10 +84,7 @@ def identify_load_frame(
 ) -> Experiment:
     """Thermal and constitutive parameters of one wire in a load frame, simulated under the loads
     that were held, or between the clamps, and held to elongation or force, temperature and current.
-
-    Raises:
-        InputError: no load frame in any record, no voltage, or neither held loads nor clamps.
-    """
+    Raises InputError: no load frame in any record, no voltage, or neither held loads nor clamps."""
     observations = observe_all(records, parameters)
     if not any(one.holds for one in observations):
         where = ", ".join(str(record.path) for record in records) or "no records"

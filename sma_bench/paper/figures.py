@@ -58,15 +58,10 @@ def _at_the_end(time: Array, values: Array, rest: tuple[float, float]) -> float:
 def composite_run(
     record: Record, parameters: Parameters, *, with_rest_deflection: bool = False
 ) -> CompositeRun:
-    """Simulate the voltages of a record next to what it measured.
-
-    Args:
-        parameters: of the rig, bench.channels those of the record.
-        with_rest_deflection: whether to simulate the specimen with RESTS_BENT too.
-
-    Raises:
-        InputError: the record lacks the voltage of a channel, or a deflection.
-    """
+    """Simulate the voltages of a record next to what it measured. `parameters`: of the rig,
+    bench.channels those of the record; `with_rest_deflection`: whether to simulate the specimen
+    with RESTS_BENT too. Raises InputError: the record lacks the voltage of a channel, or a
+    deflection."""
     measured = next(m for m in find_rig(record, parameters).measured if m.quantity == "deflection")
     driven, time, voltage, _ = drive_of(record, parameters)
     simulated, lifelike = simulate(driven, time, voltage).deflection, None

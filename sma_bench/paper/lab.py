@@ -95,8 +95,7 @@ def sort_records(
     E1 to E3, other voltages for the validation of Fig. 6. Isobaric tests at one stress are repeats
     (Fig. 8); of several, the lowest stress is drawn there, all in the stress-temperature diagram.
 
-    Returns:
-        The sorted records, and a warning for each that feeds nothing.
+    Returns the sorted records, and a warning for each that feeds nothing.
     """
     found: dict[str, list[Any]] = {}
     notes: list[Finding] = []
@@ -150,15 +149,9 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
 def identify_lab(
     records: LabRecords, parameters: Parameters, *, synthetic: bool
 ) -> tuple[dict[str, ExperimentResults], list[Finding]]:
-    """Run every experiment that the records allow.
-
-    Args:
-        parameters: what is known beforehand.
-        synthetic: whether the records are.
-
-    Returns:
-        Outcomes by kind ("E1" to "E3", "E5" to "E8", "E6 stresses"), and why others are missing.
-    """
+    """Run every experiment that the records allow. `parameters`: what is known beforehand;
+    `synthetic`: whether the records are. Returns outcomes by kind ("E1" to "E3", "E5" to "E8", "E6
+    stresses"), and why others are missing."""
     found: dict[str, ExperimentResults] = {}
     notes: list[Finding] = []
     for group, kinds in KINDS.items():

@@ -151,13 +151,9 @@ _WIDE = 2.0
 
 
 def curves_of(figure: Figure) -> list[dict[str, Any]]:
-    """The lines of every axes of a figure, plain values for JSON.
-
-    Returns:
-        Of each axes `title`, `x_label`, `marks` (vertical lines), `bands` (lowest and highest) and
-        `lines`: `label`, `colour` (#rrggbb), `dash` (pixels), `wide`, `x` and `y`, in which None is
-        a gap.
-    """
+    """The lines of every axes of a figure, plain values for JSON. Of each axes `title`, `x_label`,
+    `marks` (vertical lines), `bands` (lowest and highest) and `lines`: `label`, `colour` (#rrggbb),
+    `dash` (pixels), `wide`, `x` and `y`, in which None is a gap."""
     curves: list[dict[str, Any]] = []
     labels: dict[str, str] = {}  # of lines alike in the axes above
     for ax in figure.axes:

@@ -144,11 +144,7 @@ _POINTS = 1500
 
 def tensile_test(parameters: Parameters, temperature: float, name: str, seed: int) -> TensileRecord:
     """One test of the wire of `parameters`: martensite below M_f, austenite above A_f.
-
-    Args:
-        temperature: K.
-        name: of the specimen.
-    """
+    `temperature`: K; `name`: of the specimen."""
     phase: Phase = "austenite"
     if temperature <= parameters["wire.martensite_finish_temperature"]:
         phase, e_m = "martensite", parameters["wire.martensite_modulus"]
