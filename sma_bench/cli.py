@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sma_bench.commands import COMMANDS, RETIRED
+from sma_bench.commands import COMMANDS
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import VERSION
 from sma_bench.lifeline import end_with_parent
@@ -95,8 +95,6 @@ def _dispatch(arguments: list[str]) -> int:
     if name == "--version":
         print(f"sma-bench {VERSION}")
         return 0
-    if name in RETIRED:
-        raise InputError(f"{name} {RETIRED[name]}")
     if name not in COMMANDS:
         hint = did_you_mean(name, COMMANDS) or ", sma-bench --help lists them"
         raise InputError(f"no command {name!r}{hint}")

@@ -22,9 +22,3 @@ COMMANDS = {
     "run": "run a node: sma-bench run NODE [--ros-args ...]",
     "demo": "simulated benches, bags, identification, diagnosis, in one go",
 }
-
-# What stood here before, and what does the same now.
-RETIRED = {
-    "blind": "judges the package and is no part of it; in a checkout: ./bench blind",
-    "completion": 'is click\'s now: eval "$(_SMA_BENCH_COMPLETE=bash_source sma-bench)"',
-}

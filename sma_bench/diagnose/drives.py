@@ -2,10 +2,12 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from sma_bench.border import read_yaml
 from sma_bench.parameters import Parameters
 
 _SHARES = {"full": (1.0,), "growing": (0.7, 0.8, 0.9, 1.0), "partial": (0.85, 0.8)}
@@ -67,15 +69,9 @@ class Drive:
         }
 
 
-FIRST = Drive("in turn", "triangle", "growing", 10.0, 10.0, _SHORT)  # of a bench without a record
-KNOWN = (
-    Drive("in turn", "step", "full", 15.0, 60.0, _SHORT),
-    Drive("in turn", "triangle", "full", 45.0, 30.0, _SHORT),
-    Drive("the other side warmed before", "triangle", "full", 15.0, 20.0, _SHORT),
-    FIRST,
-    Drive("in turn", "triangle", "full", 8.0, 8.0, _SHORT),
-    Drive("one side", "triangle", "full", 12.0, 20.0, _SHORT),
-)
+_TABLE = read_yaml(Path(__file__).with_suffix(".yaml"), aliases=True)
+KNOWN = tuple(Drive(*numbers) for numbers in _TABLE["drives"])
+FIRST = Drive(*_TABLE["first"])  # of a bench without a record
 
 
 def drawn(random: np.random.Generator) -> Drive:
@@ -118,31 +114,7 @@ class Test(NamedTuple):
         }
 
 
-TESTS = {
-    # With sense leads: by the driver's volts all three would hold the resistance of the leads.
-    "E1": Test(12.0, "the staircase of E1, volts taken at the wire's ends",
-               {"wire.resistance": 0.003}),
-    "E2": Test(15.0, "the staircase of E2, volts taken at the wire's ends", {
-        "environment.ambient_temperature": 0.1, "wire.heat_transfer_coefficient": 0.015,
-    }),
-    "E3": Test(32.0, "E1 to E3, volts taken at the wire's ends", {
-        "environment.ambient_temperature": 0.1, "wire.resistance": 0.003,
-        "wire.heat_transfer_coefficient": 0.015, "wire.specific_heat": 0.015,
-    }),
-    # The specific heat without any current: 3 %, as of ASTM E1269.
-    "DSC": Test(90.0, "a DSC run", {
-        "wire.austenite_start_temperature": 0.25, "wire.austenite_finish_temperature": 0.25,
-        "wire.martensite_start_temperature": 0.25, "wire.martensite_finish_temperature": 0.25,
-        "wire.specific_heat": 0.03,
-    }),
-    "E6": Test(60.0, "isobaric tests", {
-        "wire.stress_influence_austenite": 0.02, "wire.stress_influence_martensite": 0.02,
-        "wire.maximum_recoverable_strain": 0.01,
-    }, "stress_dependent_transition"),
-    "E7": Test(45.0, "tensile tests",
-               {"wire.martensite_modulus": 0.015, "wire.austenite_modulus": 0.015}),
-    "E8": Test(45.0, "a staircase of the clamped wire", {"wire.thermal_expansion_factor": 0.03}),
-}
+TESTS = {name: Test(**row) for name, row in _TABLE["tests"].items()}
 _ROUNDING = 1.1  # of deviations in a file, and of values that have changed since
 
 

@@ -15,7 +15,7 @@ from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.installation import share_directory
 from sma_bench.nodes.start import CONTAINER
 from sma_bench.parameters import Parameters, read_parameters
-from sma_bench.parameters.node_tables import GONE, SIMULATOR
+from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.yaml_file import read_parameter_names
 from sma_bench.protocols import load_protocol
 from sma_bench.records import read_record
@@ -113,9 +113,7 @@ REPLAY = launch_arguments("replay", COMPOSITE.file)
 def filled(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[str, Any]:
     """All arguments as text, bool for a switch, float for `speed` and `rate`, those not given at
     their default. Raises InputError: an unknown one, or a value that it cannot have."""
-    for name, value in given.items():
-        if gone := {name, f"{name}:={value}"} & GONE.keys():
-            raise InputError(f"{min(gone)} is gone: {GONE[min(gone)]}")
+    for name in given:
         if name not in arguments:
             raise InputError(f"unknown argument {name}{did_you_mean(name, list(arguments))}")
     values: dict[str, Any] = {}

@@ -25,28 +25,7 @@ EXPERIMENT_FIGURES = {
     5: ("E3", draw.slope_picture), 7: ("E5", draw.dsc_picture), 8: ("E6", draw.upfr_picture),
     9: ("E7", draw.tensile_picture), 10: ("E8", draw.thermal_expansion_picture),
 }  # fmt: skip
-# Set-ups and diagrams of the paper's own rigs, as they ship.
-DRAWINGS = {
-    1: "figure_01_wire_rig", 11: "figure_11_bench", 12: "figure_12_specimen",
-    13: "figure_13_moment", 14: "figure_14_block_diagram",
-}  # fmt: skip
-# Title, figures, table.
-_SECTIONS = (
-    ("Set-up for the identification, section II.B", (1,), None),
-    ("Resistance, section II.B.1", (2,), None),
-    ("Heat transfer coefficient, section II.B.2", (3,), None),
-    ("Specific heat, section II.B.3", (4, 5), None),
-    ("Thermal parameters", (), "table_1"),
-    ("Heat transfer simulation, section II.C", (6,), None),
-    ("Transition temperatures by DSC, section III.B.1", (7,), "table_2"),
-    ("Transition temperatures by UPFR, section III.B.1", (8,), None),
-    ("Young's modulus, section III.B.2", (9,), "table_3"),
-    ("Thermal expansion factor, section III.B.3", (10,), None),
-    ("Numbers outside the tables", (), "numbers_in_the_text"),
-    ("Test bench of the composite, section IV", (11, 12), None),
-    ("Bending and block diagram, section IV.A", (13, 14), None),
-    ("Simulation and experiment of the composite, section IV.C", (15, 16), None),
-)
+_PAGE: dict[str, Any] = read_yaml(Path(__file__).with_name("page.yaml"))
 CSV_HEADER = (
     "quantity", "description", "unit", "paper", "paper_std", "identified", "standard_error",
     "data", "source",
@@ -210,7 +189,7 @@ def paper_pictures(
             picture = _captioned(picture_of(experiment), outcomes[kind].synthetic, number)
             name = f"{picture.name}_{k}" if k > 1 else picture.name
             found[number].append(replace(picture, name=name))
-    for number, name in DRAWINGS.items():
+    for number, name in _PAGE["drawings"].items():
         text, file = captions()[name], Path(__file__).with_name("drawings") / f"{name}.svg"
         caption = f"{text['caption']} Data: none, the numbers are the paper's."
         title = f"Fig. {number}: {text['title']}"
@@ -246,12 +225,8 @@ class PaperPage:
 
     def sections(self) -> list[Section]:
         """In the paper's order; figures and tables with warnings of the experiments behind them."""
-        text = (
-            "Figures 1 and 11 to 14 show set-ups and diagrams of the paper's own rigs. Tables are "
-            "written as CSV, figures as PNG beside this page."
-        )
-        sections = [Section("", [text], [str(note) for note in self.notes])]
-        for title, numbers, name in _SECTIONS:
+        sections = [Section("", [_PAGE["head"]], [str(note) for note in self.notes])]
+        for title, numbers, name in _PAGE["sections"]:
             kinds = {EXPERIMENT_FIGURES[n][0] for n in numbers if n in EXPERIMENT_FIGURES}
             findings = dict.fromkeys(
                 f"{finding.subject}: {finding.text}"
@@ -269,18 +244,13 @@ class PaperPage:
         # C_A and C_M, which the paper uses and does not give; the errata.
         stresses = self.outcomes["E6 stresses"]
         sections.append(Section(
-            "Influence of stress, section III.B.4 (no figure in the paper)",
+            _PAGE["stress"],
             pictures=[
                 _captioned(draw.stress_temperature_picture(experiment), stresses.synthetic)
                 for experiment in stresses.experiments if draw.has_diagram(experiment)
             ],
         ))  # fmt: skip
-        text = (
-            "Where the paper is wrong, and what the package computes instead. Printed forms stay "
-            "callable (sma_bench.paper.printed) and are evaluated here with the paper's numbers; "
-            "geometry, C_A and C_M, which it does not give, are assumed (docs/parameters.md)."
-        )
-        sections.append(Section("Errata", [text]))
+        sections.append(Section("Errata", [_PAGE["errata"]]))
         for e in self.errata:
             table = Table(HEADER, [("form", e.printed, e.corrected, ""), *e.lines])
             title = f"Erratum {e.number}: {e.place}"

@@ -25,11 +25,6 @@ TUNING = declared(_SHARED["tuning"])  # of both controllers
 OF_NODES = frozenset(p.name for table in NODE_TABLES.values() for p in table)
 # Declared by rclpy itself, in every node.
 _ROS_GROUPS = frozenset({"use_sim_time", "qos_overrides", "start_type_description_service"})
-# What former versions had, and what does the same now.
-GONE = {
-    "managed": "nodes are no lifecycle nodes any more: they start active, and end by a signal",
-    "mode:=emulated": "in a checkout ./bench check hardware plays the firmware on an emulated Uno",
-}
 
 
 def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF_NODES) -> None:
@@ -38,8 +33,6 @@ def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF
         contracts = name.removeprefix(UNCERTAINTY_PREFIX) in BY_NAME
         if contracts or name in known or name.split(".")[0] in _ROS_GROUPS:
             continue
-        if name in GONE:
-            raise InputError(f"{where}: {name} is gone: {GONE[name]}")
         raise InputError(f"{where}: {unknown_parameter_message(name, (*BY_NAME, *known))}")
 
 
