@@ -58,16 +58,14 @@ class Until:
 
 @dataclass(frozen=True)
 class Segment:
-    """A straight line: from `start` to `stop` (levels, one per channel) in `duration` s at most.
-    `step` is what people and markers call it; `until` ends it earlier; `force` (N) is what the load
-    frame has come to by its end, None where it goes on holding what it held."""
+    """A straight line between two levels, one per channel."""
 
-    step: str
-    duration: float
+    step: str  # what people and markers call it
+    duration: float  # s at most
     start: tuple[float, ...]
     stop: tuple[float, ...]
-    until: Until | None = None
-    force: float | None = None
+    until: Until | None = None  # what ends it earlier
+    force: float | None = None  # N, what the load frame has come to by its end; None: as before
 
 
 @dataclass(frozen=True)

@@ -80,16 +80,14 @@ class NextExperiment:
 
 @dataclass(frozen=True)
 class Explanation:
-    """A candidate: an effect, two joined by +, or recalibration, no_gap, unexplained. `parameters`
-    are the numbers of its effects, `gap_over_noise` what these do, `log_evidence` [nats] over
-    recalibration."""
+    """A candidate: an effect, two joined by +, or recalibration, no_gap, unexplained."""
 
     name: str
     probability: float
     stage: str = ""
-    parameters: dict[str, Estimate] = field(default_factory=dict)
-    gap_over_noise: float = math.nan
-    log_evidence: float = math.nan
+    parameters: dict[str, Estimate] = field(default_factory=dict)  # of its effects
+    gap_over_noise: float = math.nan  # what these do
+    log_evidence: float = math.nan  # nats, over recalibration
 
 
 @dataclass(frozen=True)
@@ -126,16 +124,14 @@ class Difference:
 
 @dataclass(frozen=True)
 class LeftOver:
-    """What the model `by` leaves: nats that a smooth response would `gain`, and as far as it is no
-    noise, how much more `signal` scatters in motion than at rest and how far a single event stands
-    out, in standard deviations; `free_form`: whether the gain is more than noise gives."""
+    """What the model `by` leaves."""
 
     by: str
-    gain: float
+    gain: float  # nats that a smooth response would gain
     signal: str = ""
-    ratio: float = 0.0
-    outlier: float = 0.0
-    free_form: bool = False
+    ratio: float = 0.0  # how much more the signal scatters in motion than at rest, 0 for noise
+    outlier: float = 0.0  # how far a single event stands out, in standard deviations, 0 for noise
+    free_form: bool = False  # whether the gain is more than noise gives
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

@@ -277,14 +277,13 @@ _FEWEST = 3  # pairs that tell a scatter
 
 
 class SensorFit(NamedTuple):
-    """The bridge's parameters of a sensor, and how well the known loads lie on them. `std` has the
-    standard errors that the scatter gives (NaN with two points), `rest` the rms of what is left, in
-    the unit of the known loads; `uncertainty` what it leaves open of the readings of this kind, by
-    the parameters `sensor.` (none with two points)."""
+    """The bridge's parameters of a sensor, and how well the known loads lie on them."""
 
     parameters: dict[str, float]
-    std: dict[str, float]
-    rest: float
+    std: dict[str, float]  # standard errors that the scatter gives, NaN with two points
+    rest: float  # rms of what is left, in the unit of the known loads
+    # what it leaves open of the readings of this kind, by the parameters `sensor.`; none with two
+    # points
     uncertainty: dict[str, float]
 
 

@@ -129,14 +129,12 @@ class WireReading(NamedTuple):
 
 
 class Ridge(NamedTuple):
-    """A wire's way through its region, a value a line: pixel across from the region's border and
-    its change per line, where it is seen there; and its mean height in standard deviations of its
-    surroundings."""
+    """A wire's way through its region, a value a line."""
 
-    centre: Array
-    slope: Array
-    seen: NDArray[np.bool_]
-    clearness: float
+    centre: Array  # pixel across from the region's border
+    slope: Array  # its change per line
+    seen: NDArray[np.bool_]  # where it is seen
+    clearness: float  # its mean height in standard deviations of its surroundings
 
 
 def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:

@@ -57,17 +57,16 @@ class Bins(NamedTuple):
 
 
 class StrainTangents(NamedTuple):
-    """What the tangents of one branch give: start and finish in K, in the order of transformation
-    (on cooling the start is the higher one), whose errors hold the scatter of the points and what
-    other stretches for the lines would give; `step` of the strain by which the outer lines differ
-    half-way; `short` where the straight stretch of the cold or the hot line is so short or so steep
-    that the branch may not have been complete."""
+    """What the tangents of one branch give. Errors hold the scatter of the points and what other
+    stretches for the lines would give."""
 
-    start: Number
-    finish: Number
-    step: Number
+    start: Number  # K, in the order of transformation: on cooling the higher one
+    finish: Number  # K
+    step: Number  # of the strain by which the outer lines differ half-way
     cold: Line
     hot: Line
+    # whether the straight stretch of the cold or the hot line is so short or so steep that the
+    # branch may not have been complete
     short: tuple[bool, bool]
 
     def polyline(self, branch: Branch) -> Array:
@@ -228,16 +227,14 @@ def _draw(
 
 
 class BranchCosine(NamedTuple):
-    """The cosine of one branch: start, finish in K, in the order of transformation; `step` of the
-    strain by which the outer lines differ in mid-range; `rms` of what the cosine leaves, over the
-    step; temperature (n,) K and the fitted strain (n,) for figures."""
+    """The cosine of one branch."""
 
-    start: Number
-    finish: Number
-    step: Number
-    rms: float
-    temperature: Array
-    strain: Array
+    start: Number  # K, in the order of transformation
+    finish: Number  # K
+    step: Number  # of the strain by which the outer lines differ in mid-range
+    rms: float  # of what the cosine leaves, over the step
+    temperature: Array  # (n,) K, for figures
+    strain: Array  # (n,), fitted
 
 
 def fit_cosine(

@@ -81,20 +81,18 @@ class Law:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the paper as far as the records hold it: `estimates` by parameter name;
-    `details` further numbers (one direction, one rate, another method) under names of their own;
-    `curves` the arrays of its figure, never written to JSON; `correlation` of the errors of
-    estimates which one fit gave together; `laws` of the wire that were weighed, best first."""
+    """One experiment of the paper as far as the records hold it."""
 
     name: str
     title: str
-    estimates: dict[str, Estimate]
+    estimates: dict[str, Estimate]  # by parameter name
     findings: tuple[Finding, ...] = ()
-    curves: dict[str, Array] = field(default_factory=dict)
+    curves: dict[str, Array] = field(default_factory=dict)  # of its figure, never written to JSON
     source: str = ""
+    # further numbers (one direction, one rate, another method) under names of their own
     details: dict[str, Estimate] = field(default_factory=dict)
-    correlation: Correlation | None = None
-    laws: tuple[Any, ...] = ()  # of LawFit, which no file holds
+    correlation: Correlation | None = None  # of the errors of estimates which one fit gave together
+    laws: tuple[Any, ...] = ()  # of the wire, best first, of LawFit: no file holds them
 
     @property
     def model(self) -> dict[str, str]:
@@ -116,30 +114,24 @@ class Experiment:
 
 @dataclass(frozen=True, repr=False)
 class Identification(Reported):
-    """Everything the records gave, or what a result file holds of it.
-
-    `estimates` by parameter name, each with what the parameter file states and the warnings that
-    concern it; `parameters` the given ones with these put in (of a result file the defaults);
-    `experiments` one each record and channel; `fit` of the model with these parameters to every
-    signal that they were identified from; `warnings` to read before using the numbers; `notes` what
-    could not be identified and why, and what was remarked on the records; `path` of the result
-    file; `accounts` what became of each record's rows and columns; `law` of the wire, where laws
-    were weighed.
-    """
+    """Everything the records gave, or what a result file holds of it."""
 
     writer = ("reports", "write_identification_report")
     template: ClassVar[str] = "identification.j2"
 
+    # the given ones with the estimates put in; of a result file the defaults
     parameters: Parameters
+    # by parameter name, each with what the parameter file states and the warnings that concern it
     estimates: dict[str, Estimate]
-    experiments: tuple[Experiment, ...]
-    notes: tuple[Finding, ...] = ()
+    experiments: tuple[Experiment, ...]  # one each record and channel
+    notes: tuple[Finding, ...] = ()  # what could not be identified and why, remarks on the records
+    # of the model with these parameters to every signal that they were identified from
     fit: dict[str, SignalFit] = field(default_factory=dict)
     correlation: Correlation = field(default_factory=lambda: Correlation((), np.empty((0, 0))))
-    warnings: tuple[str, ...] = ()
-    path: str = "identification"
-    accounts: tuple[str, ...] = ()
-    law: Law | None = None
+    warnings: tuple[str, ...] = ()  # to read before using the numbers
+    path: str = "identification"  # of the result file
+    accounts: tuple[str, ...] = ()  # what became of each record's rows and columns
+    law: Law | None = None  # of the wire, where laws were weighed
 
     def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
         """What the bench will read on the voltages of a record, by signal: the mean over the wire's

@@ -213,18 +213,15 @@ def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
 
 
 class Means(NamedTuple):
-    """Means of one signal over p plateaus, in its unit: `value` (p,); `noise` (p,) their standard
-    errors, coloured noise counted; `hidden` standard deviation of the converter error that
-    averaging does not remove, `step` the converter's (0 if none is seen); `drift` (p,) change over
-    the window by a straight line, `drift_std` its error; `n` samples of all of them."""
+    """Means of one signal over p plateaus, in its unit."""
 
-    value: Array
-    noise: Array
-    hidden: float
-    step: float
-    drift: Array
-    drift_std: Array
-    n: int
+    value: Array  # (p,)
+    noise: Array  # (p,) their standard errors, coloured noise counted
+    hidden: float  # standard deviation of the converter's error that averaging does not remove
+    step: float  # the converter's, 0 if none is seen
+    drift: Array  # (p,) change over the window by a straight line
+    drift_std: Array  # (p,) its error
+    n: int  # samples of all of them
 
 
 def means(time: Array, values: Array, bounds: Array, what: str) -> Means:

@@ -63,14 +63,12 @@ class Window(NamedTuple):
 
 
 class HeatLoss(NamedTuple):
-    """What E1 and E2, or the parameters, know of R (as it heats: with the leads in it) and h.
-    `gain` 1/(R h A_c) in K/V^2 comes from E2 and is independent of R. `known` is False where h is
-    nobody's measurement: the ramps themselves must tell it."""
+    """What E1 and E2, or the parameters, know of R and h."""
 
-    resistance: Estimate
-    coefficient: Estimate
-    gain: Estimate | None = None
-    known: bool = True
+    resistance: Estimate  # R as it heats: with the leads in it
+    coefficient: Estimate  # h
+    gain: Estimate | None = None  # 1/(R h A_c) in K/V^2, of E2, independent of R
+    known: bool = True  # False where h is nobody's measurement: the ramps must tell it
 
 
 def identify_specific_heat(

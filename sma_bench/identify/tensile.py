@@ -70,16 +70,14 @@ class Rise(NamedTuple):
 
 
 class TensileReading(NamedTuple):
-    """What one curve shows: rises before and after the plateau and on unloading, where there are
-    any; `plateau` (strain, strain, mean stress Pa); `toe` the strain at which the initial rise,
-    extended, begins; `pieces` (m, 2) the ends of its straight pieces."""
+    """What one curve shows."""
 
-    initial: Rise
-    after: Rise | None
+    initial: Rise  # before the plateau
+    after: Rise | None  # the plateau
     unloading: Rise | None
-    plateau: tuple[float, float, float] | None
-    toe: float
-    pieces: Array
+    plateau: tuple[float, float, float] | None  # strain, strain, mean stress Pa
+    toe: float  # strain at which the initial rise, extended, begins
+    pieces: Array  # (m, 2) the ends of its straight pieces
 
 
 def read_curve(record: TensileRecord) -> TensileReading:
