@@ -5,8 +5,9 @@ from collections.abc import Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sma_bench.arrays import Array, Mask
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_TABLE
@@ -22,8 +23,6 @@ from sma_bench.physics.linearised import (
     side_toward,
 )
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
-
-Array = NDArray[np.float64]
 
 TEMPERATURE_MARGIN = 10.0
 """K below the bench's limit, which switches off: room for a model that errs by some percent"""
@@ -291,7 +290,7 @@ class _Side(NamedTuple):
     name: str
     sign: float
     model: SideModel
-    wires: NDArray[np.bool_]
+    wires: Mask
     schedule: dict[Branch, tuple[Array, Array]]
 
     @classmethod

@@ -24,13 +24,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.border import read_yaml, shown
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
-
-Array = NDArray[np.float64]
 
 # s: a command clock sums periods such as 0.05 s; the rounding of that sum must not delay a step by
 # one whole period.

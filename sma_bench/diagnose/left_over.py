@@ -11,16 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.diagnose.sizes import largest_gap
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.physics.simulate import Simulation
 from sma_bench.records.record import first_order_lag
-
-Array = NDArray[np.float64]
 
 _SURE = 4.0  # standard deviations of the log ratio of two variances
 _FEWEST = 30

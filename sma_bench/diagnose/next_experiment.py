@@ -18,10 +18,10 @@ from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.special import ndtri
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.decision import (
     JOIN,
@@ -47,8 +47,6 @@ from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.material import heating_voltage
 from sma_bench.protocols import parse_protocol
-
-Array = NDArray[np.float64]
 
 _AS_GOOD = 0.8  # of the best one's worth: of these the quickest is proposed
 _MOST_CAUSES, _SEARCHED = 6, 3

@@ -6,9 +6,9 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
 from sma_bench.estimation.observation import Observation
@@ -25,8 +25,6 @@ from sma_bench.estimation.unknowns import (
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
-
-Array = NDArray[np.float64]
 
 _CLOSE = 0.35  # of the best gain in evidence: what lies this near is fitted carefully
 _NEAR = 15.0  # nats

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sma_bench.arrays import Array
 from sma_bench.diagnose.result import Cell, Shrinkage
 from sma_bench.estimation.noise_model import Noise
 from sma_bench.estimation.observation import Observation
@@ -27,8 +28,6 @@ from sma_bench.estimation.residual import DRIFT_EFFECT, Block, Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
-
-Array = NDArray[np.float64]
 
 INITIAL, DRIVE, REST = "initial", "drive", "rest"
 _BLOCK = 8.0  # s, longer than any sensor remembers

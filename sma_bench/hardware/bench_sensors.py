@@ -8,8 +8,9 @@ from decimal import Decimal
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.hardware.serial_messages import CHANNELS, Telemetry
 
@@ -382,7 +383,7 @@ class Instrument:
             value = round(value / self._resolution) * self._resolution
         return value
 
-    def read_all(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def read_all(self, values: Array) -> Array:
         """The readings of true values (n,), bit by bit as of one `read` after the other."""
         if self._noise > 0.0:
             while len(self._drawn) < len(values):

@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import ndtr
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.parameters import Parameters
 
-Array = NDArray[np.float64]
 Frame = NDArray[np.uint16]
 
 ENCODING = "mono16"

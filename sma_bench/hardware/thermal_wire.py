@@ -17,14 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
+from sma_bench.arrays import Array, Mask
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_image import (
     RAW_PER_KELVIN,
-    Array,
     Frame,
     Surface,
     band_radiance,
@@ -133,7 +132,7 @@ class Ridge(NamedTuple):
 
     centre: Array  # pixel across from the region's border
     slope: Array  # its change per line
-    seen: NDArray[np.bool_]  # where it is seen
+    seen: Mask  # where it is seen
     clearness: float  # its mean height in standard deviations of its surroundings
 
 

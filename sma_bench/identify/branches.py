@@ -14,8 +14,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.estimation.noise_model import autocorrelation, inflation
-from sma_bench.identify.estimate import MODULI, Array, Line, scatter, straight_line
+from sma_bench.identify.estimate import MODULI, Line, scatter, straight_line
 from sma_bench.identify.result import refusal
 from sma_bench.parameters import Parameters
 from sma_bench.records.instruments import Branch

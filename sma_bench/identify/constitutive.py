@@ -31,12 +31,13 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding
 from sma_bench.identify.branches import Bins, strain_tangents
-from sma_bench.identify.estimate import MODULI, SYMBOLS, Array
+from sma_bench.identify.estimate import MODULI, SYMBOLS
 from sma_bench.identify.isobaric import SMALLEST_STRESS_RANGE, with_scales
 from sma_bench.identify.result import Correlation, Experiment, remark
 from sma_bench.parameters import Parameters

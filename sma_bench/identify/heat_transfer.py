@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, fit_linear, fit_slope, straight_line
+from sma_bench.identify.estimate import fit_linear, fit_slope, straight_line
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.identify.signals import AMBIENT, CAMERA, COEFFICIENT, VOLTAGE, Staircase
 from sma_bench.parameters import Parameters

@@ -14,6 +14,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.observation import find_rig
@@ -29,7 +30,6 @@ from sma_bench.identify.estimate import (
     GAUGE,
     MODULI,
     SYMBOLS,
-    Array,
     diameter_error,
     fit_linear,
     mean_and_deviation,

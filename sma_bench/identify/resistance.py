@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Array, fit_slope
+from sma_bench.identify.estimate import fit_slope
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.identify.signals import CURRENT, LEADS, RESISTANCE, VOLTAGE, Staircase
 from sma_bench.parameters import Parameters

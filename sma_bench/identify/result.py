@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
+from sma_bench.arrays import Array
 from sma_bench.border import load_yaml
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from sma_bench.estimation.bands import Band
     from sma_bench.records.record import Record
 
-Array = npt.NDArray[np.float64]
 FitVerdict = Literal["ok", "imperfect", "misfit"]
 _SURPRISES = 3.0  # standard deviations
 _TOGETHER = 0.5  # correlation worth a line

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import LOAD_FRAME, has_load_frame, is_clamped
 from sma_bench.estimation.noise_model import (
-    Array,
     autocorrelation,
     inflation,
     quantisation_variance,

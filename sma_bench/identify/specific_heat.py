@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.noise_model import noise_floor
@@ -17,7 +18,6 @@ from sma_bench.estimation.result import Result, result_of
 from sma_bench.estimation.solver import fit, recalibrate
 from sma_bench.estimation.unknowns import Unknown, Unknowns
 from sma_bench.findings import Finding, Severity
-from sma_bench.identify.estimate import Array
 from sma_bench.identify.heat_transfer import scale_of_gain
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.identify.signals import (

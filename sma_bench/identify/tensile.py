@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.load_frame import find_pulls
@@ -26,7 +27,6 @@ from sma_bench.identify.branches import Bins
 from sma_bench.identify.estimate import (
     GAUGE,
     SYMBOLS,
-    Array,
     Line,
     diameter_error,
     mean_and_deviation,

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import SYMBOLS, Array, fit_slope, scatter
+from sma_bench.identify.estimate import SYMBOLS, fit_slope, scatter
 from sma_bench.identify.result import Experiment, refusal, remark, words
 from sma_bench.identify.signals import CAMERA, means
 from sma_bench.parameters import Parameters

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import chdtrc
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.laws import (
@@ -19,7 +20,6 @@ from sma_bench.estimation.laws import (
     starts,
     weigh_laws,
 )
-from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.observation import MOVED, Observation, observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of, scale_errors

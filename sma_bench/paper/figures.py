@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.estimation.observation import find_rig
-from sma_bench.identify.estimate import Array
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics import simulate

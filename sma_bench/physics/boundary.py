@@ -6,8 +6,8 @@ from functools import lru_cache
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
@@ -97,11 +97,11 @@ class Boundary:
             stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs
         )
 
-    def levers(self, parameters: Parameters) -> NDArray[np.float64]:
+    def levers(self, parameters: Parameters) -> Array:
         """(s,) m, deflection per contraction of each side."""
         return per_side("lever", self.lever, len(side_names(parameters)))
 
-    def stretch_of_wires(self, parameters: Parameters) -> NDArray[np.float64]:
+    def stretch_of_wires(self, parameters: Parameters) -> Array:
         """(w,) prestretch of each wire."""
         sides = per_side("prestretch", self.prestretch, len(side_names(parameters)))
         return sides[side_of_channels(parameters)]
@@ -117,13 +117,13 @@ def side_names(parameters: Parameters) -> tuple[str, ...]:
     return _sides(tuple(parameters["bench.channel_sides"]))[0]
 
 
-def side_of_channels(parameters: Parameters) -> NDArray[np.int64]:
+def side_of_channels(parameters: Parameters) -> IntArray:
     """(w,) number of the side of each channel, in the order of `side_names`; not to be changed."""
     return _sides(tuple(parameters["bench.channel_sides"]))[1]
 
 
 @lru_cache(maxsize=64)
-def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
     """A fit asks some times a simulation."""
     names = tuple(name for name in SIDE_SIGNS if name in of_channels)
     numbers = np.array([names.index(side) for side in of_channels], np.int64)
@@ -131,7 +131,7 @@ def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], NDArray[np.in
     return names, numbers
 
 
-def per_side(name: str, value: PerSide, sides: int) -> NDArray[np.float64]:
+def per_side(name: str, value: PerSide, sides: int) -> Array:
     """(s,) array of a field of Boundary; InputError: wrong number of sides, or not finite."""
     if isinstance(value, float) and math.isfinite(value):
         return np.full(sides, value)

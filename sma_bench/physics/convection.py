@@ -8,9 +8,8 @@ which holds 60 K above ambient. Source: Churchill and Chu 1975; Morgan 1975 has 
 as thin.
 """
 
-import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import (
@@ -26,7 +25,7 @@ _ROUNDED = 2.0  # K
 _MOST = 0.9  # of a small coefficient, that radiation can be
 
 
-def note_free(row: NDArray[np.float64], p: Parameters) -> None:
+def note_free(row: Array, p: Parameters) -> None:
     """Write the loss of free convection into the row of a wire."""
     ambient, total = p["environment.ambient_temperature"], heat_loss(p)
     area, hot = p["wire.surface_area"], ambient + REFERENCE_EXCESS

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
@@ -15,8 +16,6 @@ from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_c
 from sma_bench.physics.convection import note_free
 from sma_bench.physics.laws import law_of, normal, number_of
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
-
-Array = NDArray[np.float64]
 
 # --- The state of a bench between two samples, and the state it starts from.
 

@@ -15,10 +15,11 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 from scipy.signal import StateSpace
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
@@ -39,7 +40,6 @@ from sma_bench.physics.material import (
 )
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
-Array = NDArray[np.float64]
 Branch = Literal["heating", "cooling"]
 
 BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "load.friction")  # eqs. (4), (10), (11)

@@ -24,14 +24,13 @@ eqs. (10) and (11) contradict "xi = 0 above A_f", and the equations win on cooli
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
+from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects.phase_dependent_resistance import LEAST
 from sma_bench.physics.laws import law_of
-
-Array = NDArray[np.float64]
 
 # Of `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
 # normal distribution of the same deviation is cut off, in deviations.
@@ -120,7 +119,7 @@ def stress(
 
 def current(
     parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike
-) -> NDArray[np.float64]:
+) -> Array:
     """I = n V/(R(xi, T) + n R_s) through the n wires of a channel; with all effects off eq. (3).
 
     The voltage is as the driver reads it or is commanded (`heating_voltage`); any shape. A

@@ -9,9 +9,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.arrays import Array, IntArray, Mask
 from sma_bench.border import Budget, OverBudget
 from sma_bench.records import contract
-from sma_bench.records.record import FloatArray, IntArray, Record, Signal, Topic
+from sma_bench.records.record import Record, Signal, Topic
 from sma_bench.records.storage import RawTopic, RawTopics, decompress_messages, read_storage
 
 _DAY_NS = 86_400 * 10**9  # a clock that shows less since 1970 is a simulation's
@@ -50,7 +51,7 @@ class _Samples:
     # (n,) or (n, k) by name, NaN where not measured; strings of a String topic
     columns: dict[str, NDArray[np.generic]] = field(default_factory=dict)
 
-    def keep(self, rows: NDArray[np.bool_] | IntArray) -> None:
+    def keep(self, rows: Mask | IntArray) -> None:
         """Reduce to, or reorder by, the given rows."""
         self.stamp, self.received = self.stamp[rows], self.received[rows]
         self.columns = {name: values[rows] for name, values in self.columns.items()}
@@ -160,7 +161,7 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
                     samples.columns[name][batch.rows] = found[:, joints.index(joint)]
 
     # What was decoded, has a possible stamp, and is whole where it is a command.
-    def keep(rows: NDArray[np.bool_], what: str) -> None:
+    def keep(rows: Mask, what: str) -> None:
         if dropped := int(np.count_nonzero(~rows)):
             text = f"{dropped} of {len(rows)} messages {what}"
             bag.remark(raw.name, text, messages=dropped)
@@ -251,7 +252,7 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
 def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> list[Signal]:
     """The signals of one topic; one that is all NaN was not measured, and is only remarked upon."""
     place, _, kind = meaning.rpartition("/")
-    columns: dict[str, FloatArray] = dict(samples.columns)  # type: ignore[arg-type]
+    columns: dict[str, Array] = dict(samples.columns)  # type: ignore[arg-type]
     if kind == "joint_states" and not columns:
         bag.remark(samples.topic, "no joint is called tip or wire; absent")
     if kind == "range":  # REP-117; all are kept, being what the sensor said
@@ -426,7 +427,7 @@ def decode(
             remaining = remaining[1:] if len(some) == 1 else remaining[~alike]
 
 
-def encode(template: bytes, msgtype: str, columns: dict[str, FloatArray]) -> list[bytes]:
+def encode(template: bytes, msgtype: str, columns: dict[str, Array]) -> list[bytes]:
     """Copies of one serialised message with other numbers in it. `template`: a message whose
     strings and sequences have the wanted content and length; `columns`: field -> (n,) or (n,
     elements)."""

@@ -20,11 +20,12 @@ import yaml
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.records import contract
 from sma_bench.records.bag import encode
-from sma_bench.records.record import FloatArray, IntArray, Record, Signal
+from sma_bench.records.record import Record, Signal
 from sma_bench.records.storage import METADATA, PROVENANCE
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -313,7 +314,7 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
     stamps = {name: _stamps(signal, signal.time, start) for name, signal in columns.items()}
     union = np.unique(np.concatenate([*stamps.values()]))
     received, absent = union.copy(), np.full(len(union), _NAN)
-    merged: dict[str, FloatArray] = {}
+    merged: dict[str, Array] = {}
     for name, signal in columns.items():
         if signal.values.ndim != 1:
             raise InputError(
@@ -355,7 +356,7 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
     return Stream(topic, msgtype, received, encode(template, msgtype, numbers))
 
 
-def _stamps(signal: Signal, times: FloatArray, start: int) -> IntArray:
+def _stamps(signal: Signal, times: Array, start: int) -> IntArray:
     """Nanoseconds since the epoch of times in s."""
     if not np.isfinite(times).all():
         raise InputError(f"signal {signal.name}: a time is not finite, expected seconds")

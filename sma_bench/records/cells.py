@@ -13,11 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
-
-FloatArray = NDArray[np.float64]
 
 WORDS: dict[str, Any] = yaml.load(  # noqa: S506
     (Path(__file__).parent / "words.yaml").read_text(encoding="utf-8"), yaml.CSafeLoader
@@ -35,7 +33,7 @@ class Unit(NamedTuple):
     factor: float
     offset: float = 0.0
 
-    def si(self, values: FloatArray) -> FloatArray:
+    def si(self, values: Array) -> Array:
         """Values in SI."""
         return values * self.factor + self.offset
 
@@ -239,7 +237,7 @@ def decimal_of(label: str, shown: set[str], everywhere: set[str], cells: Sequenc
     raise InputError(said("open_sign", label=label, cell=min(marked)))
 
 
-def plain_numbers(cells: Sequence[Any]) -> FloatArray | None:
+def plain_numbers(cells: Sequence[Any]) -> Array | None:
     """Values (n,) of cells that are all numbers as Python writes them, else None."""
     try:
         values = np.array([float(cell) for cell in cells])
@@ -248,7 +246,7 @@ def plain_numbers(cells: Sequence[Any]) -> FloatArray | None:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[FloatArray, str, int]:
+def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, str, int]:
     """Values (n,), NaN where missing; their unit, else the cells'; index of no number, else -1."""
     if decimal == "," and not any("." in str(cell) for cell in cells):
         values = plain_numbers([str(cell).replace(",", ".") for cell in cells])
@@ -335,7 +333,7 @@ def moment_of(cell: Any) -> Moment | None:
 
 def moments_of(
     cells: Sequence[Any], dates: Sequence[Any] | None = None
-) -> tuple[FloatArray, float | None, int, str] | None:
+) -> tuple[Array, float | None, int, str] | None:
     """Seconds (n,) since the first cell, NaN where missing; its epoch if the cells or `dates` say
     one; the fewest fields of a clock; and a remark. None where a cell is no moment."""
     if dates is None and _ISO.match(str(cells[0])):
@@ -367,7 +365,7 @@ def moments_of(
     return seconds, float(total[0]) if is_absolute else None, min(m.fields for m in found), remark
 
 
-def spread_stamps(time: FloatArray, where: str) -> tuple[FloatArray, str]:
+def spread_stamps(time: Array, where: str) -> tuple[Array, str]:
     """Increasing times (n,) in s of stamps coarser than rows, a remark; InputError if all equal."""
     stamps, first, count = np.unique(time, return_index=True, return_counts=True)
     rows = len(time)

@@ -9,17 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from sma_bench.arrays import Array, IntArray
 from sma_bench.border import read_yaml
 from sma_bench.findings import Finding
-from sma_bench.records.record import (
-    FloatArray,
-    IntArray,
-    Record,
-    Signal,
-    first_order_lag,
-    has_samples,
-    samples,
-)
+from sma_bench.records.record import Record, Signal, first_order_lag, has_samples, samples
 
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
 _GAP_PERIODS = 10
@@ -143,7 +136,7 @@ def _outliers(signal: Signal) -> IntArray:
     return found if len(found) <= _MOST_OUTLIERS else none
 
 
-def _resolution(values: FloatArray) -> float:
+def _resolution(values: Array) -> float:
     """The step of a reading of few digits; 0 where it has none."""
     levels = np.unique(values)
     return float(np.diff(levels).min()) if 1 < len(levels) < 0.2 * len(values) else 0.0

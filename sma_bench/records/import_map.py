@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 import yaml
 
+from sma_bench.arrays import Array
 from sma_bench.border import printable, read_yaml
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
@@ -21,7 +22,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records import cells, contract
 from sma_bench.records.cells import QUANTITIES, WORDS, Unit, parse_unit, said
-from sma_bench.records.record import FloatArray, Record, Signal
+from sma_bench.records.record import Record, Signal
 from sma_bench.records.tables import Account, Column, TableFile, read_table_file
 
 ASK = "ask"
@@ -127,8 +128,8 @@ def read_map(path: str | Path) -> ImportMap:
 
 
 class _Samples(NamedTuple):
-    time: FloatArray  # (n,) s
-    values: FloatArray  # (n,) in SI, without what is missing
+    time: Array  # (n,) s
+    values: Array  # (n,) in SI, without what is missing
     how: str = ""  # they came about
 
 
@@ -140,7 +141,7 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
     first = min(float(samples.time[0]) for samples in read.values())
     # Of a switched supply: the direct volts, then amperes of the same heat, duty * supply^2.
     supply = made.supply_voltage or 1.0
-    roots: dict[str, tuple[FloatArray, FloatArray]] = {}  # of the duty, by channel
+    roots: dict[str, tuple[Array, Array]] = {}  # of the duty, by channel
     for entry in sorted((e for e in read if e.form != "rms"), key=lambda e: e.kind == "current"):
         (time, values, spread), where = read[entry], f"{table.path}: {entry.column}"
         channel, sign = entry.signal.partition(".")[0], float(entry.sign)
@@ -220,7 +221,7 @@ def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], flo
     return read, base
 
 
-def _at_rest(read: Mapping[Entry, _Samples], samples: _Samples) -> FloatArray:
+def _at_rest(read: Mapping[Entry, _Samples], samples: _Samples) -> Array:
     """Of the values those before the first voltage or current sets in; one at least."""
     begins = []
     for entry, drive in read.items():

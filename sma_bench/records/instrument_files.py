@@ -15,11 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.border import read_bytes
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding, Severity
 from sma_bench.records import cells, instruments
-from sma_bench.records.cells import QUANTITIES, WORDS, FloatArray, parse_unit, plain_title
+from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, plain_title
 from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
 from sma_bench.records.tables import Account, Column, Table, TableFile, decoded_lines
 
@@ -116,7 +117,7 @@ class Sheet:
         named = (replace(c, name=name, title=t, unit=unit) for c, name, (t, unit) in parted)
         return replace(self, table=replace(self.table, columns=tuple(named)))
 
-    def values(self, column: Column, role: str) -> FloatArray:
+    def values(self, column: Column, role: str) -> Array:
         """(n,) in SI units; raises InputError where a cell is missing, or there is no unit."""
         for missing in np.flatnonzero(~np.isfinite(column.values))[:1]:
             raise self.refusal("no_number", line=self.table.lines[missing], name=column.name)
@@ -254,7 +255,7 @@ def dsc_of(sheet: Sheet) -> DscRecord:
 
 
 def _cut(
-    time: FloatArray, temperature: FloatArray, ramps: Sequence[float]
+    time: Array, temperature: Array, ramps: Sequence[float]
 ) -> list[tuple[int, float, slice]]:
     """Number, rate and rows of the steps of a run, which is split where the rate, measured over
     some seconds around each row, changes its kind; `ramps`: of the method, K/s."""

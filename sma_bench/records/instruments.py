@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array, Mask
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
-from sma_bench.records.record import FloatArray
 
 if TYPE_CHECKING:
     from sma_bench.records.tables import Account
@@ -39,9 +38,9 @@ class Branch:
     """One heating or cooling: temperature K, strain, stress Pa, each (n,), in order of time."""
 
     direction: Direction
-    temperature: FloatArray
-    strain: FloatArray
-    stress: FloatArray
+    temperature: Array
+    strain: Array
+    stress: Array
 
 
 @dataclass(frozen=True)
@@ -61,11 +60,11 @@ class DscSegment:
 
     number: int  # as counted in the file, from 1
     rate: float  # programmed, K/s, negative when cooling, 0 when isothermal
-    time: FloatArray  # (n,) s since the start of the run
-    heat_flow: FloatArray  # (n,) W, unsubtracted, with the file's sign
-    baseline: FloatArray  # (n,) W, zeros where the file has none
-    temperature: FloatArray  # (n,) K of the sample
-    program_temperature: FloatArray  # (n,) K
+    time: Array  # (n,) s since the start of the run
+    heat_flow: Array  # (n,) W, unsubtracted, with the file's sign
+    baseline: Array  # (n,) W, zeros where the file has none
+    temperature: Array  # (n,) K of the sample
+    program_temperature: Array  # (n,) K
 
     @property
     def kind(self) -> Literal["heating", "cooling", "isothermal"]:
@@ -93,7 +92,7 @@ class DscRecord(Drawn):
         names = ("Sample ID", "Sample", "Sample Name", "SAMPLE", "IDENTITY")
         return next((self.header[name] for name in names if name in self.header), "")
 
-    def specific_heat_flow(self, segment: DscSegment) -> FloatArray:
+    def specific_heat_flow(self, segment: DscSegment) -> Array:
         """Heat flow less baseline per mass of sample, (n,) W/kg, with the file's sign."""
         return (segment.heat_flow - segment.baseline) / self.mass
 
@@ -138,8 +137,8 @@ class TensileRecord(Drawn):
     """One tensile test; the specimen's length and section may stand in no file."""
 
     path: Path
-    strain: FloatArray  # (n,) in order of time, m where `is_extension`
-    stress: FloatArray  # (n,) Pa, N where `is_force`
+    strain: Array  # (n,) in order of time, m where `is_extension`
+    stress: Array  # (n,) Pa, N where `is_force`
     temperature: float | None  # K; None where the file does not say
     findings: tuple[Finding, ...] = ()  # what the reader noticed
     phase: Phase | None = None  # of the specimen
@@ -151,7 +150,7 @@ class TensileRecord(Drawn):
         return f"<TensileRecord {self.path}: {len(self.strain)} rows>"
 
 
-def without_spikes(temperature: FloatArray) -> tuple[NDArray[np.bool_], FloatArray]:
+def without_spikes(temperature: Array) -> tuple[Mask, Array]:
     """(n,) True for the readings of temperature (n,) K but single ones that jump away from the line
     through those around and back, and the heights (K) of these."""
     half, steps = _WINDOW // 2, np.diff(temperature)
@@ -167,7 +166,7 @@ def without_spikes(temperature: FloatArray) -> tuple[NDArray[np.bool_], FloatArr
     return ~bad, away[bad]
 
 
-def without_noise(temperature: FloatArray) -> tuple[FloatArray, float, int]:
+def without_noise(temperature: Array) -> tuple[Array, float, int]:
     """(n,) K without the scatter of a noisy thermometer, which would pass for a wider range of
     transformation, that scatter, and through how many rows: a parabola, at most a sixth of a
     branch; 0 where nothing was done."""
@@ -189,7 +188,7 @@ def without_noise(temperature: FloatArray) -> tuple[FloatArray, float, int]:
 
 
 def find_cycles(
-    temperature: FloatArray, strain: FloatArray, stress: FloatArray, where: str
+    temperature: Array, strain: Array, stress: Array, where: str
 ) -> tuple[tuple[Cycle, ...], list[Finding]]:
     """Split a test at the reversals of temperature (n,) K, with strain (n,) and stress (n,) Pa in
     order of time; `where` leads the messages. Raises InputError where there is no branch."""

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.records.bag import read_record
 from sma_bench.records.check import check_record
 from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
-from sma_bench.records.record import FloatArray, Record
+from sma_bench.records.record import Record
 from sma_bench.records.storage import is_bag
 
 if TYPE_CHECKING:
@@ -122,7 +123,7 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
 def describe(record: AnyRecord) -> dict[str, Any]:
     """What a record holds, as JSON-able data in SI units."""
 
-    def ends(first: str, last: str, values: FloatArray) -> dict[str, float]:
+    def ends(first: str, last: str, values: Array) -> dict[str, float]:
         return {first: float(values[0]), last: float(values[-1])}
 
     about: dict[str, Any] = {"path": str(record.path)}

@@ -9,17 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.records.contract import unit_of
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
 
 _LONGEST_LIST = 400  # characters of names in one line
 _LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
@@ -32,11 +29,11 @@ class Signal:
     name: str  # of the contract, for instance `wire.voltage`
     unit: str  # SI
     # (n,) s since the start of the record, strictly increasing when read from a bag
-    time: FloatArray
-    values: FloatArray  # (n,) or (n, k); a bag's missing values (NaN) are left out, not kept
-    received: FloatArray | None = None  # (n,) s, when the recorder got the message, on that zero
+    time: Array
+    values: Array  # (n,) or (n, k); a bag's missing values (NaN) are left out, not kept
+    received: Array | None = None  # (n,) s, when the recorder got the message, on that zero
     topic: str = ""  # where it came from, empty for a computed signal
-    std: FloatArray | None = None  # (n,) standard deviation that each reading's own message states
+    std: Array | None = None  # (n,) standard deviation that each reading's own message states
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or len(self.values) != len(self.time):
@@ -115,7 +112,7 @@ def fingerprint(record: Record) -> bytes:
     return found.digest()
 
 
-def samples(record: Record, name: str) -> tuple[FloatArray, FloatArray]:
+def samples(record: Record, name: str) -> tuple[Array, Array]:
     """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say. Raises
     InputError: the signal is absent or holds no finite value."""
     signal = record.get(name)
@@ -136,7 +133,7 @@ def has_samples(record: Record, name: str) -> bool:
     return signal is not None and bool((np.abs(signal.values) < _LARGEST).any())
 
 
-def first_order_lag(course: FloatArray, left: float, start: float = 0.0) -> FloatArray:
+def first_order_lag(course: Array, left: float, start: float = 0.0) -> Array:
     """(n,) of an even course (n,): `left` of what it was a sample before, the rest of what comes
     in; `start` is what it was before the first."""
     from scipy.linalg import solve_banded
@@ -271,7 +268,7 @@ def require_pandas() -> Any:
 
 def drive_of(
     record: Record, parameters: Parameters
-) -> tuple[Parameters, FloatArray, FloatArray, FloatArray | None]:
+) -> tuple[Parameters, Array, Array, Array | None]:
     """The bench as a record shows it, time (n,) s, volts (n, w) that drive it, of a current source
     whose current alone was measured the command that stands for it, and the elongation (n,) m that
     was imposed, None but for `load.kind` displacement. Raises InputError: the record lacks what
@@ -287,7 +284,7 @@ def drive_of(
     return bench, both, volts, np.interp(both, moments, metres)
 
 
-def imposed_elongation(record: Record) -> tuple[FloatArray, FloatArray]:
+def imposed_elongation(record: Record) -> tuple[Array, Array]:
     """Time (n,) s and elongation (n,) m that a testing machine went through. Raises InputError: the
     record does not have it."""
     if not has_samples(record, "elongation"):
@@ -315,7 +312,7 @@ def ohms_of_source(parameters: Parameters) -> float:
     return float(parameters["wire.resistance"]) / float(parameters["wire.count"])
 
 
-def held_voltages(record: Record, channels: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+def held_voltages(record: Record, channels: Sequence[str]) -> tuple[Array, Array]:
     """Measured voltages of all channels, each held until its next sample. `channels`: in the order
     of bench.channels. Returns time (n,) s, the union of the channels' stamps, and voltage (n, w) V.
     Raises InputError: the record lacks the voltage of a channel."""

@@ -19,14 +19,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array, IntArray
 from sma_bench.border import MEGABYTE, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError
 from sma_bench.records.cells import (
     MISSING,
     WORDS,
-    FloatArray,
     cell_kind,
     decimal_of,
     decimal_signs,
@@ -71,7 +70,7 @@ class Column:
     name: str  # unique in the file: its title, or its path (`log/u`)
     title: str  # without unit
     unit: str  # as written, "" where none is
-    values: FloatArray  # (n,), NaN where a cell is empty
+    values: Array  # (n,), NaN where a cell is empty
     group: str = ""  # sheet or folder it lies in
     start: float | None = None  # epoch s of 0 where the column holds dates
     fields: int = 0  # of its clock times: 0 for numbers, 2 where hh:mm and mm:ss look alike
@@ -89,7 +88,7 @@ class Table:
 
     name: str  # of its sheet
     columns: tuple[Column, ...]  # of numbers or moments
-    lines: NDArray[np.int64]  # (n,) line of each row in the file, from 1
+    lines: IntArray  # (n,) line of each row in the file, from 1
     rows: int  # of numbers in the file, left out or not
     ignored: dict[str, str] = field(default_factory=dict)  # columns of no numbers, each with why
     above: tuple[tuple[str, ...], ...] = ()  # lines above the titles, cells of each
@@ -530,7 +529,7 @@ class _Block:
 
 def _columns(
     texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Sequence[str], group: str,
-    lines: NDArray[np.int64],
+    lines: IntArray,
 ) -> tuple[list[Column], dict[str, str], list[str]]:  # fmt: skip
     """Columns of numbers and moments, what else there is and why, and remarks."""
     # What most of a column's cells are: "n" numbers, "d" moments, "t" texts, "" nothing.

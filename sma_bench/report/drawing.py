@@ -18,9 +18,8 @@ from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from sma_bench.arrays import Array
 
 MEASURED = "#1f4e79"
 SECOND = "#c0504d"

@@ -6,8 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
-from sma_bench.identify.estimate import SYMBOLS, Array
+from sma_bench.identify.estimate import SYMBOLS
 from sma_bench.identify.result import Experiment
 from sma_bench.identify.tensile import SYMBOL
 from sma_bench.identify.thermal_expansion import PARAMETER

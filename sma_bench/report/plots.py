@@ -10,8 +10,8 @@ from matplotlib.colors import LogNorm
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
 from sma_bench.diagnose.result import DiagnosisResult
@@ -48,7 +48,6 @@ from sma_bench.report.page import Picture, pictured
 from sma_bench.report.tables import LEAST_SHOWN
 from sma_bench.results import scale_of
 
-Array = NDArray[np.float64]
 Curves = Sequence[tuple[str, Array, Array]]
 """label, time or abscissa, values"""
 

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.hardware.bench_sensors import Instrument
@@ -24,8 +25,6 @@ from sma_bench.progress import Report, in_turn, silent
 from sma_bench.protocols import TEMPERATURE, Protocol, Waiting, load_protocol
 from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import Record, Signal
-
-Array = NDArray[np.float64]
 
 # The sensors of a synthetic record: the simulator node's noise, resolution and rates.
 _SETTINGS = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
@@ -62,7 +61,7 @@ def simulate_finely(
 
 def _refined(
     parameters: Parameters, time: ArrayLike, voltage: ArrayLike
-) -> tuple[Array, Array, NDArray[np.int64]]:
+) -> tuple[Array, Array, IntArray]:
     """Time and voltage in short enough steps, and where the given samples are among these."""
     seconds, volts = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
     gaps = np.diff(seconds) if seconds.ndim == 1 else np.zeros(1)

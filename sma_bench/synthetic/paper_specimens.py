@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import (
@@ -33,8 +32,6 @@ from sma_bench.records.instruments import (
     find_cycles,
 )
 from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol_record
-
-Array = NDArray[np.float64]
 
 # --- Synthetic DSC run: what the model's wire would do to a calorimeter (E5, Fig. 7).
 #

@@ -5,17 +5,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.special import chdtri
 
+from sma_bench.arrays import Array
 from sma_bench.estimation.noise_model import Noise, estimate_noise, resolution, white_noise_level
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.boundary import side_of_channels
 from sma_bench.physics.simulate import TemperatureDriven
 from sma_bench.twin.free_run import FreeRun
-
-Array = NDArray[np.float64]
 
 # --- Residuals of one signal in bins.
 

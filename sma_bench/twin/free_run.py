@@ -6,16 +6,14 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array, IntArray
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
 from sma_bench.physics.kernel import State
 from sma_bench.physics.material import current, time_constant
 from sma_bench.physics.simulate import warmed_from_rest
-
-Array = NDArray[np.float64]
 
 _BACK = 0.5  # s; a stamp further back than that is a clock set back, or a record that begins anew
 _QUEUE = 5000  # readings of a channel that wait for the others'
@@ -95,7 +93,7 @@ class Trajectory:
     reading: Array  # (n, w) K, of the sensors
     conductance: Array  # (n, w) A/V of the electrical readings
     mechanics: Array  # (n,) deflection [m], or force [N] of a clamped wire
-    driven: NDArray[np.int64]  # wire with the highest voltage, of the last one in a rest
+    driven: IntArray  # wire with the highest voltage, of the last one in a rest
 
     def rows(self, start: float, stop: float) -> slice:
         """Rows in (start, stop], and the one before them."""

@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
@@ -21,7 +21,6 @@ from sma_bench.physics.boundary import side_names
 from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, BinStatistics, Comparison
 from sma_bench.twin.free_run import FreeRun, MeasuredVoltages
 
-Array = NDArray[np.float64]
 Settings = Mapping[str, Any]
 
 NANOSECONDS = 1_000_000_000

@@ -7,8 +7,9 @@ Source: warming electronics, a creeping mount; two terms of its series.
 """
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import Effect, Parameter
 
@@ -26,7 +27,7 @@ EFFECT = Effect(
 )
 
 
-def zero(parameters: Parameters, time: ArrayLike) -> NDArray[np.float64]:
+def zero(parameters: Parameters, time: ArrayLike) -> Array:
     """(n,) m, drift of the reading `time` (n,) s after the start."""
     seconds = np.asarray(time, dtype=np.float64)
     rate = parameters["effect.deflection_drift.rate"]

@@ -15,8 +15,9 @@ whose ends are at 99 %. No parameters but the four temperatures.
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
 
 UNDONE = 0.025  # share where the transformation is said to end
@@ -33,7 +34,7 @@ def ramp(position):
     return share, RATE * share
 
 
-def share(position: ArrayLike) -> NDArray[np.float64]:
+def share(position: ArrayLike) -> Array:
     """As `ramp`, of arrays."""
     return np.exp(RATE * (np.minimum(position, 1.0) - 1.0))
 

@@ -14,9 +14,10 @@ Dutta and Ghorbel 2005. No parameters but the four temperatures.
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import expit
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
 
 UNDONE = 0.025  # share where the transformation is said to end
@@ -31,7 +32,7 @@ def ramp(position):
     return share, STEEPNESS * share * (1.0 - share)
 
 
-def share(position: ArrayLike) -> NDArray[np.float64]:
+def share(position: ArrayLike) -> Array:
     """As `ramp`, of arrays."""
     return np.asarray(expit(STEEPNESS * (np.asarray(position, float) - 0.5)))
 

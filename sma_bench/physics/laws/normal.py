@@ -27,14 +27,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameters import BRANCH, hysteresis
 from sma_bench.physics import columns as at
-
-Array = NDArray[np.float64]
 
 UNDONE = 0.025  # share where the transformation is said to end
 PLAYS = at.PLAYS

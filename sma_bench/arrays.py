@@ -1,0 +1,8 @@
+"""What arrays hold; docstrings give their shapes, (n,) say, and units."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+Mask = NDArray[np.bool_]
