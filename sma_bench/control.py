@@ -107,9 +107,7 @@ class PI:
         """Begin without a bump: without an error the next output is `output`."""
         self._integral = self._output = min(max(output, self.limits.low), self.limits.high)
 
-    def step(
-        self, reference: float, measured: float, dt: float, feedforward: float = 0.0
-    ) -> float:
+    def step(self, reference: float, measured: float, dt: float, feedforward: float = 0.0) -> float:
         """The output from now until `dt` s later; InputError: a number that is not finite, or dt
         not above 0."""
         require("PI", "dt", dt, " s")
@@ -140,9 +138,7 @@ class Heating:
         maximum_power: W; power_rate: W/s.
     """
 
-    def __init__(
-        self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0
-    ) -> None:
+    def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
         """The wires of a bench, at ambient temperature. `maximum_power` W is below what its voltage
         and current allow, 0 for just that; `power_rate` W/s, 0 for no limit. InputError: a
         negative limit."""

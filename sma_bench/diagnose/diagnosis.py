@@ -23,22 +23,9 @@ from sma_bench.diagnose.decision import (
     weigh,
 )
 from sma_bench.diagnose.next_experiment import next_experiment
-from sma_bench.diagnose.result import (
-    DiagnosisResult,
-    Difference,
-    LeftOver,
-    Moved,
-    Verdict,
-    Where,
-)
+from sma_bench.diagnose.result import DiagnosisResult, Difference, LeftOver, Moved, Verdict, Where
 from sma_bench.diagnose.search import Progress, Search, held_back, search
-from sma_bench.diagnose.sizes import (
-    contribution,
-    locate,
-    sensors_noise,
-    shrinkage,
-    unknown_share,
-)
+from sma_bench.diagnose.sizes import contribution, locate, sensors_noise, shrinkage, unknown_share
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin

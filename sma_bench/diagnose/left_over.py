@@ -46,9 +46,7 @@ def left_over(fitted: Fit) -> Left:
     """Compare what a fit leaves on either side of the median speed of each simulated signal."""
     problem = fitted.problem
     found = Left(-np.inf, "", 0.0, 0.0, -problem.log_prior())
-    rates = [
-        rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))
-    ]
+    rates = [rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))]
     for block, rate in zip(problem.blocks, rates, strict=True):
         signal, noise = block.signal, problem.noise[block.signal.name]
         white = noise.whiten(fitted.left[block.rows])

@@ -169,9 +169,7 @@ def next_experiment(
             f"{first.why}: the true cause would become more probable, by {100.0 * first.worth:.0f} "
             "% of all, and be named after more of it"
         )
-    also = [
-        f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %" for o in others[:2]
-    ]
+    also = [f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %" for o in others[:2]]
     return replace(first, why="; ".join([why, *([", ".join(also)] if also else [])]))
 
 

@@ -362,9 +362,7 @@ class Remainder:
         return share * pull - 0.5 * share**2 * power, share
 
 
-def find_start(
-    remainder: Remainder, unknowns: Unknowns, name: str, quick: bool = False
-) -> Start:
+def find_start(remainder: Remainder, unknowns: Unknowns, name: str, quick: bool = False) -> Start:
     """Best of the tried sizes of one effect, added to a fit. `remainder`: of the fit without this
     effect; `unknowns`: with this effect's numbers last; `quick`: every shape at its default."""
     fitted, effect, bounds = remainder.fitted, EFFECTS[name], unknowns.bounds()

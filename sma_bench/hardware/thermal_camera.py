@@ -91,9 +91,7 @@ def wire_gauges(parameters: Parameters, settings: Mapping[str, Any]) -> list[Wir
     if settings["statistic"] not in STATISTICS:
         raise InputError(f"statistic: {settings['statistic']!r}, expected {', '.join(STATISTICS)}")
     if lowest >= highest:
-        raise InputError(
-            f"camera_lowest {lowest:g} K must lie below camera_highest {highest:g} K"
-        )
+        raise InputError(f"camera_lowest {lowest:g} K must lie below camera_highest {highest:g} K")
     diameter, pixel = parameters["wire.diameter"], settings["pixel_size"]
     thickness = parameters.std("wire.diameter") / diameter
     optics = Optics(

@@ -220,9 +220,7 @@ class SyntheticCamera:
             **{name: settings[name] for name in ("unevenness", "blur", "noise", "seed")},
         )
 
-    def picture(
-        self, kelvin: Sequence[float], sideways: float | Sequence[float] = 0.0
-    ) -> Frame:
+    def picture(self, kelvin: Sequence[float], sideways: float | Sequence[float] = 0.0) -> Frame:
         """A frame (height, width) of wires at these temperatures in K, one a wire. `sideways`
         pixels, one for all or one a wire: how far the end has moved across the wire, toward larger
         x or y; the wire between bends as a beam of constant curvature. Raises InputError: not one

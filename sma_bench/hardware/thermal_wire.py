@@ -201,9 +201,7 @@ def read_wire(
     first, line = (region.y, region.x) if region.along_x else (region.x, region.y)
     length, across = region.shape
     begin = min(first, reach)
-    radiance = radiance_of_raw(
-        turned[line : line + length, first - begin : first + across + reach]
-    )
+    radiance = radiance_of_raw(turned[line : line + length, first - begin : first + across + reach])
 
     # How far each pixel of a group of lines rises above those beside it (groups, across), the noise
     # of that, and the excess, summed across the wire, of one that could just be seen.

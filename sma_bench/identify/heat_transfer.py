@@ -191,6 +191,4 @@ def scale_of_gain(parameters: Parameters) -> dict[str, float]:
     """Systematic errors of a rise in temperature over a squared voltage, relative."""
     spread = {name: parameters.std(name) / parameters[name] for name in (*CAMERA, VOLTAGE)}
     # The excess over the room goes with what the camera makes of it, the heat with V^2.
-    return {
-        name: (-2.0 if name == VOLTAGE else 1.0) * share for name, share in spread.items()
-    }
+    return {name: (-2.0 if name == VOLTAGE else 1.0) * share for name, share in spread.items()}

@@ -98,9 +98,7 @@ def identify(
     imposed = "elongation" if load_kind(known) == "displacement" else ""  # as no wire moves
     for record in bags:
         run.notes.extend(record.findings)
-        checked = (
-            f for f in check_record(record) if f.severity != "info" and f.subject != imposed
-        )
+        checked = (f for f in check_record(record) if f.severity != "info" and f.subject != imposed)
         run.notes.extend(f for f in checked if f not in record.findings)
     run.notes.extend(about_wire(known))
 
@@ -272,9 +270,7 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
     # E2: the gains are independent of each other; the coefficients share one resistance.
     for record, drive in serving("E2", "temperature"):
         for staircase in drive.staircases:
-            run.attempt("E2", partial(
-                identify_heat_transfer, record, staircase, run.given, warm()
-            ))
+            run.attempt("E2", partial(identify_heat_transfer, record, staircase, run.given, warm()))
     gains = [e.details[GAIN] for e in run.of("E2")]
     if gains:
         compare(_H, gains)
@@ -375,9 +371,7 @@ def _material(
     done("E8", lambda: identify_thermal_expansion(clamped, run.improved()))
 
 
-def _report_missing(
-    run: IdentificationRun, records: Sequence[AnyRecord], drives: Drives
-) -> None:
+def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives: Drives) -> None:
     """A note for each experiment without a result, a warning where a record was meant for it; an
     error if that leaves nothing."""
     missing = [name for name in EXPERIMENTS if name in run.wanted and not run.of(name)]

@@ -201,9 +201,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
     return tuple(tests)
 
 
-def with_scales(
-    estimates: Mapping[str, Estimate], parameters: Parameters
-) -> dict[str, Estimate]:
+def with_scales(estimates: Mapping[str, Estimate], parameters: Parameters) -> dict[str, Estimate]:
     """The same with what thermometer, gauge length and section are off by."""
     shares: dict[str, dict[str, float]] = {}
     section = 2.0 * diameter_error(parameters)

@@ -25,9 +25,7 @@ _SIGNIFICANT_BEND = 4.0  # a quiet converter bends a line a little by itself
 _LARGE_DIFFERENCE, _LARGE_BEND = 0.002, 0.005  # shares of R below which it does not matter
 
 
-def identify_resistance(
-    record: Record, staircase: Staircase, parameters: Parameters
-) -> Experiment:
+def identify_resistance(record: Record, staircase: Staircase, parameters: Parameters) -> Experiment:
     """Fit V over I through the plateaus of a staircase.
 
     Heating and cooling plateaus are joined where they agree within two standard errors; otherwise

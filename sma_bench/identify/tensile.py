@@ -318,9 +318,7 @@ def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord
     )
 
 
-def _phase(
-    record: TensileRecord, phases: Mapping[str, Phase], parameters: Parameters
-) -> Phase:
+def _phase(record: TensileRecord, phases: Mapping[str, Phase], parameters: Parameters) -> Phase:
     """What was asked for, what the file says, or what the wire's own temperatures tell."""
     asked = [phase for pattern, phase in phases.items() if fnmatch(record.path.name, pattern)]
     if len(set(asked)) > 1:
@@ -333,9 +331,7 @@ def _phase(
     kelvin = record.temperature
     if kelvin is None:
         raise refusal("phase without temperature", path=record.path, give=give)
-    own = {
-        phase: parameters[name] for phase, name in _FINISH.items() if name in parameters.given
-    }
+    own = {phase: parameters[name] for phase, name in _FINISH.items() if name in parameters.given}
     if kelvin <= own.get("martensite", -math.inf):
         return "martensite"
     if kelvin >= own.get("austenite", math.inf):

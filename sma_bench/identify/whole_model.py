@@ -105,9 +105,7 @@ def identify_driven_wires(
     observations = [observe(record, parameters, shortest, _THERMAL) for record in records]
     title = "Joint fit of a drive that was made for something else"
     fitted = fit_experiment("E0", title, observations, parameters, report, most_starts=2)
-    told = {
-        n: e for n, e in fitted.estimates.items() if n in HEAT and e.informed >= _UNINFORMED
-    }
+    told = {n: e for n, e in fitted.estimates.items() if n in HEAT and e.informed >= _UNINFORMED}
     if not told.keys() - {"environment.ambient_temperature"}:
         raise InputError(f"{fitted.source}: the drive excites nothing that R, h or c_p show in")
     remarks = (remark("one fit of all", names=", ".join(told)), *fitted.findings)
@@ -210,9 +208,7 @@ def _of_laws(laws: Sequence[LawFit]) -> Iterator[Finding]:
         yield remark("repeats", repeats=repeats)
 
 
-def _with_lag(
-    fitted: Fit, tried: list[Fit], parameters: Parameters
-) -> tuple[Fit, list[Fit]]:
+def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fit, list[Fit]]:
     """The fit again with the thermometer's lag as an unknown, where temperatures are missed by more
     than their noise or a lag is stated, and this tells the records better."""
     mean, std = float(parameters[CAMERA_LAG]), parameters.std(CAMERA_LAG)

@@ -104,9 +104,7 @@ class Recording:
         self.messages[topic] = 0
         return self._guarded(self._bag.add_topic, topic, kind)
 
-    def write(
-        self, topic: str, stamp: int, data: bytes, text: Callable[[bytes], str]
-    ) -> None:
+    def write(self, topic: str, stamp: int, data: bytes, text: Callable[[bytes], str]) -> None:
         """A serialized message, heard at `stamp` ns; `text` reads that of a state's."""
         # A simulated clock ticks coarsely: two messages of one tick keep their order.
         stamp = self._latest[topic] = max(stamp, self._latest.get(topic, 0) + 1)

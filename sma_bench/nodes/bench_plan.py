@@ -294,9 +294,7 @@ def _description(
     declared = []
     for name, (default, description, choices) in arguments.items():
         description += f" One of {', '.join(choices)}." if choices else ""
-        declared.append(
-            DeclareLaunchArgument(name, default_value=default, description=description)
-        )
+        declared.append(DeclareLaunchArgument(name, default_value=default, description=description))
     return LaunchDescription([*declared, OpaqueFunction(function=start)])
 
 

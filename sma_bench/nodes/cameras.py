@@ -132,9 +132,7 @@ class SyntheticCameraNode(BenchNode):
         self.listen(
             Temperature, "true_temperature", self.on_temperature, numbered=True, newest=True
         )
-        self.create_subscription(
-            JointState, "joint_states", self.on_joints, READINGS, newest=True
-        )
+        self.create_subscription(JointState, "joint_states", self.on_joints, READINGS, newest=True)
         self.every(1.0 / self.settings["rate"], self._take)
 
     def check_settings(self, settings: dict[str, Any]) -> None:

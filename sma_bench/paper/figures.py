@@ -22,9 +22,7 @@ _SHORTEST_REST = 1.0  # s
 _LAST_PART = 0.1  # of a rest, in which what is left over is read
 # What the paper's specimen showed and its simulation did not: it stays bent at zero voltage. Sizes
 # are assumed, of the order that the effects' own pages give.
-RESTS_BENT = {
-    "effect.residual_strain.share": 0.1, "effect.side_heat_coupling.conductance": 0.006,
-}
+RESTS_BENT = {"effect.residual_strain.share": 0.1, "effect.side_heat_coupling.conductance": 0.006}
 
 
 @dataclass(frozen=True)
@@ -139,9 +137,7 @@ def operating_point_picture(model: Linearised) -> Picture:
     slope = float(model.deflection_per_kelvin[together].sum())
     coldest = max(kelvin - _AROUND, parameters["environment.ambient_temperature"])
     around = np.linspace(coldest, kelvin + _AROUND, 121)
-    figure, ax = graph(
-        "temperature of the driven wires [K]", "deflection [mm]", height=4.2
-    )
+    figure, ax = graph("temperature of the driven wires [K]", "deflection [mm]", height=4.2)
     branches: tuple[tuple[Branch, str], ...] = (("heating", SECOND), ("cooling", MEASURED))
     for branch, colour in branches:
         steady = [

@@ -97,9 +97,7 @@ class Parameters(Mapping[str, Value]):
         self.given: frozenset[str] = frozenset()
         self._put(values or {}, uncertainty or {}, where)
 
-    def _put(
-        self, values: Mapping[str, Any], uncertainty: Mapping[str, float], where: str
-    ) -> None:
+    def _put(self, values: Mapping[str, Any], uncertainty: Mapping[str, float], where: str) -> None:
         lead = f"{where}: " if where else ""
         stated = {UNCERTAINTY_PREFIX + name: std for name, std in uncertainty.items()}
         given: set[str] = set()
@@ -137,9 +135,7 @@ class Parameters(Mapping[str, Value]):
         if "wire.heat_transfer_coefficient" not in self.given:
             h = BY_NAME["wire.heat_transfer_coefficient"].default
             if self["wire.convection"] == "free":
-                h = free_coefficient(
-                    self["wire.diameter"], self["environment.ambient_temperature"]
-                )
+                h = free_coefficient(self["wire.diameter"], self["environment.ambient_temperature"])
             self._values["wire.heat_transfer_coefficient"] = h
         if fault := self._fault():
             raise InputError(lead + fault)

@@ -170,9 +170,7 @@ _KEY = re.compile(r"( *)([\w.]+|/\*\*):(?: |$)")
 _OWN = " | "  # between a person's comment and what is written beside it anew
 
 
-def _comments_of(
-    path: str | Path | None
-) -> tuple[list[str], dict[str, list[str]], dict[str, str]]:
+def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str]], dict[str, str]]:
     """What a person wrote into a parameter file: at its head, and by dotted name above and beside a
     value; nothing where there is none."""
     head: list[str] = []

@@ -93,9 +93,7 @@ class Boundary:
         # Elongation is counted from the bench at rest, where martensite already bears the load.
         held, stiffness = (preload + held, stiffness) if kind == "spring" else (held, 0.0)
         stretch = held / section / (len(parameters["bench.channels"]) * modulus)
-        return cls(
-            stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs
-        )
+        return cls(stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs)
 
     def levers(self, parameters: Parameters) -> Array:
         """(s,) m, deflection per contraction of each side."""

@@ -12,12 +12,7 @@ as thin.
 from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import (
-    OXIDISED,
-    REFERENCE_EXCESS,
-    free_exponent,
-    radiation,
-)
+from sma_bench.parameters.parameters import OXIDISED, REFERENCE_EXCESS, free_exponent, radiation
 from sma_bench.physics import columns as at
 from sma_bench.physics.material import heat_loss
 

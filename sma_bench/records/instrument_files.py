@@ -254,9 +254,7 @@ def dsc_of(sheet: Sheet) -> DscRecord:
     return DscRecord(path, mass, header, tuple(segments), findings, instrument, exotherm, account)
 
 
-def _cut(
-    time: Array, temperature: Array, ramps: Sequence[float]
-) -> list[tuple[int, float, slice]]:
+def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[int, float, slice]]:
     """Number, rate and rows of the steps of a run, which is split where the rate, measured over
     some seconds around each row, changes its kind; `ramps`: of the method, K/s."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0

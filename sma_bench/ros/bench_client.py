@@ -163,7 +163,6 @@ class NodeCalls:
 
         try:
             with NodeProcesses(self._namespace, bag.parent) as nodes:
-
                 def look() -> str:
                     nodes.check()
                     heed(self.state("experiment"))
