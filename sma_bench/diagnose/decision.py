@@ -16,6 +16,7 @@ from functools import cached_property
 from typing import cast
 
 import numpy as np
+from scipy.special import softmax
 
 from sma_bench.arrays import Array
 from sma_bench.diagnose.result import Explanation, Verdict
@@ -112,7 +113,8 @@ class Weights:
         benign = {RECALIBRATION: (self.moved, 1.0), NO_GAP: (1.0, self.moved)}
         unexplained = np.logaddexp(max([0.0, *logits.values()]) + sign, UNSEEN)
         logits[UNEXPLAINED] = float(unexplained)
-        return _softmax(logits | {n: _worth(*sizes, 4.0) for n, sizes in benign.items()})
+        logits |= {name: _worth(*sizes, 4.0) for name, sizes in benign.items()}
+        return dict(zip(logits, softmax(list(logits.values())).tolist(), strict=True))
 
     def _logit(self, name: str, scale: float) -> float:
         gain = self._counted[name]
@@ -276,10 +278,3 @@ def verdict_of(candidates: Sequence[Candidate]) -> Verdict:
 def _worth(size: float, wanted: float, steepness: float) -> float:
     """0 where a size is above the wanted one, and down with its logarithm below."""
     return -float(np.logaddexp(0.0, -steepness * np.log(max(size, 1e-3) / max(wanted, 1e-3))))
-
-
-def _softmax(logits: Mapping[str, float]) -> dict[str, float]:
-    names = list(logits)
-    values = np.array([logits[name] for name in names])
-    powers = np.exp(values - values.max())
-    return dict(zip(names, (powers / powers.sum()).tolist(), strict=True))

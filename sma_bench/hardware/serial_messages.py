@@ -27,16 +27,6 @@ def line(body: str) -> bytes:
     return encoded + b"*%04X" % checksum(encoded) + LINE_END
 
 
-def frame(body: bytes) -> bytes:
-    """A message as a binary frame (COBS), its delimiter included."""
-    stuffed = b""
-    for piece in (body + checksum(body).to_bytes(2, "little")).split(FRAME_END):
-        for at in range(0, max(len(piece), 1), 254):
-            block = piece[at : at + 254]
-            stuffed += bytes([len(block) + 1 if at + 254 >= len(piece) else 255]) + block
-    return stuffed + FRAME_END
-
-
 def open_line(text: bytes) -> bytes | None:
     """The body of a line without its end; None when the checksum is absent or wrong."""
     body, star, digits = text.removesuffix(b"\r").rpartition(b"*")
@@ -44,7 +34,7 @@ def open_line(text: bytes) -> bytes | None:
 
 
 def open_frame(stuffed: bytes) -> bytes | None:
-    """The body of a frame without its delimiter; None when it is damaged."""
+    """The body of a binary frame (COBS) without its delimiter; None when it is damaged."""
     sealed, at = bytearray(), 0
     while at < len(stuffed):
         code = stuffed[at]

@@ -72,16 +72,13 @@ def read_parameters(path: str | Path) -> Parameters:
     ones keep the table's default, groups that only nodes declare are passed over. Raises
     InputError: unreadable file, unknown name, wrong type or value out of range, in one line."""
     named = read_parameter_names(path)
-    own = {name: value for name, value in named.items() if name in BY_NAME or _is_std(name)}
+    stds = {name for name in named if name.startswith(UNCERTAINTY_PREFIX)}
+    own = {name: value for name, value in named.items() if name in BY_NAME or name in stds}
     if others := named.keys() - own.keys():
         from sma_bench.parameters.node_tables import refuse_unknown  # a tenth of a second
 
         refuse_unknown(others, str(path))
     return Parameters(stated_names(own), where=str(path))
-
-
-def _is_std(name: str) -> bool:
-    return name.startswith(UNCERTAINTY_PREFIX)
 
 
 def stated_names(named: Mapping[str, Any]) -> Mapping[str, Any]:

@@ -213,15 +213,12 @@ def _template() -> jinja2.Template:
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True,
         undefined=jinja2.StrictUndefined,
-        finalize=lambda shown: _shown(shown) if type(shown) is str else shown,
+        # Names from outside without what ends or turns a text.
+        finalize=lambda shown: printable(shown, "\n").replace(" +- ", " ± ")
+        if type(shown) is str else shown,
     )
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
     return environment.get_template("page.html.j2")
-
-
-def _shown(text: str) -> str:
-    """Names from outside without what ends or turns a text."""
-    return printable(text, "\n").replace(" +- ", " ± ")
 
 
 def csv_text(table: Table) -> bytes:
