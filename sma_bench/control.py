@@ -131,11 +131,6 @@ class Heating:
     It is limited by what voltage and current allow, and by what keeps the wires below their highest
     temperature by the model, whatever a sensor says: an infrared spot wider than the wire reads
     low.
-
-    Attributes:
-        temperature: (w,) K of the model, under the powers spent.
-        loss: h A_c [W/K]; time_constant: s; ambient, maximum_temperature: K.
-        maximum_power: W; power_rate: W/s.
     """
 
     def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
@@ -156,9 +151,10 @@ class Heating:
         )
         self.maximum_power = min(volt**2 / self._resistance, maximum_power or math.inf)
         self.power_rate = power_rate or math.inf
-        self.loss, self.time_constant = heat_loss(p), time_constant(p)
+        self.loss, self.time_constant = heat_loss(p), time_constant(p)  # h A_c [W/K], s
         self.ambient = float(p["environment.ambient_temperature"])
         self.maximum_temperature = p["bench.maximum_temperature"] - TEMPERATURE_MARGIN
+        # (w,) K of the model, under the powers spent.
         self.temperature = np.full(len(p["bench.channels"]), self.ambient)
 
     def voltage(self, power: ArrayLike) -> Array:

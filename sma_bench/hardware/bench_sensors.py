@@ -97,20 +97,13 @@ class BenchReading(NamedTuple):
 
 
 class BenchSensors:
-    """Telemetry in, readings out; volts in, the device's millivolts out.
-
-    Attributes:
-        channels: the device's channel of every bench channel: the sides' outputs in their order.
-        supply: calibration of the supply's divider.
-        shared: bench channels whose currents one sensor measures together.
-        range_sensors: sides that are mounted; one clamped wire bends nothing.
-    """
+    """Telemetry in, readings out; volts in, the device's millivolts out."""
 
     def __init__(self, sides: Sequence[str], settings: Mapping[str, Any]) -> None:
         """`settings` are the bridge's `calibration.` and `range.` parameters. Raises InputError:
         more channels on a side than the device has there; an unknown range sensor."""
         free = {side: [k * _PER_SIDE + n for n in range(_PER_SIDE)] for k, side in enumerate(SIDES)}
-        try:
+        try:  # the device's channel of every bench channel: the sides' outputs in their order
             self.channels = tuple(free[side].pop(0) for side in sides)
         except (KeyError, IndexError):
             raise InputError(
@@ -125,17 +118,19 @@ class BenchSensors:
             ))
             for name, sensor in SENSORS.items()
         }
-        self.supply = self._calibrations["supply"]
+        self.supply = self._calibrations["supply"]  # of its divider
         self._at_rest: tuple[float, ...] = (0.0,) * len(SIDES)
         self._standoffs = [settings[f"range.{side}_standoff"] for side in SIDES]
         for sensor in settings["range.sensors"]:
             if sensor not in SIDES:
                 raise InputError(f"range.sensors: {sensor!r}, expected front or back")
+        # Sides that are mounted; one clamped wire bends nothing.
         self.range_sensors: tuple[str, ...] = settings["range.sensors"] if len(sides) > 1 else ()
         boards = [
             tuple(k for k, channel in enumerate(self.channels) if channel // _PER_SIDE == board)
             for board in range(len(SIDES))
         ]
+        # Bench channels whose currents one sensor measures together.
         self.shared = tuple(board for board in boards if len(board) > 1)
 
     def _calibrated(self, quantity: str, telemetry: Telemetry) -> tuple[float, float]:

@@ -27,10 +27,6 @@ class DeviceClock:
     however long and frequent, do not move it (Moon, Skelly, Towsley, INFOCOM 1999, for packets).
     How far behind, pings show: the soonest question there and the soonest answer back took equally
     long, as far as anyone can know. Host times are seconds of one monotonic clock.
-
-    Attributes:
-        drift: host seconds per device second, less one; uncertainty: s, bound of the error: half of
-            what the quickest ways there and back took, infinite before the first ping's answer.
     """
 
     def __init__(self) -> None:
@@ -40,7 +36,8 @@ class DeviceClock:
         self._answers: _Points = deque()
         self._pings: deque[tuple[float, float, float, float]] = deque(maxlen=_PINGS)
         self._origin = (math.nan, math.nan)
-        self.drift = 0.0
+        self.drift = 0.0  # host seconds per device second, less one
+        # s, bound of the error: half of what the quickest ways there and back took.
         self.uncertainty = math.inf
 
     def heard(self, time_us: int, heard: float) -> None:

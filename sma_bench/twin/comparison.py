@@ -203,23 +203,18 @@ _ZERO_STD = 0.2  # K, of a camera's zero
 
 
 class Comparison:
-    """Bins of all signals since a moment of the free run.
-
-    Attributes:
-        currents, temperatures: one a wire; driven: the mechanical signal against the model led by
-            temperatures; free: against the free run.
-        late: readings that came after their bin had been closed.
-    """
+    """Bins of all signals since a moment of the free run."""
 
     def __init__(self, run: FreeRun, drift: float) -> None:
         """Begin where the run is now; `drift` K that a thermometer may have."""
         parameters, wires = run.parameters, len(run.parameters["bench.channels"])
         self._moves = load_kind(parameters) != "clamped"
         mechanics = "deflection" if self._moves else "force"
+        # One a wire; the mechanics against the model led by temperatures, and against the free run.
         self.currents = [SignalBins("current") for _ in range(wires)]
         self.temperatures = [SignalBins("temperature") for _ in range(wires)]
         self.driven, self.free = SignalBins(mechanics), SignalBins(mechanics)
-        self.late = 0
+        self.late = 0  # readings that came after their bin had been closed
         self._side = side_of_channels(parameters)
         self._ambient = float(parameters["environment.ambient_temperature"])
         self._start, self._closed = run.time, 0

@@ -26,16 +26,13 @@ _OFF = 0.1  # V
 class MeasuredVoltages:
     """Readings of each channel until every channel has one as late: only then is it known what
     drove the bench up to there. A voltage is held until the channel's next reading.
-
-    Attributes:
-        dropped: readings left out by reason.
-        timeout: s; a longer hole between two readings of a channel hides what drove it.
     """
 
-    timeout: float
+    timeout: float  # s; a longer hole between two readings of a channel hides what drove it
 
     def __init__(self, wires: int) -> None:
         self._wires = wires
+        # Readings left out, by reason.
         self.dropped = {"not a number": 0, "out of order": 0}
         self._forget()
 
@@ -116,14 +113,7 @@ class Trajectory:
 
 
 class FreeRun:
-    """The model from the moment at which the twin joined.
-
-    Attributes:
-        parameters: now; trajectory: the last seconds; time: s, up to which it has run.
-        spacing: s, the longest time between two of the newest readings of a voltage.
-        known_since: s, when the martensite fraction of every wire was known; inf before: a wire
-            that was joined warm may have been heated or cooled there.
-    """
+    """The model from the moment at which the twin joined."""
 
     def __init__(
         self, parameters: Parameters, time: float, temperature: Array, voltage: Array
@@ -131,8 +121,11 @@ class FreeRun:
         """Begin at `time` s with measured temperatures (w,) K, NaN where there is none; voltages
         (w,) V are held from then on."""
         self._measured = temperature
-        self.time = self._joined = time
-        self.known_since, self.spacing = np.inf, 0.0
+        self.time = self._joined = time  # s, up to which it has run
+        self.spacing = 0.0  # s, the longest between two of the newest readings of a voltage
+        # s, when the martensite fraction of every wire was known: one that was joined warm may have
+        # been heated or cooled there.
+        self.known_since = np.inf
         self._known = np.zeros(len(temperature), dtype=bool)
         self._volts, self._driven = voltage, 0
         # Of each advance: the state before, None for that at which the twin joined; times, volts.

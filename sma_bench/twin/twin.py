@@ -84,9 +84,6 @@ class Twin:
     """Runs the model on measured voltages and compares what else is measured.
 
     Stamps are ns, readings SI. What cannot be used (NaN, late, out of order) is counted.
-
-    Attributes:
-        verdict: the newest; restarts: how often the twin began anew, and `reason` why.
     """
 
     def __init__(
@@ -105,7 +102,7 @@ class Twin:
         self._judge = Judge(side_names(parameters))
         self._origin: int | None = None
         self._ignored = 0
-        self.restarts, self.reason = 0, ""
+        self.restarts, self.reason = 0, ""  # how often the twin began anew, and why last
         self._begin_anew()
 
     def tune(self, settings: Settings) -> None:
