@@ -12,16 +12,8 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_TABLE
 from sma_bench.parameters.parameters import SMOOTHER, load_kind
-from sma_bench.physics import Bench, side_names
-from sma_bench.physics.linearised import (
-    BEYOND,
-    Branch,
-    OperatingPoint,
-    SideModel,
-    linearise,
-    maximum_deflection,
-    side_toward,
-)
+from sma_bench.physics import Bench, linearised, side_names
+from sma_bench.physics.linearised import Branch, OperatingPoint, SideModel
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
 TEMPERATURE_MARGIN = 10.0
@@ -291,8 +283,9 @@ class _Side(NamedTuple):
         # law the inverse has too.
         beyond = (*EFFECT_TABLE, *(BY_NAME[name] for name in SMOOTHER))
         parameters = parameters.replace({p.name: p.default for p in beyond})
-        model, largest = SideModel.of(parameters, name), maximum_deflection(parameters, name)
-        parameters = parameters.replace({name: BY_NAME[name].default for name in BEYOND})
+        model = SideModel.of(parameters, name)
+        largest = linearised.maximum_deflection(parameters, name)
+        parameters = parameters.replace({name: BY_NAME[name].default for name in linearised.BEYOND})
         wires = np.array(parameters["bench.channel_sides"]) == name
         sign = math.copysign(1.0, model.lever)
         schedule: dict[Branch, tuple[Array, Array]] = {}
@@ -301,7 +294,8 @@ class _Side(NamedTuple):
             gains = []
             for part in _SCHEDULE:
                 point = OperatingPoint.at_deflection(parameters, sign * part * largest, branch)
-                gains.append(float(np.abs(linearise(point).deflection_per_kelvin[wires]).sum()))
+                linear = linearised.linearise(point)
+                gains.append(float(np.abs(linear.deflection_per_kelvin[wires]).sum()))
             floor = np.maximum(np.array(gains), _LOWEST_PART * gains[len(gains) // 2])
             schedule[branch] = (_SCHEDULE * largest, floor / loss)
         return cls(name, sign, model, wires, schedule)
@@ -404,12 +398,12 @@ class DeflectionController:
         if metres == 0.0:
             return ""
         try:
-            side = side_toward(parameters, metres)
+            side = linearised.side_toward(parameters, metres)
         except InputError as error:
             return f"reference: {error}"
         if side not in parameters["bench.channel_sides"]:
             return f"reference is {metres:g} m, but there is no wire on the {side}"
-        largest = maximum_deflection(parameters, side)
+        largest = linearised.maximum_deflection(parameters, side)
         if abs(metres) > largest:
             return f"reference is {metres:g} m, expected at most {largest:.4g} m to the {side}"
         return ""

@@ -13,15 +13,7 @@ from typing import Any
 import numpy as np
 
 from sma_bench.border import make_folder, read_yaml
-from sma_bench.commands import options
-from sma_bench.commands.terminal import (
-    WorkState,
-    output_console,
-    print_table,
-    progress,
-    say,
-    write_json,
-)
+from sma_bench.commands import options, terminal
 from sma_bench.errors import InputError
 from sma_bench.installation import share_directory
 from sma_bench.lifeline import tied_to_this_process
@@ -76,7 +68,7 @@ def run(args: SimpleNamespace) -> int:
 
     if args.draw is not None and args.draw < 0:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
-    started, console, speed = time.monotonic(), output_console(), args.speed
+    started, console, speed = time.monotonic(), terminal.output_console(), args.speed
     truth, lab = simulated_truth(args.draw), read_parameters(LAB_FILE)
     seed = time.time_ns() % 2**31 if args.draw is None else args.draw
     out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
@@ -96,12 +88,12 @@ def run(args: SimpleNamespace) -> int:
     plan |= {"identify": _IDENTIFYING, "report": _DRAWING}
     plan |= {n: _STARTING + load_protocol(n, lab).duration / pace for n in (RECORD, HOLD_OUT)}
     plan |= {"diagnose": _DIAGNOSING}
-    state = WorkState()
+    state = terminal.WorkState()
     steps = {step: part(state.report, *ends) for step, ends in shares(plan).items()}
 
     # The first act.
     console.print("[bold]1. From a commanded volt to Table I[/]")
-    with progress("demo", state):
+    with terminal.progress("demo", state):
         if not is_compiled(core.run):  # ./bench may be compiling already
             begin, command = time.monotonic(), [sys.executable, "-P", "-m", "sma_bench.physics"]
             with subprocess.Popen(command, env=tied_to_this_process()) as process:
@@ -124,21 +116,22 @@ def run(args: SimpleNamespace) -> int:
         known = f"{_PAPER[name]:.5g}", f"{truth[name]:.5g}"
         rows.append((symbol, BY_NAME[name].unit, *known, *cells))
     header = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
-    print_table(Table(header, rows, frozenset(range(2, len(header))), title="Table I"))
+    terminal.print_table(Table(header, rows, frozenset(range(2, len(header))), title="Table I"))
     for warning in found["warnings"]:
-        say(f"note {warning}")
+        terminal.say(f"note {warning}")
     holds = promise_holds(estimates, truth)
-    say(
+    terminal.say(
         f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
         f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}"
     )
-    say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {out / 'identified.yaml'}")
+    identified = out / "identified.yaml"
+    terminal.say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {identified}")
 
     # The second: the card and the candidates, then the truth, which only the bench has read so far.
     console.print("\n[bold]2. The gap between simulation and bench[/]")
-    say("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
+    terminal.say("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
     gap_page, improved = gap / "report" / "index.html", gap / "improved.yaml"
-    with progress("demo", state):
+    with terminal.progress("demo", state):
         simulator = {"speed": speed, **_INSTRUMENTS}
         files = {"improved": str(improved.resolve()), "report": str(gap_page.parent.resolve())}
         _, answer = _recorded_and_asked(
@@ -146,23 +139,23 @@ def run(args: SimpleNamespace) -> int:
             "diagnosis/diagnose",
             lambda bags: {"record": bags[:1], "hold_out": bags[1:], **files}, (LAB_FILE,),
         )
-    write_json(str(gap / "diagnosis.json"), answer)
+    terminal.write_json(str(gap / "diagnosis.json"), answer)
     diagnosis = diagnosis_from(answer, "diagnosis")
     console.print(f"{card_text(diagnosis, console.width)}\n", markup=False, soft_wrap=True)
-    print_table(diagnosis_tables(diagnosis)["candidates"])
-    say(f"report     {gap_page}\nbags       {gap / 'bags'}\nnodes load {improved}")
+    terminal.print_table(diagnosis_tables(diagnosis)["candidates"])
+    terminal.say(f"report     {gap_page}\nbags       {gap / 'bags'}\nnodes load {improved}")
     hidden = read_parameters(hidden_file)
-    say(f"\nThe truth, from {hidden_file}")
+    terminal.say(f"\nThe truth, from {hidden_file}")
     for sentence in reveal(answer, hidden):
-        say(sentence)
-    say(f"The same again: --draw {seed}\n{time.monotonic() - started:.0f} s")
+        terminal.say(sentence)
+    terminal.say(f"The same again: --draw {seed}\n{time.monotonic() - started:.0f} s")
 
     right = {"table_one": holds, "gap": not confidently_wrong(answer, hidden)}
     if args.json:
         effect, numbers = hidden_effect(hidden)
         true = {"table_one": {name: truth[name] for name in TABLE_ONE},
                 "gap": {"effect": effect, "numbers": numbers}}  # fmt: skip
-        write_json(args.json, {
+        terminal.write_json(args.json, {
             "synthetic": True, "folder": str(out), "holds": right, "truth": true,
             "report": {"table_one": str(page), "gap": str(gap_page)},
             "estimates": estimates, "diagnosis": answer, "draw": seed,

@@ -4,15 +4,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 from sma_bench.border import printable
-from sma_bench.commands import options
-from sma_bench.commands.terminal import (
-    output_console,
-    print_findings,
-    print_table,
-    progress,
-    say,
-    write_json,
-)
+from sma_bench.commands import options, terminal
 from sma_bench.findings import fold_audit
 from sma_bench.results import Invocation
 
@@ -27,31 +19,31 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.tasks.work import diagnose_files, write_improved
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
-    with progress("diagnose") as report:
+    with terminal.progress("diagnose") as report:
         compared = args.signals or QUANTITIES
         result = diagnose_files(args.records, args.hold_out, parameters, compared, report)
     if args.json:
-        write_json(args.json, result.to_json())
+        terminal.write_json(args.json, result.to_json())
     if args.out:
         write_improved(args.out, result, "sma-bench diagnose")
 
     # The card, the tables, what speaks for it, and what should be known of the records.
     params, out, page = (text or "" for text in (args.params, args.out, args.report))
-    console, asked = output_console(), Invocation(tuple(args.records), params, out, page)
+    console, asked = terminal.output_console(), Invocation(tuple(args.records), params, out, page)
     console.print(f"{card_text(result, console.width, asked)}\n", markup=False, soft_wrap=True)
     for name, table in diagnosis_tables(result).items():
         rows = table.rows[:_CELLS_SHOWN] if name == "where" else table.rows
-        print_table(replace(table, rows=rows))
+        terminal.print_table(replace(table, rows=rows))
         console.print()
     for sentence in result.why:
         console.print(printable(sentence), markup=False)
     own, audit = fold_audit(result.findings)
-    print_findings([*own, *audit[:1]])
+    terminal.print_findings([*own, *audit[:1]])
     if args.report:
         from sma_bench.report.reports import write_diagnosis_report
 
         made = options.made_of(args, args.records, args.hold_out)
-        with progress("drawing the report") as report:
+        with terminal.progress("drawing the report") as report:
             page = str(write_diagnosis_report(args.report, result, report, made, column))
-        say(f"report {page}")
+        terminal.say(f"report {page}")
     return 0

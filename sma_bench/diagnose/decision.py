@@ -29,6 +29,7 @@ from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
+BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
 JOIN = "+"
 SURPRISED = "parameters are needed that nobody believes in"
 
@@ -268,9 +269,9 @@ def _unsteady(fitted: Fit) -> float:
 
 def verdict_of(candidates: Sequence[Candidate]) -> Verdict:
     """What is said of candidates, the most probable first."""
-    first, benign = candidates[0].name, (RECALIBRATION, NO_GAP)
-    likely = sum(c.probability for c in candidates if c.name in benign)
-    if (likely if first in benign else candidates[0].probability) < NAMED:
+    first = candidates[0].name
+    likely = sum(c.probability for c in candidates if c.name in BENIGN)
+    if (likely if first in BENIGN else candidates[0].probability) < NAMED:
         return "ambiguous"
     return "effect" if candidates[0].effects else cast(Verdict, first)
 

@@ -7,21 +7,8 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtrc
 
-from sma_bench.diagnose.decision import (
-    FLEXIBLE,
-    LEFT_OUTLIER,
-    LEFT_RATIO,
-    NO_GAP,
-    RECALIBRATION,
-    UNEXPLAINED,
-    UNSEEN,
-    Candidate,
-    decide,
-    estimates,
-    signs_of_unexplained,
-    verdict_of,
-    weigh,
-)
+from sma_bench.diagnose import decision
+from sma_bench.diagnose.decision import Candidate
 from sma_bench.diagnose.next_experiment import next_experiment
 from sma_bench.diagnose.result import DiagnosisResult, Difference, LeftOver, Moved, Verdict, Where
 from sma_bench.diagnose.search import Progress, Search, held_back, search
@@ -136,11 +123,11 @@ def diagnose(
 
     # The verdict, and the most probable model that can be simulated.
     found = search(observations, parameters, progress, doubted)
-    weights = weigh(found)
-    candidates = decide(found, weights)
-    verdict = verdict_of(candidates)
+    weights = decision.weigh(found)
+    candidates = decision.decide(found, weights)
+    verdict = decision.verdict_of(candidates)
     model = next(c.fit for c in candidates if c.fit is not None)
-    recalibrated, no_gap = found.recalibrated, verdict == NO_GAP
+    recalibrated, no_gap = found.recalibrated, verdict == decision.NO_GAP
     improved = parameters if no_gap else _improved(model, parameters)
 
     progress("shrinkage on data that no fit saw")
@@ -179,12 +166,12 @@ def diagnose(
     # Where the gap lies: what the effects do, what no candidate explains, or what separates belief
     # and recalibration.
     stages = {} if no_gap else stages_of(candidates, found)
-    if verdict == UNEXPLAINED:
+    if verdict == decision.UNEXPLAINED:
         # A smooth response where it is sure; else all that is slower than the scatter of samples,
         # what a fit has to take for the drift of a sensor.
         left, noise = recalibrated.left, recalibrated.problem.noise
         missing = found.flexible.response
-        if found.flexible.gain <= FLEXIBLE:
+        if found.flexible.gain <= decision.FLEXIBLE:
             missing = np.concatenate([
                 noise[b.signal.name].drift_in(left[b.rows]) for b in recalibrated.problem.blocks
             ])  # fmt: skip
@@ -286,17 +273,17 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     chances = {stage: float(chdtrc(len(xs), np.sum(np.square(xs)))) for stage, xs in moved.items()}
     least = min(chances, key=lambda stage: chances[stage])
     beyond_belief = least if chances[least] * len(moved) < _CHANCE else ""
-    benign = sum(c.probability for c in candidates if c.name in (RECALIBRATION, NO_GAP))
+    benign = sum(c.probability for c in candidates if c.name in decision.BENIGN)
     shares: dict[str, float] = {}
     for candidate in candidates:
         share, stage = candidate.probability, ""
         if candidate.effects:
             stage = EFFECTS[max(candidate.effects, key=found.gain)].stage
-        elif candidate.name == RECALIBRATION:
+        elif candidate.name == decision.RECALIBRATION:
             stage = beyond_belief
-        elif candidate.name == UNEXPLAINED:
+        elif candidate.name == decision.UNEXPLAINED:
             best = EFFECTS[found.ranked[0]].stage if found.ranked else ""
-            stage, share = beyond_belief or best, share - float(np.exp(UNSEEN)) * benign
+            stage, share = beyond_belief or best, share - float(np.exp(decision.UNSEEN)) * benign
         if stage and share > 0.0:
             shares[stage] = shares.get(stage, 0.0) + share
     ranked = sorted(shares, key=lambda stage: shares[stage], reverse=True)
@@ -332,14 +319,14 @@ def _facts(
         if abs(deviation) > SURPRISING
     ]
     smoother = {
-        name: one for name, one in estimates(model, model.std).items()
+        name: one for name, one in decision.estimates(model, model.std).items()
         if name in _SMOOTHER and one.value > SURPRISING * one.std
     }
 
     # Where the two most probable models differ most; one that only adds to the first is no rival.
-    models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP]
+    models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != decision.NO_GAP]
     differ = None
-    if len(models) > 1 and verdict not in (NO_GAP, UNEXPLAINED):
+    if len(models) > 1 and verdict not in (decision.NO_GAP, decision.UNEXPLAINED):
         (first, one), *others = models
         own = set(first.effects)
         rivals = [(c, fit) for c, fit in others if not (own and own <= set(c.effects))]
@@ -348,19 +335,19 @@ def _facts(
         differ = Difference((first.name, rival.name), cell)
 
     # What the best model leaves, its signs that are no noise apart.
-    left, gain, by = found.left, found.flexible.gain, RECALIBRATION
+    left, gain, by = found.left, found.flexible.gain, decision.RECALIBRATION
     if unknowns.effects:
         left, gain, by = found.left_by_best, found.beyond.gain, "the best model"
     left_behind = LeftOver(
-        by, gain, left.signal, left.ratio if left.ratio > LEFT_RATIO else 0.0,
-        left.outlier if left.outlier > LEFT_OUTLIER else 0.0, gain > FLEXIBLE,
+        by, gain, left.signal, left.ratio if left.ratio > decision.LEFT_RATIO else 0.0,
+        left.outlier if left.outlier > decision.LEFT_OUTLIER else 0.0, gain > decision.FLEXIBLE,
     )
 
     # The sign that weighs most for a cause outside the library, unless that is out of question.
     sign = ""
-    unexplained = next(c for c in candidates if c.name == UNEXPLAINED)
-    if unexplained.probability >= _WORTH_SAYING and verdict != NO_GAP:
-        signs = signs_of_unexplained(found)
+    unexplained = next(c for c in candidates if c.name == decision.UNEXPLAINED)
+    if unexplained.probability >= _WORTH_SAYING and verdict != decision.NO_GAP:
+        signs = decision.signs_of_unexplained(found)
         sign = max(signs, key=lambda name: signs[name])
         if signs[sign] <= 0.0:
             sign = "no sign was found, which is no proof that there is none"

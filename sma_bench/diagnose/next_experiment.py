@@ -23,18 +23,8 @@ from scipy.special import ndtri
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
-from sma_bench.diagnose.decision import (
-    JOIN,
-    LARGEST_SIGN,
-    NAMED,
-    NO_GAP,
-    RECALIBRATION,
-    UNEXPLAINED,
-    Candidate,
-    Weights,
-    scale_of,
-    sign_of_surprise,
-)
+from sma_bench.diagnose import decision
+from sma_bench.diagnose.decision import Candidate, Weights
 from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn, measured
 from sma_bench.diagnose.result import SET_MASS, WORTH, NextExperiment, Verdict
 from sma_bench.diagnose.search import Search
@@ -93,13 +83,13 @@ class Matter:
         self.weights, self.search, self.parameters = weights, search, parameters
         possible = [
             c for c in candidates
-            if c.fit is not None and c.name != NO_GAP
-            and (c.probability > _LEAST or c.name == RECALIBRATION)
+            if c.fit is not None and c.name != decision.NO_GAP
+            and (c.probability > _LEAST or c.name == decision.RECALIBRATION)
         ]
         self.fits = {c.name: c.fit for c in possible[:_MOST_CAUSES] if c.fit is not None}
-        self.fits.setdefault(RECALIBRATION, search.recalibrated)
+        self.fits.setdefault(decision.RECALIBRATION, search.recalibrated)
         pairs = list(permutations(self.fits, 2))
-        believed = replace(weights, surprise=-LARGEST_SIGN)
+        believed = replace(weights, surprise=-decision.LARGEST_SIGN)
 
         def given(weights: Weights, telling: Telling) -> float:
             return prospect(weights, self.probability, dict.fromkeys(pairs, telling)).given
@@ -123,7 +113,7 @@ class Matter:
         if known := more.get("parameters"):  # no record, and what was measured surprises no more
             best = self.search.best
             moved = zip(best.unknowns.bench_names, best.x.tolist(), strict=False)
-            surprise = sign_of_surprise(sum(x * x for name, x in moved if name not in known))
+            surprise = decision.sign_of_surprise(sum(x**2 for n, x in moved if n not in known))
             weights = replace(self.weights, surprise=min(self.weights.surprise, surprise))
         after = prospect(weights, self.probability, tellings)
         causes = tuple(dict.fromkeys(name for pair in tellings for name in pair))
@@ -144,7 +134,7 @@ def next_experiment(
     not `settle` where none of those that the bench can do is. Raises InputError: the bench's limits
     refuse every drive."""
     matter = Matter(candidates, search, weights, observations, parameters)
-    if verdict == UNEXPLAINED:
+    if verdict == decision.UNEXPLAINED:
         return _showing(search, matter)
     if candidates[0].probability >= SET_MASS or matter.most < WORTH:
         return None
@@ -201,7 +191,7 @@ def _showing(search: Search, matter: Matter) -> NextExperiment | None:
 
 def _parts(name: str) -> frozenset[str]:
     """Effects in a candidate's name."""
-    return frozenset(() if name == RECALIBRATION else name.split(JOIN))
+    return frozenset(() if name == decision.RECALIBRATION else name.split(decision.JOIN))
 
 
 def _minutes(obs: Observation) -> float:
@@ -273,7 +263,7 @@ def _driven(
     tellings = _tellings({name: planned.whiten(p) for name, p in readings.items()}, spaces)
     driven = _minutes(planned.observations[0])
     for pair, telling in tellings.items():
-        if pair[0] == RECALIBRATION:  # a bench that is not quite the model
+        if pair[0] == decision.RECALIBRATION:  # a bench that is not quite the model
             less = max(telling.evidence - _TAKEN_UP, min(telling.evidence, 0.0))
             tellings[pair] = telling._replace(evidence=less)
         # Whether a zero wanders, no model predicts: another record tells as much as one of the
@@ -430,14 +420,14 @@ def prospect(
         return nats if visible else min(nats, 0.0)
 
     for truth in simulated:
-        right = (truth,) if truth != RECALIBRATION else (RECALIBRATION, NO_GAP)
+        right = decision.BENIGN if truth == decision.RECALIBRATION else (truth,)
         own = sum(probability[name] for name in right)
         for luck in _LUCK:
             lost = {r: against(truth, r, luck) for r in simulated if r != truth}
-            over = lost.get(RECALIBRATION, 0.0)
+            over = lost.get(decision.RECALIBRATION, 0.0)
             gains = {c: now[c] + over - lost.get(c, 0.0) for c in simulated if c in now}
             best = max([0.0, *gains.values()])
-            stretch = scale_of(best) / scale_of(max([0.0, *now.values()]))
+            stretch = decision.scale_of(best) / decision.scale_of(max([0.0, *now.values()]))
             # What was not simulated goes with the truth, as probable beside it as before.
             gains |= {
                 c: now.get(truth, 0.0) + over - (now.get(truth, 0.0) - gain) * stretch
@@ -446,5 +436,5 @@ def prospect(
             after = replace(weights, gains=gains).probabilities()
             share = sum(after[name] for name in right)
             given += own * share / len(_LUCK)
-            named += own * (share >= NAMED) / len(_LUCK)
+            named += own * (share >= decision.NAMED) / len(_LUCK)
     return Prospect(named, given)

@@ -19,13 +19,8 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.observation import find_rig
 from sma_bench.findings import Finding
-from sma_bench.identify.branches import (
-    BranchCosine,
-    Number,
-    StrainTangents,
-    fit_cosine,
-    strain_tangents,
-)
+from sma_bench.identify import branches
+from sma_bench.identify.branches import BranchCosine, Number, StrainTangents
 from sma_bench.identify.estimate import (
     GAUGE,
     MODULI,
@@ -113,13 +108,13 @@ def identify_isobaric(
         for cycle, branch in ((c, b) for c in record.cycles for b in c.branches):
             other = cycle.get("cooling" if branch.direction == "heating" else "heating")
             try:
-                tangents = strain_tangents(branch, other)
+                tangents = branches.strain_tangents(branch, other)
             except InputError as error:
                 findings.append(remark(
                     "no tangents", record=record.name, cycle=cycle.number, error=error
                 ))
             else:
-                cosine = fit_cosine(branch, tangents, parameters, stress)
+                cosine = branches.fit_cosine(branch, tangents, parameters, stress)
                 readings.append(Reading(record, cycle.number, branch, tangents, cosine))
     if not readings:
         raise InputError(f"{records[0].path}: no branch shows a transformation")

@@ -8,13 +8,8 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
+from sma_bench.estimation import noise_model
 from sma_bench.estimation.load_frame import LOAD_FRAME, has_load_frame, is_clamped
-from sma_bench.estimation.noise_model import (
-    autocorrelation,
-    inflation,
-    quantisation_variance,
-    resolution,
-)
 from sma_bench.estimation.observation import (
     QUANTITIES,
     Observation,
@@ -243,12 +238,12 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
         lines.append(straight_line(t, v))
     n = np.array([len(v) for _, v in found], dtype=np.float64)
     left = [v - line(t) for (t, v), line in zip(found, lines, strict=True)]
-    correlated = inflation(autocorrelation(left))
+    correlated = noise_model.inflation(noise_model.autocorrelation(left))
     variance = n * np.array([line.value_variance for line in lines])
     pooled = float(np.sum(variance * n) / np.sum(n))
     steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)
-    noise, step = np.sqrt(steady * correlated / n), resolution(values)
-    hidden = quantisation_variance(float(np.sqrt(pooled)), step)
+    noise, step = np.sqrt(steady * correlated / n), noise_model.resolution(values)
+    hidden = noise_model.quantisation_variance(float(np.sqrt(pooled)), step)
     drift = [line.slope * float(np.ptp(t)) for (t, _), line in zip(found, lines, strict=True)]
     return Means(
         np.array([line.value for line in lines]), noise, float(np.sqrt(hidden)), step,

@@ -15,7 +15,7 @@ from sma_bench.hardware import thermal_camera
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.hardware.thermal_image import ENCODING, SyntheticCamera, decode_frame
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
-from sma_bench.ros.node import READINGS, BenchTopics, message_class, stamp_of
+from sma_bench.ros.node import READINGS, BenchTopics, message_class, seconds_of, stamp_of
 
 _LEVELS = {
     thermal_camera.OK: DiagnosticStatus.OK,
@@ -61,7 +61,7 @@ class IrCamera(BenchNode):
 
     def on_image(self, message: Image) -> None:
         self._report.arrived(time.monotonic())
-        stamp = stamp_of(message) * 1e-9
+        stamp = seconds_of(message)
         try:
             frame = decode_frame(
                 self._size, message.encoding, message.width, message.height, message.step,

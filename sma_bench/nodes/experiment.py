@@ -25,16 +25,7 @@ from sma_bench.live.run import ABORTED, IDLE, ClosedLoop, OpenLoop, Run, Surroun
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, is_path
-from sma_bench.ros.node import (
-    COMMAND,
-    LATCHED,
-    NANOSECONDS,
-    READINGS,
-    recorded_topics,
-    signature,
-    stamp_of,
-    voltage_command,
-)
+from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
 _FEEDBACK = ("power", "temperature")
@@ -59,7 +50,7 @@ class ExperimentNode(BenchNode):
             be_punctual(DRIVER)
             self._bench_clock, patience = Clock(clock_type=ClockType.STEADY_TIME), 0.0
         self._feedback_timeout = max(settings["feedback_timeout"], patience)
-        self._labelled = partial(voltage_command, channels, signed=signature(self))
+        self._labelled = partial(ros.voltage_command, channels, signed=ros.signature(self))
         self._guard = Guard(channels, settings["feedback"], self._feedback_timeout)
         self._readiness = Readiness(lambda: self.settings["require_recorder"])
         self._loop = self.loop()
@@ -68,15 +59,17 @@ class ExperimentNode(BenchNode):
             self, self._loop, self._guard, self._readiness, len(channels), settings["autostart"],
             self._feedback_timeout, 0.0 if self.simulated else _STEADY,
         )
-        self._command = self.create_publisher(Float64MultiArray, COMMAND, READINGS)
+        self._command = self.create_publisher(Float64MultiArray, ros.COMMAND, ros.READINGS)
         self.mark = self.line("experiment/marker")
         self._publish_state, self._publish_progress = self.line("~/state"), self.line("~/progress")
         self.listen(BatteryState, "power", self.on_power, newest=True)
         self.listen(Temperature, "temperature", self.on_temperature, newest=True)
         self._joint = TIP if moves_tip(self.parameters) else "wire"
-        self.create_subscription(JointState, "joint_states", self.on_joints, READINGS, newest=True)
-        self.create_subscription(String, BRIDGE, self.on_bridge, LATCHED)
-        self.create_subscription(String, RECORDER, self.on_recorder, LATCHED)
+        self.create_subscription(
+            JointState, "joint_states", self.on_joints, ros.READINGS, newest=True
+        )
+        self.create_subscription(String, BRIDGE, self.on_bridge, ros.LATCHED)
+        self.create_subscription(String, RECORDER, self.on_recorder, ros.LATCHED)
         self.serve(
             start=lambda: self._run.start(time.monotonic(), self._plan),
             stop=self._run.stop, reset=self._run.reset,
@@ -139,11 +132,11 @@ class ExperimentNode(BenchNode):
 
     def on_power(self, channel: str, message: BatteryState) -> None:
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
-        stamp = stamp_of(message) / NANOSECONDS
+        stamp = ros.seconds_of(message)
         self._guard.power(channel, message.voltage, message.current, stamp, now, limits)
 
     def on_temperature(self, channel: str, message: Temperature) -> None:
-        kelvin, stamp = message.temperature + CELSIUS_ZERO, stamp_of(message) / NANOSECONDS
+        kelvin, stamp = message.temperature + CELSIUS_ZERO, ros.seconds_of(message)
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
         self._guard.temperature(channel, kelvin, stamp, now, limits)
         self._run.heard("temperature", channel, kelvin, stamp, now)
@@ -151,7 +144,7 @@ class ExperimentNode(BenchNode):
     def on_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._joint)
         if position is not None:
-            self.measured(position, stamp_of(message) / NANOSECONDS, time.monotonic())
+            self.measured(position, ros.seconds_of(message), time.monotonic())
 
     def measured(self, deflection: float, stamp: float, now: float) -> None:
         """A deflection or elongation in m, acquired at `stamp` s."""
@@ -179,7 +172,7 @@ class ExperimentNode(BenchNode):
         return Surroundings(
             self._command.get_subscription_count() > 0, self._bench_clock.now().nanoseconds > 0,
             {name for name in (BRIDGE, RECORDER) if self.count_publishers(name)},
-            lambda: list(recorded_topics(self)),
+            lambda: list(ros.recorded_topics(self)),
         )
 
     def send(self, voltage: list[float]) -> None:
@@ -210,7 +203,7 @@ class Controller(ExperimentNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._setpoint = self.create_publisher(self.kind, "~/setpoint", READINGS)
+        self._setpoint = self.create_publisher(self.kind, "~/setpoint", ros.READINGS)
         # Asked for once, where readings come again: none may be lost.
         self.create_subscription(self.kind, "~/reference", self.on_reference, QoSProfile(depth=10))
 
@@ -242,7 +235,7 @@ class TemperatureControllerNode(Controller):
     def on_temperature(self, channel: str, message: Temperature) -> None:
         super().on_temperature(channel, message)
         kelvin = message.temperature + CELSIUS_ZERO
-        self._loop.measured(channel, kelvin, stamp_of(message) / NANOSECONDS, time.monotonic())
+        self._loop.measured(channel, kelvin, ros.seconds_of(message), time.monotonic())
 
 
 class DeflectionControllerNode(Controller):

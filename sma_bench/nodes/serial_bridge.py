@@ -21,15 +21,7 @@ from sma_bench.hardware.serial_link import LinkError, LinkOptions, SerialLink, f
 from sma_bench.hardware.serial_messages import Telemetry
 from sma_bench.live.recording import RECORDER, recorder_failure
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
-from sma_bench.ros.node import (
-    COMMAND,
-    LATCHED,
-    NANOSECONDS,
-    READINGS,
-    BenchTopics,
-    Commanders,
-    stamp_of,
-)
+from sma_bench.ros import node as ros
 
 _TICK = 0.005  # s
 _SWITCH = 1e-4  # s: the link's thread reads its clock when bytes arrive, and waits for no other
@@ -74,13 +66,13 @@ class SerialBridge(BenchNode):
         )
         self._sides = tuple(sensors.range_sensors)
         joint = "tip" if self._sides else ""
-        self._topics = BenchTopics(self, self._channels, ranges=self._sides, joint=joint)
+        self._topics = ros.BenchTopics(self, self._channels, ranges=self._sides, joint=joint)
         self._enter = self.line("~/state")
-        self.create_subscription(Float64MultiArray, COMMAND, self.on_command, READINGS)
-        self._commanders = Commanders(self)
+        self.create_subscription(Float64MultiArray, ros.COMMAND, self.on_command, ros.READINGS)
+        self._commanders = ros.Commanders(self)
         self.listen(Temperature, "temperature", self.on_temperature, newest=True)
         self.create_subscription(
-            String, RECORDER, lambda m: self._guard.recorder(recorder_failure(m.data)), LATCHED
+            String, RECORDER, lambda m: self._guard.recorder(recorder_failure(m.data)), ros.LATCHED
         )
         self.serve(
             enable=lambda: self._ask(lambda: driver.enable(time.monotonic())),
@@ -96,13 +88,13 @@ class SerialBridge(BenchNode):
     def _tick(self) -> None:
         # Whoever was kept waiting between the two clocks would shift every stamp.
         before = time.monotonic_ns()
-        ros = self.get_clock().now().nanoseconds
+        stamps = self.get_clock().now().nanoseconds
         after = time.monotonic_ns()
         if after - before < _AT_ONCE or not self._to_ros:
-            self._to_ros = ros - (before + after) // 2
+            self._to_ros = stamps - (before + after) // 2
         while self._arrived:
             reading = self._driver.take(self._arrived.popleft(), time.monotonic())
-            stamp = round(NANOSECONDS * reading.time) + self._to_ros
+            stamp = round(ros.NANOSECONDS * reading.time) + self._to_ros
             for channel, power in zip(self._channels, reading.powers, strict=True):
                 self._topics.power(channel, power.voltage, power.current, stamp)
             distances = dict(zip(SIDES, reading.distances, strict=True))
@@ -128,7 +120,7 @@ class SerialBridge(BenchNode):
 
     def on_temperature(self, channel: str, message: Temperature) -> None:
         kelvin = message.temperature + CELSIUS_ZERO
-        taken = (stamp_of(message) - self._to_ros) / NANOSECONDS
+        taken = (ros.stamp_of(message) - self._to_ros) / ros.NANOSECONDS
         self._kelvin[channel] = kelvin
         self._guard.temperature(channel, kelvin, taken, time.monotonic(), self._limits)
 
@@ -162,7 +154,7 @@ class SerialBridge(BenchNode):
             **self._driver.diagnostics(time.monotonic()), **self._link.status.diagnostics,
             "power_rate": f"{self._readings:.1f}", "oldest_reading_ms": f"{1e3 * self._oldest:.1f}",
             **{f"{c}_degC": f"{kelvin - CELSIUS_ZERO:.1f}" for c, kelvin in self._kelvin.items()},
-            "commanders": str(self.count_publishers(COMMAND)), "scheduling": self._scheduling,
+            "commanders": str(self.count_publishers(ros.COMMAND)), "scheduling": self._scheduling,
         }
         self._readings, self._oldest = 0, 0.0
         level = DiagnosticStatus.WARN if self._driver.gate.rejected else DiagnosticStatus.OK

@@ -11,17 +11,10 @@ from std_msgs.msg import Float64MultiArray
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CommandGate, Limits
-from sma_bench.live.virtual_bench import (
-    NANOSECONDS,
-    REAL_TIME,
-    STANDS,
-    GroupReading,
-    Lockstep,
-    VirtualBench,
-)
+from sma_bench.live.virtual_bench import REAL_TIME, STANDS, GroupReading, Lockstep, VirtualBench
 from sma_bench.nodes.base import BenchNode
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.ros.node import COMMAND, READINGS, BenchTopics, Commanders
+from sma_bench.ros.node import COMMAND, NANOSECONDS, READINGS, BenchTopics, Commanders
 
 _REAL_TIME_SLICE = 0.01  # s: a bench answers within 10 ms, the period of its power readings
 _SHORTEST_TICK = 0.002  # s

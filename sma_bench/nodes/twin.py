@@ -14,17 +14,8 @@ from sma_bench.nodes.base import BenchNode
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.ros.node import NAN, NANOSECONDS, READINGS, BenchTopics, stamp_of
-from sma_bench.twin.twin import (
-    CURRENT,
-    GAP,
-    GREW,
-    MEASURED_STAGES,
-    TEMPERATURE,
-    Prediction,
-    Residual,
-    Twin,
-    compile_model,
-)
+from sma_bench.twin import twin
+from sma_bench.twin.twin import Prediction, Residual, Twin
 
 # Topics below `twin/` are called as those of the bench that they stand beside, and have their types
 # and stamps. A residual is measured less predicted; what is not part of it is NaN.
@@ -50,8 +41,8 @@ class TwinNode(BenchNode):
             for below in (PREDICTED, RESIDUAL)
         )
         self._energy = {s: self.create_publisher(Float64, ENERGY + s, READINGS)
-                        for s in MEASURED_STAGES}
-        compile_model(self.parameters)
+                        for s in twin.MEASURED_STAGES}
+        twin.compile_model(self.parameters)
         self._twin = Twin(self.parameters, self.settings, self._predict, self._part)
         self._loaded = self.parameters
         self._judged = self._twin.verdict
@@ -96,9 +87,9 @@ class TwinNode(BenchNode):
 
     def _part(self, residual: Residual) -> None:
         value, stamp = residual.value, residual.stamp
-        if residual.kind == CURRENT:
+        if residual.kind == twin.CURRENT:
             self._residual.power(self._channels[residual.wire], NAN, value, stamp)
-        elif residual.kind == TEMPERATURE:
+        elif residual.kind == twin.TEMPERATURE:
             self._residual.temperature(self._channels[residual.wire], value, stamp)
         else:
             held = None if self._moves else value
@@ -131,7 +122,7 @@ class TwinNode(BenchNode):
         verdict = self._twin.verdict
         silence = time.monotonic() - self._heard
         level, message = DiagnosticStatus.OK, verdict.message
-        if verdict.state in (GAP, GREW):
+        if verdict.state in (twin.GAP, twin.GREW):
             level = DiagnosticStatus.WARN
         if silence > _SILENCE:
             level, message = DiagnosticStatus.STALE, "no voltages"

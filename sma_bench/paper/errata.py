@@ -15,15 +15,8 @@ from scipy.integrate import trapezoid
 from sma_bench.border import read_yaml
 from sma_bench.findings import Finding
 from sma_bench.paper import printed as paper
-from sma_bench.parameters import Parameters
+from sma_bench.parameters import Parameters, published
 from sma_bench.parameters.audit import audit
-from sma_bench.parameters.parameter import (
-    DSC_CYCLES,
-    HOLDING_FORCE,
-    THERMAL_EXPANSION,
-    UPFR_FINISH,
-    UPFR_START,
-)
 from sma_bench.physics import bending, material
 from sma_bench.physics.bending import Beam
 from sma_bench.physics.boundary import Boundary
@@ -62,9 +55,10 @@ def paper_errata() -> list[Erratum]:
     rig = numbers.replace(_RIG)
     point = OperatingPoint.at_deflection(rig, 0.5 * maximum_deflection(rig), "heating")
     # The printed thermal expansion is not the table's default.
-    findings = audit(numbers.replace({"wire.thermal_expansion_factor": THERMAL_EXPANSION}))
+    printed = {"wire.thermal_expansion_factor": published.THERMAL_EXPANSION}
     facts: Facts = {
-        **_beam(Beam.of(rig)), **_linearised(point), **_audited({f.subject: f for f in findings}),
+        **_beam(Beam.of(rig)), **_linearised(point),
+        **_audited({f.subject: f for f in audit(numbers.replace(printed))}),
         **_loads(numbers), **_history(numbers), 19: _layers(rig),
     }  # fmt: skip
     errata = []
@@ -185,10 +179,10 @@ def _audited(found: Mapping[str, Finding]) -> Facts:
     """7 to 10, of the tables, as the audit finds them; 13, of E6 against the DSC."""
     length, rho = found["wire length"], found["resistivity"].numbers
     heat, time = found["heat transfer"], found["time constant"].numbers
-    stretch, (first, second) = found["thermal expansion"], DSC_CYCLES
+    stretch, (first, second) = found["thermal expansion"], published.DSC_CYCLES
     agreement: dict[str, object] = {}
-    for symbol, (mean, std) in (("A_s", UPFR_START), ("A_f", UPFR_FINISH)):
-        for number, cycle in enumerate(DSC_CYCLES, start=1):
+    for symbol, (mean, std) in (("A_s", published.UPFR_START), ("A_f", published.UPFR_FINISH)):
+        for number, cycle in enumerate(published.DSC_CYCLES, start=1):
             apart = mean - cycle[symbol]
             agreement |= {f"{symbol}_{number}": apart, f"{symbol}_{number}_stds": apart / std}
     return {
@@ -206,9 +200,10 @@ def _audited(found: Mapping[str, Finding]) -> Facts:
             "time_low": time["still_air_low"], "time_high": time["still_air_high"],
         },
         10: {
-            "audit": stretch.text, "printed": THERMAL_EXPANSION / 1e6,
+            "audit": stretch.text, "printed": published.THERMAL_EXPANSION / 1e6,
             "low": stretch.numbers["alpha_E_low"] / 1e6,
-            "high": stretch.numbers["alpha_E_high"] / 1e6, "after": 30.0 * THERMAL_EXPANSION / 1e6,
+            "high": stretch.numbers["alpha_E_high"] / 1e6,
+            "after": 30.0 * published.THERMAL_EXPANSION / 1e6,
             "after_low": -30.0 * stretch.numbers["alpha_E_low"] / 1e6,
         },
         13: agreement,
@@ -229,9 +224,9 @@ def _loads(numbers: Parameters) -> Facts:
     ohm = numbers["wire.resistance"]
     return {
         12: {
-            "printed": _PRINTED_STRESS, "check": HOLDING_FORCE / shoelace,
-            "corrected": HOLDING_FORCE / bending.wire_section(numbers),
-            "needed": 1e3 * np.sqrt(4.0 * HOLDING_FORCE / (np.pi * _PRINTED_STRESS)),
+            "printed": _PRINTED_STRESS, "check": published.HOLDING_FORCE / shoelace,
+            "corrected": published.HOLDING_FORCE / bending.wire_section(numbers),
+            "needed": 1e3 * np.sqrt(4.0 * published.HOLDING_FORCE / (np.pi * _PRINTED_STRESS)),
             "diameter": 1e3 * diameter,
         },
         15: {

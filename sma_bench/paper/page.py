@@ -13,7 +13,8 @@ from sma_bench.findings import Finding
 from sma_bench.identify.result import Experiment
 from sma_bench.paper.errata import HEADER, Erratum
 from sma_bench.paper.figures import CompositeRun, composite_pictures
-from sma_bench.parameters.parameter import BY_NAME, DSC_CYCLES, TRANSITIONS
+from sma_bench.parameters import published
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.report import experiment_figures as draw
 from sma_bench.report.drawing import FAINT
 from sma_bench.report.page import Drawing, Picture, Section, captions
@@ -109,7 +110,8 @@ def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
         found[table] = content["title"], tuple(rows)
     cycles = [
         Row(symbol, f"heat cycle {k}", "K", value, math.nan, "E5", f"cycle {k}, *: {symbol}")
-        for k, values in enumerate(DSC_CYCLES, start=1) for symbol, value in values.items()
+        for k, values in enumerate(published.DSC_CYCLES, start=1)
+        for symbol, value in values.items()
     ]  # fmt: skip
     loaded = [
         Row(symbol, "E6, under a held load, stress free", "K", math.nan, math.nan, "E6", name)

@@ -29,15 +29,6 @@ from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names
 from sma_bench.physics.effects import active_effects
 from sma_bench.physics.kernel import State, initial_state
 from sma_bench.physics.laws import law_of
-from sma_bench.physics.material import (
-    commanded_voltage,
-    heat_loss,
-    heated_resistance,
-    heating_voltage,
-    power_per_volt,
-    steady_temperature,
-    time_constant,
-)
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 Branch = Literal["heating", "cooling"]
@@ -187,8 +178,9 @@ class OperatingPoint(State):
                 f"operating point: temperature {state.temperature.min():g} K lies below ambient "
                 f"{ambient:g} K, no voltage holds it"
             )
-        loss = heat_loss(parameters) * (state.temperature - ambient)
-        voltage = commanded_voltage(np.sqrt(loss * heated_resistance(parameters)), parameters)
+        loss = material.heat_loss(parameters) * (state.temperature - ambient)
+        heating = np.sqrt(loss * material.heated_resistance(parameters))
+        voltage = material.commanded_voltage(heating, parameters)
         return cls(
             parameters=parameters, boundary=boundary, branch=branch, voltage=voltage, **vars(state)
         )
@@ -212,7 +204,8 @@ class OperatingPoint(State):
         boundary: Boundary | None = None,
     ) -> Self:
         """On the full loop where one or (w,) held voltages [V] lead to."""
-        kelvin = steady_temperature(heating_voltage(voltage, parameters), parameters)
+        heating = material.heating_voltage(voltage, parameters)
+        kelvin = material.steady_temperature(heating, parameters)
         return cls.at_temperature(parameters, kelvin, branch, boundary)
 
     @classmethod
@@ -295,16 +288,16 @@ class Linearised:
         # Latent heat makes a transforming wire heavier: (1 - Delta_h/c_p dxi/dT) dT/dt = ...
         lightness = np.linalg.inv(np.eye(wires) - latent_rise * self.fraction_per_kelvin)
         capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
-        b = lightness * power_per_volt(self.point.voltage, parameters) / capacity
+        b = lightness * material.power_per_volt(self.point.voltage, parameters) / capacity
         c = np.vstack([self.deflection_per_kelvin, np.eye(wires), self.stress_per_kelvin])
         d = np.zeros((c.shape[0], wires))
-        return StateSpace(-lightness / time_constant(parameters), b, c, d)
+        return StateSpace(-lightness / material.time_constant(parameters), b, c, d)
 
     def deflection_per_volt(self) -> Array:
         """(w,) m/V, steady: what a lasting change of each voltage leads to."""
         parameters = self.point.parameters
-        heating = power_per_volt(self.point.voltage, parameters)
-        return self.deflection_per_kelvin * heating / heat_loss(parameters)
+        heating = material.power_per_volt(self.point.voltage, parameters)
+        return self.deflection_per_kelvin * heating / material.heat_loss(parameters)
 
 
 def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:

@@ -19,15 +19,7 @@ import jinja2
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from sma_bench.border import (
-    claimed,
-    csv_cell,
-    is_inside,
-    printable,
-    read_bytes,
-    read_yaml,
-    write_files,
-)
+from sma_bench import border
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
@@ -81,7 +73,7 @@ class Picture:
             raise InputError(f"{path}: expected a name that ends in .png, .svg, .pdf or .csv")
         content = self._file(in_column(self.figure, column), kind, dpi=300)
         try:
-            write_files({path: content})
+            border.write_files({path: content})
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
@@ -117,7 +109,7 @@ class Drawing:
 @cache
 def captions() -> dict[str, dict[str, str]]:
     """Of every figure title, caption, and what its data are where they are synthetic."""
-    found: dict[str, dict[str, str]] = read_yaml(Path(__file__).with_name("captions.yaml"))
+    found: dict[str, dict[str, str]] = border.read_yaml(Path(__file__).with_name("captions.yaml"))
     return found
 
 
@@ -178,7 +170,7 @@ def write_report(
             report's, an input cannot be read any more, or another report is being written there.
     """
     directory = Path(directory)
-    with claimed(os.path.realpath(directory), "being written as a report already"):
+    with border.claimed(os.path.realpath(directory), "being written as a report already"):
         if made is not None:
             summary = f"{summary} {made.when:%Y-%m-%d}, sma_bench {VERSION}.".strip()
             sections = [*sections, _provenance(made)]
@@ -214,7 +206,7 @@ def _template() -> jinja2.Template:
         loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True,
         undefined=jinja2.StrictUndefined,
         # Names from outside without what ends or turns a text.
-        finalize=lambda shown: printable(shown, "\n").replace(" +- ", " ± ")
+        finalize=lambda shown: border.printable(shown, "\n").replace(" +- ", " ± ")
         if type(shown) is str else shown,
     )
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
@@ -224,7 +216,7 @@ def _template() -> jinja2.Template:
 def csv_text(table: Table) -> bytes:
     """A table as a CSV file, in which no text is a formula to a spreadsheet."""
     text = io.StringIO()
-    rows = [map(csv_cell, row) for row in (table.header, *table.rows)]
+    rows = [map(border.csv_cell, row) for row in (table.header, *table.rows)]
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8")
 
@@ -254,7 +246,7 @@ def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
     """All of them, or none: then the folder is as it was."""
     new, page = not os.path.exists(directory), directory / _PAGE
     try:
-        is_report = page.exists() and _MARK in read_bytes(page, _LARGEST_PAGE)
+        is_report = page.exists() and _MARK in border.read_bytes(page, _LARGEST_PAGE)
     except (InputError, OSError):
         is_report = False
     if foreign := [] if is_report else [n for n in files if os.path.exists(directory / n)]:
@@ -264,7 +256,7 @@ def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
         )
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        write_files({directory / name: content for name, content in files.items()})
+        border.write_files({directory / name: content for name, content in files.items()})
     except OSError as error:
         if new and directory.is_dir() and not any(directory.iterdir()):
             directory.rmdir()
@@ -279,7 +271,7 @@ def digest(path: Path) -> tuple[str, int]:
     of those that links lead to outside. Raises InputError: a file cannot be read."""
     total, size = hashlib.sha256(), 0
     try:
-        inside = sorted(p for p in path.rglob("*") if p.is_file() and is_inside(p, path))
+        inside = sorted(p for p in path.rglob("*") if p.is_file() and border.is_inside(p, path))
         for part in inside if path.is_dir() else [path]:
             if path.is_dir():
                 head = f"{part.relative_to(path)}\0{part.stat().st_size}\0"

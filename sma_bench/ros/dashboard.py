@@ -29,20 +29,7 @@ from sma_bench.dashboard.live_state import CELSIUS_ZERO, LIMITS, MEASURED, MODEL
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
 from sma_bench.records.contract import BATTERY_STATE, JOINT_SIGNALS, MULTI_ARRAY, STRING, place_of
-from sma_bench.ros.node import (
-    COMMAND,
-    LATCHED,
-    NANOSECONDS,
-    NOT_YET_KNOWN,
-    READINGS,
-    OneThreadExecutor,
-    OverridableNode,
-    message_class,
-    signature,
-    stamp_of,
-    start_ros,
-    voltage_command,
-)
+from sma_bench.ros import node as ros
 
 _LOOK_EVERY, _ASK_EVERY, _SPIN, _PATIENCE = 0.5, 2.0, 0.05, 5.0  # s
 _ASKED = ["bench.channels", *LIMITS]  # which only nodes with limits of the bench know
@@ -62,7 +49,7 @@ _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMB
 _MOST_TOPICS, _MOST_CLIENTS, _MOST_CHANNELS = 500, 200, 64
 
 
-class DashboardNode(OverridableNode):
+class DashboardNode(ros.OverridableNode):
     """Everything of one bench into a LiveState; `send_stop` and `send_zero` from any thread."""
 
     def __init__(self, namespace: str, state: LiveState) -> None:
@@ -74,9 +61,9 @@ class DashboardNode(OverridableNode):
         self._reported: dict[str, dict[str, float]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
-        self._command = self.create_publisher(Float64MultiArray, COMMAND, READINGS)
-        self._signature = signature(self)
-        self._listen("/diagnostics", DiagnosticArray, self.on_diagnostics, READINGS)
+        self._command = self.create_publisher(Float64MultiArray, ros.COMMAND, ros.READINGS)
+        self._signature = ros.signature(self)
+        self._listen("/diagnostics", DiagnosticArray, self.on_diagnostics, ros.READINGS)
         self.create_timer(_LOOK_EVERY, self._look)
         self.create_timer(_ASK_EVERY, self._ask)
         self._look()
@@ -100,7 +87,7 @@ class DashboardNode(OverridableNode):
         count = self._commanded or len(self._channels) or len(self.state.voltages())
         if count:
             channels = self._channels if len(self._channels) == count else ()
-            self._command.publish(voltage_command(channels, [0.0] * count, self._signature))
+            self._command.publish(ros.voltage_command(channels, [0.0] * count, self._signature))
         return bool(count)
 
     def start_work(self, kind: str, records: list[str]) -> None:
@@ -139,13 +126,13 @@ class DashboardNode(OverridableNode):
 
     def _look(self) -> None:
         elsewhere, foreign = set(), {}
-        obeying = {info.node_name for info in self.get_subscriptions_info_by_topic(COMMAND)}
+        obeying = {info.node_name for info in self.get_subscriptions_info_by_topic(ros.COMMAND)}
         for topic, types in self.get_topic_names_and_types():
             if topic.startswith(self._inside):
                 self._take(topic, topic.removeprefix(self._inside).split("/"), types)
                 if (place := place_of(topic)) and place.type == BATTERY_STATE:
                     sources = {i.node_name for i in self.get_publishers_info_by_topic(topic)}
-                    for name in sources - obeying - {NOT_YET_KNOWN}:
+                    for name in sources - obeying - {ros.NOT_YET_KNOWN}:
                         foreign[topic.split("/")[-2]] = shown(name)
             elif (place := place_of(topic)) and place.meaning.endswith("/power"):
                 elsewhere.add(place.namespace)
@@ -176,13 +163,13 @@ class DashboardNode(OverridableNode):
         place = place_of(meaning)
         if place and place.meaning == meaning and place.type in types and what in _READINGS:
             heard = partial(self.on_reading, meaning, MODEL if is_twins else MEASURED)
-            self._listen(topic, message_class(place.type), heard, READINGS)
-        elif meaning == COMMAND and not is_twins and MULTI_ARRAY in types:
-            self._listen(topic, Float64MultiArray, self.on_command, READINGS)
+            self._listen(topic, ros.message_class(place.type), heard, ros.READINGS)
+        elif meaning == ros.COMMAND and not is_twins and MULTI_ARRAY in types:
+            self._listen(topic, Float64MultiArray, self.on_command, ros.READINGS)
         elif len(parts) == 2 and not is_twins and STRING in types and (
             what in ("state", "progress") or (what == "result" and node in _WORK.values())
         ):
-            self._listen(topic, String, partial(getattr(self, f"on_{what}"), node), LATCHED)
+            self._listen(topic, String, partial(getattr(self, f"on_{what}"), node), ros.LATCHED)
 
     def _listen(
         self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile
@@ -223,7 +210,7 @@ class DashboardNode(OverridableNode):
 
     def on_reading(self, meaning: str, kind: str, message: Any) -> None:
         place, _, what = meaning.rpartition("/")
-        reading = partial(self.state.reading, kind=kind, stamp=stamp_of(message) / NANOSECONDS)
+        reading = partial(self.state.reading, kind=kind, stamp=ros.seconds_of(message))
         if what == "temperature":
             reading("temperature", place, message.temperature + CELSIUS_ZERO)
         elif what == "range":
@@ -290,11 +277,11 @@ def listening_node(
     except InvalidNamespaceException as error:
         reason = str(error).splitlines()[0].removesuffix(":")
         raise InputError(f"dashboard: namespace {namespace!r}: {reason}") from None
-    start_ros(ros_arguments)
+    ros.start_ros(ros_arguments)
     node, ended = DashboardNode(namespace, state), threading.Event()
 
     def spin() -> None:
-        executor = OneThreadExecutor()
+        executor = ros.OneThreadExecutor()
         executor.add_node(node)
         try:
             while not ended.is_set():

@@ -186,6 +186,11 @@ def stamp_of(message: Any) -> int:
     return int(message.header.stamp.sec) * NANOSECONDS + int(message.header.stamp.nanosec)
 
 
+def seconds_of(message: Any) -> float:
+    """The same in s."""
+    return stamp_of(message) / NANOSECONDS
+
+
 def recorded_topics(node: Node) -> dict[str, str]:
     """Topics that belong into a bag of the node's namespace and have a publisher; their types."""
     inside = node.get_namespace().rstrip("/") + "/"

@@ -8,17 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import (
-    AUSTENITE_TEST_TEMPERATURE,
-    DETWINNED_AT,
-    DSC_CYCLES,
-    HOLDING_FORCE,
-    MARTENSITE_TEST_TEMPERATURE,
-    TRANSITIONS,
-    UPFR_FINISH,
-    UPFR_START,
-)
+from sma_bench.parameters import Parameters, published
+from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import wire_section
 from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.bending import bending_coefficients
@@ -56,7 +47,7 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> DscRecord:
     if _is_papers_wire(parameters):
         cycles = [
             parameters.replace({TRANSITIONS[symbol]: value for symbol, value in cycle.items()})
-            for cycle in DSC_CYCLES
+            for cycle in published.DSC_CYCLES
         ]
     random = np.random.default_rng(seed)
     segments: list[DscSegment] = []
@@ -146,9 +137,10 @@ def tensile_test(parameters: Parameters, temperature: float, name: str, seed: in
     if temperature <= parameters["wire.martensite_finish_temperature"]:
         phase, e_m = "martensite", parameters["wire.martensite_modulus"]
         begins, last = _DETWINNING_STRESS / e_m, 2.0 * _LARGEST_STRAIN
-        ends = _DETWINNING_STRESS + _DETWINNING_SLOPE * (DETWINNED_AT - begins)
-        curve = np.array([0.0, begins, DETWINNED_AT, last])
-        load = np.array([0.0, _DETWINNING_STRESS, ends, ends + e_m * (last - DETWINNED_AT)])
+        ends = _DETWINNING_STRESS + _DETWINNING_SLOPE * (published.DETWINNED_AT - begins)
+        curve = np.array([0.0, begins, published.DETWINNED_AT, last])
+        beyond = e_m * (last - published.DETWINNED_AT)
+        load = np.array([0.0, _DETWINNING_STRESS, ends, ends + beyond])
     else:  # eqs. (6), (7), (9), (11) loaded from austenite
         load = np.linspace(0.0, 2e9, 20001)
         xi = cooled_fraction(temperature, load, parameters)
@@ -180,7 +172,7 @@ STRESSES = (10e6, 50e6, 100e6, 150e6, 200e6)
 
 def _is_papers_wire(parameters: Parameters) -> bool:
     """Whether the transition temperatures are those of Table II, cycle 2."""
-    second = DSC_CYCLES[1]
+    second = published.DSC_CYCLES[1]
     return all(parameters[name] == second[symbol] for symbol, name in TRANSITIONS.items())
 
 
@@ -240,11 +232,12 @@ def _upfr_tests(wire: Parameters) -> tuple[IsobaricRecord, ...]:
     """E6: specimens with the paper's mean and deviation of where tangents meet under the holding
     force; first cycle, as prestrained. Those of another wire deviate as much from its own
     temperatures."""
-    stress = HOLDING_FORCE / wire_section(wire)
+    stress = published.HOLDING_FORCE / wire_section(wire)
     shift = stress / wire["wire.stress_influence_austenite"]
-    start, finish = UPFR_START[0], UPFR_FINISH[0]
+    start, finish = published.UPFR_START[0], published.UPFR_FINISH[0]
     if _is_papers_wire(wire):
-        wire = wire.replace({TRANSITIONS[end]: DSC_CYCLES[0][end] for end in ("M_s", "M_f")})
+        first = published.DSC_CYCLES[0]
+        wire = wire.replace({TRANSITIONS[end]: first[end] for end in ("M_s", "M_f")})
     else:
         start = wire["wire.austenite_start_temperature"]
         finish = wire["wire.austenite_finish_temperature"]
@@ -253,8 +246,8 @@ def _upfr_tests(wire: Parameters) -> tuple[IsobaricRecord, ...]:
     tests = []
     for k, deviation in enumerate(REPEATS):
         # The cosine of eq. (10) with these tangents reaches further out at both ends.
-        a_s = start + UPFR_START[1] * deviation
-        a_f = finish + UPFR_FINISH[1] * deviation
+        a_s = start + published.UPFR_START[1] * deviation
+        a_f = finish + published.UPFR_FINISH[1] * deviation
         middle, half = 0.5 * (a_s + a_f) - shift, 0.5 * (a_f - a_s) * _COSINE_WIDTH
         specimen = wire.replace({
             "wire.austenite_start_temperature": middle - half,
@@ -270,8 +263,8 @@ def _tensile_tests(parameters: Parameters) -> tuple[TensileRecord, ...]:
     cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE
     hot = float(parameters["wire.austenite_finish_temperature"]) + _WELL_INSIDE
     temperatures = {
-        "martensite": min(MARTENSITE_TEST_TEMPERATURE, cold),
-        "austenite": max(AUSTENITE_TEST_TEMPERATURE, hot),
+        "martensite": min(published.MARTENSITE_TEST_TEMPERATURE, cold),
+        "austenite": max(published.AUSTENITE_TEST_TEMPERATURE, hot),
     }
     tests = []
     for k, deviation in enumerate(REPEATS):

@@ -22,7 +22,8 @@ from sma_bench.paper.figures import composite_run
 from sma_bench.paper.lab import identify_lab, paper_page, sort_records
 from sma_bench.paper.page import TABLES, html_table
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import DSC_CYCLES, TRANSITIONS
+from sma_bench.parameters.parameter import TRANSITIONS
+from sma_bench.parameters.published import DSC_CYCLES
 from sma_bench.records import Record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.report.experiment_figures import experiment_pictures
