@@ -1,8 +1,7 @@
 """Test bench software for shape-memory-alloy actuators (Keshtkar et al.).
 
 For notebooks: `sma_bench.load`, `simulate`, `measure`, `identify`, `diagnose`, `compare`,
-`to_frame`, and what else `sma_bench.api` lists. It is imported at the first use, so
-`import sma_bench` itself is quick.
+`to_frame`, and what else `sma_bench.api` lists, which is imported at its first use.
 """
 
 import sys

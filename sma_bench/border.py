@@ -274,8 +274,7 @@ def load_yaml(text: str, aliases: bool = False) -> Any:
 
 
 def read_yaml(path: str | Path, aliases: bool = False) -> Any:
-    """What a YAML file holds; of `aliases` see `load_yaml`. Raises InputError: unreadable or not
-    YAML, in one line."""
+    """What a YAML file holds; of `aliases` see `load_yaml`. InputError: unreadable or not YAML."""
     text = read_text(path, LARGEST_YAML)
     try:
         return load_yaml(text, aliases)
@@ -360,8 +359,7 @@ def claimed(name: str, said: str = "") -> socket.socket:
 def write_files(files: Mapping[Path, bytes]) -> None:
     """Write files so that all of them appear or none: what is there is replaced once all are on the
     disk, and put back should that fail halfway. A file that is replaced keeps its mode, and a link
-    stays one. Raises OSError: a folder cannot be written, or something else than a file lies in the
-    way."""
+    stays one. Raises OSError: a folder cannot be written, or what is no file is in the way."""
 
     def beside(target: Path, content: bytes, mode: int) -> Path:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=".sma_bench.")

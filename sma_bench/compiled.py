@@ -177,7 +177,6 @@ def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]])
 
 
 def threads_to_spare() -> int:
-    """How many run side by side; none within such work, and in a process of a pool, which has the
-    other cores busy."""
+    """How many run side by side; none within such work, and in a pool, which has all cores."""
     busy = getattr(_WORKER, "busy", False) or parent_process() is not None
     return 0 if busy or os.environ.get("NUMBA_NUM_THREADS") == "1" else _THREADS

@@ -100,8 +100,7 @@ class PI:
         self._integral = self._output = min(max(output, self.limits.low), self.limits.high)
 
     def step(self, reference: float, measured: float, dt: float, feedforward: float = 0.0) -> float:
-        """The output from now until `dt` s later; InputError: a number that is not finite, or dt
-        not above 0."""
+        """The output for the next `dt` s; InputError: a number not finite, or dt not above 0."""
         require("PI", "dt", dt, " s")
         error = reference - measured
         if not math.isfinite(error + feedforward):
@@ -120,15 +119,13 @@ class PI:
 class Heating:
     """Power of wires as the controlled input: v = sqrt(P R) makes eq. (2) linear.
 
-    It is limited by what voltage and current allow, and by what keeps the wires below their highest
-    temperature by the model, whatever a sensor says: an infrared spot wider than the wire reads
-    low.
+    Limited by what voltage and current allow, and by what keeps the wires below their highest
+    temperature by the model, whatever a sensor says: a spot wider than the wire reads low.
     """
 
     def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
-        """The wires of a bench, at ambient temperature. `maximum_power` W is below what its voltage
-        and current allow, 0 for just that; `power_rate` W/s, 0 for no limit. InputError: a
-        negative limit."""
+        """The wires of a bench, at ambient. `maximum_power` W is below what its voltage and current
+        allow, 0 for that; `power_rate` W/s, 0 for no limit. InputError: a negative one."""
         require("heating", "maximum_power", maximum_power, zero=True)
         require("heating", "power_rate", power_rate, zero=True)
         drive, self._resistance = p["bench.drive"], heated_resistance(p)
@@ -188,9 +185,8 @@ class TemperatureController:
         closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
     ) -> None:
         """Tuned for steps of `period` s. `delay`: s from a temperature to the power that answers
-        it, beyond half a period, which the held output is late by itself; `closed_loop_time`,
-        `maximum_power`, `power_rate`: as `Gains.simc`, `Heating`. Raises InputError: a number out
-        of range."""
+        it, beyond half a period, which the held output is late by itself; others: as `Gains.simc`,
+        `Heating`. InputError: a number out of range."""
         require("temperature control", "period", period, " s")
         self.heating = Heating(parameters, maximum_power, power_rate)
         self.gains = Gains.simc(

@@ -24,8 +24,7 @@ class Drawn:
 
         Of a record, a simulation or an overlay `what` are signals or quantities ("wire.current",
         "temperature"), of an identification "agreement" or "correlation", of a diagnosis "signals",
-        "where", "candidates", "evidence" or "next". Raises InputError: there is nothing of that
-        name to draw.
+        "where", "candidates", "evidence" or "next". Raises InputError: nothing has that name.
         """
         return Drawn.drawing_room("plots").picture_of(self, *what)
 

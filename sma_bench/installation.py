@@ -1,5 +1,4 @@
-"""Which version this is, and where its shared files (config/, launch/) are, however it was
-installed."""
+"""Which version this is, and where its shared files (config/, launch/) are installed."""
 
 import os
 import sys

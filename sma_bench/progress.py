@@ -17,8 +17,7 @@ def silent(share: float, what: str = "") -> None:
 
 
 def part(report: Report, low: float, high: float, name: str = "") -> Report:
-    """The reporter of a part of the work, from one share of the whole to another; `name` leads
-    what it tells."""
+    """The reporter of a part of the work, from one share to another; `name` leads what it tells."""
 
     def reporter(share: float, what: str = "") -> None:
         named = ": ".join(filter(None, (name, what)))
@@ -45,8 +44,7 @@ def counted(report: Report, total: int, unit: str) -> Callable[[int], None]:
 
 
 def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
-    """From which share of the whole to which each step goes. `plan`: how long each step takes, in
-    order, in any unit."""
+    """From which share of the whole to which steps go. `plan`: how long they take, in any unit."""
     ends = [0.0, *accumulate(plan.values())]
     return {
         step: (low / ends[-1], high / ends[-1])

@@ -31,8 +31,7 @@ from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
 
-# s: a command clock sums periods such as 0.05 s; the rounding of that sum must not delay a step by
-# one whole period.
+# s: a command clock sums periods; the rounding of that must not delay a step by a whole period.
 _TIME_ROUNDING = 1e-6
 _PAPER_FORCE = 1.0  # N, E6 (section III.B.1)
 # What still counts as settled: the means of the two halves of a window differ by less [K, m].
@@ -161,8 +160,7 @@ class Protocol:
 
 
 class Waiting:
-    """Ends the steps of a protocol by what is measured: readings in, s to pass over out; its times
-    are the bench's."""
+    """Ends a protocol's steps by what is measured: readings in, s to pass over out (bench time)."""
 
     def __init__(self, protocol: Protocol) -> None:
         self.protocol = protocol

@@ -205,8 +205,7 @@ def _templates(folder: Path) -> "jinja2.Environment":
     import jinja2  # a tenth of a second that only those who read a result wait for
 
     class Translated(jinja2.FileSystemBytecodeCache):
-        """Templates are translated once, which takes as long as the import; a full disk does no
-        harm."""
+        """Templates are translated once, which takes as long as the import; disks may be full."""
 
         def dump_bytecode(self, bucket: "jinja2.bccache.Bucket") -> None:
             with suppress(OSError):
@@ -236,8 +235,7 @@ def _templates(folder: Path) -> "jinja2.Environment":
 
 
 def two_errors(number: Any) -> str:
-    """Value ± statistical ± systematic error of an `Estimate`, to the digits that the smaller
-    leaves it, and the unit."""
+    """Value ± statistical ± systematic error of an `Estimate`, to its own digits, and the unit."""
     parts = [part for part in (number.statistical, number.systematic) if part > 0.0]
     if not number.systematic > 0.0 or not all(map(math.isfinite, (number.value, *parts))):
         return in_unit(with_error(number.value, number.std), number.unit)

@@ -168,9 +168,8 @@ def _recorded_and_asked(
     simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
     settings: Callable[[list[str]], Mapping[str, Any]], files: tuple[Path, ...] = (),
 ) -> tuple[list[str], dict[str, Any]]:
-    """Bags of protocols, run one after the other by the nodes of a simulated bench that is what the
-    file says; and what a node's `service` makes of them, with the settings for these bags and its
-    parameter files."""
+    """Bags of protocols, run one after the other by the nodes of the file's simulated bench; and
+    what a node's `service` makes of them, with these settings and parameter files."""
     node, _, work = service.partition("/")
     with options.needs_ros("demo"):
         from sma_bench.ros.bench_client import BenchClient

@@ -13,8 +13,7 @@ MISFIT = 3  # exit status: the model does not fit the records
 
 @options.command("identify")
 def run(args: SimpleNamespace) -> int:
-    """Identify, print a table, write the files that were asked for; 3 where the model does not
-    fit the records."""
+    """Identify, print a table, write files; 3 where the model does not fit the records."""
     from sma_bench.records.open import parse_stated
     from sma_bench.results import card, card_lines, card_text
     from sma_bench.tasks.work import identify_files, write_identified

@@ -12,8 +12,7 @@ _MOST_MARKERS = 20
 
 @options.command("info")
 def run(args: SimpleNamespace) -> int:
-    """Print topics, signals and findings, whatever they say. Raises InputError: no record, or one
-    of another robot."""
+    """Print topics, signals and findings. InputError: no record, or another robot's."""
     from sma_bench.records import describe, open_records
     from sma_bench.records.open import parse_stated
     from sma_bench.report.tables import record_line, record_tables

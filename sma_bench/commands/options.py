@@ -268,8 +268,7 @@ def parameters_from_options(args: SimpleNamespace) -> "Parameters":
 
 
 def pair(option: str, text: str, form: str = "NAME=VALUE") -> tuple[str, str]:
-    """Name and value of an option's text; a file's name may have = in it. Raises InputError: it is
-    not of that form."""
+    """Name and value of an option's text; a file's name may have =. InputError: another form."""
     name, _, value = text.rpartition("=") if form.startswith("FILE") else text.partition("=")
     if "=" not in text or not name:
         raise InputError(f"{option} {text}: expected {form}")

@@ -27,8 +27,7 @@ def run(args: SimpleNamespace) -> int:
 
         choose_discovery(network=True)
     sys.argv[1:] = [args.node, *rest[network:]]
-    # As `python -m` would, and it ends this process: commands know of nodes as little as these of
-    # commands.
+    # As `python -m` would, and it ends this process: commands and nodes do not know of each other.
     with options.needs_ros("run"):
         runpy.run_module("sma_bench.nodes.start", run_name="__main__")
     return 0

@@ -148,8 +148,7 @@ class WorkState:
 @contextmanager
 def progress(title: str, state: WorkState | None = None) -> Iterator[Report]:
     """Show how far the work inside is, which calls what is yielded. Print nothing on standard
-    output meanwhile: it would run into the line. `state`: of work that has begun already, to go on
-    with."""
+    output meanwhile: it would run into the line. `state`: of work that has begun already."""
     state, over = state or WorkState(), threading.Event()
 
     def show() -> None:

@@ -99,12 +99,10 @@ def _address(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 class DashboardServer:
-    """Serves one bench, as `stop` takes it; `url`, with its token, is the only address that
-    answers."""
+    """Serves one bench, as `stop` takes it; only `url`, with its token, answers."""
 
     def __init__(self, bench: Any, title: str, host: str, port: int) -> None:
-        """Listen; port 0 is any that is free. Raises InputError: the address cannot be listened
-        on."""
+        """Listen; port 0 is any that is free. Raises InputError: the address is not to be had."""
         try:
             sockets = tornado.netutil.bind_sockets(port, host)
         except (OSError, OverflowError) as error:

@@ -264,8 +264,7 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     alone). What nothing explains has that stage, or the one of the effect that gains most; the
     share that it keeps without any sign of it tells of none.
     """
-    # How likely the parameters of one of the stages move so far by chance: squared prior deviations
-    # are chi squared.
+    # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved: dict[str, list[float]] = {}
     unknowns = found.recalibrated.unknowns
     for name, x in zip(unknowns.bench_names, found.recalibrated.x.tolist(), strict=False):

@@ -128,8 +128,7 @@ def least_stds(parameters: Parameters) -> dict[str, float]:
 
 
 def measured(parameters: Parameters) -> frozenset[str]:
-    """Parameters that are stated as well as the best test of the paper leaves them: they were
-    measured."""
+    """Parameters stated as well as the best test of the paper leaves them: they were measured."""
     stated = parameters.given_uncertainty
     return frozenset(
         name for name, std in least_stds(parameters).items()

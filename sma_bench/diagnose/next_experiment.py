@@ -320,8 +320,7 @@ def _planned(
     document: Mapping[str, Any], fitted: Fit, matter: Matter, mounted: Sequence[str]
 ) -> Problem:
     """The bench on a protocol that it has not run: the same sensors at the same rates, and new ones
-    of the quantities that are `mounted`. Raises InputError: the wires would get hotter than the
-    bench's limit."""
+    of the quantities that are `mounted`. Raises InputError: the wires would get too hot."""
     protocol = parse_protocol(dict(document), matter.parameters, "next experiment")
     time, commanded = protocol.sample(_PERIOD)
     voltage = heating_voltage(commanded, matter.parameters)
@@ -412,8 +411,7 @@ def prospect(
 
     def against(truth: str, rival: str, luck: float) -> float:
         """Nats. An effect that is not there is told by not being seen, which takes an experiment
-        that would show it; without that its freedom alone speaks against it, and that settles
-        nothing."""
+        that would show it; its freedom alone settles nothing."""
         telling = tellings[truth, rival]
         nats = telling.evidence + luck * telling.distance
         visible = max(telling.distance, tellings[rival, truth].distance) >= VISIBLE

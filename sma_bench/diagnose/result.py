@@ -243,8 +243,7 @@ def _numbers(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
 
 
 def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
-    """A diagnosis from what its JSON held. Raises InputError: one line that begins with `where` and
-    names the field."""
+    """A diagnosis from what its JSON held. InputError: a line with `where` and the field."""
     if isinstance(document, dict):  # null stands for none here, for no number elsewhere
         document = {name: value for name, value in document.items() if value is not None}
         document["path"] = where

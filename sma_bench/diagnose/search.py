@@ -50,8 +50,7 @@ _INSTEAD = {
     }
 }
 
-# Prior deviations of the number that switches an effect on: what a large one does says little
-# about a small one.
+# Prior deviations of the number that switches an effect on: large ones say little about small ones.
 _SIZES = (0.012, 0.06, 0.3, 1.5)
 _STRETCH = (0.3, 2.0)  # of a tried size that is still believed
 # Numbers that shape an effect are tried over their range; the others start at their default.
@@ -186,8 +185,7 @@ def held_back(doubted: Collection[str]) -> list[str]:
 
 
 def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
-    """Effects that this load and this law can have, that show in these signals and are not believed
-    in yet."""
+    """Effects that this load and law can have and these signals show, not yet believed in."""
     stated, load, law = stated_effects(parameters), load_kind(parameters), parameters["wire.law"]
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
     # Where the motion is imposed, the force shows what else shows in the motion.

@@ -1,5 +1,4 @@
-"""How large a gap is in the noise of the sensors, where it lies, and how far it shrinks on data
-that no fit saw.
+"""How large a gap is in the sensors' noise, where it lies, how far it shrinks on data held out.
 
     fraction = 1 - sqrt((after^2 - noise^2)/(before^2 - noise^2))
 
@@ -34,8 +33,7 @@ _BLOCK = 8.0  # s, longer than any sensor remembers
 _DRAWS = 400
 _SEED = 1
 _SMALLEST = 0.3  # of the noise: below it there is no gap to shrink
-# From one drive to another: standard deviations of the log of what is left, and of what no drive is
-# without.
+# From one drive to another: standard deviations of the log of what is left, and of what all have.
 _BETWEEN_DRIVES, _AT_LEAST = 0.4, 0.007
 _STATE_STEP, _MOST_STATES = 0.25, 4000  # s
 _STATE = 4  # numbers of a wire's state
@@ -103,8 +101,7 @@ def locate(problem: Problem, difference: Array) -> list[Cell]:
 
 
 def _sides(block: Block) -> NDArray[np.str_]:
-    """The wire's own side; for the deflection the side that was driven last; "" where there is but
-    one."""
+    """The wire's own side; for the deflection the side driven last; "" where there is but one."""
     obs, time = block.observation, block.signal.time
     if len(set(obs.sides)) == 1:
         return np.full(len(time), "")

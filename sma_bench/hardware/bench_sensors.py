@@ -188,9 +188,8 @@ class BenchSensors:
         )
 
     def millivolts(self, voltage: Sequence[float], supply_reading: float) -> list[int]:
-        """What to command for `voltage` V at the bench's wires; other outputs stay off. The device
-        drives in proportion to its own reading of the supply, `supply_reading` V; the calibration
-        knows better."""
+        """What to command for `voltage` V at the wires; other outputs stay off. The device drives
+        by its own reading of the supply, `supply_reading` V; the calibration knows better."""
         true = self.supply.apply(supply_reading)
         scale = supply_reading / true if supply_reading > 0.0 and true > 0.0 else 1.0
         command = [0] * CHANNELS
@@ -278,8 +277,7 @@ class SensorFit(NamedTuple):
     parameters: dict[str, float]
     std: dict[str, float]  # standard errors that the scatter gives, NaN with two points
     rest: float  # rms of what is left, in the unit of the known loads
-    # what it leaves open of the readings of this kind, by the parameters `sensor.`; none with two
-    # points
+    # what it leaves open of such readings, by the parameters `sensor.`; of two points none
     uncertainty: dict[str, float]
 
 
@@ -288,8 +286,7 @@ def fit_sensor(
 ) -> SensorFit:
     """Fit a sensor of SENSORS to readings (n,) of known loads (n,). `shift`: m, depth of the lens
     behind the face of a range sensor; others have none. Raises InputError: fewer than two different
-    readings, values that are not finite, a gain of zero, a distance that is not in front of the
-    lens."""
+    readings, values that are not finite, a gain of zero, a distance not in front of the lens."""
     kind, std = SENSORS[name], dict[str, float]()
     x, y = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
     if x.shape != y.shape:
@@ -329,8 +326,7 @@ def fit_sensor(
 
 
 def _line(readings: ArrayLike, known: ArrayLike) -> tuple[float, float, float, float, float]:
-    """Least-squares gain and offset, their standard errors, and the scatter about the line: NaN
-    with two points."""
+    """Least-squares gain and offset, their standard errors, the scatter: NaN of two points."""
     x, y = np.asarray(readings), np.asarray(known)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("calibration: a reading or a load is not finite")

@@ -45,8 +45,7 @@ class LateAnswer(LinkError):
 
 
 def find_port(folder: Path = BY_ID) -> str:
-    """The one serial device with a stable name. Raises InputError: none, or several: the message
-    names them."""
+    """The one serial device with a stable name. InputError: none, or several, named."""
     names = sorted(str(path) for path in folder.glob("*")) if folder.is_dir() else []
     if len(names) != 1:
         found = ", ".join(names) or "none"
@@ -100,8 +99,7 @@ def open_port(path: str) -> serial.Serial:
 
 @dataclass
 class LinkStatus:
-    """All that the link knows of the device; counts are since the link was made, or (*) of this
-    connection."""
+    """All that the link knows of the device; counts are of the link, or (*) of this connection."""
 
     connected: bool = False
     device: messages.DeviceIdentity | None = None
@@ -361,8 +359,7 @@ class SerialLink:
 
     def _ask(self, letter: str, *numbers: int, answer: str = "") -> messages.Answer:
         """What the device answers to a command; `answer` is its letter where it is another one.
-        Raises LateAnswer: it does not come in time. LinkError: it is a refusal, or the port is
-        closed."""
+        Raises LateAnswer: it does not come in time. LinkError: a refusal, or a closed port."""
         with self._one_question:
             port, self._answers, self._asked = self._port, {}, letter
             try:
@@ -381,8 +378,7 @@ class SerialLink:
         return found
 
     def _receive(self, patience: float = _READ_TIMEOUT) -> tuple[list[messages.Message], float]:
-        """What came in within `patience` s, and the host time when it was read. Raises OSError: the
-        port is gone."""
+        """What came in within `patience` s, and when (host time). OSError: the port is gone."""
         port = self._port
         assert port is not None
         port.timeout = max(patience, 0.0)

@@ -182,8 +182,7 @@ def command(letter: str, *numbers: int) -> str:
 
 
 def decode(body: bytes) -> Message:
-    """The message in a body whose checksum was right. Raises ProtocolError: it is not one that this
-    host knows."""
+    """The message in a body whose checksum was right. Raises ProtocolError: an unknown one."""
     packed = body[1:] if body[:1] == b"B" and len(body) == 1 + _BINARY.size else b""
     try:
         letter, *fields = [""] if packed else body.decode("ascii").split(" ")

@@ -25,9 +25,8 @@ class FrameJudge:
     surface. Two real pictures are never equal, for noise."""
 
     def __init__(self, stale_limit: float, shutter_spread: float, shutter_settle: float) -> None:
-        """`stale_limit` s is the oldest age of a frame; a frame whose pixels differ by
-        less than `shutter_spread` K is the shutter (0: never), and so is what comes within
-        `shutter_settle` s after it."""
+        """`stale_limit` s is a frame's oldest age; one whose pixels differ by less than
+        `shutter_spread` K is the shutter (0: never), with what comes `shutter_settle` s after."""
         self._stale_limit = stale_limit
         self._shutter_spread, self._settle = shutter_spread, shutter_settle
         self._stamp = self._shut = -math.inf
@@ -85,8 +84,7 @@ class ExpectedWarmth:
 
 def wire_gauges(parameters: Parameters, settings: Mapping[str, Any]) -> list[WireGauge]:
     """One gauge a channel, from the parameters of `ir_camera`. Raises InputError: regions that do
-    not fit channels or picture, an unknown statistic, a range of the camera that ends before it
-    begins."""
+    not fit channels or picture, an unknown statistic, an empty range of the camera."""
     lowest, highest = settings["camera_lowest"], settings["camera_highest"]
     if settings["statistic"] not in STATISTICS:
         raise InputError(f"statistic: {settings['statistic']!r}, expected {', '.join(STATISTICS)}")

@@ -44,8 +44,7 @@ def decode_frame(
 ) -> Frame:
     """Pixel values (height, width) of an image message's fields; no copy where none is needed.
     `size`: expected width and height; `step`: bytes from one row to the next; `data`: bytes, or
-    anything with the buffer of bytes. Raises InputError: wrong encoding or size, or fewer bytes
-    than promised."""
+    what has their buffer. Raises InputError: wrong encoding, size or number of bytes."""
     flat = np.frombuffer(data, np.uint8)  # type: ignore[call-overload]
     for wrong, said in (
         (encoding != ENCODING, f"has encoding {encoding!r}, expected {ENCODING!r}"),

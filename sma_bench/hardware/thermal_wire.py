@@ -109,8 +109,7 @@ class Optics(NamedTuple):
 
 
 class WireReading(NamedTuple):
-    """What one frame says about one wire; temperature and deviation are NaN where a reason holds
-    them back."""
+    """What a frame says about a wire; temperature and deviation are NaN where there is a reason."""
 
     kelvin: float = math.nan
     std: float = math.nan  # K

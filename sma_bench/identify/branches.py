@@ -337,8 +337,7 @@ def _fit(
     known, columns = parts(x)
     model = known + columns @ weights
 
-    # Each point with its own scatter (it is larger where strain is steep), all with one
-    # autocorrelation.
+    # Each point with its own scatter (larger where strain is steep), all with one autocorrelation.
     moves = []
     for k in range(2):
         moved_known, moved_columns = parts(x + np.where(np.arange(2) == k, 1e-4 * x[1], 0.0))

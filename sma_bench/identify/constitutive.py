@@ -158,8 +158,7 @@ def fit_constitutive(
     recovered at that stress; `curves` `<record, cycle>/temperature`, `/strain` and `/model`.
 
     `parameters`: E_A and E_M with their uncertainties (isobaric tests cannot tell them from eps_L),
-    and C_A, C_M in case all tests are at one stress. Raises InputError: no records, or too few
-    points.
+    and C_A, C_M should all tests be at one stress. InputError: no records, or too few points.
     """
     if not records:
         raise InputError("constitutive fit: no records")
@@ -416,8 +415,7 @@ def _unknowns(
 def _estimates(
     fit: LawFit, parameters: Parameters, findings: list[Finding]
 ) -> tuple[dict[str, Estimate], Correlation]:
-    """The contract's parameters, as far as records show them, in their ranges, and the correlation
-    of their errors."""
+    """The contract's parameters that records show, in their ranges, and the errors' correlation."""
     largest = max(loop.stress for loop in fit.loops)
     if largest > STRONGEST:
         findings.append(remark("no constitutive law"))

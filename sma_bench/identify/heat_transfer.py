@@ -99,8 +99,7 @@ def identify_heat_transfer(
             volts=volts[worst],
         ))
 
-    # Is it straight over V^2, or over R times a wire's power where there is a current, so that R
-    # may vary?
+    # Straight over V^2, or over R times a wire's power where there is a current, as R may vary?
     heating, errors, what = square, covariance(gain), "squared voltage"
     if has_samples(record, f"{channel}.current"):
         current = staircase.means(record, "current")

@@ -73,14 +73,12 @@ def identify(
     Staircases give E1 and E2, without any another drive that excites gives E0; ramps E3, DSC files
     E5, isobaric test files E6, tensile ones E7, the force of a clamped wire E8, load frames that
     hold loads E9, the composite and wires against a load E10 (which takes the load frame's bags
-    along: the same alloy). Several records are combined: the resistance of one bag serves the ramps
-    of another.
+    along). Records are combined: one bag's resistance serves another's ramps.
 
     `experiments`: names out of EXPERIMENTS; all that the records hold when None, but E9 on clamped
     wires and isobaric files, which takes a minute, only when named; `phases`: of tensile tests, by
     file name or pattern of names. Raises InputError: unknown experiment, one that was asked for but
-    cannot be done, or nothing at all to identify; the line lists what was found and what is
-    missing.
+    cannot be done, or nothing at all to identify; the line lists what is found and missing.
     """
     wanted = frozenset(EXPERIMENTS if experiments is None else experiments)
     unknown = sorted(wanted - set(EXPERIMENTS))

@@ -92,8 +92,7 @@ def identify_isobaric(
     diagram (`diagram/A_s/stress`, ...).
 
     `parameters`: moduli for the elastic part of the strain, and C_A, C_M to refer a single stress
-    to zero; the table's when None. Raises InputError: no records, or no branch with a
-    transformation.
+    to zero; the table's when None. Raises InputError: no records, or no transformation.
     """
     parameters = parameters or Parameters.defaults()
     if not records:
@@ -358,8 +357,7 @@ def _strains(
 def _about_branches(
     records: Sequence[IsobaricRecord], readings: Sequence[Reading]
 ) -> Iterator[Finding]:
-    """Strain that is clipped, branches turned round early, no cosines, and
-    cycles that are no repeats."""
+    """Clipped strain, branches turned round early, no cosines, and cycles that are no repeats."""
     # Strain that stays at its extreme to the last digit: the extensometer has no more travel.
     for record in records:
         strain = np.concatenate([b.strain for c in record.cycles for b in c.branches])

@@ -86,9 +86,8 @@ class IdentificationRun:
         for parameter in dict.fromkeys(p for e in found for p in e.estimates):
             own = combine([e.estimates[parameter] for e in found if parameter in e.estimates])
             if other := self.estimates.get(parameter):
-                # What an experiment gives that is nearer to what the model uses, beside what
-                # another gave: a calorimeter's tangents, the cosines of a loaded wire, the joint
-                # fit of all.
+                # What is nearer to what the model uses than what another gave: a calorimeter's
+                # tangents, the cosines of a loaded wire, the joint fit of all.
                 apart = (own.value - other.value) / math.hypot(own.std, other.std)
                 cause = "taken instead" if abs(apart) <= SIGNIFICANT else "taken, but far"
                 self.notes.append(remark(
@@ -139,9 +138,8 @@ class IdentificationRun:
 
     def weigh_priors(self, *fits: Experiment | None) -> None:
         """Join what was measured with what was stated of the same number: nothing is less sure than
-        it was before. A measurement that is surer counts alone, as it was made to replace what was
-        stated; so does one beside a default that nobody stated. Whole-model fits have weighed the
-        priors already."""
+        it was before. A surer measurement counts alone, made to replace what was stated; so does
+        one beside a default that nobody stated. Whole-model fits have weighed the priors."""
         told = [estimate for fit in fits if fit for estimate in fit.estimates.values()]
         given, notes = self.given, self.notes
         for name, e in list(self.estimates.items()):

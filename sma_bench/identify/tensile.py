@@ -228,10 +228,9 @@ def identify_tensile(
     and `/pieces` (m, 2).
 
     `parameters`: M_f and A_f of this wire, given or identified, which with the test's temperature
-    tell the phase, and its length and diameter where a file has elongation and force; those of the
-    table of defaults do not count; `phases`: phase by file name or pattern of names, before
-    everything else. Raises InputError: no records, a test whose phase is not known, or a curve
-    without elastic part.
+    tell the phase, and its length and diameter where a file has elongation and force; defaults do
+    not count; `phases`: phase by file name or pattern of names, before everything else. Raises
+    InputError: no records, a test of unknown phase, or a curve without elastic part.
     """
     parameters = parameters or Parameters.defaults()
     if not records:

@@ -73,8 +73,7 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
                 "plateaus too hot", path=record.path, count=len(hot), low=hot.min(),
                 high=hot.max(), limit=limit,
             ))
-        # Once slack, the wire tells nothing; all plateaus below zero force mean another zero or
-        # sign.
+        # Once slack, the wire tells nothing; all plateaus below 0 N mean another zero or sign.
         tight = here > max(float(np.max(np.abs(here))) * 0.02, _SLACK * error.max())
         if tight.any() and not tight[below].all():
             count = int(np.sum(~tight & below))

@@ -4,8 +4,7 @@ rates (Table II).
 Heat takes time to reach the sample, so onsets move with the rate, in proportion to it; the straight
 line through several rates gives the onset at rate zero (Hoehne et al., Thermochimica Acta 160,
 1990, calibrate the same way). The first heating of a prestrained sample starts later, because its
-detwinned martensite is stabilised; the second does not: that difference is the prestrain, not an
-error of measurement.
+detwinned martensite is stabilised; the second does not: that is the prestrain, no error.
 """
 
 import math
@@ -159,8 +158,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
 
 def _onset(t: Array, flow: Array) -> tuple[float, float, Line, Line, float]:
     """Where the outermost flank's tangent meets the baseline at the beginning of a scan: K, its
-    error from other smoothings and baselines, baseline, tangent, and K that the baseline is fitted
-    to."""
+    error from other smoothings and baselines, baseline, tangent, and K to which that is fitted."""
     from scipy.signal import find_peaks, savgol_filter  # half a second to load
 
     # Lines through the scan's beginning, extended while the scan stays on them.

@@ -99,8 +99,7 @@ def identify_driven_wires(
     records: Sequence[Record], parameters: Parameters, report: Report = silent
 ) -> Experiment:
     """R, h and c_p from whatever drive excites them, as far as the records tell them better than
-    was known. Raises InputError without a voltage of some channel, or where the drive tells nothing
-    of the wire."""
+    was known. InputError without a voltage of some channel, or where the drive tells nothing."""
     shortest = shared_bin(records, parameters)
     observations = [observe(record, parameters, shortest, _THERMAL) for record in records]
     title = "Joint fit of a drive that was made for something else"

@@ -41,8 +41,7 @@ class VirtualBench:
     """Steps the physics from one sample instant to the next and reads the instruments there.
 
     Whenever the wires are switched on after a rest, the instruments draw new noise from the seed
-    and the number of that pulse: the readings of a protocol do not depend on how long the bench
-    waited before it.
+    and the number of that pulse: readings do not depend on how long the bench waited before.
     """
 
     def __init__(self, parameters: Parameters, settings: Mapping[str, Any]) -> None:
@@ -118,8 +117,7 @@ class VirtualBench:
         return elongation + read("force", [float(bench.force.sum())])
 
 
-# Of the command timeout: how far simulated time may run ahead of a driver that is slower than
-# declared.
+# Of the command timeout: how far simulated time may run ahead of a slow driver.
 _SLOW_DRIVER_LEAD = 0.5
 _DEBT = 0.01  # wall s of delay that are caught up; longer ones (waiting for a driver) are not
 _SETTLE = 0.1  # wall s in which all that was sent before is surely heard
@@ -131,9 +129,8 @@ class Lockstep:
 
     Simulated time runs in slices, as long as the period of the commands. While commands come, one
     slice is run for each. A driver that stays away for `patience` s of wall time is either slower
-    than declared, and is waited for less often from then on, or gone, and its silence runs into
-    the command timeout as it would on the real bench. In real time there is no
-    lockstep: time goes on without commands.
+    than declared, and is waited for less often from then on, or gone, and its silence runs into the
+    command timeout as on the real bench. In real time, time goes on without commands.
 
     All times in s; `simulated` counts from the start of the simulation, `wall` is a steady clock.
     """

@@ -1,5 +1,4 @@
-"""What every node of the package shares: parameters from the tables, services, diagnostics, and a
-clean end (`start`)."""
+"""What all nodes share: parameters from tables, services, diagnostics, a clean end."""
 
 import contextlib
 import os
@@ -148,8 +147,7 @@ class BenchNode(OverridableNode):
             self.create_service(Trigger, f"~/{name}", partial(answered, act))
 
     def claim(self, what: str) -> None:
-        """Be the only one of this machine and ROS domain that has it. Raises InputError: it is
-        not."""
+        """Be the only one of machine and ROS domain that has it. Raises InputError: it is not."""
         self._claims.append(claimed(what))
 
     def fail(self, error: InputError) -> None:

@@ -303,8 +303,7 @@ def _discovery(given: Mapping[str, str]) -> dict[str, str]:
 
 
 def _nodes(planned: Sequence[PlannedNode], given: Mapping[str, str]) -> "list[Node]":
-    """All of them or none: launch would find out in the midst of starting them, and leave those
-    that run."""
+    """All of them or none: launch would find out while it starts them, and leave those that run."""
     from ament_index_python.packages import get_package_prefix
     from launch.actions import Shutdown
     from launch_ros.actions import Node

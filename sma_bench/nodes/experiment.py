@@ -1,7 +1,6 @@
 """Runs a protocol on the bench, and stops it at 0 V when something is wrong (`live.run`).
 
-Should it die without a word, the command timeout of the bridge or the simulator puts the outputs
-to 0 V.
+Should it die without a word, the bridge's or simulator's command timeout puts the outputs to 0 V.
 """
 
 import json

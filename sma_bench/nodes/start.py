@@ -49,8 +49,7 @@ _CLOSING, _LEAVING = 30.0, 2.5
 
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node, or all of a container, until SIGINT, SIGTERM, the end of one of them or of the
-    ROS context: 0 at a clean end, 2 after bad input, or without what it imports, of which one line
-    is logged.
+    ROS context: 0 at a clean end, 2 after bad input or without what it imports, logged in a line.
 
     The signals are handled here and not by rclpy, whose handler invalidates the context before a
     node can send its last message.

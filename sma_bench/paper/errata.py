@@ -1,8 +1,7 @@
 """The paper's errata: printed and corrected forms side by side, with numbers where there are any.
 
 Words, and where the numbers stand in them, are in errata.yaml. Geometry, C_A and C_M are not in the
-paper; the defaults of the parameter table, marked assumed there, stand in. All other numbers are
-the paper's own.
+paper; the parameter table's defaults, marked assumed there, stand in. All others are the paper's.
 """
 
 from collections.abc import Mapping

@@ -125,8 +125,7 @@ TABLES = _tables()
 
 
 def table_rows(name: str, outcomes: Mapping[str, ExperimentResults]) -> list[Row]:
-    """Rows of a table of TABLES with what the outcomes identified, an estimate or the first detail
-    of that name."""
+    """Rows of one of TABLES with what was identified, estimate or first detail of that name."""
     rows = []
     for row in TABLES[name][1]:
         outcome = outcomes.get(row.kind)

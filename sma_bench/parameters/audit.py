@@ -35,8 +35,7 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
 
     `papers_own`: whether findings on numbers that are all the paper's stand one by one; else they
     are one line. Findings are "warning" where numbers clash (the text says which and by how much),
-    "info" where a check passed. PAPER_NOTES items 7 to 10 and 16 are the warnings on the paper's
-    numbers.
+    "info" where a check passed. Warnings on the paper's numbers: PAPER_NOTES, 7 to 10 and 16.
     """
     thermal = _thermal(parameters)
     checked = [
@@ -84,8 +83,7 @@ def _texts() -> dict[str, dict[str, Any]]:
 def _judged(
     parameters: Parameters, subject: str, clash: str, numbers: dict[str, float], **facts: Any
 ) -> Finding:
-    """A warning where numbers clash, in the words that audit.yaml has for it; numbers and facts
-    stand in them."""
+    """A warning where numbers clash, in the words of audit.yaml, with numbers and facts in them."""
     texts = _texts()[subject]
     facts["wire"] = f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
     text = texts["text"] + (texts[clash] if clash else texts.get("passed", ": plausible"))
@@ -232,8 +230,7 @@ def _material(p: Parameters) -> list[Finding]:
 
 
 def _drive_and_load(p: Parameters) -> list[Finding]:
-    """Current at the highest voltage, and stress of the load that is held, and at full stroke of a
-    spring."""
+    """Current at the highest voltage; stress of a held load, and at a spring's full stroke."""
     found = []
     if p["bench.drive"] != "current":
         name = "bench.supply_voltage" if p["bench.drive"] == "duty" else "bench.maximum_voltage"

@@ -299,8 +299,7 @@ def wire_length_from_mass(parameters: Mapping[str, Any]) -> float:
 
 
 def as_recorded(parameters: Parameters) -> Parameters:
-    """The bench as its records show it: they hold the direct voltage of the same heat, whatever
-    was switched."""
+    """The bench as its records show it: they hold the direct voltage of the same heat."""
     if parameters["bench.drive"] == "voltage":
         return parameters
     return parameters.replace({"bench.drive": "voltage"})

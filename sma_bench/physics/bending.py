@@ -1,5 +1,4 @@
-"""Bending of the composite: eqs. (12) to (17), (22), (23), corrected
-(paper/printed.py has the printed forms).
+"""Bending of the composite: eqs. (12) to (17), (22), (23), corrected (printed: paper/printed.py).
 
 The active layer's modulus in EI and in the curvature is the martensite's: both describe the
 specimen as it lies at rest, and are constants of the model while E(xi) of eq. (7) is not.

@@ -40,8 +40,7 @@ def cosine_ramp(wires, i, position, spread):
 
 @borrowing
 def normal_ramp(position, spread):
-    """Ramp of normally distributed grains from 0 to 1, cut off where next to none are left; its
-    slope."""
+    """Ramp of normally distributed grains, 0 to 1, cut off where hardly any are left; its slope."""
     deviation = math.sqrt(NORMAL_DEVIATION * NORMAL_DEVIATION + spread * spread)
     away = (position - 0.5) / deviation
     if away <= -NORMAL_REACH:

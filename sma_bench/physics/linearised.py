@@ -64,8 +64,7 @@ class SideModel:
     @classmethod
     def of(cls, parameters: Parameters, side: str, state: State | None = None) -> Self:
         """The wires of `side` against the rig's own load; of antagonists the other side pulls back
-        as in `state`, else as cold martensite. InputError: no wire on that side, or ends that do
-        not give."""
+        as in `state`, else as cold martensite. InputError: no wire on that side, or fixed ends."""
         names = side_names(parameters)
         if side not in names:
             raise InputError(f"no wire on the {side}, expected {' or '.join(names)}")
@@ -190,8 +189,7 @@ class OperatingPoint(State):
         cls, parameters: Parameters, temperature: ArrayLike, branch: Branch,
         boundary: Boundary | None = None,
     ) -> Self:
-        """On the full loop, eq. (10) or (11), at one or (w,) temperatures [K]; InputError: as
-        `of_state`."""
+        """On the full loop, eq. (10) or (11), at one or (w,) K; InputError: as `of_state`."""
         wires = len(parameters["bench.channels"])
         kelvin = np.array(np.broadcast_to(np.asarray(temperature, dtype=float), (wires,)))
         hot = _AUSTENITE if branch == "cooling" else None

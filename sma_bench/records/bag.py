@@ -330,8 +330,7 @@ class CdrError(Exception):
 
 class _Layout(NamedTuple):
     """Where the fields of one message lie: `columns` by field (offset, numpy type, number of
-    elements), `texts` by field, and (offset, bytes) that another message must share to have this
-    layout."""
+    elements), `texts` by field, and (offset, bytes) that all messages of this layout share."""
 
     columns: dict[str, tuple[int, str, int]]
     texts: dict[str, tuple[str, ...]]
@@ -428,9 +427,8 @@ def decode(
 
 
 def encode(template: bytes, msgtype: str, columns: dict[str, Array]) -> list[bytes]:
-    """Copies of one serialised message with other numbers in it. `template`: a message whose
-    strings and sequences have the wanted content and length; `columns`: field -> (n,) or (n,
-    elements)."""
+    """Copies of a serialised message with other numbers. `template`: a message whose strings and
+    sequences have the wanted content and length; `columns`: field -> (n,) or (n, elements)."""
     layout = _find_layout(template, msgtype)
     n = len(next(iter(columns.values())))
     matrix = np.tile(np.frombuffer(template, dtype=np.uint8), (n, 1))

@@ -1,5 +1,4 @@
-"""Writes bags: message by message, readable whenever the writer dies, and signals as a bag of the
-contract.
+"""Writes bags: message by message, readable whenever the writer dies, and signals by the contract.
 """
 
 import errno

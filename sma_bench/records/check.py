@@ -284,8 +284,7 @@ def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
 # A linear filter of the heat (V squared through lags of 0.2 to 64 s) explains 99.9 % of a
 # temperature that its voltage made, and less than 90 % where the voltages of one run stand beside
 # the readings of another; of a motion, which has hysteresis, 90 % and more against 60 to 90 %; of a
-# wire with a load, whose strokes end at their stops, 60 to 90 % against less than 50 %. What is
-# noise counts for neither.
+# wire with a load, whose strokes end at stops, 60 to 90 % against below 50 %.
 
 _LAGS = (0.2, 1.0, 4.0, 16.0, 64.0)  # s
 _EXPLAINED = {"temperature": 0.93, "deflection": 0.7, "elongation": 0.55}
@@ -297,8 +296,7 @@ _LEAST_RESPONSE = 25.0  # variance over that of the noise
 
 def check_response(record: Record) -> Iterator[Finding]:
     """Readings that do not follow the voltages beside them: stored runs swapped, channels swapped,
-    or clocks apart by more than the wire takes to warm; or that go on when the voltages have
-    ended."""
+    or clocks apart by more than the wire takes to warm; or that go on when these have ended."""
     driven = [
         channel
         for channel in record.channels
@@ -371,8 +369,7 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
     constant time, over a second, off the drive's are moved onto it, by when the recorder got the
     messages, currents that run against their voltage are turned, and single readings far off those
-    beside them, and deviations far below a reading's own scatter, which no sensor can state, are
-    left out."""
+    beside them, and deviations far below a reading's scatter, are left out."""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():
@@ -417,8 +414,7 @@ def under_suspicion(record: Record) -> Iterator[Finding]:
             if name in record.signals:
                 yield replace(finding, subject=name)
 
-    # Readings that jump between two values; a drive that is switched on purpose holds its level for
-    # many samples.
+    # Readings that jump between two values; a drive switched on purpose holds its level for long.
     for name, signal in record.signals.items():
         values = signal.values
         if not name.endswith((".voltage", ".current")) or len(values) < _FEWEST:

@@ -4,8 +4,7 @@ specimen under constant stress while its temperature cycles) and tensile ones.
 Of a calorimeter, text exports of PerkinElmer, TA, Netzsch, Mettler and Setaram are read, and
 anybody's table of time, temperature and heat flow. Titles have units, which TA's Universal Analysis
 writes as lines `Sig1 ...`; Pyris (PerkinElmer) writes a block a step under titles ("2) DSC
-Temperature Scan") whose columns are known. Steps of the others are cut where the measured rate
-changes its kind.
+Temperature Scan") whose columns are known. Others' steps are cut where the measured rate changes.
 """
 
 import re

@@ -119,8 +119,7 @@ def is_bag(path: Path) -> bool:
 
 def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
     """All messages of a bag's folder or storage file whose topic and type are `wanted`; what cannot
-    be read becomes a finding. Raises InputError: no bag, no message in it, or a damaged sqlite3
-    file."""
+    be read becomes a finding. Raises InputError: no bag, no message, or a damaged sqlite3 file."""
     topics = RawTopics(wanted)
     files, promised = _files_of(path, topics)
     topics.budget = border.reading_budget(sum(file.stat().st_size for file in files))
@@ -483,8 +482,7 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
             query = database.execute
             query("PRAGMA trusted_schema = OFF")
 
-            # Tables with columns of their own: what a view says may be any program, one without
-            # end too.
+            # Tables with columns of their own: a view may be any program, one without end too.
             tables = query("PRAGMA main.table_list").fetchall()
             kinds = {row[1].decode(errors="replace").lower(): row[2] for row in tables}
             for name in ("messages", "topics"):
@@ -543,9 +541,8 @@ def _decompress_file(source: Path, target: Path, budget: Budget) -> str:
 
 
 def decompress_messages(topic: RawTopic, budget: Budget) -> None:
-    """Replace a topic's messages, where the first is compressed by itself, by what they unfold
-    to; nothing where one cannot be. Raises OverBudget: they are larger, all together, than they may
-    be."""
+    """Replace a topic's messages, where the first is compressed by itself, by what they unfold to;
+    nothing where one cannot be. Raises OverBudget: all together they are too large."""
     if not topic.data.startswith(_ZSTD_MAGIC):
         return
     plain, lengths, position = bytearray(), array("q"), 0

@@ -225,8 +225,7 @@ _MEASURE = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?: to ([-+]?[\d.]+))?(?: (\D
 
 
 def _in_plain_numbers(table: Table) -> Table:
-    """Its columns of numbers without units, which stand in columns of their own, as the upper ends
-    of intervals do."""
+    """Its columns of numbers, units and the upper ends of intervals in columns of their own."""
     columns: list[tuple[str, Sequence[str]]] = []
     for k, head in enumerate(table.header):
         cells = [row[k] for row in table.rows]

@@ -70,8 +70,7 @@ _STATES = {
 
 def record_picture(record: AnyRecord, name: str) -> Picture | None:
     """What was recorded: of a bag every signal, of a DSC run heat flow over temperature, of
-    isobaric tests strain over temperature, of a tensile test stress over strain; None where that is
-    nothing."""
+    isobaric tests strain over temperature, of a tensile test stress over strain; or None."""
     if isinstance(record, Record):
         return _bag_picture(record, f"{name}_signals_over_time")
     axes, facts = ("temperature [K]", ""), dict[str, Any]()
@@ -228,9 +227,8 @@ _FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can 
 
 
 def agreement_picture(result: Identification, name: str = "agreement") -> Picture | None:
-    """How far each number is off what the parameter file states, with its errors, and the share of
-    its information that the records gave; of what it does not state the errors alone. None where
-    there is no number."""
+    """How far each number is off what the parameter file states, with its errors (alone where it
+    states none), and the share of its information that the records gave. None: no number."""
     known = {key: (n, (n.stated or n).value) for key, n in result.estimates.items()}
     names = [key for key, (_, value) in known.items() if value and np.isfinite(value)]
     if not names:

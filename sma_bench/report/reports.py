@@ -154,8 +154,7 @@ def improvements(result: Diagnosis) -> Table:
 
 @dataclass(frozen=True)
 class ReportedInput:
-    """One input: what it is, its sentence in the summary, its section, what to beware of, and of a
-    result its card."""
+    """One input: what it is, its sentence in the summary, its section, caveats, its card."""
 
     path: str
     kind: str
@@ -189,8 +188,7 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
 
     result = read_result(path)
     if isinstance(result, Identification):
-        # How the numbers agree with what is known, how their errors hang together, and what else
-        # each experiment gave.
+        # How numbers agree with what is known, how errors correlate, what else was given.
         kind, warnings = "identification", [*result.warnings]
         tables = [table_of(result, "plain_numbers", result.estimates, name=f"{name}_parameters",
                            title="Parameters")]  # fmt: skip

@@ -35,8 +35,7 @@ _DISCOVERY = 10.0  # s in which another node finds a new one that we have found
 class NodeCalls:
     """What a node asks of the other nodes of its namespace.
 
-    `spin` is called about 20 times a second while waiting, takes that long, and may raise to end
-    the wait.
+    `spin` is called while waiting, takes about 0.05 s, and may raise to end the wait.
     """
 
     def __init__(self, node: Node, spin: Callable[[], None]) -> None:
@@ -59,8 +58,7 @@ class NodeCalls:
         return self._states.get(node, "")
 
     def progress(self, node: str) -> tuple[float, str] | None:
-        """Share (0 to 1) of its work that a followed node has done, and what it does; None where it
-        is not at work."""
+        """Share (0 to 1) of its work that a node has done, and what it does; None: no work."""
         found = _BUSY.match(self.state(node))
         return (int(found[1]) / 100.0, found[2]) if found else None
 
@@ -81,8 +79,7 @@ class NodeCalls:
         return value
 
     def find(self, service: str, timeout: float = 10.0) -> None:
-        """Make sure that a std_srvs/Trigger service is there. Raises InputError: it is not, within
-        `timeout` s."""
+        """Make sure that a Trigger service is there. InputError: it is not, within `timeout` s."""
         try:
             self.wait(service, self.know(service).service_is_ready, timeout)
         except InputError:
@@ -101,8 +98,7 @@ class NodeCalls:
         return str(answer.message)
 
     def set_parameters(self, node: str, values: Mapping[str, Any], timeout: float = 10.0) -> None:
-        """Set parameters of a node. Raises InputError: no such node in time, or it refused one; the
-        line says why."""
+        """Set parameters of a node. InputError: no such node in time, or why it refused one."""
         set_to = [RosParameter(name, value=v).to_parameter_msg() for name, v in values.items()]
         request = SetParameters.Request(parameters=set_to)
         answer = self._call(f"{node}/set_parameters", SetParameters, request, timeout)

@@ -1,7 +1,6 @@
 """Listens to a bench for its web page, and stops it: graph and messages in, dashboard/ out.
 
-Topics, services and parameters are looked for below one namespace, again and again: nodes may come
-and go.
+Topics, services and parameters are looked for below a namespace, again and again.
 """
 
 import math

@@ -1,5 +1,4 @@
-"""A process's ROS context, nodes whose QoS users can override, the contract's topics, and who a
-voltage command is from.
+"""A process's ROS context, nodes whose QoS users can override, the topics, and who commands.
 
 rclpy does not say that, so a commander signs what it sends: the label of the message's only
 dimension is the channels' names, `@`, the node's name and a number of its own; two nodes of one
@@ -58,8 +57,7 @@ _NEAREST, _FARTHEST = 0.02, 0.3  # m, assumed of the composite rig's triangulati
 
 
 def start_ros(arguments: Sequence[str]) -> None:
-    """Begin this process's ROS context; signals stay ours. Raises InputError: ROS refuses an
-    argument."""
+    """Begin this process's ROS context; signals stay ours. InputError: ROS refuses an argument."""
     choose_discovery()
     try:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)

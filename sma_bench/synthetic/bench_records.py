@@ -33,8 +33,7 @@ COMMAND_PERIOD = 0.05  # s
 REST = 3.0  # s at 0 V before and after a protocol
 PRETENSION = 0.002  # strain under which the wire of E8 is clamped: it must not become slack
 _ROUNDING = 1e-6  # of a period
-# s. The paper's model is exact in any step; effects that act within one, latent heat above all,
-# need short ones.
+# s. The paper's model is exact in any step; effects, latent heat above all, need short ones.
 _FINE_STEP = 0.0025
 _PULL_STEP = 0.1  # s, in which a frame's force stands still
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",

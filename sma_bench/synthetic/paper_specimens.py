@@ -230,8 +230,7 @@ def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
 
 def _upfr_tests(wire: Parameters) -> tuple[IsobaricRecord, ...]:
     """E6: specimens with the paper's mean and deviation of where tangents meet under the holding
-    force; first cycle, as prestrained. Those of another wire deviate as much from its own
-    temperatures."""
+    force; first cycle, as prestrained. Another wire's deviate as much from its own."""
     stress = published.HOLDING_FORCE / wire_section(wire)
     shift = stress / wire["wire.stress_influence_austenite"]
     start, finish = published.UPFR_START[0], published.UPFR_FINISH[0]

@@ -47,8 +47,7 @@ class BinStatistics(NamedTuple):
     """What the last bins of a signal say."""
 
     energy: float  # mean square of the whitened residual, 1 for noise
-    # standard deviations by which the energy or the level is beyond that of the noise before the
-    # window
+    # standard deviations by which energy or level are beyond the noise's before the window
     surprise: float
     # rms of the residual over the noise of a sample, per side, NaN where the signal was not there
     gap: Array
@@ -86,8 +85,7 @@ class SignalBins:
 
     @property
     def scatter(self) -> float:
-        """Standard deviation from sample to sample, the converter's steps included; NaN before
-        there are enough."""
+        """Standard deviation of a sample, a converter's steps included; NaN of too few."""
         if len(self._values) < _FEWEST_SAMPLES:
             return np.nan
         if self._scatter is None:
@@ -121,8 +119,7 @@ class SignalBins:
         gap[~there.any(axis=1)] = np.nan
         size = float(np.sqrt(np.mean(squares)))
 
-        # How surprising it is as noise. Bins in which the moment of a reading matters count as much
-        # as they inform.
+        # How surprising it is as noise. Bins where a reading's moment matters count as they inform.
         level = residual * steady / tolerance
         noise = self._learned
         if noise is None or noise.usual != allowed:

@@ -173,8 +173,7 @@ class FreeRun:
         self._bench = Bench(parameters, initial=state)
 
     def _followed(self, time: Array, voltage: Array) -> Trajectory:
-        """What the bench does, voltages (n, w) V held from each time (n,) s on, in steps that are
-        short enough."""
+        """What the bench does, voltages (n, w) V held from each time (n,) s, in short steps."""
         counts = np.maximum(np.ceil(np.diff(time) / _LONGEST_STEP - 1e-6), 1.0).astype(int)
         if np.any(counts > 1):
             which = np.repeat(np.arange(len(counts)), counts)

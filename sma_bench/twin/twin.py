@@ -339,8 +339,7 @@ def stage_states(
     comparison: Comparison, settings: Settings, sides: int
 ) -> tuple[tuple[StageState, ...], bool]:
     """Every stage that has a signal, in the order of the chain; and whether the thermometer is to
-    be doubted: what follows from the voltages is right, and what follows from the measured
-    temperatures is not."""
+    be doubted: what follows from the voltages is right, what follows from its readings is not."""
     threshold, fewest = settings["threshold"], round(settings["learning"] / BIN)
     readings = {}
     for name, signals in (
@@ -371,8 +370,7 @@ def stage_states(
                 rest = [heat.residual - n * current.share * heat.cause for n in (0.0, 1.0, 2.0)]
                 powers = [float(np.mean((left / heat.tolerance) ** 2)) for left in rest]
                 counted[k] *= np.sqrt(min(powers) / powers[0])
-        # Of the mechanical one: what is missing acts before the temperature, whoever is to blame
-        # for that.
+        # Of the mechanical one: what is missing acts before the temperature, whoever is to blame.
         hot = stage == MECHANICAL and states[-1].gap >= threshold
         if hot and driven and free and np.nanmax(free.gap) > _MUCH * np.nanmax(driven.gap):
             counted[:] = 0.0

@@ -15,8 +15,7 @@ from sma_bench.parameters.parameters import unknown_parameter_message
 
 def effect_values(name: str, size: float) -> dict[str, float]:
     """Parameters that switch one effect on. `name`: of the effect, or `effect.number` for another
-    number than its size; `size`: in the unit of the parameter table. Raises InputError: unknown
-    name."""
+    number than its size; `size`: in the unit of the parameter table. InputError: unknown name."""
     effect_name, _, number = name.partition(".")
     if effect_name not in EFFECTS:
         message = unknown_parameter_message(effect_name, EFFECTS)
