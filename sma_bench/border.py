@@ -23,7 +23,7 @@ from typing import Any
 
 import yaml
 
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 
 MEGABYTE = 1 << 20
 LARGEST_YAML = MEGABYTE
@@ -276,10 +276,9 @@ def load_yaml(text: str, aliases: bool = False) -> Any:
 def read_yaml(path: str | Path, aliases: bool = False) -> Any:
     """What a YAML file holds; of `aliases` see `load_yaml`. InputError: unreadable or not YAML."""
     text = read_text(path, LARGEST_YAML)
-    try:
-        return load_yaml(text, aliases)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    with errors_in(str(path)):
+        content = load_yaml(text, aliases)
+    return content
 
 
 # --- names and files on their way out ------------------------------------------------------------
@@ -318,10 +317,8 @@ def csv_cell(text: str) -> str:
 
 def make_folder(folder: Path) -> Path:
     """The folder, made where it is not there, and those above it; InputError where it cannot be."""
-    try:
+    with errors_in(f"{folder}: cannot be made"):
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"{folder}: cannot be made: {error.strerror}") from None
     return folder
 
 

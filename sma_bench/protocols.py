@@ -14,8 +14,7 @@ go is not known here: controllers refuse what it cannot reach.
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -26,7 +25,7 @@ from numpy.typing import NDArray
 
 from sma_bench.arrays import Array
 from sma_bench.border import read_yaml, shown
-from sma_bench.errors import InputError, did_you_mean
+from sma_bench.errors import InputError, did_you_mean, errors_in
 from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import LOAD_KINDS
@@ -292,7 +291,7 @@ def parse_protocol(
 ) -> Protocol:
     """A Protocol from what a protocol's or reference's YAML file holds. `where` leads every error
     line, `name` is the protocol's where the document has none; InputError as `load_protocol`."""
-    with _errors_in(where or quantity.what):
+    with errors_in(where or quantity.what):
         given = document.get("unit") if isinstance(document, dict) else quantity.unit
         if quantity.key == "unit" and given != quantity.unit:
             raise InputError(f"unit is {given!r}, expected {quantity.unit}")
@@ -306,7 +305,7 @@ def parse_protocol(
             if not isinstance(step, dict):
                 raise InputError(f"step {number}: is {step!r}, expected a mapping with a kind")
             label = str(step.get("name") or step.get("kind"))
-            with _errors_in(f"step {number} ({shown(label)})"):
+            with errors_in(f"step {number} ({shown(label)})"):
                 once += _segments(step, label, parameters, quantity)
             if len(once) * times > MAXIMUM_SEGMENTS:
                 raise InputError(f"more than {MAXIMUM_SEGMENTS} segments")
@@ -403,7 +402,7 @@ def _segments(
     # What ends it, and what the frame pulls meanwhile.
     if "until" in step and kind == "triangle":
         raise InputError("until: a triangle ends with its time, write ramps")
-    with _errors_in("until"):
+    with errors_in("until"):
         until = _until(step["until"], parameters) if "until" in step else None
     force, said = None, ""
     if "force" in step:
@@ -477,15 +476,6 @@ def _repeated(segments: list[Segment], times: int) -> list[Segment]:
 
 
 # --- Single values
-
-
-@contextmanager
-def _errors_in(where: str) -> Iterator[None]:
-    """Error lines begin with where they were found."""
-    try:
-        yield
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
 
 
 def _require_keys(mapping: Any, allowed: Iterable[str], required: Iterable[str]) -> None:

@@ -22,7 +22,7 @@ from click.shell_completion import CompletionItem
 
 from sma_bench.border import claimed, load_yaml, read_yaml
 from sma_bench.commands import COMMANDS
-from sma_bench.errors import InputError, did_you_mean
+from sma_bench.errors import InputError, did_you_mean, errors_in
 
 if TYPE_CHECKING:
     from sma_bench.parameters import Parameters
@@ -352,11 +352,10 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
         other = seen.setdefault(path.resolve(), option)
         if other != option:
             raise InputError(f"{path}: {other} and {option} name the same, expected two outputs")
-        try:
-            if not path.exists() or kind == OWN:
-                continue
-        except OSError as error:  # a name too long
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
+        with errors_in(f"{path}: cannot be written"):  # a name too long
+            is_there = path.exists()
+        if not is_there or kind == OWN:
+            continue
         for given in inputs:
             # The output is the input, a folder above it, or a part of a bag that is read.
             above = [] if kind == FILE else given.resolve().parents

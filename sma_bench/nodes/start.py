@@ -225,7 +225,7 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
     # ROS passes over names that a node does not declare: a slip of the pen in a parameter file
     # would leave a default in force, a safety limit's too.
     from sma_bench.border import load_yaml
-    from sma_bench.errors import InputError
+    from sma_bench.errors import InputError, errors_in
     from sma_bench.parameters.node_tables import NODE_TABLES, OF_NODES, refuse_unknown
     from sma_bench.parameters.parameter import BY_NAME
     from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
@@ -259,10 +259,8 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
         elif not separator:
             raise InputError(f"-p {value}: expected name:=value")
         else:
-            try:
+            with errors_in(f"-p {value:.80}"):
                 values = flatten({name.split(":")[-1]: load_yaml(text)})
-            except InputError as error:
-                raise InputError(f"-p {value:.80}: {error}") from None
         # A file may be for several nodes, what a command line says is for this one.
         shared = option == "--params-file" or ":" in name
         refuse_unknown(values, where, OF_NODES if shared else own)

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from sma_bench.border import printable, read_yaml, write_files
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, TABLE, Parameter, Value
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, Parameters
 
@@ -249,10 +249,8 @@ def _write(
 def write_text_atomically(path: str | Path, text: str) -> None:
     """Write a file whole or not at all; one that is replaced keeps its mode, a link stays one.
     Raises InputError: the folder cannot be written."""
-    try:
+    with errors_in(f"{path}: cannot write"):
         write_files({Path(path): text.encode("utf-8", "backslashreplace")})
-    except OSError as error:
-        raise InputError(f"{path}: cannot write: {error.strerror}") from None
 
 
 def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

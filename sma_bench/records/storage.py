@@ -24,7 +24,7 @@ import numpy as np
 
 from sma_bench import border
 from sma_bench.border import Budget, OverBudget, printable
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.findings import Finding, Severity
 
 if sys.version_info >= (3, 14):
@@ -108,11 +108,8 @@ def is_bag(path: Path) -> bool:
     border.require_there(path)
     if path.is_dir():
         return True
-    try:
-        with path.open("rb") as file:
-            head = file.read(len(_SQLITE_MAGIC))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+    with errors_in(f"{path}: cannot be read"), path.open("rb") as file:
+        head = file.read(len(_SQLITE_MAGIC))
     magic = (_MCAP_MAGIC, _SQLITE_MAGIC, _ZSTD_MAGIC)
     return path.name.endswith(_SUFFIXES) or head.startswith(magic)
 
@@ -170,11 +167,9 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
         return [path], {}
 
     # Storage files of the folder in order of their numbers; links out of it are not followed.
-    try:
+    with errors_in(f"{path}: cannot be read"):
         names = {file.name for file in path.iterdir() if file.is_file()}
         own = {name for name in names if border.is_inside(path / name, path)}
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     for name in sorted(names - own):
         if name == METADATA or name.endswith(_SUFFIXES):
             topics.remark(name, "a link out of the bag's folder; not followed")

@@ -22,7 +22,7 @@ import numpy as np
 
 from sma_bench.arrays import Array, IntArray
 from sma_bench.border import MEGABYTE, printable, read_bytes, reading_budget
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.records.cells import (
     MISSING,
     WORDS,
@@ -215,10 +215,8 @@ def read_table_file(path: str | Path) -> TableFile:
     """Read a table whose format its content decides; raises InputError where it cannot be read."""
     path = Path(path)
     content = read_bytes(path, LARGEST_FILE)
-    try:
+    with errors_in(str(path)):
         file = _read(content)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     if not file.columns:
         raise InputError(f"{path}: neither a bag nor a table: no columns of numbers in this file")
     return replace(file, path=path)
@@ -242,10 +240,8 @@ def _read(content: bytes) -> TableFile:
     elif reader == "Excel":
         for (title,), rows, _ in _unfolded(content, reader):
             name = printable(title)
-            try:
+            with errors_in(f"sheet {name}"):
                 found, lost = tables_of(list(enumerate(rows, 1)), "", name)
-            except InputError as error:
-                raise InputError(f"sheet {name}: {error}") from None
             tables += found
             outside += [f"sheet {name}, {line}" for line in lost]
             outside += [f"sheet {name} (no table of numbers)"] if rows and not found else []

@@ -20,7 +20,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 
 from sma_bench import border
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.report.drawing import (
@@ -72,10 +72,8 @@ class Picture:
         if kind not in ("png", "svg", "pdf", "csv"):
             raise InputError(f"{path}: expected a name that ends in .png, .svg, .pdf or .csv")
         content = self._file(in_column(self.figure, column), kind, dpi=300)
-        try:
+        with errors_in(f"{path}: cannot be written"):
             border.write_files({path: content})
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror}") from None
 
     def _repr_png_(self) -> bytes:
         """What a notebook shows."""
@@ -269,7 +267,7 @@ def digest(path: Path) -> tuple[str, int]:
     """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files, not
     of those that links lead to outside. Raises InputError: a file cannot be read."""
     total, size = hashlib.sha256(), 0
-    try:
+    with errors_in(f"{path}: cannot be read"):
         inside = sorted(p for p in path.rglob("*") if p.is_file() and border.is_inside(p, path))
         for part in inside if path.is_dir() else [path]:
             if path.is_dir():
@@ -279,8 +277,6 @@ def digest(path: Path) -> tuple[str, int]:
                 while block := stream.read(1 << 20):
                     total.update(block)
                     size += len(block)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     return total.hexdigest(), size
 
 

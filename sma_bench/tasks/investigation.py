@@ -21,7 +21,7 @@ from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.decision import NO_GAP, RECALIBRATION, UNEXPLAINED
 from sma_bench.diagnose.drives import FIRST
 from sma_bench.diagnose.result import diagnosis_from
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.yaml_file import write_text_atomically
@@ -98,12 +98,11 @@ class Investigation:
     def begin(self, parameters: Parameters, given: Sequence[str]) -> None:
         """Keep what is believed and which records there are; where it has begun, what is new."""
         begun = os.path.isfile(self.folder / BELIEVED)
-        try:
+        with errors_in(f"{self.folder}: cannot be made"):
             self.folder.mkdir(parents=True, exist_ok=True)
-            if not begun and any(self.folder.iterdir()):
-                raise InputError(f"{self.folder}: is not empty, and no investigation")
-        except OSError as error:
-            raise InputError(f"{self.folder}: cannot be made: {error.strerror}") from None
+            is_new = begun or not any(self.folder.iterdir())
+        if not is_new:
+            raise InputError(f"{self.folder}: is not empty, and no investigation")
         paths = [str(Path(path).resolve()) for path in given]
         self.given += [path for path in paths if path not in self.given]
         self._keep()
