@@ -38,8 +38,7 @@ _LONGEST_PATH = 4096
 _NARROWEST, _WIDEST = 30.0, 500.0  # mm of a column of print
 _SMALLEST, _LARGEST = 4.0, 24.0  # pt of its letters
 
-results: list[TextIO] = []
-"""where the results of the command that runs go, last: its standard output"""
+results: list[TextIO] = []  # last, where results of the command that runs go
 
 
 class Terminated(KeyboardInterrupt):

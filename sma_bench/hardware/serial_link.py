@@ -185,8 +185,7 @@ class LinkStatus:
 
 # --- The link
 
-BINARY_ABOVE = 100
-"""Hz: text telemetry up to here, binary above."""
+BINARY_ABOVE = 100  # Hz: text telemetry up to here, binary above
 _ASKS = 3
 _ANSWER_TIMEOUT = 0.5  # s; the device answers within a few ms
 _LATEST = 5.0  # s in which an answer that nobody waits for any more is still no other host's

@@ -77,11 +77,9 @@ class Splitter:
 PROTOCOL_VERSION = 2
 CHANNELS = 4
 STOP = b"!"
-NUMBERS = 1 << 16
-"""sequence numbers before they begin again; one more than the largest number of a command"""
+NUMBERS = 1 << 16  # sequence numbers before they begin again; a command's largest is one less
 
-TURN = 1 << 32
-"""us before the device's clock begins again"""
+TURN = 1 << 32  # us before the device's clock begins again
 
 _DUTY = 1.0 / 65536.0
 _BINARY = struct.Struct("<HIBBHHHhhHHHHHHH")

@@ -25,8 +25,7 @@ from sma_bench.parameters import Parameters
 Frame = NDArray[np.uint16]
 
 ENCODING = "mono16"
-BAND = (7.5e-6, 13e-6)
-"""m, shortest and longest wavelength."""
+BAND = (7.5e-6, 13e-6)  # m, shortest and longest wavelength
 RAW_OFFSET = 1000
 RAW_PER_KELVIN = 10
 

@@ -120,8 +120,7 @@ def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
     return found | {"table_2": (found["table_2"][0], (*cycles, *loaded))}
 
 
-TABLES = _tables()
-"""title and rows by name, in the order of tables.yaml"""
+TABLES = _tables()  # title and rows by name, in the order of tables.yaml
 
 
 def table_rows(name: str, outcomes: Mapping[str, ExperimentResults]) -> list[Row]:

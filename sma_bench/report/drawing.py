@@ -25,8 +25,7 @@ MEASURED = "#1f4e79"
 SECOND = "#c0504d"
 MODEL = "#e08214"
 FAINT = "#8a8a8a"
-BAND = "band"
-"""gid of the bands of noise, which the page's script draws too"""
+BAND = "band"  # gid of the bands of noise, which the page's script draws too
 _LARGEST = 1e100  # an axis that is longer cannot be divided
 
 # Lines side by side, told apart by lightness, dash and mark, not by hue alone.
@@ -140,8 +139,7 @@ def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
 
 # --- Figures over time that answer to the pointer: their lines as data, and the script.
 
-MOST_POINTS = 1000
-"""of a line, least and largest of equal parts; the CSV file of the figure has more"""
+MOST_POINTS = 1000  # of a line, least and largest of equal parts; the figure's CSV has more
 _DASHES = {
     "-": [], "None": [], "": [],
     "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0], ":": [1.5, 3.0],

@@ -48,8 +48,7 @@ from sma_bench.report.page import Picture, pictured
 from sma_bench.report.tables import LEAST_SHOWN
 from sma_bench.results import scale_of
 
-Curves = Sequence[tuple[str, Array, Array]]
-"""label, time or abscissa, values"""
+Curves = Sequence[tuple[str, Array, Array]]  # label, time or abscissa, values
 
 _MOST_DRAWN = 3000
 _MOST_MARKERS = 40
