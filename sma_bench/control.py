@@ -51,16 +51,14 @@ class Gains(NamedTuple):
         """Tuned for gain e^(-delay s)/(time_constant s + 1) by Skogestad's rule (SIMC, 2003).
 
         K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). The reference step response
-        then is that of a lag tau_c after the delay, without overshoot while T_i = tau.
+        then is that of a lag tau_c after the delay, without overshoot while T_i = tau. Raises
+        InputError: a number that no plant has.
 
         Args:
             gain: k, output of the plant per unit of its input.
             time_constant: tau [s]; delay: theta [s].
             closed_loop_time: tau_c [s]; 0 for half the time constant, or the delay if longer:
                 slow enough for T_i = tau, fast enough to halve the time.
-
-        Raises:
-            InputError: a number that no plant has.
         """
         require("tuning", "time_constant", time_constant)
         require("tuning", "gain", abs(gain))
@@ -330,16 +328,9 @@ class DeflectionController:
     def step(
         self, reference: float, measured: float, dt: float, upcoming: float | None = None
     ) -> Array:
-        """Voltages (w,) [V] from now until `dt` s later.
-
-        Args:
-            reference: m, positive toward the front, wanted now.
-            measured: m; NaN leaves the feed-forward alone.
-            upcoming: m, wanted dt later; the reference when not known.
-
-        Raises:
-            InputError: a reference that is not finite, or dt not above 0.
-        """
+        """Voltages (w,) [V] for the next `dt` s. `reference`: m, positive toward the front, wanted
+        now; `measured`: m, NaN leaves the feed-forward alone; `upcoming`: m, wanted dt later; the
+        reference when not known. InputError: one that is not finite, or dt not above 0."""
         goal = reference if upcoming is None else upcoming
         if not math.isfinite(reference + goal):
             raise InputError(f"deflection control: reference is {reference} m, expected finite")

@@ -336,16 +336,9 @@ def made_of(args: SimpleNamespace, *inputs: Sequence[str]) -> "Made":
 
 
 def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], force: bool) -> None:
-    """Refuse outputs that would replace what is there.
-
-    Args:
-        targets: path and kind of each output, by a name for it.
-        inputs: files and folders that are read; those of a bag count with it.
-        force: whether what exists may be replaced; inputs never.
-
-    Raises:
-        InputError: the line names the output and what is in its way.
-    """
+    """Refuse outputs that would replace what is there, by an InputError that names both. `targets`:
+    path and kind of each output, by a name for it; `inputs`: files and folders that are read, those
+    of a bag with it, which are never replaced; `force`: whether all else may be."""
     seen: dict[Path, str] = {}
     for option, (path, kind) in targets.items():
         other = seen.setdefault(path.resolve(), option)

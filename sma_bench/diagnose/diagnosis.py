@@ -70,16 +70,13 @@ def diagnose(
 
     Candidates are weighed on all records together; the shrinkage is measured on the held-out ones
     (on the last part of the records where none is held out), with a model that has not seen them.
+    Raises InputError: no records, one that cannot be compared, or one both fitted and held out.
 
     Args:
         records: bags of one bench; parameters: as believed, `uncertainty.` as priors.
         hold_out: further bags of the same bench.
         progress: called with what is being done.
         quantities: that are compared, of current, temperature and deflection.
-
-    Raises:
-        InputError: no records, one that cannot be compared with the model, or one that is both
-            fitted and held out.
     """
     if not records:
         raise InputError("diagnose: no record, expected at least one")

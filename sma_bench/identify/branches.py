@@ -288,15 +288,9 @@ def _fit(
     bow of eq. (7): compliance is no straight line in xi, which shifts the middle of the range in
     proportion to stress and would pass for 1 % of C_A.
 
-    Args:
-        begin: (2,) K, ends from which the search starts.
-        slopes: of the lines that are given, None where free.
-        window: (2,) K between which points count, all when None.
-
-    Returns:
-        Ends (2,) K and their variances, the slopes of both lines, the step, the model (n,) and
-        what it leaves (n,).
-    """
+    `begin`: (2,) K, ends from which the search starts; `slopes`: of the lines that are given, None
+    where free; `window`: (2,) K between which points count, all when None. Returns the ends (2,) K
+    and their variances, both slopes, the step, the model (n,) and what it leaves (n,)."""
     from scipy.optimize import least_squares  # half a second to load
 
     raw, (soft, stiff) = branch.temperature, (parameters[name] for name in MODULI)

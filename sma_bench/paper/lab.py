@@ -44,15 +44,13 @@ def paper_page(
     records: Sequence[object], parameters: Parameters, report: Report = silent
 ) -> PaperPage:
     """Identify the given records, simulate the paper's for what they do not hold, compare.
+    Raises InputError: none of the records given can be used.
 
     Args:
         records: the user's, already read; none for a page of synthetic data.
         parameters: what is known of the bench that they come from. Synthetic data beside records
             are made of the paper's own numbers; without records, of these.
         report: called with how far it is.
-
-    Raises:
-        InputError: records were given and none of them can be used.
     """
     # What the records give.
     report(0.0, "experiments")

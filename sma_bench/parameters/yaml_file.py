@@ -103,7 +103,7 @@ def write_parameters(
     """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.
 
     The file appears whole or not at all. What nobody stated stands in it as a comment, but the
-    channels, without which no rig is one.
+    channels, without which no rig is one. Raises InputError: the folder cannot be written.
 
     Args:
         path: file to write.
@@ -114,9 +114,6 @@ def write_parameters(
             what the error deserves.
         template: a file whose comments a person wrote and that are kept.
         explain: each parameter's description above it.
-
-    Raises:
-        InputError: the folder cannot be written.
     """
     given, stds, sources = parameters.given, parameters.given_uncertainty, sources or {}
     chosen = {n for n in parameters if n in given or not n.startswith(EFFECT_PREFIX)}

@@ -42,16 +42,9 @@ def initial_state(
     parameters: Parameters, *, temperature: ArrayLike | None = None,
     martensite_fraction: ArrayLike = 1.0, boundary: Boundary | None = None,
 ) -> State:
-    """State without history: at rest, or at a given temperature and martensite fraction.
-
-    Args:
-        temperature: one or (w,) K; ambient when not given.
-        martensite_fraction: one or (w,), 0 to 1.
-        boundary: the rig's own when not given; it decides stress and contraction.
-
-    Raises:
-        InputError: wrong shape, or a fraction that cannot be at that temperature and stress.
-    """
+    """State without history: at rest, or at one or (w,) K (`temperature`) and fractions (0 to 1).
+    `boundary`: the rig's own when not given; it decides stress and contraction. Raises InputError:
+    wrong shape, or a fraction that cannot be at that temperature and stress."""
     wires, given = len(parameters["bench.channels"]), []
     if temperature is None:
         temperature = parameters["environment.ambient_temperature"]

@@ -146,10 +146,11 @@ def write_report(
     directory: str | Path, title: str, summary: str, sections: Sequence[Section],
     made: Made | None = None, *, column: PaperColumn | None = None, report: Report = silent,
 ) -> Path:
-    """Write `index.html` (everything inside, all text escaped) and one PNG a figure.
+    """Write `index.html` (everything inside, all text escaped) and one PNG a figure; its path.
 
     All files appear, or none: a report that lies there already is replaced once all are made, as a
-    whole; other files are not.
+    whole; other files are not. Raises InputError: the folder cannot be written or holds another
+    file of a report's name, an input is gone, or another report is being written there.
 
     Args:
         directory: made if it does not exist.
@@ -159,13 +160,6 @@ def write_report(
         column: of a paper, for which every figure is written as SVG and PDF too, and as CSV what is
             drawn and the named tables.
         report: called before each figure is drawn.
-
-    Returns:
-        Path of index.html.
-
-    Raises:
-        InputError: the folder cannot be written, holds a file of a name in the report that is not a
-            report's, an input cannot be read any more, or another report is being written there.
     """
     directory = Path(directory)
     with border.claimed(os.path.realpath(directory), "being written as a report already"):

@@ -38,16 +38,9 @@ def write_identification_report(
     directory: str | Path, result: Identification, report: Report = silent,
     made: Made | None = None, column: PaperColumn | None = None,
 ) -> Path:
-    """Write the report's index.html and figures.
-
-    Args:
-        report: hears which figure comes.
-        made: by which command and of which inputs.
-        column: of a paper, for which the figures are written as well.
-
-    Raises:
-        InputError: the folder cannot be written.
-    """
+    """Write the report's index.html and figures. `report`: hears which figure comes; `made`: by
+    which command and of which inputs; `column`: of a paper, for which the figures are written as
+    well. Raises InputError: the folder cannot be written."""
     pictures = _present(plots.agreement_picture(result), plots.correlation_picture(result))
     answer = card(result, numbers=True)
     sections = [
