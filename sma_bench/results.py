@@ -224,7 +224,7 @@ def _templates(folder: Path) -> "jinja2.Environment":
     environment.globals["effects"] = EFFECTS
     environment.filters |= {
         "in_print": in_print, "percent": percent, "signed": signed, "quoted": shlex.quote,
-        "two_errors": two_errors, "is_finite": math.isfinite, "plain_effect": _plain_effect,
+        "two_errors": two_errors, "is_finite": math.isfinite,
         "shown_unit": lambda unit: "" if unit == "1" else unit,
         "with_error": lambda number: with_error(number.value, number.std),
         "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
@@ -242,15 +242,6 @@ def two_errors(number: Any) -> str:
     value = with_error(number.value, min(parts)).partition(" ±")[0]
     both = f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g}"
     return in_unit(both, number.unit)
-
-
-def _plain_effect(name: str) -> str:
-    """Its title and stage; "" of one that is not known here."""
-    effect = EFFECTS.get(name)
-    if effect is None:
-        return ""
-    title = effect.text.strip().partition("\n")[0].rstrip(".")
-    return f"{title[:1].lower()}{title[1:]} ({effect.stage} stage)."
 
 
 # --- As lines, and as HTML.
