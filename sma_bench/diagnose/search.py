@@ -3,6 +3,7 @@
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -62,6 +63,7 @@ _SHAPES = {
 }
 
 Progress = Callable[[str], None]
+_evidence = attrgetter("evidence")
 
 
 class Start(NamedTuple):
@@ -168,10 +170,6 @@ def search(
         problem, nominal, recalibrated, singles, pairs, best, flexible[0], flexible[-1],
         left[0], left[-1],
     )
-
-
-def _evidence(fitted: Fit) -> float:
-    return fitted.evidence
 
 
 def held_back(doubted: Collection[str]) -> list[str]:
