@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from sma_bench.hardware.serial_messages import ProtocolError, Splitter, decode, frame, line
+from sma_bench.hardware.serial_messages import ProtocolError, Splitter, decode, line
 from sma_bench.nodes.start import check_arguments
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import TEMPERATURE, load_protocol
@@ -26,7 +26,7 @@ MAP, PARAMETERS, METADATA = (
 _TELEMETRY = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
 _SERIAL = (
     b"".join(line(text.decode()) for text in (_TELEMETRY, b"K A 13841", b"N V 6", b"P 3 9 5"))
-    + frame(bytes.fromhex("42390010fb30000100e32e9aff00009a3a8e3a1c0b00000000ffff0100"))
+    + bytes.fromhex("0342390410fb30020105e32e9aff01079a3a8e3a1c0b01010104ffff0103615a00")  # COBS
     + _TELEMETRY
 )
 
