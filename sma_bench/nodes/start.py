@@ -139,8 +139,6 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
             if making:  # another could not be made: a recorder has a bag open
                 node.close()
             node.destroy_node()
-        if making:
-            gc.collect()  # one that was half made leaves the graph with its last reference
         rclpy.try_shutdown()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     return 0
@@ -296,6 +294,7 @@ def _run(name: str, argv: Sequence[str] | None = None) -> None:
     """Everything is closed by then: the interpreter takes a second to take itself to pieces."""
     status = start(name, argv)
     _end_within(_LEAVING)
+    gc.collect()  # a node leaves the graph with its last reference, and cycles hold some
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # nobody may be left to read it
             stream.flush()
