@@ -95,12 +95,14 @@ MEASURED, COMMANDED, MODEL = "measured", "commanded", "model"
 
 class WireVoltage(NamedTuple):
     """The measured voltage of a wire: the newest [V], when it was heard, and since when all have
-    been 0 (inf while one is not), s of the state's clock; its stamp, s of its source's clock."""
+    been 0 (inf while one is not), s of the state's clock; its stamp, s of its source's clock; when
+    its source said anything last, were it the same reading again."""
 
     volts: float
     heard: float
     off_since: float
     stamp: float
+    said: float
 
 
 @dataclass
@@ -138,6 +140,8 @@ class LiveState:
             if stamp is None:
                 stamp = now
             elif stamp and stamp == self._stamps.get(key):
+                if quantity == "voltage" and kind == MEASURED:
+                    self._voltages[place] = self._voltages[place]._replace(said=now)
                 return
             self._stamps[key] = stamp
             self._traces.setdefault(key, Trace()).add(now, value)
@@ -147,7 +151,7 @@ class LiveState:
             off_since = min(now, before.off_since if before else now)
             is_off = abs(value) <= NO_VOLTAGE
             self._voltages[place] = WireVoltage(
-                value, now, off_since if is_off else math.inf, stamp
+                value, now, off_since if is_off else math.inf, stamp, now
             )
             if not is_off and place in self._stopped and not self._panels.get("again"):
                 self._panels["again"] = {

@@ -28,7 +28,7 @@ from sma_bench.errors import InputError
 # Of a stop.
 _PATIENCE = 3.0  # s
 _STAYS_OFF = 1.0  # s of 0 V: longer than a command timeout, and than most pulses of a commander
-_SILENT = 1.0  # s after its last reading a wire is none of the bench's
+_SILENT = 1.0  # s after the last word of its source a wire is none of the bench's
 _LEAST_ADVANCE = 0.1  # of the time gone, of stamps: a simulation may be slow, a frozen clock is not
 _LOOK, _REPEAT = 0.005, 0.02  # s between two looks, and two commands of 0 V
 UPDATE_PERIOD = 0.2  # s between two updates of a page
@@ -267,7 +267,7 @@ class Wires:
     ) -> None:
         """`foreign`: by wire, the node that its voltage is from, where that takes no commands."""
         self._begin = begin
-        self.live = {p: v for p, v in voltages.items() if v.heard >= begin - _SILENT}
+        self.live = {p: v for p, v in voltages.items() if v.said >= begin - _SILENT}
         self._foreign = {place: foreign[place] for place in self.live if place in foreign}
 
         def is_new(place: str, v: WireVoltage) -> bool:

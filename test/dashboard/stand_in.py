@@ -29,6 +29,7 @@ class StandIn:
         self.obeys = True
         self.stamp = lambda now: now
         """s of the source's clock"""
+        self.on_read = lambda: None
         self.answers = {"serial_bridge": (True, "stopped")}
         self.zeros = self.stops = 0
         self.work = []
@@ -48,6 +49,7 @@ class StandIn:
 
     def read(self):
         """One reading of everything."""
+        self.on_read()
         for wire, volts in self.volts.items():
             self.state.reading("voltage", wire, volts, stamp=self.stamp(self.state.clock()))
             self.state.reading("voltage", wire, volts, COMMANDED)

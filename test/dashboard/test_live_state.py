@@ -5,6 +5,8 @@ import json
 import math
 import re
 from contextlib import nullcontext
+from functools import partial
+from time import sleep
 
 import pytest
 from stand_in import StandIn
@@ -143,6 +145,21 @@ def test_a_driver_that_hangs_and_a_clock_that_does_not_go_on_confirm_nothing(ben
     heard = bench.state.voltages()["front_1"].heard
     bench.read()
     assert (bench.state.voltages()["front_1"].heard == heard) == (stamp(1.0) == 5.0)
+
+
+@pytest.mark.parametrize(("volts", "said"), [
+    (0.0, "Not confirmed: no reading since the request from front_1."),
+    (3.0, "NOT STOPPED, voltage is on: front_1 3.00 V."),
+])  # fmt: skip
+def test_a_wire_whose_driver_hung_long_ago_is_still_one_of_the_bench(bench, volts, said):
+    """Were it forgotten, the other wires would confirm the stop."""
+    hung = partial(bench.state.reading, "voltage", "front_1", volts, stamp=5.0)
+    hung()
+    sleep(1.5 * server._SILENT)
+    bench.volts = {"back_1": 0.0}
+    bench.on_read = hung
+    result = stopped(bench, patience=1.0)
+    assert not result["stopped"] and result["said"].startswith(said)
 
 
 @pytest.mark.parametrize("stamp", [lambda _: 5.0, lambda _: 0.0, lambda now: -now])
