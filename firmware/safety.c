@@ -12,6 +12,8 @@
 #define OFF_MS 100 /* in which a mean forgets what flowed */
 #define DIFFERENCES 3
 #define HEAT_TURN_MS CHANNELS
+#define ZERO_SHIFT 4 /* each board every 2 ms: 32 ms, twice as slow as a mean */
+#define NEW_ZERO 26 /* of 32 steps, 40 mA: half of what may flow unexplained */
 
 #define CURRENT_STEPS(ma, mv_per_a) ((uint32_t)(ma) * (mv_per_a) / 1000 * ADC_STEPS / REFERENCE_MV)
 #define CURRENT_MEAN(ma, mv_per_a) (CURRENT_STEPS((ma) * 16UL, mv_per_a) << (MEAN_SHIFT - 4))
@@ -54,11 +56,14 @@ static uint8_t closing_ms;   /* until the relay's contact is closed */
 static uint8_t off_ms;       /* since the outputs went off */
 static uint8_t unpulsed_ms;  /* since the outputs' interrupt */
 static uint8_t differences;  /* looks in a row that found another output than was set */
+/* What rounding takes away, its turn gives back: else a mean would stay where a pulse left it, up to
+ * a step from where it belongs. */
+static uint8_t rounding;
 static uint16_t current_mean[BOARDS]; /* readings times 32 */
-static uint16_t zero_mean[BOARDS];    /* the same with the relay open, at arming */
+static uint16_t zero_mean[BOARDS];    /* the same with the relay open, slower, until arming */
 static uint16_t explained[BOARDS];    /* by the present duties */
 static uint16_t explained_mean[BOARDS]; /* as slow as the current's */
-static uint16_t square;                 /* of the supply */
+static uint16_t square[BOARDS];         /* of the supply in a pulse */
 static uint32_t heat[CHANNELS];         /* mean square of a wire's volts, times 65536 */
 static uint16_t supply_mean; /* readings times 32 */
 
@@ -121,8 +126,6 @@ bool safety_arm(void)
 {
     if (self.state != IDLE || settle_ms || !safety_supply_is_good())
         return false;
-    for (uint8_t board = 0; board < BOARDS; board++)
-        zero_mean[board] = current_mean[board];
     outputs_prepare();
     relay_close();
     closing_ms = RELAY_MS;
@@ -190,9 +193,10 @@ bool safety_drive(const struct drive *drive, bool fresh)
         return false;
     for (uint8_t channel = 0; channel < CHANNELS; channel++)
         self.duty[channel] = drive->duty[channel];
-    for (uint8_t board = 0; board < BOARDS; board++)
+    for (uint8_t board = 0; board < BOARDS; board++) {
         explained[board] = drive->explained[board];
-    square = drive->square;
+        square[board] = drive->square[board];
+    }
     if (fresh)
         silence_ms = 0;
     return true;
@@ -225,7 +229,7 @@ static bool on_for_too_long(uint8_t channel)
 /* The mean square of a wire's volts, which forgets as the wire cools, against what it may be. */
 static bool too_hot(uint8_t channel)
 {
-    uint16_t now = (uint16_t)(((uint32_t)self.duty[channel] * square) >> 16);
+    uint16_t now = (uint16_t)(((uint32_t)self.duty[channel] * square[channel / 2]) >> 16);
     int32_t change = (int32_t)now - (int32_t)(heat[channel] >> 16);
     heat[channel] += (uint32_t)(change * (int32_t)hot_share);
     return heat[channel] >> 16 > hot_square;
@@ -238,6 +242,15 @@ static bool output_differs(uint8_t channel)
     return differences >= DIFFERENCES;
 }
 
+/* What a board's sensor says of nothing, for longer than a mean, whose noise would stay while armed;
+ * anew where it says something else. */
+static void learn_zero(uint8_t board)
+{
+    int16_t change = (int16_t)(current_mean[board] - zero_mean[board]);
+    bool is_new = change > NEW_ZERO || change < -NEW_ZERO;
+    zero_mean[board] += is_new ? change : (change + (rounding >> 1)) >> ZERO_SHIFT;
+}
+
 /* One channel each millisecond, so that this never keeps a serial byte waiting; the output of one
  * channel is looked at a few times before the next. */
 static void watch_a_channel(void)
@@ -247,6 +260,8 @@ static void watch_a_channel(void)
         safety_stop(ON_TIME_LIMIT);
     if (too_hot(watched))
         safety_stop(HEAT_LIMIT);
+    if (self.state != ARMED)
+        learn_zero(watched % BOARDS);
 }
 
 static void watch_an_output(void)
@@ -308,14 +323,11 @@ static bool unexplained(uint8_t board, uint16_t now)
 
 void safety_current(uint8_t board, uint16_t reading)
 {
-    /* What rounding takes away, its turn gives back: else a mean would stay where a pulse left it,
-     * up to a step from where it belongs. */
-    static uint8_t turn;
-    turn = (uint8_t)((turn + 13) % (1 << MEAN_SHIFT));
+    rounding = (uint8_t)((rounding + 13) % (1 << MEAN_SHIFT));
     uint16_t *mean = &current_mean[board];
-    *mean += reading - ((*mean + turn) >> MEAN_SHIFT);
+    *mean += reading - ((*mean + rounding) >> MEAN_SHIFT);
     uint16_t *most = &explained_mean[board];
-    *most += (uint16_t)((int16_t)(explained[board] - *most + turn) >> MEAN_SHIFT);
+    *most += (uint16_t)((int16_t)(explained[board] - *most + rounding) >> MEAN_SHIFT);
     if (settle_ms)
         return;
     if (distance(reading, ADC_MIDDLE) > peak_steps[board] ||

@@ -53,7 +53,7 @@ struct limits {
 struct drive {
     uint16_t duty[CHANNELS];
     uint16_t explained[BOARDS]; /* mean current through the least resistance, 1/32 step */
-    uint16_t square;            /* of the supply, in (64 mV)^2 */
+    uint16_t square[BOARDS];    /* of the supply in a board's pulse, in (64 mV)^2 */
 };
 
 void safety_init(void);

@@ -98,7 +98,7 @@ static uint8_t arm(const uint16_t *field)
 static uint8_t work_out(const uint16_t *millivolts, struct drive *drive)
 {
     uint8_t reason = ACCEPTED;
-    drive->square = (uint16_t)((uint32_t)(unloaded >> 6) * (unloaded >> 6));
+    uint16_t least = unloaded - unloaded / 8; /* a larger drop is not believed to spare heat */
     for (uint8_t board = 0; board < BOARDS; board++) {
         uint32_t duties = 0;
         for (uint8_t channel = 2 * board; channel < 2 * board + 2; channel++) {
@@ -107,6 +107,8 @@ static uint8_t work_out(const uint16_t *millivolts, struct drive *drive)
                 reason = OVER_DUTY;
             duties += drive->duty[channel];
         }
+        uint16_t volts = loaded[board] > least ? loaded[board] : least;
+        drive->square[board] = (uint16_t)((uint32_t)(volts >> 6) * (volts >> 6));
         drive->explained[board] = safety_explained(board, unloaded, duties);
     }
     return reason;

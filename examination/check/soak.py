@@ -220,10 +220,10 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple
         hidden = world.parameters(believed, loss, warmer)
         bench = Bench(hidden, initial=bench.state)
         made = bench.follow(GRID * np.arange(ticks + 1), np.append(true, true[-1]))
-        volts = chain["voltage"].read_all(made.voltage[power_every::power_every, 0] * volt_gain)
-        amperes = chain["current"].read_all(
-            made.current[power_every::power_every, 0] * ampere_gain + world.errors[3]
-        )
+        # What a sensor reads when the next command comes, the last one made.
+        read = slice(power_every - 1, -1, power_every)
+        volts = chain["voltage"].read_all(made.voltage[read, 0] * volt_gain)
+        amperes = chain["current"].read_all(made.current[read, 0] * ampere_gain + world.errors[3])
         amperes[silences(rng, world, len(amperes))] = math.nan
         kelvins = chain["temperature"].read_all(
             world.room
@@ -243,8 +243,7 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple
             if k % 2:
                 command = asked[k // 2]
                 held = held + 1 if k > 1 and command == asked[k // 2 - 1] else 0
-                if held < 10:  # the last ten are alike
-                    guard.commanded((command,))
+                guard.commanded((command,))
                 if held % 5 == 0:
                     gate.command((command,), stamp, "soak")
             reason = ""

@@ -10,6 +10,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
+from statistics import fmean
 from typing import NamedTuple
 
 from sma_bench.parameters import Parameters
@@ -24,6 +25,8 @@ FLOWING = "flowing"
 _FEEDBACK = ("power", "temperature")
 Lasting = dict[str, tuple[float, int]]
 _COMMANDS = 10  # a reading may belong to any of the last commands
+_SENT = 1000  # more between two readings nobody needs
+_REMEMBERED = 1.0  # s, for which a current that was measured stands for one that was not
 _LEAST_READINGS = 5  # that show what must last
 _RATE_BASE = 0.05  # s; stamps of a camera come a few ms early or late
 _MODELLED_CURRENT = 2.0  # times the largest: more than that does not get into the model
@@ -92,18 +95,29 @@ class Limits:
         return steady + (temperature - steady) * decay
 
     def heating_voltage(self, volt: float, ampere: float) -> float:
-        """V that heat the wire at least as what was measured; NaN is not measured. A current
+        """V that heat the wire at least as what was measured; NaN is not measured. A current that a
+        wire may have says what it takes; beside any other the wire counts as a new one. A current
         without a voltage heats too: a switch that does not open."""
+        if volt >= LEAST_VOLTAGE and abs(ampere - volt / self.circuit) <= self.allowed_stray(volt):
+            return self.measured_voltage(volt, ampere)
         powers = [volt**2 / self.heated, (volt - self.leads * ampere) * ampere]
         if not volt >= LEAST_VOLTAGE and abs(ampere) > CURRENT_FLOOR:
             powers.append(ampere**2 * self.resistance)
         highest = max((power for power in powers if not math.isnan(power)), default=0.0)
         return math.sqrt(highest * self.heated)
 
+    def measured_voltage(self, volt: float, ampere: float) -> float:
+        """V that heat the model's wire as what this one takes."""
+        return math.sqrt(max((volt - self.leads * ampere) * ampere, 0.0) * self.heated)
+
     def allowed_deviation(self, volt: float) -> float:
         """V by which a commanded voltage and its reading may differ: less at small ones."""
         share = _LEAST_TOLERANCE + volt / self.reading(self.maximum_voltage)
         return self.voltage_tolerance * min(share, 1.0)
+
+    def allowed_stray(self, volt: float) -> float:
+        """A by which the current at `volt` V may differ from the model's."""
+        return CURRENT_FLOOR + self.resistance_tolerance * volt / self.circuit
 
     @property
     def highest_reading(self) -> float:
@@ -236,6 +250,7 @@ class Wire:
     ampere: float = math.nan
     kelvin: float = math.nan
     commands: deque[float] = field(default_factory=lambda: deque(maxlen=_COMMANDS))  # V
+    sent: deque[float] = field(default_factory=lambda: deque(maxlen=_SENT))  # V, since a reading
     rise: float = 0.0  # K/s, 0 between two readings that are too near each other
     modelled: float = math.nan  # K, from the volts
     hottest: float = math.nan  # K, from all power that was measured
@@ -245,6 +260,15 @@ class Wire:
     _heating: float = 0.0
     _powered: float = math.nan
     _reference: tuple[float, float] | None = None
+    _share: float = 1.0  # of the model's current, as it was measured last
+    _measured: float = -math.inf  # s, then
+
+    def command(self, volt: float) -> None:
+        """Note the volts that were sent. What they warm from now on is no room."""
+        self.commands.append(volt)
+        self.sent.append(volt)
+        if volt:
+            self._rested = 0.0
 
     def power(self, volt: float, ampere: float, stamp: float, limits: Limits) -> None:
         """A reading acquired at `stamp` s: the model goes on to there."""
@@ -255,11 +279,22 @@ class Wire:
         elapsed = stamp - self._powered
         if not elapsed >= 0.0:  # the first reading, or a clock that went back
             self.modelled, self.hottest, elapsed = limits.ambient, limits.maximum_temperature, 0.0
+        # A wire may age: what it takes heats, also where one reading does not say it.
+        if volt >= LEAST_VOLTAGE and not math.isnan(ampere):
+            self._share, self._measured = ampere * limits.circuit / volt, stamp
+        if not 0.0 <= stamp - self._measured <= _REMEMBERED:
+            self._share = 1.0
+        if volt >= LEAST_VOLTAGE and math.isnan(ampere):
+            ampere = self._share * volt / limits.circuit
         heating = limits.heating_voltage(volt, ampere)
         expected = heating if math.isnan(volt) else volt
-        if volt >= LEAST_VOLTAGE and not math.isnan(ampere):  # a wire may age: what it takes heats
-            taken = max((volt - limits.leads * ampere) * ampere, 0.0)
-            expected = math.sqrt(taken * limits.heated)
+        if volt >= LEAST_VOLTAGE:
+            expected = limits.measured_voltage(volt, ampere)
+        if self._pulsed(limits):
+            mean = math.sqrt(fmean(limits.reading(sent) ** 2 for sent in self.sent))
+            expected = limits.measured_voltage(mean, self._share * mean / limits.circuit)
+        while len(self.sent) > 1:  # the last one holds on
+            self.sent.popleft()
         self.modelled = limits.warmed(self.modelled, expected, elapsed)
         # Nobody knows when, since the last reading, the voltage changed.
         self.hottest = limits.warmed(self.hottest, max(heating, self._heating), elapsed)
@@ -267,6 +302,12 @@ class Wire:
         rests = max(heating, self._heating) < _RESTS and not any(self.commands)
         self._rested = self._rested + elapsed if rests else 0.0
         self._heating, self._powered = heating, stamp
+
+    def _pulsed(self, limits: Limits) -> bool:
+        """Whether the volts sent since the last reading differ by more than a reading may: then no
+        one reading says what they heat."""
+        most = max(self.sent, default=0.0)
+        return most - min(self.sent, default=0.0) > limits.allowed_deviation(most)
 
     def believed(self, limits: Limits) -> list[float]:
         """Volts and amperes for the model: what is beyond the limits is a fault by itself; one such
@@ -315,7 +356,7 @@ def power_rules(
     high = max(commands) + x.allowed_deviation(max(commands))
     strays = max(low - v, v - high) if wire.commands else 0.0 * v
     last, expected = commands[-1], v / x.circuit
-    allowed = CURRENT_FLOOR + x.resistance_tolerance * expected
+    allowed = x.allowed_stray(v)
     off = abs(i - expected) if v >= LEAST_VOLTAGE else 0.0 * v
     hottest = wire.hottest if unseen else math.nan
     return {
@@ -418,7 +459,7 @@ class Guard:
     def commanded(self, voltage: Sequence[float]) -> None:
         """Note the volts that were sent, one a channel: readings must follow them."""
         for wire, volt in zip(self._wires.values(), voltage, strict=True):
-            wire.commands.append(volt)
+            wire.command(volt)
 
     def temperature(
         self, channel: str, kelvin: float, stamp: float, now: float, limits: Limits

@@ -285,6 +285,38 @@ def test_a_wire_that_nobody_sees_is_as_hot_as_its_readings_allow():
     assert reason.startswith("over-temperature by the model: wire at 21")
 
 
+def test_a_wire_that_aged_and_that_nobody_sees_is_as_hot_as_what_it_takes():
+    """7.7 V would have a new wire at 161 degC. Readings without a current go by the last one with,
+    for a second."""
+    rest, aged, dumb = (0.0, 0.0, 2.0), 7.7 / (1.2 * R), (7.7, NAN, 0.02)
+    for celsius, *readings in (
+        (0, *[(7.7, aged, 0.05), dumb] * 20),
+        (15, (7.7, aged, 0.5), (7.7, NAN, 1.5)),
+        (16, (8.5, 8.5 / (1.2 * R), 2.0)),
+        (16, (7.7, 0.55 * 7.7 / R, 2.0)),  # no wire: a sensor that has lost half
+    ):
+        reason = watched(3.0, rest, *readings, unseen=True).get("heat", "")
+        assert is_said(f"over-temperature by the model: wire at {celsius}" * bool(celsius), reason)
+
+
+def test_pulses_between_two_readings_heat_as_they_were_sent():
+    """Readings every 0.2 s meet pulses of 0.2 s in one phase, on or off."""
+    mean = 0.3 * 8.0**2 / R / LIMITS.heat_loss
+    for phase, volt in ((0, 8.0), (10, 0.0)):
+        bench, wire = Bench(feedback=[]), 0.0
+        for k in range(400):
+            bench.guard.commanded([8.0 if (k + phase) % 20 < 6 else 0.0])
+            if k % 20 == 5:
+                wire = bench.read(PERIOD * k, volt, kelvin=LIMITS.ambient + mean)
+                assert wire == ""
+        # The same with a camera that sees nothing of it.
+        for k in range(400, 800):
+            bench.guard.commanded([8.0 if (k + phase) % 20 < 6 else 0.0])
+            if k % 20 == 5:
+                wire = bench.read(PERIOD * k, volt, kelvin=LIMITS.ambient - 40.0)
+        assert wire.startswith("disagreement: a measured at -17 degC, the model says ")
+
+
 def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told():
     bench = Bench(feedback=[])
     assert all(bench.read(0.1 * k, kelvin=400.0) == "" for k in range(50))
@@ -319,6 +351,15 @@ def test_a_wire_that_aged_in_a_cold_room_and_a_draught_is_not_a_camera_that_sees
             fault = bench.read(now, 7.7, 7.7 / aged)
             fault = bench.read(now, kelvin=driven) if k % 4 == 0 and k > 40 else fault
         assert is_said(f"disagreement: a measured at {cut}" * bool(cut), fault)
+    bench = Bench(feedback=[])  # warm again before its next reading of power: that is no room
+    for now in moments(3.0):
+        bench.read(now, 0.0, 0.0, room)
+    bench.guard.commanded([7.7])
+    bench.read(3.0 + PERIOD, kelvin=room + 60.0)
+    for k, now in enumerate(moments(1.5, 3.0 + PERIOD)):
+        fault = bench.read(now, 7.7, 7.7 / aged)
+        fault = bench.read(now, kelvin=room + rise / draught) if k > 40 else fault
+    assert fault == ""
     bench = Bench(feedback=[])  # pulses that no reading meets: what is warm then is no room
     for k, now in enumerate(moments(6.0)):
         bench.guard.commanded([3.0 if k % 4 == 2 else 0.0])

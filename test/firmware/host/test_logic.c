@@ -704,6 +704,30 @@ TEST(a_seventh_of_an_ampere_more_than_at_arming_stops_either_board)
     }
 }
 
+TEST(noise_in_the_moment_of_arming_is_no_offset)
+{
+    fake_start(1);
+    fake_set_current(1, 512 + 1); /* 49 mA */
+    fake_run_ms(20);
+    arm();
+    fake_set_current(1, 512 - 1);
+    fake_run_ms(200);
+    CHECK(safety_now()->state == ARMED);
+}
+
+TEST(what_flowed_until_the_disarming_is_no_offset)
+{
+    start_driving();
+    fake_set_current(0, 512 + 26); /* 1.27 A */
+    fake_run_ms(30);
+    say("D");
+    fake_set_current(0, 512);
+    fake_run_ms(110);
+    arm();
+    fake_run_ms(200);
+    CHECK(safety_now()->state == ARMED);
+}
+
 TEST(a_sensors_offset_is_no_current)
 {
     fake_start(1);
@@ -782,6 +806,28 @@ TEST(heat_beyond_its_limit_stops_and_short_pulses_do_not)
     fake_run_ms(150);
     say(volts(sequence++, 8000, 0, 0, 0));
     fake_run_ms(150);
+    CHECK(is_off_for(HEAT_LIMIT));
+}
+
+/* The state after 7.9 V for 10 s at a supply of 12 V that a board's pulse lowers by so many mV. */
+static uint8_t state_of_a_board_whose_pulse_takes(unsigned mv)
+{
+    fake_start(1);
+    CHECK(answers("C 10000 6500 12000 1890 8000 2000", "K C 0"));
+    arm();
+    fake_set_drop(1, (uint16_t)(mv * 64 * 1024 / REFERENCE_MV / SUPPLY_DIVIDER));
+    for (unsigned sequence = 1; sequence < 100; sequence++) {
+        say(volts(sequence, 0, 0, 0, 7900));
+        fake_run_ms(100);
+    }
+    return safety_now()->state;
+}
+
+TEST(volts_that_a_pulse_takes_from_the_supply_heat_no_wire_but_more_than_an_eighth_is_not_believed)
+{
+    CHECK(state_of_a_board_whose_pulse_takes(0) == ARMED);
+    CHECK(state_of_a_board_whose_pulse_takes(1000) == ARMED);
+    CHECK(state_of_a_board_whose_pulse_takes(2000) == STOPPED);
     CHECK(is_off_for(HEAT_LIMIT));
 }
 
