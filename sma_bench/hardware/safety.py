@@ -279,12 +279,11 @@ class Wire:
         elapsed = stamp - self._powered
         if not elapsed >= 0.0:  # the first reading, or a clock that went back
             self.modelled, self.hottest, elapsed = limits.ambient, limits.maximum_temperature, 0.0
-        # A wire may age: what it takes heats, also where one reading does not say it.
-        if volt >= LEAST_VOLTAGE and not math.isnan(ampere):
-            self._share, self._measured = ampere * limits.circuit / volt, stamp
-        if not 0.0 <= stamp - self._measured <= _REMEMBERED:
-            self._share = 1.0
-        if volt >= LEAST_VOLTAGE and math.isnan(ampere):
+        if volt >= LEAST_VOLTAGE:  # a wire may age: what it takes heats, also between readings
+            if not math.isnan(ampere):
+                self._share, self._measured = ampere * limits.circuit / volt, stamp
+            elif not 0.0 <= stamp - self._measured <= _REMEMBERED:
+                self._share = 1.0
             ampere = self._share * volt / limits.circuit
         heating = limits.heating_voltage(volt, ampere)
         expected = heating if math.isnan(volt) else volt

@@ -179,7 +179,7 @@ def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_vo
 
 def watched(commanded, *readings, limits=LIMITS, unseen=False):
     wire, now = Wire("wire"), 0.0
-    wire.commands.append(commanded)
+    wire.command(commanded)
     for volt, ampere, seconds in readings:
         for _ in range(round(seconds / PERIOD)):
             now += PERIOD
@@ -212,7 +212,7 @@ def test_a_wire_that_does_as_commanded_is_left_alone_and_one_that_does_not_disag
         assert powered(commanded, volt, ampere, 3.0) == ""
     wire = Wire("wire")
     for k, now in enumerate(moments(3.0)):
-        wire.commands.append(6.0 if k % 2 else 0.0)
+        wire.command(6.0 if k % 2 else 0.0)
         wire.power(6.0, 6.0 / R, now, LIMITS)
         assert broken(power_rules(wire, LIMITS, 1.0), now, wire.since) == {}
     for commanded, volt in (
@@ -232,7 +232,7 @@ def test_a_reading_may_belong_to_one_of_the_last_ten_commands_and_to_none_before
     for later, said in ((9, False), (10, True)):
         wire, since = Wire("wire"), {}
         for command in (6.0, *[0.0] * later):
-            wire.commands.append(command)
+            wire.command(command)
         for now in moments(1.2):
             wire.power(6.0, 6.0 / R, now, LIMITS)
             reasons = broken(power_rules(wire, LIMITS, 1.0), now, since)

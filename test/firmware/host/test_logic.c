@@ -715,6 +715,18 @@ TEST(noise_in_the_moment_of_arming_is_no_offset)
     CHECK(safety_now()->state == ARMED);
 }
 
+TEST(an_offset_that_came_just_before_the_arming_is_one_either_way)
+{
+    for (int way = -1; way <= 1; way += 2) {
+        fake_start(1);
+        fake_set_current(0, (uint16_t)(512 + 6 * way)); /* 0.29 A */
+        fake_run_ms(45);
+        arm();
+        fake_run_ms(200);
+        CHECK(safety_now()->state == ARMED);
+    }
+}
+
 TEST(what_flowed_until_the_disarming_is_no_offset)
 {
     start_driving();
