@@ -287,7 +287,7 @@ def checked(check: str, *options: str) -> Callable[[Stage], str]:
     """A row that is a small check of examination/check: the heads of its tables, and sums."""
 
     def play(stage: Stage) -> str:
-        command = shlex.join((sys.executable, "-m", f"examination.check.{check}", *options))
+        command = shlex.join((sys.executable, "-m", "examination.check", check, *options))
         told = stage.run("bash", "-c", f"cd {shlex.quote(str(ROOT))} && {command}")
         sums = re.findall(r"(?m)^(?:power fails|synthetic|mutations|host:|firmware:|all  ).*", told)
         return "; ".join(" ".join(line.split()) for line in sums)

@@ -164,7 +164,3 @@ def _section(random: np.random.Generator) -> float:
 def coverage(found: Iterable[dict[str, Any]]) -> float:
     """Share of 90 % intervals that hold the truth."""
     return float(np.mean([abs(f["z"]) < Z90 for f in found]))
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ warning is on that number, or it is silently wrong. Clean ones must raise no war
     ./bench check attacks [--only WORD] [--seeds 5] [--clean 50] [--processes 2] [--json FILE]
 """
 
-import sys
 from collections import Counter
 from collections.abc import Sequence
 from typing import Any
@@ -96,7 +95,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     passed = silent == 0 and false <= FALSE_ALARMS * len(clean)
     print("PASSED" if passed else "FAILED")
     return 0 if passed else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,6 @@ of it is compared with what was written.
     ./bench check bags --bags 500 --seed 9 --json result.json
 """
 
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -43,7 +42,3 @@ def table(found: list[dict[str, Any]]) -> str:
         read = sum(end in (RIGHT, LOSS) for end in telling)
         lines.append(f"of those that tell, read {read / len(telling):.1%}")
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -117,7 +117,3 @@ def main(arguments: Sequence[str]) -> int:
         compiled = [command[0], "-m", "sma_bench.physics"]
         subprocess.run(compiled, cwd=ROOT, env=environment, check=True)
         return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -213,7 +213,3 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
     again = fit(best.problem, unknowns, np.concatenate([true, best.x[unknowns.bench :]]), far=True)
     most = max(again.evidence, best.evidence)
     return float(again.evidence - best.evidence), float(most - without)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -31,7 +31,3 @@ def build(settings: Path, folder: Path) -> tuple[int, list[str]]:
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
     )  # fmt: skip
     return done.returncode, [line for line in done.stdout.splitlines() if line[:4] != "INFO"]
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

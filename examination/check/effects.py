@@ -149,7 +149,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             f" {100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
         )
     return 0 if WANTED[0] <= share.value <= WANTED[1] else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -9,7 +9,6 @@ the device's are not.
     ./bench check faults [-k NAME]
 """
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -49,7 +48,3 @@ def main(arguments: Sequence[str]) -> int:
     status = pytest.main([*options, str(ROOT / TESTS), *arguments], plugins=[table])
     print(f"{table.tried - table.failed} of {table.tried} faults ended with outputs at 0 V in time")
     return 0 if status == 0 and table.tried and not table.failed else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

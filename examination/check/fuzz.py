@@ -64,7 +64,3 @@ def fuzzed(program: Path, inputs: int, seed: int) -> tuple[tuple[int, int, int],
         return (0, 0, 0), f"seed {seed}: {(ended.stderr.strip() or 'crashed').splitlines()[0]}"
     tried, drove_on, stopped = map(int, re.findall(r"\d+", ended.stdout))
     return (tried, drove_on, stopped), ""
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

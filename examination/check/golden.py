@@ -151,7 +151,3 @@ def write(path: Path, results: Results, order: Sequence[str]) -> None:
     text, tolerances = ",\n".join(blocks), json.dumps(reasons, indent=1)
     path.parent.mkdir(exist_ok=True)
     path.write_text(f'{{"tolerances": {tolerances},\n"results": {{\n{text}\n}}}}\n')
-
-
-if __name__ == "__main__":
-    sys.exit(main())

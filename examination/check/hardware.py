@@ -142,7 +142,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
           f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")  # fmt: skip
     return 0 if holds else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -7,7 +7,6 @@ simulated in this process (the physics that the simulator node steps), not over 
     ./bench check identification --draws 50 --seed 0 --json result.json
 """
 
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -69,7 +68,3 @@ def passed(results: Sequence[dict[str, Any]], error_scale: float = 1.0) -> bool:
     wanted = f"wanted {BAND[0]:.0%} to {BAND[1]:.0%}"
     print(f"{'PASSED' if good else 'FAILED'}: {share:.1%} inside, {wanted}; {missing} missing")
     return good
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -327,7 +327,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         ends = in_pieces(tried, [(one.name, False) for one in left], options)
         outcomes |= dict(zip(left, ends, strict=True))
     return 0 if report(outcomes) >= LEAST_CAUGHT else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -164,7 +164,3 @@ def main(arguments: Sequence[str]) -> int:
     KNOWN.write_text(json.dumps(hashes, indent=1) + "\n")
     print(f"{FOLDER}: {len(made)} pictures, {total} bytes, and those of the notebook")
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

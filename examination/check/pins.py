@@ -222,7 +222,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             print("pins: change the requirement files, then ./bench check pins --write")
             return 1
         return audit(Path(folder)) if options.audit else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -6,7 +6,6 @@ and compares that with config/sros2/policy.xml. `--write` writes the policy from
     ./bench check policy [--write]
 """
 
-import sys
 import tempfile
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
@@ -152,7 +151,3 @@ def main(argv: Sequence[str] | None = None) -> int:
     count = sum(len(names) for node in policy.values() for names in node.values())
     print(f"{len(policy)} nodes, {count} rules")
     return 1 if absent or unused else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

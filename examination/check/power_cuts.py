@@ -221,7 +221,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         if one["told"]:
             print(f"{one['way']}, {one['kind']}: {one['told']}")
     return 1 if rows[-1][-1] else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -8,7 +8,6 @@ on two free cores; sizes by option, the same seed damages the same places.
     ./bench check reliability [--only SECTION ...] [--scale 0.1]
 """
 
-import sys
 import tempfile
 import time
 from collections.abc import Sequence
@@ -52,7 +51,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"{'':9} {name}: {time.monotonic() - started:.0f} s", flush=True)
     print(f"{lines - failed} of {lines} lines within what is allowed")
     return 1 if failed else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

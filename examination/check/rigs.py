@@ -186,7 +186,3 @@ def draw_statements(truth: Parameters, rng: np.random.Generator) -> Parameters:
             return Parameters(rig | values, stds)
         except InputError:  # the file itself would be refused
             continue
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -157,7 +157,3 @@ def _stopped(
         line += f" ({text[-300:]})" if line else ""
         found[name] = {"seconds": seconds[name], "ready": were[name], "wrong": line}
     return found
-
-
-if __name__ == "__main__":
-    sys.exit(main())

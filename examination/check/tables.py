@@ -65,7 +65,3 @@ def table(found: list[dict[str, Any]]) -> str:
         said = f"asked or refused {stopped:.1%}, guessed right {guessed:.1%}"
         lines.append(f"of those that do not, {said}")
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

@@ -10,7 +10,6 @@ minutes.
 """
 
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from itertools import product
 
@@ -153,7 +152,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             cells += f"  {f'{median:>5} {100 * named.mean():3.0f} %':>11}"
         print(f"{share:15g}{cells}", flush=True)
     return int(worst > MOST)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -18,6 +18,7 @@ from sma_bench.commands import COMMANDS
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS_FILE = "sma_bench/commands/__init__.py"
 COMMAND_LINE = "import sys\nprint(*sys.argv[1:])\nsys.exit(len(sys.argv) - 1)\n"
+CHECK = "def main(arguments):\n    print(*arguments)\n    return len(arguments)\n"
 SETUP = 'import setuptools\nsetuptools.setup(name="sma_bench", version="0", packages=["sma_bench"])'
 NOT_THERE = f"no-such-package-of-sma-bench==1.0 --hash=sha256:{'0' * 64}\n"
 
@@ -33,9 +34,10 @@ def make_house(folder: Path, requirements: str | None = None) -> Path:
     rest = [f"locks/requirements-{name}.txt" for name in ("test", "docs", "perf", "notebook")]
     texts = dict.fromkeys(rest, locked("cycler"))
     texts |= {"locks/requirements.txt": requirements or locked("mdurl"), "setup.py": SETUP}
-    texts |= {"sma_bench/cli.py": COMMAND_LINE, "examination/check/units.py": COMMAND_LINE}
+    texts |= {"sma_bench/cli.py": COMMAND_LINE, "examination/check/units.py": CHECK}
     texts |= dict.fromkeys(("package.xml", "sma_bench/__init__.py", COMMANDS_FILE), "")
     real = ("bench", "locks/requirements-build.txt", "setup.cfg", "pyproject.toml")
+    real += ("examination/check/__main__.py",)
     texts |= {name: (ROOT / name).read_text() for name in real}
     for name, text in texts.items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
