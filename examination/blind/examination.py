@@ -19,16 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from examination.blind.case_files import (
-    FOLLOW_UPS,
-    CaseSet,
-    Kept,
-    NextExperiment,
-    answers_of,
-    checked_answer,
-    is_kept,
-    keep,
-)
+from examination.blind import case_files as files
 from examination.blind.cases import QUANTITIES
 from examination.blind.reality import happen
 from examination.blind.rigs import BACK, COMMAND_PERIOD, FRONT, Stage, world_of
@@ -79,7 +70,7 @@ class Examinee:
                 if not (desk / _RESULT).is_file():
                     raise InputError("no result was written")
                 document = json.loads((desk / _RESULT).read_text(encoding="utf-8"))
-                answer = checked_answer(document, "result")
+                answer = files.checked_answer(document, "result")
                 if (desk / _IMPROVED).is_file():
                     read_parameters(desk / _IMPROVED)
                     improved = (desk / _IMPROVED).read_text(encoding="utf-8")
@@ -91,7 +82,7 @@ class Examinee:
             except (ValueError, RecursionError) as error:
                 line = f"result is not JSON: {str(error).splitlines()[0]}"
         if not self.stopped.is_set():
-            keep(place.parent, place.name, result, line, time.monotonic() - begin, improved)
+            files.keep(place.parent, place.name, result, line, time.monotonic() - begin, improved)
         return line
 
     def _run(self, desk: Path, records: Sequence[str]) -> None:
@@ -130,7 +121,7 @@ class Examinee:
 
 
 def open_cases(cases: Sequence[str], answers: Path) -> list[str]:
-    return sorted(case for case in cases if not is_kept(answers, case))
+    return sorted(case for case in cases if not files.is_kept(answers, case))
 
 
 def examine(
@@ -174,21 +165,21 @@ _HOUR_NS = 3600 * 10**9
 _STREAM = 1_000_003
 
 
-def asks_for_more(kept: Kept) -> bool:
+def asks_for_more(kept: files.Kept) -> bool:
     asked = kept.answer.next_experiment if kept.answer else None
     return asked is not None and bool(asked.protocol or asked.parameters)
 
 
 def follow_up(
-    cases: CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee, answers: Path,
-    jobs: int = 1,
+    cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee,
+    answers: Path, jobs: int = 1,
 ) -> None:  # fmt: skip
     """Do what the examinee's answers ask for, and keep each one after it in `answers`/after_1 to
     after_3; what has been answered stays."""
-    for number, name in enumerate(FOLLOW_UPS):
+    for number, name in enumerate(files.FOLLOW_UPS):
         ask = {}
         for case in cases.names:
-            history, place = answers_of(answers, case), cases.folder.absolute() / case
+            history, place = files.answers_of(answers, case), cases.folder.absolute() / case
             if len(history) == number + 1 and asks_for_more(history[-1]):
                 given = place, answers / name / case, cases.seed, labels[case], history
                 ask[case] = partial(_do_and_ask, *given, examinee)
@@ -196,7 +187,7 @@ def follow_up(
 
 
 def _do_and_ask(
-    case: Path, place: Path, seed: int, label: Mapping[str, Any], history: Sequence[Kept],
+    case: Path, place: Path, seed: int, label: Mapping[str, Any], history: Sequence[files.Kept],
     examinee: Examinee,
 ) -> str:  # fmt: skip
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
@@ -223,7 +214,7 @@ def _do_and_ask(
                 )  # fmt: skip
                 write_record(bags[-1], signals, "bench", _START_NS + number * _HOUR_NS)
         except InputError as error:
-            keep(place.parent, place.name, None, str(error), 0.0)
+            files.keep(place.parent, place.name, None, str(error), 0.0)
             return str(error)
         nominal = Path(folder) / NOMINAL
         write_parameters(nominal, believed, names=sorted(believed.given))
@@ -231,7 +222,7 @@ def _do_and_ask(
 
 
 def after_tests(
-    label: Mapping[str, Any], asked: NextExperiment, believed: Parameters,
+    label: Mapping[str, Any], asked: files.NextExperiment, believed: Parameters,
     rng: np.random.Generator,
 ) -> Parameters:  # fmt: skip
     """What is believed after a test of some parameters; raises InputError for one that no test

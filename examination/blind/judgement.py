@@ -13,14 +13,8 @@ import numpy.typing as npt
 import yaml
 from scipy import stats
 
-from examination.blind.case_files import (
-    NO_GAP,
-    RECALIBRATION,
-    STAGE_OF,
-    UNEXPLAINED,
-    Answer,
-    Candidate,
-)
+from examination.blind import case_files as files
+from examination.blind.case_files import NO_GAP, RECALIBRATION, STAGE_OF, UNEXPLAINED
 from examination.blind.rigs import PER_WIRE, Drive, Pulse, Stage, quantity_of
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
@@ -31,7 +25,7 @@ SET_MASS = 0.9
 CONFIDENT = 0.8
 MOVED = 2.0
 _BENIGN = frozenset((NO_GAP, RECALIBRATION))
-_SILENCE = Answer("", (), (), None, {}, None)
+_SILENCE = files.Answer("", (), (), None, {}, None)
 # What is right to say of a case without an effect of the library. Where nothing is wrong, the
 # parameters still differ from the truth by their uncertainty, and saying that is no error.
 _RIGHT_NAMES = {
@@ -89,10 +83,10 @@ class Judged:
     """
 
     label: Label
-    answer: Answer | None
+    answer: files.Answer | None
     shrunk: Mapping[str, Shrunk] = field(default_factory=dict)
     moved: frozenset[str] = frozenset()
-    second: Answer | None = None
+    second: files.Answer | None = None
     followed: bool = False
     error_before: float = math.nan
     error_after: float = math.nan
@@ -100,7 +94,7 @@ class Judged:
     failure: str = ""
 
     @property
-    def first_choice(self) -> Candidate | None:
+    def first_choice(self) -> files.Candidate | None:
         return next(iter(self.answer.candidates), None) if self.answer else None
 
     @cached_property

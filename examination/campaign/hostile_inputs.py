@@ -22,17 +22,8 @@ import yaml
 
 import sma_bench
 from examination.bags import in_sqlite3
-from examination.campaign import good_files, hostile_bags
+from examination.campaign import good_files, hostile_bags, mutations
 from examination.campaign.drawn_bags import HABITS, Stream, write_bag
-from examination.campaign.mutations import (
-    NUMBERS,
-    PLACES,
-    TOPICS,
-    changed_series,
-    hostile_document,
-    hostile_table,
-    mutated,
-)
 from examination.campaign.outcome import Outcome, allowance
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
@@ -80,7 +71,7 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
     for _ in range(rng.choice((0, 1, 1, 2, 3)) if signals else 0):
         k = rng.randrange(len(signals))
         if len(signals[k]) > 1:
-            time, values = changed_series(rng, signals[k].time, signals[k].values)
+            time, values = mutations.changed_series(rng, signals[k].time, signals[k].values)
             signals[k] = replace(signals[k], time=time, values=values)
     bag = folder / "bag"
     with np.errstate(over="ignore", invalid="ignore"):
@@ -93,7 +84,7 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
         in_sqlite3(bag)
     if rng.random() < 0.4:
         storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
-        storage.write_bytes(mutated(rng, storage.read_bytes(), most=2))
+        storage.write_bytes(mutations.mutated(rng, storage.read_bytes(), most=2))
     return Case(bag, ("--params", str(_RIG)) if rng.random() < 0.5 else ())
 
 
@@ -102,11 +93,11 @@ def _altered_bag(rng: random.Random, folder: Path, **habits: str) -> Path:
 
     def alter(streams: list[Stream]) -> None:
         for s in streams:
-            s.topic = rng.choice(TOPICS) if rng.random() < 0.2 else s.topic
+            s.topic = rng.choice(mutations.TOPICS) if rng.random() < 0.2 else s.topic
             some = slice(rng.randrange(len(s.stamp)), None, rng.choice((1, 7, 1000)))
             for values in s.fields.values() if rng.random() < 0.3 else ():
                 with np.errstate(over="ignore"):  # some messages have 32 bits for it
-                    values[some] = np.float32(rng.choice(NUMBERS))
+                    values[some] = np.float32(rng.choice(mutations.NUMBERS))
             if rng.random() < 0.3:
                 s.stamp[some] = rng.choice(_STAMPS)
             if rng.random() < 0.3:
@@ -123,7 +114,7 @@ def hostile_mcap(rng: random.Random, folder: Path) -> Case:
     content = path.read_bytes()[len(hostile_bags.MAGIC) :]
     shape = rng.choice(("plain", "edited", "chunk", "chunk", "twice", "nested", "size", "bomb"))
     if shape == "edited":
-        content = mutated(rng, content)
+        content = mutations.mutated(rng, content)
     elif shape == "nested":
         for _ in range(rng.choice((1, 30, 1200))):
             content = hostile_bags.chunk(content, compressed=False)
@@ -175,42 +166,42 @@ def hostile_yaml(rng: random.Random, folder: Path) -> Case:
     good, path = good_files.PARAMETERS, folder / "p.yaml"
     if rng.random() < 0.3:
         good, path = good_files.METADATA, bag / "metadata.yaml"
-    path.write_bytes(hostile_document(rng, good))
+    path.write_bytes(mutations.hostile_document(rng, good))
     return Case(bag, ("--params", str(path)) if path.parent == folder else ())
 
 
 def hostile_result(rng: random.Random, folder: Path) -> Case:
     """A result of identify or diagnose, altered."""
     path, good = folder / "result.json", rng.choice((good_files.RESULT, good_files.DIAGNOSIS))
-    path.write_bytes(hostile_document(rng, good, is_json=True))
+    path.write_bytes(mutations.hostile_document(rng, good, is_json=True))
     return Case(path)
 
 
 def hostile_instrument(rng: random.Random, folder: Path) -> Case:
     """A file of an instrument whose numbers, titles or units are altered."""
     parser = rng.choice(good_files.parsers()[:4])
-    content = mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3))
+    content = mutations.mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3))
     (folder / parser.file).write_bytes(content)
     return Case(folder / parser.file)
 
 
 def hostile_import(rng: random.Random, folder: Path) -> Case:
     """A table of another logger, of two in five with a rig file or a map beside it."""
-    name, content = hostile_table(rng)
+    name, content = mutations.hostile_table(rng)
     (folder / name).write_bytes(content)
     beside = rng.choice(("", "", "", "--params", "--map"))
     if not beside:
         return Case(folder / name, tabled=())
     document = good_files.MAP if beside == "--map" else good_files.PARAMETERS
     is_hostile, good = rng.random() < 0.8, yaml.safe_dump(document).encode()
-    hostile = hostile_document(rng, document) if is_hostile else good
+    hostile = mutations.hostile_document(rng, document) if is_hostile else good
     (folder / "beside.yaml").write_bytes(hostile)
     return Case(folder / name, tabled=(beside, str(folder / "beside.yaml")))
 
 
 def hostile_place(rng: random.Random, folder: Path) -> Case:
     """A good bag of a hostile name; links, pipes and folders where files should be."""
-    name = os.fsdecode(rng.choice(PLACES).encode("latin-1"))
+    name = os.fsdecode(rng.choice(mutations.PLACES).encode("latin-1"))
     bag = hostile_bags.small_bag(folder / name, rng.choice(("mcap", "sqlite3")))
     storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
     trick = rng.choice(("", "link in", "link out", "pipe", "folder", "circle", "pipe alone"))
@@ -376,7 +367,7 @@ def edited_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     outcomes = []
     for parser in good_files.parsers():
         rng = random.Random(f"{seed} {parser.name}")
-        inputs = [parser.good, *(mutated(rng, parser.good) for _ in range(size))]
+        inputs = [parser.good, *(mutations.mutated(rng, parser.good) for _ in range(size))]
         tried = [(try_input(parser, content, folder), content) for content in inputs]
         wrong = [f"{text} at {content[:_SHOWN]!r}" for text, content in tried if text]
         outcomes.append(Outcome.of("parsers", f"edited: {parser.name}", size, wrong))

@@ -22,14 +22,7 @@ from typing import Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 
-from uno.emulated_uno import (
-    EmulatedUno,
-    Reset,
-    Switch,
-    build_emulator,
-    build_firmware,
-    missing_tools,
-)
+from uno import emulated_uno
 from virtual_host import VirtualHost
 
 from examination.pieces import IN_PIECES, in_blocks, options_of, print_table
@@ -86,7 +79,7 @@ TRIPS = {
     "stop byte": Trip(lambda host: host.uno.write(b"!"), ("stop byte",), 0.0, 0.001),
     "silence": Trip(lambda host: None, ("command timeout",), 0.19, 0.206),
     "short circuit": Trip(electrics(resistance=0.05), UNEXPLAINED, 0.0, 0.02),
-    "switch stuck": Trip(electrics(switch_is=Switch.STUCK_ON), UNEXPLAINED, 0.0, 0.05),
+    "switch stuck": Trip(electrics(switch_is=emulated_uno.Switch.STUCK_ON), UNEXPLAINED, 0.0, 0.05),
     "supply lost": Trip(electrics(supply=0.0), ("supply out of range", *UNEXPLAINED), 0.0, 0.06),
     "converter dead": Trip(poke(ADCSRA), ("converter dead",), 0.005, 0.013),
     "outputs frozen": Trip(poke(TIMSK0), ("output interrupt lost",), 0.004, 0.008),
@@ -115,21 +108,21 @@ def verdict(said: Report, before: Report, now: Report, causes: Collection[int], 
 class CutUno:
     """A chain of cuts; each starts with what the one before it left."""
 
-    def __init__(self, uno: EmulatedUno, draw: random.Random) -> None:
+    def __init__(self, uno: emulated_uno.EmulatedUno, draw: random.Random) -> None:
         self._uno, self._host, self._draw = uno, VirtualHost(uno), draw
         self._last = Report(0, 0.0, False)
         self._host.run(STARTED)
 
-    def _restart(self, why: Reset) -> None:
+    def _restart(self, why: emulated_uno.Reset) -> None:
         uno, pins = self._uno, self._uno.electrics
         uno.reset(why)
-        pins.supply, pins.resistance[0], pins.switch_is[0] = 12.0, 2.7, Switch.SOUND
+        pins.supply, pins.resistance[0], pins.switch_is[0] = 12.0, 2.7, emulated_uno.Switch.SOUND
         self._host.messages.clear()
 
     def _lose_power(self) -> Report:
         """What the next start says; the power may come back only to go once more."""
         while True:
-            self._restart(Reset.POWER_ON)
+            self._restart(emulated_uno.Reset.POWER_ON)
             if self._draw.random() < 0.8:
                 break
             self._host.run(self._draw.uniform(0.0, 1.2 * KEPT_WITHIN))
@@ -166,7 +159,7 @@ class CutUno:
             may, must = after >= trip.soonest, after > trip.latest + KEPT_WITHIN
         elif way == WAYS[2]:
             host.run(trip.latest + 1.5 * KEPT_WITHIN)
-            self._restart(Reset.PIN)
+            self._restart(emulated_uno.Reset.PIN)
             host.run(STARTED)
             before = self._said()
             assert verdict(before, self._last, now, causes, may=True, must=True) == "now", before
@@ -180,7 +173,7 @@ class CutUno:
             may = must = True
             if after < trip.latest:
                 causes.add(RESTARTED)
-            self._restart(Reset.PIN)
+            self._restart(emulated_uno.Reset.PIN)
             host.run(1.5 * KEPT_WITHIN)
         storing = uno.storing
         self._last = said = self._lose_power()
@@ -193,12 +186,13 @@ class CutUno:
 def _built() -> tuple[Path, Path]:
     folder = Path(tempfile.mkdtemp(prefix="power_cuts_"))
     atexit.register(shutil.rmtree, folder)
-    return build_emulator(folder), build_firmware(folder)
+    return emulated_uno.build_emulator(folder), emulated_uno.build_firmware(folder)
 
 
 def cuts(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
     """The outcomes of a chain of cuts."""
-    chain = CutUno(EmulatedUno(*_built(), seed=seed + first), random.Random(f"{seed} {first}"))
+    uno = emulated_uno.EmulatedUno(*_built(), seed=seed + first)
+    chain = CutUno(uno, random.Random(f"{seed} {first}"))
     return [chain.cut() for _ in range(first, stop)]
 
 
@@ -206,7 +200,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """0 when no reason was wrong."""
     options = options_of("power_cuts", __doc__, argv, cuts=(1000, "of the power"),
                          seed=(1, "of the first"), **IN_PIECES)  # fmt: skip
-    if missing := missing_tools():
+    if missing := emulated_uno.missing_tools():
         print(f"check power_cuts: {missing}", file=sys.stderr)
         return 2
     found = in_blocks(cuts, options, options.cuts)

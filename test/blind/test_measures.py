@@ -7,20 +7,10 @@ import numpy as np
 import pytest
 import yaml
 
+from examination.blind import judgement
 from examination.blind.case_files import NO_EFFECT, STAGE_OF, checked_answer
-from examination.blind.judgement import (
-    OTHERS,
-    TARGETS,
-    Judged,
-    Label,
-    Shrunk,
-    calibration_error,
-    mean,
-    proportion,
-    quantile,
-)
 
-MEASURES = {measure.name: measure for measure in (*TARGETS, *OTHERS)}
+MEASURES = {measure.name: measure for measure in (*judgement.TARGETS, *judgement.OTHERS)}
 PLACE = {"signal": "deflection", "phase": "drive", "side": "front", "stage": "mechanical"}
 
 
@@ -41,7 +31,7 @@ def answer(verdict, probabilities, cause=(), where=PLACE, claims=None):
 
 
 def label(kind, effects=(), severity=8.0, **more):
-    return Label("0001", kind, tuple(effects), severity, **more)
+    return judgement.Label("0001", kind, tuple(effects), severity, **more)
 
 
 BY_HAND = yaml.safe_load(Path(__file__).with_name("measures_by_hand.yaml").read_text())
@@ -53,9 +43,9 @@ def judged(case):
     more = {"of": case} if isinstance(case, str) else dict(case)
     of, said = more.pop("of").split()
     seen = BY_HAND["shrunk"].get(more.pop("shrunk", ""), {})
-    shrunk = {signal: Shrunk(*numbers) for signal, numbers in seen.items()}
+    shrunk = {signal: judgement.Shrunk(*numbers) for signal, numbers in seen.items()}
     moved, second = frozenset(more.pop("moved", ())), ANSWERS[more.pop("second", "-")]
-    return Judged(LABELS[of], ANSWERS[said], shrunk, moved, second, **more)
+    return judgement.Judged(LABELS[of], ANSWERS[said], shrunk, moved, second, **more)
 
 
 def test_shares_and_values_are_what_is_worked_out_by_hand_from_the_definition():
@@ -68,16 +58,16 @@ def test_shares_and_values_are_what_is_worked_out_by_hand_from_the_definition():
 
 
 def test_intervals_are_exact_and_repeatable():
-    share = proportion([True] * 5 + [False] * 5)
+    share = judgement.proportion([True] * 5 + [False] * 5)
     assert (share.low, share.high) == pytest.approx((0.1871, 0.8129), abs=5e-5)  # of the tables
-    assert math.isnan(proportion([]).value)
+    assert math.isnan(judgement.proportion([]).value)
     # Of 20 values the 6th and the 15th bound the median with 95.86 %.
-    found = quantile([float(k) for k in range(1, 21)], 0.5)
+    found = judgement.quantile([float(k) for k in range(1, 21)], 0.5)
     assert (found.value, found.low, found.high) == (10.5, 6.0, 15.0)
-    assert quantile([1.0, 2.0, 3.0], 0.9).high == math.inf
+    assert judgement.quantile([1.0, 2.0, 3.0], 0.9).high == math.inf
     values = list(np.random.default_rng(1).normal(2.0, 1.0, 400))
-    width = mean(values).high - mean(values).low
+    width = judgement.mean(values).high - judgement.mean(values).low
     assert width == pytest.approx(2 * 1.96 * np.std(values) / 20, rel=0.1)
-    coin = calibration_error([0.9] * 100, [True, False] * 50)
+    coin = judgement.calibration_error([0.9] * 100, [True, False] * 50)
     assert coin.value == pytest.approx(0.4) and coin.low < 0.4 < coin.high
-    assert calibration_error([0.25] * 4, [True, False, False, False]).value == 0.0
+    assert judgement.calibration_error([0.25] * 4, [True, False, False, False]).value == 0.0

@@ -9,15 +9,7 @@ import pytest
 
 from examination.blind.case_files import checked_answer
 from sma_bench.cli import main
-from sma_bench.commands.demo import (
-    HIDEABLE,
-    HOLD_OUT,
-    QUICK,
-    confidently_wrong,
-    hidden_bench,
-    hidden_effect,
-    reveal,
-)
+from sma_bench.commands import demo
 from sma_bench.parameters import read_parameters
 from sma_bench.physics import simulate
 from sma_bench.protocols import load_protocol
@@ -29,13 +21,13 @@ TRUTH = LAB.replace({"effect.slack.strain": 0.004})
 
 
 def test_every_effect_is_drawn_some_time_on_a_bench_off_the_lab_by_its_stated_errors():
-    drawn = [hidden_bench(LAB, seed) for seed in range(60)]
-    assert {hidden_effect(bench)[0] for bench in drawn} == set(HIDEABLE)
-    assert dict(drawn[3]) == dict(hidden_bench(LAB, 3))
+    drawn = [demo.hidden_bench(LAB, seed) for seed in range(60)]
+    assert {demo.hidden_effect(bench)[0] for bench in drawn} == set(demo.HIDEABLE)
+    assert dict(drawn[3]) == dict(demo.hidden_bench(LAB, 3))
     for bench in drawn:
-        effect, numbers = hidden_effect(bench)
+        effect, numbers = demo.hidden_effect(bench)
         for name, value in numbers.items():
-            low, high = HIDEABLE[effect][name.rpartition(".")[2]]
+            low, high = demo.HIDEABLE[effect][name.rpartition(".")[2]]
             assert low <= abs(value) <= high
         # It says none of its errors.
         assert bench.given_uncertainty == {} and bench["bench.channels"] == LAB["bench.channels"]
@@ -65,8 +57,8 @@ OTHER = {"opposing_wires": 0.6, "slack": 0.3, "ambient_drift+slack": 0.05}
 ])  # fmt: skip
 def test_the_reveal_says_whether_the_first_choice_was_right(said, wrong, words):
     """Confidently wrong is a cause, or near certainty, beside the truth."""
-    assert confidently_wrong(said, TRUTH) is wrong
-    first, second, *_ = reveal(said, TRUTH)
+    assert demo.confidently_wrong(said, TRUTH) is wrong
+    first, second, *_ = demo.reveal(said, TRUTH)
     assert first == "The bench hid slack (mechanical): slack.strain 0.004."
     assert second.endswith(words)
 
@@ -90,11 +82,11 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     ohm = truth["wire.resistance"]
     assert ohm != pytest.approx(2.6987, rel=0.01)
     assert found["wire.resistance"] == pytest.approx(ohm, rel=0.005)
-    assert {path.parent.name for path in (out / "bags").glob("*/metadata.yaml")} == {*QUICK}
+    assert {path.parent.name for path in (out / "bags").glob("*/metadata.yaml")} == {*demo.QUICK}
     assert all((out / "report" / f"figure_{name}.png").is_file() for name in FIGURES)
     found = checked_answer(json.loads((out / "simulated_gap" / "diagnosis.json").read_text()))
     hidden = read_parameters(out / "simulated_gap" / "hidden.yaml")
-    assert hidden_effect(hidden)[0] == "slack"
+    assert demo.hidden_effect(hidden)[0] == "slack"
     assert (found.verdict, found.cause) == ("effect", ("slack",))
     verdict, _, revealed = printed.partition("The truth, from")
     assert "slack explains the gap" in " ".join(verdict.split())
@@ -107,6 +99,6 @@ def test_the_demo_identifies_a_wire_and_names_what_a_bench_hides(tmp_path, capsy
     assert said["estimates"]["wire.resistance"]["std"] > 0.0
     assert all(Path(page).stat().st_size > 100_000 for page in said["report"].values())
     improved = read_parameters(out / "simulated_gap" / "improved.yaml")
-    drive = load_protocol(HOLD_OUT, LAB).sample(0.02)
+    drive = load_protocol(demo.HOLD_OUT, LAB).sample(0.02)
     true, before, after = (simulate(p, *drive).deflection for p in (hidden, LAB, improved))
     assert np.std(after - true) < 0.2 * np.std(before - true)

@@ -9,12 +9,7 @@ import thermal_scene
 from sma_bench.errors import InputError
 from sma_bench.hardware import thermal_image
 from sma_bench.hardware.thermal_camera import CameraReport, FrameJudge, wire_gauges
-from sma_bench.hardware.thermal_image import (
-    Surface,
-    SyntheticCamera,
-    SyntheticWire,
-    kelvin_from_raw,
-)
+from sma_bench.hardware.thermal_image import Surface, SyntheticCamera, SyntheticWire
 from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
@@ -29,10 +24,10 @@ def test_band_radiance_is_plancks_law_and_pixels_are_tenths_of_a_degree():
     assert np.isnan(back([-1.0, 0.0])).all()
     assert np.isnan(Surface(0.1, 400.0).temperature(float(band(300.0)), 0.1)).all()
     assert thermal_image.raw_from_kelvin(273.15 + 80.0) == pytest.approx(1800.0)
-    assert kelvin_from_raw(1234) == pytest.approx(273.15 + 23.4)
+    assert thermal_image.kelvin_from_raw(1234) == pytest.approx(273.15 + 23.4)
     pixels = np.array([[1230, 1800]], np.uint16)
     read = thermal_image.radiance_of_raw(pixels)
-    np.testing.assert_allclose(read, band(kelvin_from_raw(pixels)), rtol=1e-6)
+    np.testing.assert_allclose(read, band(thermal_image.kelvin_from_raw(pixels)), rtol=1e-6)
     slope = thermal_image.slope_at(350.0)
     assert slope == pytest.approx(np.diff(band([349.0, 351.0]))[0] / 2.0, rel=1e-4)
 
@@ -109,7 +104,7 @@ def test_synthetic_pictures_agree_with_brute_force(thickness, sideways):
     wire = SyntheticWire((15.0, -20.0), (15.0, 80.0), thickness)
     surface = Surface(0.9, thermal_scene.ROOM)
     camera = SyntheticCamera(WIDTH, HEIGHT, [wire], surface, noise=0.0)
-    frame = kelvin_from_raw(camera.picture([360.0], sideways))
+    frame = thermal_image.kelvin_from_raw(camera.picture([360.0], sideways))
     way = thermal_scene.bent(15.0, sideways, 100.0)
     truth = thermal_scene.scene(
         WIDTH, HEIGHT, lambda y: way(y + 20.0), thickness, 360.0, emissivity=0.9
@@ -133,7 +128,7 @@ def test_a_wire_along_rows_is_the_picture_turned_and_one_outside_leaves_no_trace
     np.testing.assert_array_equal(camera.picture([400.0], -5.0), camera.empty())
     assert camera.picture([400.0], 60.0).max() > camera.empty().max()
     camera = SyntheticCamera(200, 200, [], noise=0.5)
-    one, other = kelvin_from_raw(camera.empty()), kelvin_from_raw(camera.empty())
+    one, other = (thermal_image.kelvin_from_raw(camera.empty()) for _ in range(2))
     assert (one - other).std() == pytest.approx(0.5 * 2**0.5, rel=0.03)
 
 

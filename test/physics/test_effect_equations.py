@@ -1,18 +1,9 @@
 """Every effect's equation, against references written by plain means (effect_references.py)."""
 
+import effect_references as by_hand
 import numpy as np
 import pytest
-from effect_references import (
-    COMPOSITE,
-    INFLUENCES,
-    WIRE,
-    Heat,
-    done,
-    forces_of_passive_wires,
-    lagged_heating,
-    pulses,
-    refined,
-)
+from effect_references import COMPOSITE, WIRE, pulses, refined
 
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Boundary, initial_state, material, simulate
@@ -43,7 +34,7 @@ BETA = "composite.stress_per_deflection_"
 EQUIVALENT = {
     "supply_drop: resistance=0.3": ((), (), 2.6987 / 2.9987),
     "stress_dependent_transition: austenite=5e-8 martensite=-3e-8": (
-        INFLUENCES,
+        by_hand.INFLUENCES,
         (1 / (1 / 7.3e6 + 5e-8), 1 / (1 / 8.0e6 - 3e-8)),
         1.0,
     ),
@@ -75,7 +66,7 @@ def test_current_and_heat_follow_the_resistance_of_phase_and_temperature():
     ohm *= 1 + 3e-4 * (run.temperature - AMBIENT)
     assert np.ptp(run.martensite_fraction) > 0.9
     assert run.current == pytest.approx(voltage / ohm, rel=1e-13)
-    heat = Heat(rig)
+    heat = by_hand.Heat(rig)
     taken = np.diff(run.temperature, axis=0) * heat.capacity
     power = voltage**2 / ohm - heat.loss * (run.temperature - AMBIENT)
     held = (voltage[:-1] ** 2 - voltage[1:] ** 2) / ohm[1:]
@@ -89,7 +80,7 @@ def test_wire_and_silicone_are_exact_at_any_step():
     time, voltage = pulses(0.5, 12.0)
     run = simulate(rig, time, 0.5 * voltage)
     assert np.all(run.martensite_fraction == 1.0)
-    assert run.temperature == pytest.approx(Heat(rig).solve(time, 0.5 * voltage), abs=2e-6)
+    assert run.temperature == pytest.approx(by_hand.Heat(rig).solve(time, 0.5 * voltage), abs=2e-6)
 
 
 @pytest.mark.parametrize(("sides", "matrix"), [("ffbb", 0.0), ("fffb", 0.2)])
@@ -103,7 +94,7 @@ def test_all_that_changes_the_heat_at_once_converges_to_the_equations(sides, mat
         "phase_dependent_resistance: temperature_coefficient=2e-3",
     )
     time, voltage = pulses(0.25, 12.0)
-    reference = Heat(rig).solve(time, 0.5 * voltage)
+    reference = by_hand.Heat(rig).solve(time, 0.5 * voltage)
     errors = []
     for parts in (50, 100):
         run = simulate(rig, *refined(time, 0.5 * voltage, parts))
@@ -118,7 +109,7 @@ def test_no_latent_heat_is_lost_between_wire_and_silicone():
     rig = effect(COMPOSITE, silicone + "latent_heat: heat=9e3")
     time, voltage = refined(*pulses(0.02, 8.0), 20)
     run = simulate(rig, time, voltage)
-    loss, step, around = Heat(rig).loss, time[1], np.full_like(run.temperature, AMBIENT)
+    loss, step, around = by_hand.Heat(rig).loss, time[1], np.full_like(run.temperature, AMBIENT)
     inner, outer = loss / 0.3, loss / 0.7
     rate = 0.5 * step * (inner + outer) / 0.08
     for k, towards in enumerate(run.temperature[:-1] + run.temperature[1:]):  # trapezoids
@@ -127,7 +118,7 @@ def test_no_latent_heat_is_lost_between_wire_and_silicone():
     excess = run.temperature - around
     electrical = voltage[:-1] ** 2 / 2.6987 * step
     left = electrical - inner * 0.5 * step * (excess[:-1] + excess[1:])
-    taken = Heat(rig).capacity * np.diff(run.temperature, axis=0)
+    taken = by_hand.Heat(rig).capacity * np.diff(run.temperature, axis=0)
     taken -= 0.091e-3 * 9e3 * np.diff(run.martensite_fraction, axis=0)
     assert np.ptp(run.martensite_fraction) > 0.5
     assert np.abs(np.cumsum(left - taken, axis=0)).max() < 1e-4 * np.cumsum(electrical).max()
@@ -225,12 +216,12 @@ def test_transitions_shift_by_the_cycles_done():
     assert len(ends) == 7
     for n, (first, last) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         part = slice(first, last + 1)
-        unshifted = run.temperature[part, 0] - 8.0 * done(n / 2, 2.0)
+        unshifted = run.temperature[part, 0] - 8.0 * by_hand.done(n / 2, 2.0)
         curve = material.cooled_fraction if n % 2 else material.heated_fraction
         expected = curve(unshifted, 0.0, rig)
         assert run.martensite_fraction[part, 0] == pytest.approx(expected, abs=1e-9)
     at_rest = run.contraction[ends[::2], 0]
-    assert at_rest == pytest.approx([-2e-3 * done(n, 2.0) for n in range(4)], abs=1e-5)
+    assert at_rest == pytest.approx([-2e-3 * by_hand.done(n, 2.0) for n in range(4)], abs=1e-5)
 
 
 # --- mechanical
@@ -301,7 +292,7 @@ def test_beyond_the_detwinning_stress_passive_wires_yield_and_stay_stretched(ste
     run = simulate(opposing(COMPOSITE, 0.5, 20e6), time, voltage * FRONT_ONLY)
     # Two martensitic wires on the back's silicone.
     modulus = 4.0e9 * 2 * E_M / (4.0e9 + (1.0 - 0.5**2) * 2 * E_M)
-    force, stretch = forces_of_passive_wires(
+    force, stretch = by_hand.forces_of_passive_wires(
         0.5 * run.contraction[:, 0], modulus, 2 * 20e6, 2 * HARDENING
     )
     pulled, stiffness = sides(run)
@@ -356,7 +347,7 @@ def test_a_lagging_sensor_follows_the_exact_response():
     for step in (0.04, 0.02):
         time = np.arange(0.0, 4.0, step)
         run = simulate(rig, time, np.full((time.size, 4), 4.0))
-        expected = AMBIENT + lagged_heating(time, rise, tau, 0.5)
+        expected = AMBIENT + by_hand.lagged_heating(time, rise, tau, 0.5)
         errors.append(np.abs(run.temperature_reading[:, 0] - expected).max())
     assert errors[1] < 0.03
     assert errors[0] / errors[1] == pytest.approx(4.0, abs=0.3)

@@ -5,18 +5,10 @@ import shutil
 import subprocess
 import sys
 
+import effect_references as by_hand
 import numpy as np
 import pytest
-from effect_references import (
-    COMPOSITE,
-    SECONDARY,
-    SWITCHES,
-    all_on,
-    on_sides,
-    pulses,
-    refined,
-    typical,
-)
+from effect_references import COMPOSITE, all_on, on_sides, pulses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -42,13 +34,13 @@ def distance(one, other):
     return max(off[name] / scale for name, scale in SCALES.items())
 
 
-@pytest.mark.parametrize("switch", SWITCHES, ids=lambda p: p.name)
+@pytest.mark.parametrize("switch", by_hand.SWITCHES, ids=lambda p: p.name)
 def test_a_small_effect_differs_little_from_none(switch):
     time, voltage = pulses(0.05)
     if switch.name.endswith("return_point"):  # loops within loops, which the pulses have none of
         turns = np.sin(0.5 * np.pi * time) + 0.3 * np.sin(2.0 * np.pi * time / 1.3)
         voltage = np.outer(4.4 + 0.4 * turns, [1.0, 1.0, 0.0, 0.0])
-    rig = COMPOSITE.replace(SECONDARY)
+    rig = COMPOSITE.replace(by_hand.SECONDARY)
     baseline = simulate(rig, time, voltage)
     assert active_effects(rig) == ()  # secondary numbers alone switch nothing on
     paper = simulate(COMPOSITE, time, voltage)
@@ -66,9 +58,9 @@ def test_a_small_effect_differs_little_from_none(switch):
 def test_a_quarter_of_the_step_is_less_than_half_the_error(names):
     rig = COMPOSITE
     for name in names:
-        rig = typical(rig, name)
+        rig = by_hand.typical(rig, name)
     time, voltage = pulses(0.02, 12.0)
-    run, finer, finest = (simulate(rig, *refined(time, voltage, n)) for n in (1, 4, 32))
+    run, finer, finest = (simulate(rig, *by_hand.refined(time, voltage, n)) for n in (1, 4, 32))
 
     def error(coarse, every):
         off = {n: getattr(coarse, n) - getattr(finest, n)[::every] for n in SCALES}

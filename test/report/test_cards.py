@@ -15,17 +15,6 @@ from sma_bench.diagnose.result import diagnosis_from
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.identify.result import identification_from
-from sma_bench.results import (
-    Invocation,
-    card,
-    card_html,
-    card_text,
-    json_text,
-    number_rows,
-    percent,
-    two_errors,
-    with_error,
-)
 
 RESULTS = yaml.safe_load(Path(__file__).with_name("results.yaml").read_text())
 DIAGNOSED, IDENTIFIED = RESULTS["diagnosis"], RESULTS["identification"]
@@ -43,7 +32,7 @@ def identified(**changes):
 
 def rows(result, asked=None):
     found, last = {}, ""
-    for label, text in card(result, asked).rows:
+    for label, text in results.card(result, asked).rows:
         last = label or last
         found.setdefault(last, []).append(text)
     return found
@@ -70,10 +59,11 @@ def test_a_card_carries_the_facts_of_a_diagnosis():
 def test_every_verdict_has_a_title_of_its_own_and_a_next_step_that_knows_what_was_given(verdict):
     cause = ["supply_drop"] if verdict == "effect" else []
     result = diagnosed(verdict=verdict, cause=cause)
-    assert (card(result).title == card(diagnosed()).title) == bool(cause)
+    assert (results.card(result).title == results.card(diagnosed()).title) == bool(cause)
     found = rows(result)
     assert ("cause" in found) == bool(cause) and ("where" in found) == (verdict != "no_gap")
-    plain, given = Invocation(("a bag",)), Invocation(("a bag",), "", "better.yaml", "page")
+    plain = results.Invocation(("a bag",))
+    given = results.Invocation(("a bag",), "", "better.yaml", "page")
     (before,), (after,), (nothing,) = (rows(result, i)["next"] for i in (plain, given, None))
     if verdict in ("effect", "recalibration", "unexplained"):
         option = "--report" if verdict == "unexplained" else "--out"
@@ -83,23 +73,24 @@ def test_every_verdict_has_a_title_of_its_own_and_a_next_step_that_knows_what_wa
 
 
 def test_numbers_stand_with_their_errors_apart_and_what_was_stated():
-    resistance, ambient = number_rows(identified())
+    resistance, ambient = results.number_rows(identified())
     off = ("2.7 ± 0.01", "+3.7 % (+3.7 std)")
     assert resistance == (WIRE, "2.8 ± 0.007 ± 0.024 ohm", "98 %", *off, "E1, warned")
     assert ambient == (ROOM, "296.4 ± 0.5 K", "", "", "", "")
     found = rows(identified())
     assert WIRE in found["off"][0] and "-0.70" in found["linked"][0]
-    assert two_errors(Estimate(2.0, 0.0)) == "2"
+    assert results.two_errors(Estimate(2.0, 0.0)) == "2"
     # What is rounded to nothing has no sign.
     near = KELVIN | {"value": 296.15 - 1e-4, "stated": {"value": 296.15, "std": 0.5}}
-    (row,) = number_rows(identified(parameters={ROOM: near}))
+    (row,) = results.number_rows(identified(parameters={ROOM: near}))
     assert "(0.0 std)" in row[4]
-    assert (percent(0.001), percent(0.5), percent(0.9999)) == ("below 1 %", "50 %", "above 99 %")
+    shares = [results.percent(share) for share in (0.001, 0.5, 0.9999)]
+    assert shares == ["below 1 %", "50 %", "above 99 %"]
     for value, std, text in (
         (3.11755, 0.0004, "3.11755 ± 0.0004"), (0.25, 0.65, "0.25 ± 0.65"),
         (57.61e9, 1.6e9, "5.76e+10 ± 1.6e+09"), (1.5, 0.0, "1.5"), (2.0, float("nan"), "2"),
     ):  # fmt: skip
-        assert with_error(value, std) == text
+        assert results.with_error(value, std) == text
 
 
 def test_a_result_that_is_read_back_shows_what_the_fresh_one_did_and_no_program_reads_a_sentence(
@@ -107,11 +98,11 @@ def test_a_result_that_is_read_back_shows_what_the_fresh_one_did_and_no_program_
 ):
     before = []
     for result, read in ((diagnosed(), diagnosis_from), (identified(), identification_from)):
-        again = read(json.loads(json_text(result.to_json())), "again.json")
+        again = read(json.loads(results.json_text(result.to_json())), "again.json")
         assert str(again) == str(result)
-        assert json_text(again.to_json()) == json_text(result.to_json())
-        assert again.to_json()["card"][0] == ["", card(result).title]
-        before.append(json.loads(json_text(again.to_json())))
+        assert results.json_text(again.to_json()) == results.json_text(result.to_json())
+        assert again.to_json()["card"][0] == ["", results.card(result).title]
+        before.append(json.loads(results.json_text(again.to_json())))
     # The templates with every word of their own replaced by another.
     other = shutil.copytree(results.TEMPLATES, tmp_path / "other")
     for path in other.glob("*.j2"):
@@ -120,22 +111,22 @@ def test_a_result_that_is_read_back_shows_what_the_fresh_one_did_and_no_program_
         path.write_text("".join(words))
     monkeypatch.setattr(results, "TEMPLATES", other)
     for result, one in zip((diagnosed(), identified()), before, strict=True):
-        found = json.loads(json_text(result.to_json()))
+        found = json.loads(results.json_text(result.to_json()))
         changed = {key for key in one if one[key] != found[key]}
         assert "card" in changed <= {"card", "gap", "why"}  # what is shown and no more
-        assert "ж" in card_text(result) and "ж" in card_html(result)
+        assert "ж" in results.card_text(result) and "ж" in results.card_html(result)
     gaps = zip(before[0]["gap"], diagnosed().to_json()["gap"], strict=True)
     assert all((a["is_gap"], a["values"]) == (b["is_gap"], b["values"]) for a, b in gaps)
 
 
 def test_text_and_page_hold_the_same_and_no_markup_of_a_name():
     hostile = diagnosed(cause=["<b>x\x1b[2J\n| y"])
-    text, page = card_text(hostile), card_html(hostile)
+    text, page = results.card_text(hostile), results.card_html(hostile)
     assert "\x1b" not in text and "<b>" not in page and "&lt;b&gt;" in page
     assert len(rows(hostile)) == len(rows(diagnosed()))
-    assert "<b>" not in card_html(identified())
-    lines = card_text(diagnosed()).splitlines()
-    narrow = card_text(diagnosed(), 60).splitlines()
+    assert "<b>" not in results.card_html(identified())
+    lines = results.card_text(diagnosed()).splitlines()
+    narrow = results.card_text(diagnosed(), 60).splitlines()
     assert max(map(len, lines)) <= 96 and max(map(len, narrow)) <= 60
     assert " ".join(narrow).split() == " ".join(lines).split()
 

@@ -10,15 +10,7 @@ import pytest
 import zstandard
 from hostile_texts import MERGED
 
-from examination.campaign.hostile_bags import (
-    TRICKS,
-    chunk,
-    journal_naming,
-    mcap_of,
-    message,
-    named_joints,
-    small_bag,
-)
+from examination.campaign import hostile_bags as harm
 from examination.campaign.outcome import allowance
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
@@ -44,13 +36,13 @@ def storage_of(bag):
 
 @pytest.fixture
 def db3(tmp_path):
-    return storage_of(small_bag(tmp_path / "bag", "sqlite3"))
+    return storage_of(harm.small_bag(tmp_path / "bag", "sqlite3"))
 
 
 def test_no_file_is_deleted_by_the_journal_beside_a_bag_nor_read_through_a_link(db3, tmp_path):
     victim = tmp_path / "thesis.tex"
     victim.write_text("years of work")
-    journal = journal_naming(db3, victim)
+    journal = harm.journal_naming(db3, victim)
     db3.with_name(db3.name + "-wal").symlink_to(victim)
     before = db3.read_bytes(), journal.read_bytes()
     assert said_of(db3)[1] == 20
@@ -61,15 +53,15 @@ def test_no_file_is_deleted_by_the_journal_beside_a_bag_nor_read_through_a_link(
 # The schema is data too: what it calls a table may be a view's text.
 ENTERED_VIEW = (
     "PRAGMA writable_schema = ON",
-    f"UPDATE sqlite_master SET sql = '{TRICKS[0]}' WHERE name = 'messages'",
+    f"UPDATE sqlite_master SET sql = '{harm.TRICKS[0]}' WHERE name = 'messages'",
 )
 ODD_STAMPS = "UPDATE messages SET timestamp = {} WHERE rowid % 7 = 3"
 
 
 @pytest.mark.parametrize(("statements", "said", "readings"), [
-    (("DROP TABLE messages", TRICKS[0]), "refused: .*messages is no", 0),
-    (("DROP TABLE messages", TRICKS[1]), "refused: .*messages has columns", 0),
-    (("DROP TABLE messages", TRICKS[2]), "refused: .*messages is no", 0),
+    (("DROP TABLE messages", harm.TRICKS[0]), "refused: .*messages is no", 0),
+    (("DROP TABLE messages", harm.TRICKS[1]), "refused: .*messages has columns", 0),
+    (("DROP TABLE messages", harm.TRICKS[2]), "refused: .*messages is no", 0),
     (ENTERED_VIEW, "refused: .*(messages is no|malformed)", 0),
     ((ODD_STAMPS.format("'now'"),), "", 17), ((ODD_STAMPS.format("1e308"),), "", 17),
 ])  # fmt: skip
@@ -88,18 +80,22 @@ def test_messages_that_a_program_makes_are_refused_and_stamps_are_integers(
 
 def chunks_in_chunks(content: bytes) -> bytes:
     for _ in range(1500):
-        content = chunk(content, compressed=False)
-    return mcap_of(content)
+        content = harm.chunk(content, compressed=False)
+    return harm.mcap_of(content)
 
 
 HARMFUL_FILES = {
     # 183 kB took 3.8 GB: a million messages in compressed chunks.
-    "bag.mcap: unfolds to more than": lambda: mcap_of(
-        *[chunk(message(1, 0, b"\0\1\0\0" + bytes(200)) * 80_000)] * 30
+    "bag.mcap: unfolds to more than": lambda: harm.mcap_of(
+        *[harm.chunk(harm.message(1, 0, b"\0\1\0\0" + bytes(200)) * 80_000)] * 30
     ),
-    "a chunk inside a chunk": lambda: chunks_in_chunks(message(1, 0, b"\0\1\0\0")),
-    "1 of 1 messages cannot be decoded": lambda: mcap_of(chunk(message(2, 0, named_joints(10**6)))),
-    "more than 4096 topics": lambda: mcap_of(topics=[(f"/t{k}", "a/msg/B") for k in range(5000)]),
+    "a chunk inside a chunk": lambda: chunks_in_chunks(harm.message(1, 0, b"\0\1\0\0")),
+    "1 of 1 messages cannot be decoded": lambda: harm.mcap_of(
+        harm.chunk(harm.message(2, 0, harm.named_joints(10**6)))
+    ),
+    "more than 4096 topics": lambda: harm.mcap_of(
+        topics=[(f"/t{k}", "a/msg/B") for k in range(5000)]
+    ),
     "zstd: unfolds to more than": lambda: zstandard.compress(bytes(1 << 28), 19),
 }
 
@@ -123,7 +119,7 @@ BOMB += (
 
 
 def test_metadata_is_read_within_bounds_and_the_bag_without_it(tmp_path):
-    bag = small_bag(tmp_path / "bag", "mcap")
+    bag = harm.small_bag(tmp_path / "bag", "mcap")
     good = (bag / METADATA).read_text()
     deep, long = good + "y: " + "[" * 5000, good + "x: " + "9" * 401
     odd = ["{", "rosbag2_bagfile_information: 3", "\0\0", "", "#" * (2 << 20)]
@@ -134,8 +130,8 @@ def test_metadata_is_read_within_bounds_and_the_bag_without_it(tmp_path):
 
 
 def test_links_out_of_the_folder_of_a_bag_are_not_followed(tmp_path):
-    bag = small_bag(tmp_path / "bag", "mcap")
-    (bag / "stolen.mcap").symlink_to(storage_of(small_bag(tmp_path / "other", "mcap")))
+    bag = harm.small_bag(tmp_path / "bag", "mcap")
+    (bag / "stolen.mcap").symlink_to(storage_of(harm.small_bag(tmp_path / "other", "mcap")))
     said, readings = said_of(bag)
     assert "stolen.mcap: a link out of the bag's folder; not followed" in said and readings == 20
     storage_of(bag).unlink()
