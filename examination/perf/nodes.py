@@ -24,6 +24,7 @@ from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.nodes import bench_plan
 from sma_bench.parameters import read_parameters
+from sma_bench.ros.node import seconds_of, stamp_of
 from sma_bench.ros.processes import NodeProcesses, parameter_arguments, private_ros_environment
 
 RIGS = {"one wire": COMPOSITE.with_name("wire_rig.yaml"), "four wires": COMPOSITE}
@@ -135,10 +136,6 @@ def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
     """Alternating voltages, and when readings arrive and show them; beside a bare pair of nodes."""
     late: list[float] = []
 
-    def take(message: Any) -> None:
-        stamp = message.header.stamp
-        late.append(time.time() - stamp.sec - stamp.nanosec * 1e-9)
-
     rates = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), rate)
     with running({"simulator": rates}) as bench:
         pair = subprocess.Popen([sys.executable, "-c", BARE, NAMESPACE], env=tied_to_this_process())
@@ -146,7 +143,9 @@ def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
             simulated = _Asked(bench, "voltage_command", "wire/power")
             bare = _Asked(bench, "bare/command", "bare/power")
             both = simulated, bare
-            bench.node.create_subscription(BatteryState, "wire/power", take, QoSProfile(depth=1000))
+            bench.node.create_subscription(
+                BatteryState, "wire/power", lambda m: late.append(time.time() - seconds_of(m)), 1000
+            )
 
             def ask() -> None:
                 for one in both:
@@ -275,8 +274,8 @@ def _camera_nodes(name: str, seconds: float = 8.0) -> Iterator[Figure]:
         warmth = [bench.node.create_publisher(Temperature, topic, 10) for topic in topics]
 
         def take(message: Any) -> None:
-            stamp, now = message.header.stamp, bench.node.get_clock().now().nanoseconds * 1e-9
-            ages.append(float(now - stamp.sec - stamp.nanosec * 1e-9))
+            now = bench.node.get_clock().now().nanoseconds
+            ages.append(1e-9 * (now - stamp_of(message)))
 
         def heat() -> None:
             for publisher in warmth:

@@ -10,6 +10,7 @@ from fake_bench import FakeBench
 from std_msgs.msg import Float64, Float64MultiArray
 
 from sma_bench.installation import share_directory
+from sma_bench.ros.node import seconds_of
 
 COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
 # Few readings: the test has to keep up with them. However long a loaded machine keeps the
@@ -47,13 +48,9 @@ def test_triangle_of_deflections_is_tracked_on_the_simulator(bench, tmp_path):
     assert states[-1].data == "done: short"
     # The state may overtake readings that still wait in the test's own queues.
     bench.until(lambda: min(m.position[0] for m in tip) < -0.025)
-
-    def moment(message):
-        return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
-
-    peak = moment(max(tip, key=lambda m: m.position[0]))
-    bench.until(lambda: moment(tip[-1]) > peak + 11.0, LONG)
-    time, metres = np.array([moment(m) for m in tip]), np.array([m.position[0] for m in tip])
+    peak = seconds_of(max(tip, key=lambda m: m.position[0]))
+    bench.until(lambda: seconds_of(tip[-1]) > peak + 11.0, LONG)
+    time, metres = np.array([(seconds_of(m), m.position[0]) for m in tip]).T
     corners = [-3.0, 0.0, 3.0, 5.0, 8.0, 11.0]
     wanted = np.interp(time - peak, corners, [0.0, 0.03, 0.0, 0.0, -0.03, 0.0])
     part = (time > peak - 3.0) & (time < peak + 10.5)

@@ -9,15 +9,12 @@ from sensor_msgs.msg import BatteryState, Image, Temperature
 
 from sma_bench.hardware.thermal_image import Surface, SyntheticCamera, SyntheticWire
 from sma_bench.nodes.bench_plan import WIRE, plan_bench
+from sma_bench.ros.node import seconds_of
 
 ROOM = 23.0
 # A picture small enough for a loaded machine.
 SMALL = {"image_width": 120, "image_height": 80}
 QUIET = {"sensor__temperature_noise": 0.0, "sensor__temperature_resolution": 0.0}
-
-
-def seconds(message):
-    return message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
 
 
 def test_planned_nodes_read_a_wire_by_its_pictures_until_the_camera_freezes(
@@ -46,7 +43,7 @@ def test_planned_nodes_read_a_wire_by_its_pictures_until_the_camera_freezes(
     settled = len(read) + 40
     bench.until(lambda: len(read) > settled + 30)
     true_values, late = [message.temperature for message in truth], read[settled:]
-    expected = np.interp(list(map(seconds, late)), list(map(seconds, truth)), true_values)
+    expected = np.interp(list(map(seconds_of, late)), list(map(seconds_of, truth)), true_values)
     off = np.array([message.temperature for message in late]) - expected
     deviation = np.array([message.variance for message in late]) ** 0.5
     assert (np.abs(off) < 2 * deviation).all()

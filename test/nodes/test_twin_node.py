@@ -6,6 +6,7 @@ from planted import true_bench
 from std_msgs.msg import Float64MultiArray
 
 from sma_bench.parameters import write_parameters
+from sma_bench.ros.node import seconds_of
 
 EFFECT = "effect.side_heat_coupling.conductance"
 HIDDEN = {EFFECT: 0.002}
@@ -15,10 +16,6 @@ PATIENCE = 300.0
 RATES = {"rate__power": 20.0, "rate__temperature": 20.0, "rate__mechanics": 20.0}
 
 pytestmark = pytest.mark.slow
-
-
-def seconds(message):
-    return message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
 
 
 def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of_it(
@@ -57,14 +54,14 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
 
     # What is there at the first verdict counts as known, not as grown.
     bench.until(judged_at_rest, PATIENCE)
-    begun = seconds(joints[-1])
+    begun = seconds_of(joints[-1])
 
     def drive(duration):
         """For s of simulated time, both sides by turns."""
-        end = seconds(joints[-1]) + duration
+        end = seconds_of(joints[-1]) + duration
 
         def driven():
-            now = seconds(joints[-1])
+            now = seconds_of(joints[-1])
             front = (now - begun) // PULSE % 2 == 0
             command.publish(Float64MultiArray(data=[2.0, 0.0] if front else [0.0, 2.0]))
             return now >= end
@@ -83,10 +80,10 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
     # A residual is what the prediction lacks of the reading, with its stamp.
     assert tips[-1].name == ["tip"] and currents[-1].location == "back_1"
     by_stamp, readings = (
-        {seconds(m): m.temperature for m in messages} for messages in (predicted, measured)
+        {seconds_of(m): m.temperature for m in messages} for messages in (predicted, measured)
     )
-    common = [m for m in residuals if seconds(m) in by_stamp.keys() & readings.keys()]
-    lacking = [readings[seconds(m)] - by_stamp[seconds(m)] for m in common]
+    common = [m for m in residuals if seconds_of(m) in by_stamp.keys() & readings.keys()]
+    lacking = [readings[seconds_of(m)] - by_stamp[seconds_of(m)] for m in common]
     assert len(common) > 10
     assert [m.temperature for m in common] == pytest.approx(lacking, abs=1e-6)
 

@@ -193,3 +193,18 @@ def left_of(phase, own, own_reversed, other, other_reversed):
     if other < other_reversed:
         left = max(left, min(1.0 - other / other_reversed, own))
     return min(left, 1.0)
+
+
+def rule_errors(run, f, g, steady):
+    """Largest distance of a sample's fraction from that rule, given ramps and steady temperatures
+    (n, w), reversals followed from outside; and how many of these there were."""
+    trend, xi, largest, turned = np.sign(steady - run.temperature), run.martensite_fraction, 0.0, 0
+    for i in range(xi.shape[1]):
+        rising, since = True, (1.0, (f[0, i], g[0, i]))
+        for k in range(1, len(xi)):
+            if trend[k - 1, i] and (trend[k - 1, i] > 0) != rising:
+                rising, turned = not rising, turned + 1
+                since = xi[k - 1, i], (f[k - 1, i], g[k - 1, i])
+            there = fraction_since_reversal(rising, *since, (f[k, i], g[k, i]))
+            largest = max(largest, abs(there - xi[k, i]))
+    return largest, turned

@@ -1,16 +1,9 @@
 """Laws of the phase and free convection, against references written by plain means."""
 
+import effect_references as by_hand
 import numpy as np
 import pytest
-from effect_references import (
-    COMPOSITE,
-    SECONDARY,
-    SWITCHES,
-    WIRE,
-    fraction_since_reversal,
-    pulses,
-    refined,
-)
+from effect_references import COMPOSITE, WIRE, pulses, refined
 from scipy.integrate import solve_ivp
 from scipy.special import ndtri
 
@@ -32,15 +25,7 @@ STOCK = WIRE.replace({
     "wire.hysteresis_spread": 0.25,
 })  # fmt: skip
 SIGNALS = ("temperature", "martensite_fraction", "stress", "bending", "deflection_reading")
-
-
-class Heat:
-    """The paper's wire."""
-
-    ohm = WIRE["wire.resistance"]
-    capacity = WIRE["wire.mass"] * WIRE["wire.specific_heat"]
-    area = WIRE["wire.surface_area"]
-    loss = WIRE["wire.heat_transfer_coefficient"] * WIRE["wire.surface_area"]
+OHM, HEAT = WIRE["wire.resistance"], by_hand.Heat(WIRE)
 
 
 def of_law(parameters, law):
@@ -53,7 +38,7 @@ def led(rig, turns, sigma=0.0, step=0.05):
     legs = [np.linspace(a, b, int(abs(b - a) / step) + 1)[1:]
             for a, b in zip((AMBIENT, *turns), turns, strict=False)]  # fmt: skip
     kelvin = np.concatenate([[AMBIENT], *legs])
-    volts = np.sqrt((np.append(kelvin[1:], kelvin[-1]) - AMBIENT) * Heat.loss * Heat.ohm)
+    volts = np.sqrt((np.append(kelvin[1:], kelvin[-1]) - AMBIENT) * HEAT.loss * OHM)
     light = rig.replace({"wire.mass": 1e-7, "wire.specific_heat": 50.0})
     held = Boundary.held_stress(sigma)
     run = simulate(light, np.arange(kelvin.size), volts, boundary=held)
@@ -99,16 +84,8 @@ def test_partial_loops_of_a_composite_follow_the_rule_and_the_stress_at_every_sa
     g = left(law, (m_s - kelvin + sigma / 8.0e6) / (m_s - m_f))
     per_wire = run.contraction[:, [0, 0, 1, 1]]
     assert np.abs(sigma - material.stress(kelvin, xi, per_wire, p)).max() < 1.0
-    trend = np.sign(run.voltage**2 / Heat.ohm / Heat.loss + AMBIENT - kelvin)
-    turned, off = 0, 0.0
-    for i in range(4):
-        rising, since = True, (1.0, (f[0, i], g[0, i]))
-        for k in range(1, len(run.time)):
-            if trend[k - 1, i] and (trend[k - 1, i] > 0) != rising:
-                rising, turned = not rising, turned + 1
-                since = xi[k - 1, i], (f[k - 1, i], g[k - 1, i])
-            there = fraction_since_reversal(rising, *since, (f[k, i], g[k, i]))
-            off = max(off, abs(there - xi[k, i]))
+    steady = run.voltage**2 / OHM / HEAT.loss + AMBIENT
+    off, turned = by_hand.rule_errors(run, f, g, steady)
     assert off < 1e-8 and turned > 10 and np.ptp(xi) > 0.9
 
 
@@ -200,7 +177,7 @@ def test_a_state_without_history_holds_its_fraction_under_every_law():
         for kelvin, xi in ((340.0, 0.5), (345.0, 0.8), (330.0, 0.99), (297.0, 1.0)):
             free = Boundary.held_stress(0.0)
             warm = initial_state(rig, temperature=kelvin, martensite_fraction=xi, boundary=free)
-            volts = np.full(3, np.sqrt((kelvin - AMBIENT) * Heat.loss * Heat.ohm))
+            volts = np.full(3, np.sqrt((kelvin - AMBIENT) * HEAT.loss * OHM))
             run = simulate(rig, [0.0, 0.01, 0.02], volts, initial=warm, boundary=free)
             assert run.martensite_fraction[-1, 0] == pytest.approx(xi, abs=1e-6), law
         with pytest.raises(InputError, match="expected 0 above A_f"):
@@ -210,7 +187,7 @@ def test_a_state_without_history_holds_its_fraction_under_every_law():
     first = simulate(STOCK, time, 4.9 * np.sin(np.pi * time / 10.0), boundary=free)
     for law in LAWS:
         state = first.final
-        held = np.full(3, np.sqrt((state.temperature[0] - AMBIENT) * Heat.loss * Heat.ohm))
+        held = np.full(3, np.sqrt((state.temperature[0] - AMBIENT) * HEAT.loss * OHM))
         on = simulate(of_law(STOCK, law), [0, 0.01, 0.02], held, initial=state, boundary=free)
         change = on.martensite_fraction[-1, 0] - state.martensite_fraction[0]
         assert abs(change) < 0.02, law
@@ -222,11 +199,12 @@ def test_a_state_without_history_holds_its_fraction_under_every_law():
 @pytest.mark.parametrize("law", LAWS)
 def test_every_effect_works_under_every_law_or_the_pair_is_refused_by_name(law):
     time, voltage = pulses(0.0625, 12.0)
-    base = of_law(COMPOSITE, law).replace(SECONDARY)
+    base = of_law(COMPOSITE, law).replace(by_hand.SECONDARY)
     alone = simulate(base, time, voltage)
     assert np.ptp(alone.martensite_fraction) > 0.9
     for effect in EFFECTS.values():
-        on = {p.name: p.uncertainty for p in SWITCHES if p.name.split(".")[1] == effect.name}
+        switches = (p for p in by_hand.SWITCHES if p.name.split(".")[1] == effect.name)
+        on = {p.name: p.uncertainty for p in switches}
         if law not in effect.laws:
             with pytest.raises(InputError, match=f"effect {effect.name} with wire.law {law}"):
                 base.replace(on)
@@ -324,7 +302,7 @@ def test_cooling_by_free_convection_follows_the_differential_equation():
         left = named - grey(AMBIENT + 60.0, AMBIENT)
         h = left * ((excess**2 + 4.0) / 3604.0) ** (0.5 * exponent)
         h += 0.4 * 5.67e-8 * (y[0] + AMBIENT) * (y[0] ** 2 + AMBIENT**2)
-        return [(volt**2 / Heat.ohm - h * area * excess) / Heat.capacity]
+        return [(volt**2 / OHM - h * area * excess) / HEAT.capacity]
 
     time = np.array([0.0, 3.0, 6.0, 9.0, 12.0])
     volts, exact = np.array([2.2, 0.0, 1.6, 0.0, 0.0]), [AMBIENT]

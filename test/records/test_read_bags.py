@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
-from examination.campaign.drawn_bags import HABITS, LOSS, REFUSED, RIGHT, outcome
+from examination.campaign.drawn_bags import HABITS, LOSS, RAISED, REFUSED, RIGHT, WRONG, outcome
 from examination.campaign.drawn_bags import write_bag as write_drawn
 from sma_bench.errors import InputError
 from sma_bench.records import read_record
@@ -29,6 +29,33 @@ def test_bags_of_every_habit_are_read_right_or_say_what_is_lost(tmp_path, storag
     is_refused = habit in NOT_READ or (storage, kind) == ("sqlite3", "end")
     end, why = outcome(bag)
     assert end == (REFUSED if is_refused else LOSS if habit in LOST else RIGHT), why
+
+
+@pytest.mark.parametrize("habits", [
+    {"storage": "sqlite3"},
+    # What was read wrong when it was found first.
+    {"clock": "one never stamped, an hour apart", "stamps": "repeated"},
+    {"clock": "from 0, computer's beside", "stamps": "one far away"},
+    {"files": "one missing", "metadata": "missing"},
+    {"files": "one missing", "metadata": "cut off"},
+    {"inside": "no chunks", "end": "zeros"},
+])  # fmt: skip
+@pytest.mark.parametrize("seed", range(4))
+def test_a_bag_of_several_habits_is_read_right_and_what_is_lost_is_said(tmp_path, habits, seed):
+    bag = write_drawn(tmp_path, np.random.default_rng(seed), PLAIN | habits)
+    end, why = outcome(bag)
+    assert end not in (WRONG, RAISED), why
+    assert end in (RIGHT, LOSS) or not bag.tells, why
+
+
+@pytest.mark.parametrize("cut", [1, 200, 5000])
+def test_an_sqlite3_file_without_its_end_is_refused(tmp_path, cut):
+    """SQLite itself would find fewer rows, without a word."""
+    write_drawn(tmp_path, np.random.default_rng(1), PLAIN | {"storage": "sqlite3"})
+    (file,) = tmp_path.rglob("*.db3")
+    file.write_bytes(file.read_bytes()[:-cut])
+    with pytest.raises(InputError, match="the end of the file is missing"):
+        read_record(file)
 
 
 def said(record, subject):
