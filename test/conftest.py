@@ -15,6 +15,7 @@ from types import SimpleNamespace
 
 import hypothesis
 import pytest
+import yaml
 
 from sma_bench.ros.processes import USERS_VARIABLES, choose_discovery
 
@@ -42,32 +43,8 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
 hypothesis.settings.register_profile("any machine", deadline=None)
 hypothesis.settings.load_profile("any machine")
 
-# Some 10 s each and more, on the wall: the longest first, and those that wait for what goes on in
-# real time by turns with those that compute, lest all workers wait at once.
-LONGEST = (
-    "docs/test_documented_pages", "commands/test_demo", "nodes/test_investigated_bench",
-    "blind/test_cases", "nodes/test_bridge_faults", "packaging/test_bench_script",
-    "reliability/test_campaigns", "twin/test_twin", "nodes/test_twin_node", "batch/test_batch",
-    "report/test_paper", "nodes/test_ir_camera", "report/test_collected_report",
-    "nodes/test_experiment", "docs/test_site",
-    "packaging/test_installing", "nodes/test_simulator", "report/test_diagnosis_report",
-    "nodes/test_job_nodes", "test_architecture", "commands/test_call_command", "perf/test_perf",
-    "nodes/test_dashboard", "report/test_pages_in_browser", "nodes/test_recorder",
-    "identify/test_unstated", "identify/test_fit_verdict",
-    "identify/test_constitutive", "dashboard/test_page_in_browser", "diagnose/test_planted_effects",
-    "identify/test_sensor_errors", "nodes/test_serial_bridge", "diagnose/test_moving_benches",
-    "identify/test_checks", "nodes/test_controller_nodes", "report/test_plots",
-    "commands/test_investigate", "identify/test_moving_loads", "reliability/test_lifeline",
-    "identify/test_isobaric", "identify/test_composite", "identify/test_load_frame",
-)  # fmt: skip
-
-# Run again when they fail, and why; the summary names every rerun. All others have one try.
-RERUN = {
-    "test/nodes/test_dashboard.py::test_a_page_finds_its_bench_stops_it_works_on_records_and_outlives_hostile_texts":
-        "failed once at nine times the load that the processors can take; cause not known",
-    "test/reliability/test_campaigns.py::test_killed_recorders_lose_a_second_at_most":
-        "a second of the wall's clock, of recorders that others may keep from running",
-}  # fmt: skip
+ORDER = yaml.safe_load((ROOT / "test" / "order.yaml").read_text())
+LONGEST, RERUN = ORDER["longest"], ORDER["rerun"]
 
 # Above 101 the ports of a domain overlap those that Linux hands out to anyone.
 DOMAINS = range(10, 102)

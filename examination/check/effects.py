@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import yaml
 
 from examination.blind.cases import QUANTITIES, SPLITS, Case, draw_cases
 from examination.blind.judgement import UNSEEN, proportion, unseen_drive
@@ -35,21 +36,7 @@ WANTED = (0.80, 0.95)
 _QUIET = 1e-3  # of the sensors' noise
 _STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread, as a diagnosis begins
 
-# Numbers that mean the same in the model and in the reality. The others do not: two relaxation
-# times are no one, a wave no parabola, the silicone beside a wire no room.
-SAME = {
-    "effect.supply_drop.resistance": "supply_resistance",
-    "effect.phase_dependent_resistance.austenite_change": "resistance_austenite_change",
-    "effect.phase_dependent_resistance.temperature_coefficient": (
-        "resistance_temperature_coefficient"
-    ),
-    "effect.latent_heat.heat": "latent_heat",
-    "effect.side_heat_coupling.conductance": "side_conductance",
-    "effect.residual_strain.share": "unrecovered_strain",
-    "effect.side_asymmetry.ratio": "stiffness_asymmetry",
-    "effect.slack.strain": "slack",
-    "effect.temperature_lag.time_constant": "camera_lag",
-}
+SAME: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 _SLOPE = "effect.stress_dependent_transition."
 
 

@@ -7,20 +7,11 @@ import time
 from importlib import import_module
 from pathlib import Path
 
+import yaml
+
 from examination.perf.measuring import Figure, as_json, print_section
 
-# Functions that yield figures, in MODULES or in work.
-SECTIONS = {
-    "simulation": "stiff solvers at equal error",
-    "reading": "bags: rosbags, mcap-ros2-support",
-    "commands": "help, identification, diagnosis; cold and warm",
-    "diagnosis": "development cases, records of minutes to hours",
-    "identification": "E10 over minutes to an hour, memory",
-    "nodes": "rates, latency beside a bare pair of rclpy, share of a core; the camera",
-    "bench": "a whole simulated bench as six processes and in one: start, memory",
-    "twin": "whether the twin keeps 500 Hz, and what it takes of a core",
-    "batch": "identified, diagnosed; on one process and on all cores",
-}
+SECTIONS: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 MODULES = {"simulation": "solvers", **dict.fromkeys(("nodes", "bench", "twin"), "nodes")}
 
 

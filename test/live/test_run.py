@@ -3,9 +3,11 @@ written."""
 
 import json
 import math
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
+import yaml
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import Guard, Limits
@@ -19,15 +21,8 @@ LIMITS = Limits.from_parameters(PARAMETERS)
 RESISTANCE = PARAMETERS["wire.resistance"]
 PERIOD = 0.02
 POWER = "/bench/wire/power"
-LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
-WAITS = {
-    "name": "waits",
-    "steps": [
-        {"kind": "hold", "name": "warm", "level": 2.0, "duration": 5.0,
-         "until": {"temperature_above": 320.0}},
-        {"kind": "rest", "name": "cool", "duration": 1.0},
-    ],
-}  # fmt: skip
+RUNS = yaml.safe_load((Path(__file__).parents[1] / "runs.yaml").read_text())
+LONG, WAITS = RUNS["long"], RUNS["waits"]
 
 
 class Bench:

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import time
+from pathlib import Path
 
 import pytest
 import yaml
@@ -15,16 +16,8 @@ from sma_bench.ros.node import LATCHED
 
 COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
 
-SHORT = {
-    "name": "short",
-    "steps": [
-        {"kind": "hold", "name": "warm", "level": 2.0, "duration": 2.0},
-        {"kind": "ramp", "name": "heat", "start": 2.0, "stop": 4.0, "duration": 2.0},
-        {"kind": "rest", "name": "cool", "duration": 1.0},
-    ],
-}
-LONG = {"name": "long", "steps": [{"kind": "hold", "level": 3.0, "duration": 1000.0}]}
-HOT = {"name": "hot", "steps": [{"kind": "hold", "level": 12.0, "duration": 1.0}]}
+RUNS = yaml.safe_load((Path(__file__).parents[1] / "runs.yaml").read_text())
+SHORT, LONG, HOT = (RUNS[name] for name in ("short", "long", "hot"))
 
 
 @pytest.fixture

@@ -323,20 +323,7 @@ def test_a_node_reads_its_own_section_and_later_sources_win(given):
             check_arguments("simulator", arguments)
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("/bench/serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}", ""),
-    ("/**/serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}", ""),
-    ("/bench/*: {ros__parameters: {bench.maximum_voltage: 3.0}}", ""),
-    ("bench: {serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}}", ""),
-    ("serial_bridge: {ros__parameters: {bench.maximum_voltage: 3.0}}",
-     "no section for /bench/serial_bridge, found /serial_bridge, expected /\\*\\* or /bench/s"),
-    ("{}", "no section for /bench/serial_bridge, found none"),
-    ("/**: {ros__parameters: {bench: {maximum_voltage: 3.0, maximum_voltage: 9.0}}}",
-     "maximum_voltage stands twice"),
-    ("/**: {ros__parameters: {bench.maximum_voltage: 3.0}}\n"
-     "/bench/serial_bridge: {ros__parameters: {bench.maximum_voltage: 9.0}}",
-     "bench.maximum_voltage is 3.0 in /\\*\\* and 9.0 in /bench/serial_bridge"),
-])  # fmt: skip
+@pytest.mark.parametrize(("text", "said"), CASES["sections"])
 def test_a_parameter_file_is_obeyed_or_refused(tmp_path, text, said):
     path = tmp_path / "limits.yaml"
     path.write_text(text)

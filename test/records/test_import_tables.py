@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,6 +25,7 @@ pytest.importorskip("openpyxl")
 io = pytest.importorskip("scipy.io")
 sparse = pytest.importorskip("scipy.sparse")
 
+CASES = yaml.safe_load(Path(__file__).with_name("import_tables.yaml").read_text())
 SUPPLY = 12.0
 RIG = """/**:
   ros__parameters:
@@ -115,14 +117,7 @@ def test_a_bag_says_where_it_comes_from_and_its_map_gives_it_again(tmp_path, rig
             np.testing.assert_array_equal(again[signal.name].values, signal.values)
 
 
-@pytest.mark.parametrize(("titles", "scale", "said"), [
-    (["time [s]", "duty [%]", "position"], (1, 100, 77), "no unit is given"),
-    (["time", "duty [%]", "position [mm]"], (1000, 100, 1e3), "which unit"),
-    (["time [s]", "voltage [V]", "position [mm]"], (1, 1.0, 1e3), "rms or mean"),
-    (["time [s]", "supply [V]", "position [mm]"], (1, 1.0, 1e3), "no voltage, duty"),
-    # Kelvin that are degrees Celsius.
-    (["time [s]", "duty [%]", "wire temp [K]"], (1, 100, 1.9e3), "beyond belief, or in degC"),
-])  # fmt: skip
+@pytest.mark.parametrize(("titles", "scale", "said"), CASES["asked"])
 def test_what_is_unsure_is_asked_in_one_line_and_in_the_map(
     titles, scale, said, tmp_path, rig, capsys
 ):
@@ -145,13 +140,7 @@ def test_what_is_unsure_is_asked_in_one_line_and_in_the_map(
         np.testing.assert_allclose(record["elongation"].values, -MOVED, atol=1e-8)
 
 
-@pytest.mark.parametrize(("entry", "said"), [
-    ("scale: .inf", "float. <= .* at .*scale"), ("offset: .nan", "float. >= -.* at .*offset"),
-    ("clock: t}, {signal: wire.voltage, column: w, unit: V, clock: t", "expected one column"),
-    ("sign: 2", "enum value 2 - at .*sign"), ("colour: red", "unknown field `colour`"),
-    ("reference: .nan", "float. >= -.* at .*reference"),
-    ("clock: t2", "clock is 't2', expected one of those under time"),
-])  # fmt: skip
+@pytest.mark.parametrize(("entry", "said"), CASES["entries"])
 def test_a_value_that_a_map_does_not_have_is_named_with_its_place(entry, said, tmp_path):
     text = "time: {t: s}\nsignals: [{signal: wire.voltage, column: u, unit: V, clock: t, %s}]\n"
     path = tmp_path / "x.map.yaml"
@@ -286,11 +275,7 @@ def test_a_damaged_matlab_file_ends_in_one_line_and_what_is_no_series_is_named(t
     assert file.outside == ("z (no array of numbers)", "s (no array of numbers)")
 
 
-@pytest.mark.parametrize(("text", "said"), [
-    ("time [s],duty [%],x [mm]\n0,0,1\n1,1,2\n0.5,1,2\n", "goes back"),
-    ("time [s],duty [%],x [mm]\n0,0,1\n1,bad,2\n2,1,2\n", "line 3"),
-    ("a,b\n1,2\n3,4\n", "no position"), ("nothing\n", "no columns"),
-])  # fmt: skip
+@pytest.mark.parametrize(("text", "said"), CASES["broken"])
 def test_a_broken_table_is_one_line_that_says_where_and_leaves_no_bag(
     text, said, tmp_path, rig, capsys
 ):
