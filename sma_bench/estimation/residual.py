@@ -76,9 +76,8 @@ class Problem:
 
     def with_nuisances(self, parameters: Parameters, states: float = 0.0) -> Self:
         """Nuisances about the model at these parameters; `states`: as the attribute."""
-        found = tuple(
-            nuisances_about(o, parameters, self.voltage_noise, states) for o in self.observations
-        )
+        asked = [(o, parameters, self.voltage_noise, states) for o in self.observations]
+        found = tuple(in_threads(nuisances_about, asked))
         return replace(self, nuisances=found, states=states, shared={})
 
     def moved(self, parameters: Parameters, z: Array) -> Self:
@@ -275,9 +274,14 @@ class Problem:
 
     @cached_property
     def nuisance_information(self) -> Array:
-        """(q, q) of the nuisances alone, their priors' among it."""
-        rows = self.white_nuisances
-        return np.asarray(rows.T @ rows + np.eye(rows.shape[1]))
+        """(q, q) of the nuisances alone, their priors' among it; each is of one record."""
+        rows, first, known = self.white_nuisances, np.zeros(2, dtype=int), []
+        for own in self.nuisances:
+            last = first + own.columns.shape
+            part = rows[first[0] : last[0], first[1] : last[1]]
+            known.append(part.T @ part + np.eye(part.shape[1]))
+            first = last
+        return np.asarray(block_diag(*known))
 
     @cached_property
     def nuisance_factor(self) -> tuple[Array, bool]:

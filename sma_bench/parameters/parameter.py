@@ -23,12 +23,12 @@ from sma_bench.errors import InputError
 Kind = Literal["double", "integer", "bool", "string", "strings"]
 Value = float | int | bool | str | tuple[str, ...]
 
-_EXPECTED = {
-    "double": "a number",
-    "integer": "a whole number",
-    "bool": "true or false",
-    "string": "a string",
-    "strings": "a list of strings",
+_EXPECTED: dict[str, tuple[type | tuple[type, ...], str]] = {
+    "double": ((int, float), "a number"),
+    "integer": (int, "a whole number"),
+    "bool": (bool, "true or false"),
+    "string": (str, "a string"),
+    "strings": ((list, tuple), "a list of strings"),
 }
 _CELSIUS_RANGE = (-100.0, 200.0)
 _UNIT_SLIPS = (1e-3, 1e3, 1e-6, 1e6, 1e-9, 1e9)
@@ -63,18 +63,14 @@ class Parameter:
     def validated(self, value: Any, where: str = "") -> Value:
         """The value in its own type. Raises InputError: wrong type, not finite, or outside the
         range; `where` leads the line."""
-        prefix, is_bool = f"{where}: " if where else "", isinstance(value, bool)
-        is_list = isinstance(value, (list, tuple)) and all(isinstance(i, str) for i in value)
-        fits = {
-            "double": isinstance(value, (int, float)) and not is_bool,
-            "integer": isinstance(value, int) and not is_bool,
-            "bool": is_bool, "string": isinstance(value, str), "strings": is_list,
-        }  # fmt: skip
-        if not fits[self.kind]:
-            expected = _EXPECTED[self.kind] + (f" in {self.unit}" if self.unit else "")
+        prefix = f"{where}: " if where else ""
+        types, expected = _EXPECTED[self.kind]
+        fits = isinstance(value, types) and isinstance(value, bool) == (self.kind == "bool")
+        if not fits or (self.kind == "strings" and not all(isinstance(i, str) for i in value)):
+            expected += f" in {self.unit}" if self.unit else ""
             raise InputError(f"{prefix}{self.name} is {value!r}, expected {expected}")
         if self.kind not in ("double", "integer"):
-            return tuple(value) if is_list else value  # type: ignore[no-any-return]
+            return tuple(value) if self.kind == "strings" else value  # type: ignore[no-any-return]
         number: float | int = float(value) if self.kind == "double" else value
         if not math.isfinite(number):
             raise InputError(f"{prefix}{self.name} is {number}, expected a finite number")

@@ -9,7 +9,7 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import EFFECTS, Effect
+from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, material
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
@@ -137,12 +137,15 @@ _NUMBERS: dict[str, list[tuple[int, str]]] = {
     ],
     "side": [],
 }
-_MARKS: dict[str, list[tuple[int, Effect]]] = {"wire": [], "side": []}
+# (column, number that switches it on, whether it is an effect of this kind of row)
+_MARKS: dict[str, list[tuple[int, str, bool]]] = {"wire": [], "side": []}
 for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
     for _effect in EFFECTS.values():
         if _effect.row == _row:
             _NUMBERS[_row] += [(_names[c], number) for number, c in _effect.column_names.items()]
-        _MARKS[_row] += [(_names[mark], _effect) for mark in _effect.marks if mark in _names]
+        for _mark in filter(_names.__contains__, _effect.marks):
+            _own = _effect.row == _row
+            _MARKS[_row] += [(_names[_mark], p.name, _own) for p in _effect.switches]
 
 
 def wire_rows(p: Parameters, boundary: Boundary) -> Array:
@@ -151,8 +154,8 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     row = np.zeros(at.WIRE_COLUMNS)
     for column, number in _NUMBERS["wire"]:
         row[column] = p[number]
-    for mark, effect in _MARKS["wire"]:
-        if effect.is_on(p):
+    for mark, switch, _ in _MARKS["wire"]:
+        if p[switch] != 0.0:
             row[mark] = 1.0
     row[at.LAW] = number_of(p)
     if p["wire.law"] == "normal":
@@ -206,9 +209,9 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     for column, number in _NUMBERS["side"]:
         if parameters[number]:
             sides[bends, column] = parameters[number]
-    for mark, effect in _MARKS["side"]:
-        if effect.is_on(parameters):
-            sides[bends if effect.row == "side" else slice(None), mark] = 1.0
+    for mark, switch, own in _MARKS["side"]:
+        if parameters[switch] != 0.0:
+            sides[bends if own else slice(None), mark] = 1.0
     sides[load > 0.0, at.SLACK] = 0.0  # the load draws the wires straight
     return sides
 
