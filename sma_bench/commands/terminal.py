@@ -34,8 +34,7 @@ def say(text: str) -> None:
 
 
 def write_json(path: str, document: dict[str, Any]) -> None:
-    """Write a result file, whole or not at all; "-" is standard output. Raises InputError: the
-    folder cannot be written."""
+    """Write a result file, whole or not at all; "-" is standard output. InputError: no folder."""
     if path == STANDARD_OUTPUT:
         print(json_text(document), end="", flush=True, file=results[-1] if results else None)
     else:

@@ -216,8 +216,7 @@ class _File:
 
 
 def identification_from(document: Any, where: str) -> Identification:
-    """An identification from what its JSON held. Raises InputError: one line that begins with
-    `where` and names the field."""
+    """An identification from what its JSON held. InputError: a line with `where` and the field."""
     found = decoded(_File, document, where)
     names, matrix = (found.correlation.get(key, []) for key in ("names", "matrix"))
     k = len(names)

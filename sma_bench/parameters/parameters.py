@@ -311,9 +311,8 @@ def as_recorded(parameters: Parameters) -> Parameters:
 
 
 def natural_convection(diameter: float, surface: float, ambient: float) -> float:
-    """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air, of Churchill and
-    Chu (1975), air at film temperature and 1 atm. `diameter` [m]; `surface`, `ambient`:
-    temperatures [K], surface above ambient."""
+    """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air by Churchill and
+    Chu (1975), at film temperature and 1 atm. `diameter` [m]; `surface` above `ambient` [K]."""
     film = 0.5 * (surface + ambient)
     conductivity = 0.0241 * (film / 273.15) ** 0.81
     viscosity = 1.716e-5 * (film / 273.15) ** 1.5 * (273.15 + 110.4) / (film + 110.4)

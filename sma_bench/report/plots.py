@@ -116,8 +116,7 @@ def _bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture
 def _over_time(
     rows: Sequence[tuple[str, Curves]], markers: Sequence[tuple[float, str]] = ()
 ) -> Figure:
-    """A graph a row, of long signals the least and the largest sample of each stretch of time;
-    markers are steps of the protocol."""
+    """A graph a row, long signals by least and largest of each stretch; markers: protocol steps."""
     figure, axes = draw.new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
         for k, (what, time, values) in enumerate(curves):
@@ -378,8 +377,7 @@ def evidence_picture(result: Diagnosis) -> Picture:
 
 
 def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Picture | None:
-    """Voltages of the proposed protocol; None where there is none. Raises InputError: the protocol
-    cannot be run on this rig."""
+    """Voltages of the proposed protocol, None without. InputError: it cannot be run on this rig."""
     if result.next_experiment is None or not result.next_experiment.protocol:
         return None
     protocol = parse_protocol(dict(result.next_experiment.protocol), parameters)
