@@ -4,11 +4,11 @@ topic is made from (`templates/diagnosis.j2`)."""
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Any, ClassVar, Literal
+from typing import Any, Literal
 
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.results import card_html, card_rows, card_text, cells, decoded, sentences
+from sma_bench.results import Carded, card_rows, cells, decoded, sentences
 
 Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained"]
 SET_MASS = 0.9  # probability that the credible candidates make together
@@ -135,10 +135,10 @@ class LeftOver:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class DiagnosisResult:
+class DiagnosisResult(Carded):
     """What diagnose has found, or its file holds."""
 
-    template: ClassVar[str] = "diagnosis.j2"
+    template = "diagnosis.j2"
 
     verdict: Verdict
     cause: tuple[str, ...]  # effects, empty unless the verdict is effect
@@ -179,17 +179,6 @@ class DiagnosisResult:
             if total >= SET_MASS:
                 break
         return tuple(chosen)
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0][:400]}>"
-
-    def __str__(self) -> str:
-        """The verdict card."""
-        return card_text(self)
-
-    def _repr_html_(self) -> str:
-        """The verdict card in a notebook."""
-        return card_html(self)
 
     def _gap(self) -> list[dict[str, Any]]:
         """Lines of the topic `~/gap`: the gap as a whole, and one a measured quantity."""
