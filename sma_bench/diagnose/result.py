@@ -3,7 +3,7 @@ topic is made from (`templates/diagnosis.j2`)."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
 from sma_bench.estimation.estimate import Estimate
@@ -72,10 +72,6 @@ class NextExperiment:
     def settles(self) -> bool:
         """Whether it is worth the bench's time."""
         return self.worth >= WORTH
-
-    def to_json(self) -> dict[str, Any]:
-        """As in the contract."""
-        return {name: value for name, value in asdict(self).items() if name != "worth"}
 
 
 @dataclass(frozen=True)
@@ -197,38 +193,32 @@ class DiagnosisResult(Carded):
 
     def to_json(self) -> dict[str, Any]:
         """The diagnosis result of contract section 5."""
-        first = self.candidates[0].parameters if self.candidates else {}
+        own = [f.name for f in fields(DiagnosisResult) if f.name != "path"]
+        numbers = self.candidates[0].parameters if self.candidates else {}
+        sizes = {
+            name: {n: e for n, e in numbers.items() if n.startswith(f"effect.{name}.")}
+            for name in self.cause
+        }
         return {
-            "verdict": self.verdict,
-            "cause": list(self.cause),
-            "candidates": [
-                {f.name: getattr(c, f.name) for f in fields(Explanation)}
-                | {"parameters": _numbers(c.parameters)} for c in self.candidates
-            ],
-            "credible": list(self.credible),
-            "card": card_rows(self),
+            **{name: _plain(getattr(self, name)) for name in own}, "size": _plain(sizes),
+            "credible": [*self.credible], "why": [*self.why], "card": card_rows(self),
             "gap": self._gap(),
-            "where": asdict(self.where),
-            "shrinkage": {name: asdict(s) for name, s in self.shrinkage.items()},
-            "why": list(self.why),
-            "size": {
-                name: _numbers({n: e for n, e in first.items() if n.startswith(f"effect.{name}.")})
-                for name in self.cause
-            },
-            "moved": [asdict(m) for m in self.moved],
-            "smoother": _numbers(self.smoother),
-            "difference": asdict(self.difference) if self.difference else None,
-            "left": asdict(self.left) if self.left else None,
-            "unexplained_sign": self.unexplained_sign,
-            "not_compared": list(self.not_compared),
-            "next_experiment": self.next_experiment.to_json() if self.next_experiment else None,
-            "record": list(self.record),
-            "findings": [str(f) for f in self.findings],
         }
 
 
-def _numbers(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
-    return {n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in estimates.items()}
+def _plain(value: Any) -> Any:
+    """A fact as JSON has it: of an estimate value, error and unit, of a finding its line, of a
+    candidate no fit and of a next experiment no worth."""
+    if isinstance(value, Finding):
+        return str(value)
+    if isinstance(value, Estimate):
+        return {"value": value.value, "std": value.std, "unit": value.unit}
+    if is_dataclass(value):
+        known = fields(Explanation if isinstance(value, Explanation) else value)
+        value = {f.name: getattr(value, f.name) for f in known if f.name != "worth"}
+    if isinstance(value, Mapping):
+        return {name: _plain(own) for name, own in value.items()}
+    return [_plain(own) for own in value] if isinstance(value, (list, tuple)) else value
 
 
 def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
