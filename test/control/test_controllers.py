@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from planted import LOADS
 
 from sma_bench.control import PI, DeflectionController, Gains, Heating, TemperatureController
 from sma_bench.control import OutputLimits as Limits
@@ -282,24 +283,19 @@ def test_an_unreachable_deflection_neither_winds_up_nor_burns_nor_does_a_dead_se
         np.testing.assert_array_equal(step, open_.step(wanted, 0.0, PERIOD))
 
 
-PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
-SPRING = PAPER.replace({
-    "load.kind": "spring", "load.stiffness": 800.0, "load.preload": 5.0,
-    "bench.lead_resistance": 0.3,
-})  # fmt: skip
-LOADS = {
-    "force": PAPER.replace({"load.kind": "force", "load.force": 8.0, "bench.drive": "duty"}),
-    "spring": SPRING,
-    "antagonist": PAPER.replace({
-        **PAIR, "load.kind": "antagonist", "load.stiffness": 200.0, "load.preload": 6.0,
-        "bench.drive": "current",
-    }),
+SUPPLIES = {
+    "force": {"bench.drive": "duty"}, "spring": {"bench.lead_resistance": 0.3},
+    "antagonist": {"bench.drive": "current"},
 }  # fmt: skip
+RIGS = {
+    load: PAPER.replace({"load.kind": load, **LOADS[load], **supply})
+    for load, supply in SUPPLIES.items()
+}
 
 
-@pytest.mark.parametrize("load", LOADS)
+@pytest.mark.parametrize("load", RIGS)
 def test_wires_with_a_load_follow_a_wave_of_their_position(load):
-    rig = LOADS[load]
+    rig = RIGS[load]
     largest = maximum_deflection(rig)
     sign, back = (1.0, -1.0) if load == "antagonist" else (-1.0, 0.8)
     part = np.array([0.0, 1.0, 0.4, 0.9, 0.0, back, 0.0])
@@ -319,7 +315,7 @@ def test_wires_with_a_load_follow_a_wave_of_their_position(load):
 
 
 def test_a_bench_with_its_effects_is_followed():
-    rig = SPRING.replace({"effect.latent_heat.heat": 6e3, "wire.transition_spread": 1.0})
+    rig = RIGS["spring"].replace({"effect.latent_heat.heat": 6e3, "wire.transition_spread": 1.0})
     found = driven(rig, lambda t: -3e-3 * (1.0 - np.cos(0.8 * t)) / 2.0, 12.0, rig)
     assert error(found) < 0.05e-3
 
@@ -340,7 +336,8 @@ def test_a_bad_number_and_a_reference_out_of_reach_are_quoted():
     ):
         with pytest.raises(InputError, match=quoted):
             build()
-    sides = PAPER.replace(PAIR)
+    pair = {"bench.channels": ["a", "b"], "bench.channel_sides": ["front", "back"]}
+    sides = PAPER.replace(pair)
     front = sides.replace({"bench.channel_sides": ["front", "front"]})
     for controller, reference, bench, expected in (
         (TemperatureController, [320.0], PAPER, ""), (TemperatureController, [280.0], PAPER, ""),
@@ -354,9 +351,9 @@ def test_a_bad_number_and_a_reference_out_of_reach_are_quoted():
         (DeflectionController, [0.08], sides, "to the front"),
         (DeflectionController, [-0.08], sides, "to the back"),
         (DeflectionController, [-0.01], front, "no wire on the back"),
-        (DeflectionController, [-1e-3], SPRING, ""),
-        (DeflectionController, [1e-3], SPRING, "a wire with a load only shortens"),
-        (DeflectionController, [-0.05], SPRING, "expected at most"),
+        (DeflectionController, [-1e-3], RIGS["spring"], ""),
+        (DeflectionController, [1e-3], RIGS["spring"], "a wire with a load only shortens"),
+        (DeflectionController, [-0.05], RIGS["spring"], "expected at most"),
     ):  # fmt: skip
         fault = controller.reference_fault(reference, bench)
         assert expected in fault and bool(expected) == bool(fault)
