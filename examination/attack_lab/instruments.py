@@ -20,15 +20,7 @@ LOADS = (14e6, 60e6, 120e6, 180e6)
 SIDES = ("front_1", "back_1")
 STEP, DURATION, RATE = 0.01, 36.0, 50.0  # s, s, Hz
 FAULTS = yaml.safe_load(Path(__file__).with_name("attacks.yaml").read_text(encoding="utf-8"))
-NAMES = {
-    **dict(zip(("a_s", "a_f", "m_s", "m_f"), TRANSITIONS.values(), strict=True)),
-    "c_a": "wire.stress_influence_austenite",
-    "c_m": "wire.stress_influence_martensite",
-    "e_a": "wire.austenite_modulus",
-    "e_m": "wire.martensite_modulus",
-    "eps_l": "wire.maximum_recoverable_strain",
-    "theta": "wire.thermal_expansion_factor",
-}
+NAMES = dict(zip(("a_s", "a_f", "m_s", "m_f"), TRANSITIONS.values(), strict=True)) | FAULTS["names"]
 
 
 def named(**own: float) -> dict[str, float]:

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -102,18 +103,13 @@ def test_pieces_and_endless_lines_are_dropped_and_only_damage_is_counted():
     assert splitter.feed(b"\n" + line("K A 1")) == [b"K A 1"]
 
 
-HANDSHAKE = {
-    "H": "name=sma-uno build=61A52BFF protocol=2 reset=9 before=2 nonce=13841 later=x",
-    "L": "channels=4 max_mv=10000 timeout_ms=200 duty=58982 mean_ma=6500 peak_ma=12000 "
-    "least_mohm=1000",
-    "M": "hot_mv=8000 hot_ms=2000 on_duty=6554 on_s=900 supply_min_mv=6000 supply_max_mv=15000",
-}
+DEVICE = yaml.safe_load(Path(__file__).with_name("device.yaml").read_text())
 
 
 def identity(old="", new=""):
     return serial_messages.DeviceIdentity.from_lines({
         letter: Named(letter, dict(pair.split("=") for pair in text.replace(old, new).split()))
-        for letter, text in HANDSHAKE.items()
+        for letter, text in DEVICE["handshake"].items()
     })  # fmt: skip
 
 
@@ -131,13 +127,7 @@ def test_handshake_gives_limits_in_si_units_or_what_it_lacks():
             identity(old, new)
 
 
-@pytest.mark.parametrize(("said", "text"), [
-    ("trip=2 trip_ds=123 trip_open=1", "command timeout, 12.3 s after a start, not ackn"),
-    ("trip=15 trip_ds=7 trip_open=0", "restarted while armed, 0.7 s after a start, ackn"),
-    ("trip=16 trip_ds=0 trip_open=1", "reason lost with the power, not acknowledged"),
-    ("trip=99 trip_ds=4294967295 trip_open=0", "number 99, 429496729.5 s after a start, ackn"),
-    ("trip=0 trip_ds=0 trip_open=0", "none"), ("before=2", "None"),
-])  # fmt: skip
+@pytest.mark.parametrize(("said", "text"), DEVICE["trips"])
 def test_the_last_trip_is_told_in_words_by_a_firmware_that_keeps_it(said, text):
     values = dict(pair.split("=") for pair in said.split())
     assert str(serial_messages.Trip.told(values)).startswith(text)

@@ -1,7 +1,10 @@
 """E9: the joint fit on synthetic truth and on the measured alloys."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 from loops import SEVEN_CYCLES, alloy, isobaric
 
 from sma_bench.identify.constitutive import fit_constitutive
@@ -10,17 +13,8 @@ from sma_bench.records import open_record
 from sma_bench.records.instruments import IsobaricRecord
 
 STRESSES = (20e6, 80e6, 150e6, 220e6)
-BASE = {
-    "wire.austenite_start_temperature": 345.0, "wire.austenite_finish_temperature": 362.0,
-    "wire.martensite_start_temperature": 338.0, "wire.martensite_finish_temperature": 322.0,
-}  # fmt: skip
-# Of these, the ranges that benches are drawn from.
-RANGES = {
-    "wire.stress_influence_austenite": (5e6, 12e6),
-    "wire.stress_influence_martensite": (5e6, 12e6),
-    "wire.maximum_recoverable_strain": (0.02, 0.05),
-    "wire.thermal_expansion_factor": (-0.5e6, -0.1e6),
-}
+DRAWN = yaml.safe_load(Path(__file__).with_name("drawn_alloys.yaml").read_text())
+BASE, RANGES = DRAWN["middle"], DRAWN["ranges"]
 FITTED = (*BASE, *RANGES)
 
 

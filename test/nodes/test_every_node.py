@@ -33,13 +33,7 @@ CHANNELS = ("front_1", "back_1")
 FILLED = ("-p", "regions:=['', '', '', '']")
 # What the plant, the camera's eye and the bridge are made of, or limit wires by.
 FROZEN = ("simulator", "serial_bridge", "ir_camera")
-CHANGES = {
-    "experiment": {"require_recorder": True, "protocol": "composite_step"},
-    "temperature_controller": {"require_recorder": True, "delay": 0.1},
-    "recorder": {"skip_idle": True, "idle_margin": 2.0},
-    "synthetic_camera": {"noise": 1e-05, "sway": 0.0, "fault": "moved"},
-    "twin": {"publish_rate": 10.0, "voltage_timeout": 1.0, "window": 20.0},
-}
+CHANGES = yaml.safe_load(Path(__file__).with_name("changes.yaml").read_text())
 
 
 @pytest.fixture

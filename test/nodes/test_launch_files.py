@@ -35,13 +35,7 @@ RIGS = {
 }
 REST = ["experiment", "recorder", "identification"]
 CASES = yaml.safe_load(Path(__file__).with_name("launch.yaml").read_text())
-LAUNCH = {
-    "launch": "LaunchDescription",
-    "launch.actions": "DeclareLaunchArgument OpaqueFunction ExecuteProcess Shutdown",
-    "launch_ros": "",
-    "launch_ros.actions": "Node",
-    "launch_ros.parameter_descriptions": "ParameterValue",
-}
+LAUNCH = CASES["imported"]
 
 
 class Recorded:

@@ -16,17 +16,8 @@ from examination.check import pins as check_pins
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# Module, its name at the package index, its rosdep key.
-THIRD_PARTY = {
-    "backports": ("backports-zstd", None),  # comes with rosbags, Python's own from 3.14 on
-    "lz4": ("lz4", None),  # comes with rosbags
-    "mcap": ("mcap", None),
-    "msgspec": ("msgspec", None),
-    "pint": ("pint", None),  # a Debian package, but no rosdep key
-    "rosbags": ("rosbags", "python3-rosbags-pip"),
-    "serial": ("pyserial", "python3-serial"),
-    "yaml": ("pyyaml", "python3-yaml"),
-}
+INDEX = yaml.safe_load(Path(__file__).with_name("rosdep.yaml").read_text())
+THIRD_PARTY = INDEX["third_party"]
 SAME = ("click", "h5py", "jinja2", "joblib", "matplotlib", "numba", "numpy", "openpyxl")
 SAME += ("rich", "scipy", "tornado")
 THIRD_PARTY |= {name: (name, f"python3-{name}") for name in SAME}
@@ -79,8 +70,7 @@ def test_every_import_is_pinned_and_declared() -> None:
             assert package in pinned, f"{package} is not in requirements.txt"
             assert key is None or key in declared, f"{key} is not in package.xml"
     # `rosdep install` ends at a name that it does not know.
-    index = yaml.safe_load(Path(__file__).with_name("rosdep.yaml").read_text())
-    assert declared == {*index["keys"], *index["jazzy"].split()}
+    assert declared == {*INDEX["keys"], *INDEX["jazzy"].split()}
     # pip installs what is imported and nothing else.
     lines = [line for line in metadata.requires("sma_bench") if "extra ==" not in line]
     required = [re.match(r"[\w.-]+", line)[0].lower() for line in lines]
