@@ -6,9 +6,9 @@ Bench and instruments are the package's own; they sample with jitter and lose so
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -40,8 +40,7 @@ _HEATED, _REST = 25.0, 15.0  # s
 Steps = Iterable[dict[str, Any]]
 
 
-@dataclass(frozen=True)
-class DrawnBench:
+class DrawnBench(NamedTuple):
     """`truth` simulates the bench, `known` is the parameter file of its lab."""
 
     truth: Parameters

@@ -143,14 +143,6 @@ def _windy(b: Bench) -> Wire:
     return replace(b.wire, loss=1.2 * b.wire.loss)
 
 
-def _halfway(b: Bench) -> tuple[float, float]:
-    return 0.5 * b.dwell * (2 * b.levels - 1), 0.2
-
-
-def _heavy_sheath(b: Bench) -> tuple[float, float]:
-    return 2.0 * b.wire.mass * b.wire.specific_heat, 0.5 * b.wire.loss * b.wire.area
-
-
 _ALLOY_CHANGES = {"latent": 12e3, "change": (332.0, 352.0)}
 _R_CHANGES = {
     "hot_resistance": 0.06,
@@ -164,7 +156,7 @@ WIRES = {
     "air flow +20 % from one staircase to the next": _records(
         lambda b, r: (b.staircase(r), b.staircase(r, _windy(b)), b.ramps(r))
     ),
-    "air flow +20 % half-way": _bench({"wind": _halfway}),
+    "air flow +20 % half-way": _bench({"wind": lambda b: (b.dwell * (b.levels - 0.5), 0.2)}),
     "air flow +20 % at the ramps": _records(lambda b, r: (b.staircase(r), b.ramps(r, _windy(b)))),
     "slow triangles": _bench(ramp_top=lambda b: 1.3 * b.ramp_top, rise=25.0),
     "camera saturates": _top("camera", lambda b: b.wire.room + 0.6 * b.warming - ZERO),
@@ -186,7 +178,9 @@ WIRES = {
     "all clocks 2 % fast": _each(voltage=_fast, current=_fast, temperature=_fast),
     "resistance rises 6 % with heat": _bench(_R_CHANGES),
     "loss rises 15 % with heat": _bench({"loss_growth": lambda b: 0.15 / b.warming}),
-    "a sheath that follows slowly": _bench({"sheath": _heavy_sheath}),
+    "a sheath that follows slowly": _bench({"sheath": lambda b: (
+        2.0 * b.wire.mass * b.wire.specific_heat, 0.5 * b.wire.loss * b.wire.area
+    )}),  # fmt: skip
     "latent heat in the ramps": _bench(_ALLOY_CHANGES, ramp_top=lambda b: 2.2 * b.ramp_top),
     "staircase too short to settle": _bench(dwell=lambda b: max(2.1, b.wire.tau)),
     "stored runs swapped": _records(_crossed),

@@ -233,8 +233,8 @@ def tables(one: Score) -> list[str]:
         cells = (m.title, str(found.n), number(m, found.value), interval(m, found))
         rows[m] = cells + ((*ends, m.met(found)) if m in TARGETS else ())
     header = ("measure", "cases", "value", "95 % interval")
-    lines = _table((*header, "floor", "aim", "met"), [rows[m] for m in TARGETS])
-    lines += ["", "Besides:", "", *_table(header, [rows[m] for m in OTHERS])]
+    lines = as_markdown((*header, "floor", "aim", "met"), [rows[m] for m in TARGETS])
+    lines += ["", "Besides:", "", *as_markdown(header, [rows[m] for m in OTHERS])]
     for name, by_group in groups(one.cases).items():
         body = []
         for group, row in by_group.items():
@@ -242,7 +242,7 @@ def tables(one: Score) -> list[str]:
             body.append((group, str(next(iter(row.values())).n), *values))
             header = ("", "cases", *row)
         if body:
-            lines += ["", f"{name.capitalize()}:", "", *_table(header, body)]
+            lines += ["", f"{name.capitalize()}:", "", *as_markdown(header, body)]
     choices = []
     for truth, row in confusion(one.cases).items():
         often = [f"{row[name]} {name}" for name in sorted(row, key=lambda name: -row[name])]
@@ -250,7 +250,7 @@ def tables(one: Score) -> list[str]:
             often[_MOST_SHOWN:] = [f"{len(often) - _MOST_SHOWN} more"]
         choices.append((truth, str(sum(row.values())), ", ".join(often)))
     header = ("truth", "cases", "most frequent first choices")
-    return [*lines, "", "Truth against first choice:", "", *_table(header, choices)]
+    return [*lines, "", "Truth against first choice:", "", *as_markdown(header, choices)]
 
 
 def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name: str) -> str:
@@ -279,7 +279,7 @@ def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name:
         (name, bound(m, m.floor), bound(m, m.aim), *values)
         for m, (name, *values) in zip(TARGETS, side_by_side(scores, TARGETS), strict=True)
     ]
-    lines += _table(("measure", "floor", "aim", *(one.name for one in scores)), rows)
+    lines += as_markdown(("measure", "floor", "aim", *(one.name for one in scores)), rows)
     for one in scores:
         lines += ["", f"## {one.name}", "", *tables(one), ""]
     lines += ["## Definitions", ""]
@@ -287,6 +287,6 @@ def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name:
     return "\n".join(lines) + "\n"
 
 
-def _table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+def as_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     lines = [header, ["---"] * len(header), *rows]
     return ["| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines]

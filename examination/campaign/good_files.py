@@ -3,9 +3,9 @@
 import contextlib
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -31,8 +31,7 @@ _SERIAL = (
 )
 
 
-@dataclass(frozen=True)
-class Parser:
+class Parser(NamedTuple):
     """A parser, a good input, and the file name that it goes by."""
 
     name: str

@@ -4,15 +4,14 @@ import resource
 import signal
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 _PATIENCE = 30.0
 _SHOWN = 5
 
 
-@dataclass(frozen=True)
-class Outcome:
+class Outcome(NamedTuple):
     """A line of the table: how often something was tried, what came of it, what was allowed."""
 
     section: str

@@ -31,7 +31,7 @@ from examination.blind.command import DIAGNOSE
 from examination.blind.judgement import TARGETS
 from examination.blind.reality import Outcome, World
 from examination.blind.rigs import COMMAND_PERIOD, Stage
-from examination.blind.score import handed_in, open_labels, score, side_by_side
+from examination.blind.score import as_markdown, handed_in, open_labels, score, side_by_side
 from examination.blind.sensors import measure
 from examination.pieces import options_of
 from sma_bench.diagnose.decision import PAIR_THRESHOLD, THRESHOLD
@@ -89,16 +89,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         due = blind.open_cases(cases.names, answers)
         blind.examine(examinee, due, cases.folder, answers)
         scores += score(cases, handed_in(cases, [answers]), labels)
-    print(f"| measure | {' | '.join(COLUMNS)} |\n| --- | --- | --- | --- | --- |")
-    for row in side_by_side(scores, TARGETS):
-        print(f"| {' | '.join(row)} |")
+    print(*as_markdown(("measure", *COLUMNS), side_by_side(scores, TARGETS)), sep="\n")
     print(
         f"\nIn no record: the truth gains less than {THRESHOLD} nats over recalibration, of a pair "
         f"less than {PAIR_THRESHOLD} over its better effect alone.\n"
     )
-    print("| there is | cases | failures of the search | nats missed at most | in no record |")
-    print("| --- | --- | --- | --- | --- |")
-    found = defaultdict(list)
+    found, rows = defaultdict(list), []
     for name in names:
         label = labels[name]
         if label["kind"] in NEEDED:
@@ -108,7 +104,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         failures = sum(missed > _FAILURE for missed, _ in each)
         most = max(0.0, *(missed for missed, _ in each))
         hidden = sum(gain < NEEDED.get(what, NEEDED["single"]) for _, gain in each)
-        print(f"| {what} | {len(each)} | {failures} | {most:.1f} | {hidden} |")
+        rows.append((what, f"{len(each)}", f"{failures}", f"{most:.1f}", f"{hidden}"))
+    head = "there is", "cases", "failures of the search", "nats missed at most", "in no record"
+    print(*as_markdown(head, rows), sep="\n")
     return 0
 
 

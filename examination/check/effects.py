@@ -10,8 +10,9 @@ Counted are effects that gain more than a verdict asks for. Some ten seconds a c
 
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -40,8 +41,7 @@ SAME: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_t
 _SLOPE = "effect.stress_dependent_transition."
 
 
-@dataclass(frozen=True)
-class Claim:
+class Claim(NamedTuple):
     """One number of an effect: as stated, with the error of the noise alone beside it, and true;
     `gain` of its effect over recalibration [nats]."""
 

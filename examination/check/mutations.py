@@ -32,11 +32,8 @@ TABLE = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 FILES: dict[str, dict[str, Any]] = TABLE["files"]
 EQUIVALENT: dict[str, str] = TABLE["equivalent"]
 KINDS = ("comparison turned", "limit doubled", "state forgotten")
-TURNED = {
-    "<": ">", ">": "<", "<=": ">=", ">=": "<=", "==": "!=", "!=": "==", "is": "is not",
-    "is not": "is", "in": "not in", "not in": "in", "and": "or", "or": "and", "&&": "||",
-    "||": "&&", "not ": "", "!": "",
-}  # fmt: skip
+TURNED = {"<": ">", "<=": ">=", "==": "!=", "is": "is not", "in": "not in", "and": "or", "&&": "||"}
+TURNED |= {after: before for before, after in TURNED.items()} | {"not ": "", "!": ""}
 LIMITS = re.compile(r"maximum_\w+|\w*timeout|\w+_tolerance")
 LONGEST_TESTS, LONGEST_FAULTS = 120.0, 60.0  # s
 PURE, FAULTS, SURVIVED = "caught by tests", "caught by faults", "survived"

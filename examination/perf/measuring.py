@@ -9,9 +9,8 @@ import os
 import resource
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,8 +26,7 @@ Array = np.ndarray
 LINEAR = 1.15  # exponent: what may be called linear growth
 
 
-@dataclass(frozen=True)
-class Figure:
+class Figure(NamedTuple):
     """One number: of which case, what was measured, and what it is to be at least or at most."""
 
     case: str
@@ -82,7 +80,6 @@ def interleaved(
     calls: Mapping[str, Callable[[], object]],
     rounds: int,
     budget: float = np.inf,
-    clock: Callable[[], float] = time.process_time,
 ) -> dict[str, Array]:
     """Seconds of every call, (r,) each: `rounds` rounds, fewer (two at least) beyond `budget` s.
 
@@ -99,9 +96,9 @@ def interleaved(
                 break
             for name, call in calls.items():
                 gc.collect()
-                start = clock()
+                start = time.process_time()
                 call()
-                seconds[name].append(clock() - start)
+                seconds[name].append(time.process_time() - start)
     finally:
         gc.unfreeze()
     return {name: np.array(values) for name, values in seconds.items()}

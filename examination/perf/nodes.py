@@ -7,10 +7,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -50,8 +49,7 @@ def twin(tiny: bool = False) -> Iterator[Figure]:
         yield from _twin_node(f"{name} at {TWIN_RATE:g} Hz", RIGS[name], 1.0 if tiny else 8.0)
 
 
-@dataclass(frozen=True)
-class Running:
+class Running(NamedTuple):
     """Nodes that run, and `node`, which hears them while `spin` does its work."""
 
     node: Any

@@ -7,9 +7,8 @@ file tells what it means: units, the meaning of every column, and a clock.
 import datetime as dt
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -40,8 +39,7 @@ _LATE = 0.013  # s, of a sparse last column
 _SHIFT = 12.0  # s, between two clocks of a table
 
 
-@dataclass(frozen=True)
-class Written:
+class Written(NamedTuple):
     """A column as the file has it: its title, the truth behind it (None: nothing to read), SI in
     one unit of its last decimal."""
 
@@ -50,8 +48,7 @@ class Written:
     step: float = 0.0
 
 
-@dataclass(frozen=True)
-class Sample:
+class Sample(NamedTuple):
     """One file: where, the habits that made it, its columns, the true times of each
     signal and the finest step of its clock in s, and whether it tells what it means."""
 

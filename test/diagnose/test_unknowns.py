@@ -7,14 +7,8 @@ from hypothesis import strategies as st
 from planted import believed
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.unknowns import (
-    BACK,
-    FRONT,
-    SHAPES,
-    TEMPERATURES,
-    number_of_effect,
-    unknowns_of_records,
-)
+from sma_bench.estimation import unknowns as of_fits
+from sma_bench.estimation.unknowns import BACK, FRONT, TEMPERATURES, unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS
 from sma_bench.physics import simulate
@@ -26,7 +20,7 @@ QUANTITIES = ("current", "temperature", "deflection")
 
 def test_numbers_begin_at_what_is_believed_and_come_back_from_their_deviations():
     for number in (number for effect in EFFECTS.values() for number in effect.parameters):
-        unknown = number_of_effect(number)
+        unknown = of_fits.number_of_effect(number)
         assert unknown.value(0.0) == number.default
         for x in (0.2, 0.7):
             assert unknown.x_of(unknown.value(x)) == pytest.approx(x)
@@ -125,7 +119,7 @@ def test_temperatures_are_as_well_known_as_they_are_stated():
 
 
 def test_a_deviation_of_0_is_exact():
-    for name in (*SHAPES, "wire.resistance", FRONT, "load.stiffness", *TEMPERATURES[1:3]):
+    for name in (*of_fits.SHAPES, "wire.resistance", FRONT, "load.stiffness", *TEMPERATURES[1:3]):
         unknowns = unknowns_of_records(rig("spring", {}, {name: 0.0}), QUANTITIES, unmodelled=True)
         assert name not in unknowns.names
         drawn = np.random.default_rng(1).standard_normal(len(unknowns.start(1.0)))

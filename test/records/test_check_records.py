@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from test_read_bags import FOREIGN
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import fit_linear
@@ -43,9 +44,7 @@ def received(made, name, times, topic=""):
     return replace(made, signals={**made.signals, name: signal})
 
 
-@pytest.mark.parametrize(
-    "name", ["wire/staircase", "wire/ramp", "composite/triangle", "composite/step"]
-)
+@pytest.mark.parametrize("name", FOREIGN)
 def test_good_foreign_records_have_no_warnings_and_their_losses_are_told(shared_data, name):
     foreign = read_record(shared_data / "foreign" / name)
     assert found(foreign) == found(foreign, "error") == {}

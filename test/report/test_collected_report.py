@@ -2,7 +2,6 @@
 
 import base64
 import copy
-import csv
 import hashlib
 import html
 import json
@@ -12,6 +11,7 @@ import xml.etree.ElementTree as Xml
 import numpy as np
 import pytest
 from test_cards import DIAGNOSED, IDENTIFIED
+from test_plots import rows_of
 
 from sma_bench.cli import main
 from sma_bench.records import Signal
@@ -107,11 +107,6 @@ def test_a_bags_hash_follows_its_contents_and_names(tmp_path):
         assert (digest(bag)[0] == before) is same
     storage.rename(bag / "other.mcap")
     assert digest(bag)[0] != before
-
-
-def rows_of(path):
-    with path.open(newline="") as stream:
-        return list(csv.DictReader(stream))
 
 
 def test_figures_and_tables_are_there_for_papers_and_no_number_is_told_twice(out):
