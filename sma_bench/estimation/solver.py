@@ -328,9 +328,8 @@ class _State:
                 self._mend(*last)
                 last = None
             now = self._descend(self.cost()) + 2.0 * self.problem.log_scale()
-            if before - now < 2.0 * _SETTLED:
-                if last is not None:
-                    break
+            if last is not None and before - now < 2.0 * _SETTLED:
+                break
             before = now
         if rough:
             self.linear_about = None  # such derivatives are not those of the place
