@@ -8,17 +8,23 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.estimation.transitions import (
+    FIELD_TEMPERATURES,
+    HIGHEST,
+    LOWEST,
+    NARROWEST,
+    TEMPERATURES,
+    Transitions,
+)
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import (
     BY_NAME,
     EFFECT_PREFIX,
     EFFECT_TABLE,
-    TRANSITIONS,
     Parameter,
 )
 from sma_bench.parameters.parameters import (
@@ -33,7 +39,6 @@ from sma_bench.physics.effects import EFFECTS
 
 Array = NDArray[np.float64]
 
-TEMPERATURES = tuple(TRANSITIONS.values())  # A_s, A_f, M_s, M_f
 HEAT = (
     "wire.resistance",
     "wire.heat_transfer_coefficient",
@@ -83,7 +88,7 @@ UNMODELLED = (
 # Typical wires, for what a file does not state: mean and one standard deviation. NiTi has 450 to
 # 550 J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat and a martensite of 0 to 30 % more
 # resistance than austenite (Ikuta 1991); a correlation of free convection is good to 30 % in a
-# room; hystereses are 20 to 40 K wide, about a centre of 65 degC.
+# room; hystereses are 20 to 40 K wide, their branches about as much, about a centre of 65 degC.
 FIELD = {
     "wire.specific_heat": (500.0, 75.0),
     "wire.thermal_expansion_factor": (-3.5e5, 1.5e5),
@@ -94,10 +99,8 @@ FIELD = {
 }
 _RISE = "effect.temperature_dependent_convection.rise"  # which free convection has already
 _FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # share that is unknown; what a room adds to still air
-_FIELD_TEMPERATURES = (340.5, 365.5, 335.5, 310.5)  # K: A_s, A_f, M_s, M_f
 _WIDEST_SPREAD = 1.5  # of its hystereses
 _LEAST_HALF_WIDTH = 0.1  # K, of the law that is made of hystereses
-_FIELD_HALF_WIDTH = 0.3  # of the half width's logarithm, about theirs
 # Products: what is known of the second factor is carried by the first, which the fit moves.
 PRODUCTS = {
     "wire.heat_transfer_coefficient": "wire.surface_area",
@@ -121,128 +124,7 @@ _STILL = 1e-6  # deviations a prior deviation
 _ABOVE_NOTHING = 1e-3  # of what is believed: the least of a number that cannot be 0
 _SMALLEST = 1e-300
 _MOST_LOG = 50.0  # of a number's logarithm, beyond which it says nothing any more
-# Of the centre c in K and of the logarithms of h, w_A and w_M where nothing is stated. The
-# paper's h is 1.7 K, most wires have 5 to 20 K.
-_SPREADS = np.array([25.0, 1.2, 0.5, 0.5])
-_COORDINATES = np.array(
-    [[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25], [-1.0, 1.0, 0.0, 0.0],
-     [0.0, 0.0, 1.0, -1.0]]
-)  # fmt: skip
-_TEMPERATURES = np.linalg.inv(_COORDINATES)
-# The two ranges of one wire are as wide as each other, but for a third of what wires differ by.
-_ALIKE = np.linalg.cholesky(
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.85], [0.0, 0.0, 0.85, 1.0]]
-)
-_LOWEST = float(BY_NAME[TEMPERATURES[0]].low or 0.0)
-_HIGHEST = float(BY_NAME[TEMPERATURES[0]].high or 0.0)
-_NARROWEST = 0.2  # K, of a range: the core divides by its width
-_FARTHEST = 5.0  # of a logarithm
-_WIDEST = (5.0, 2.0, 2.0)  # of those of the half width and of the two ranges
 _TINY = 1e-4  # prior deviations, of a difference
-
-
-@dataclass(frozen=True, eq=False)
-class Transitions:
-    """The transition temperatures that are not exact, moved so that their order holds wherever a
-    fit goes, as functions of x (m,) of unit normal prior.
-
-        A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
-
-    of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
-    and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is stated of the
-    four is the prior of these; of the others it is that of wires of the field, given what is
-    stated.
-
-    Attributes:
-        mean: (4,) K, as believed; moving: (m,) which of them; turn: (m, m) K, the root of the
-            prior's covariance, symmetric but for units: x[k] is mostly the k-th one's deviation.
-    """
-
-    mean: Array
-    moving: NDArray[np.intp]
-    turn: Array
-
-    @classmethod
-    def of(cls, parameters: Parameters) -> Self:
-        """As believed; a temperature whose deviation is 0 is exact."""
-        mean = np.array([parameters[name] for name in TEMPERATURES])
-        stated = np.array([name in parameters.given for name in TEMPERATURES])
-        coordinates = _COORDINATES @ mean
-        scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
-        scale[0] = _SPREADS[0]
-        if tuple(mean.tolist()) == _FIELD_TEMPERATURES:
-            scale[1] = _FIELD_HALF_WIDTH * coordinates[1]
-        root = _TEMPERATURES * scale @ _ALIKE
-        covariance = root @ root.T
-        if stated.any():
-            std = np.array([parameters.std(n) for n in np.array(TEMPERATURES)[stated]])
-            own = np.diag(np.minimum(std, _HIGHEST - _LOWEST) ** 2)
-            within = covariance[np.ix_(stated, stated)]
-            follows = np.linalg.solve(within, covariance[stated]).T
-            covariance += follows @ (own - within) @ follows.T
-        moving = np.flatnonzero(~stated | (np.diag(covariance) > 1e-12))
-        kept = covariance[np.ix_(moving, moving)]
-        deviation = np.sqrt(np.diag(kept))
-        values, vectors = np.linalg.eigh(kept / np.outer(deviation, deviation))
-        half = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
-        return cls(mean, moving, deviation[:, np.newaxis] * half)
-
-    @property
-    def std(self) -> Array:
-        """(m,) K, of each by itself."""
-        return np.asarray(np.sqrt(np.sum(self.turn**2, axis=1)))
-
-    @property
-    def stds(self) -> dict[str, float]:
-        """By name, of those that are not exact."""
-        names = [TEMPERATURES[k] for k in self.moving]
-        return dict(zip(names, self.std.tolist(), strict=True))
-
-    def values(self, x: Array) -> Array:
-        """(4,) K, A_s below A_f and M_f below M_s."""
-        straight = self.mean.copy()
-        straight[self.moving] += self.turn @ x
-        centre, *widths = (_COORDINATES @ straight).tolist()
-        half, austenite, martensite = (
-            width if known <= 0.0  # an impossible hysteresis is left as it is
-            else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), most))
-            for width, known, most in zip(
-                widths, (_COORDINATES[1:] @ self.mean).tolist(), _WIDEST, strict=True
-            )
-        )
-        branches = [[centre + half, 0.5 * austenite], [centre - half, 0.5 * martensite]]
-        exact = [k for k in range(4) if k not in self.moving]
-        for number in exact:
-            # An exact one takes its range along, and the other range if none of that is exact.
-            branch, sign = number // 2, (-1.0, 1.0, 1.0, -1.0)[number]
-            middle, reach = branches[branch]
-            off = float(self.mean[number]) - middle - sign * reach
-            for other in {branch, branch if exact[0] // 2 < branch else 1 - branch}:
-                branches[other][0] += off
-        found = []
-        for middle, reach in branches:
-            lower = min(max(middle - reach, _LOWEST), _HIGHEST - _NARROWEST)
-            found.append((lower, min(max(middle + reach, lower + _NARROWEST), _HIGHEST)))
-        return np.array([*found[0], *found[1][::-1]])
-
-    def slopes(self, x: Array) -> Array:
-        """(m, m) d(moving ones)/dx, K."""
-        steps = _TINY * np.eye(len(x))
-        columns = [self.values(x + step) - self.values(x - step) for step in steps]
-        return np.asarray(np.column_stack(columns)[self.moving] / (2.0 * _TINY))
-
-    def x_of(self, values: Sequence[float] | Array) -> Array:
-        """Inverse of `values`."""
-        believed, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
-        logs = (believed > 0.0) & (found > 0.0)
-        logs[0] = False
-        found[logs] = believed[logs] * (1.0 + np.log(found[logs] / believed[logs]))
-        exact = len(self.moving) < 4  # which place the centre
-        rows = slice(1 if exact else 0, None)
-        straight = np.linalg.lstsq(
-            _COORDINATES[rows, self.moving], (found - believed)[rows], rcond=None
-        )[0]
-        return np.asarray(np.linalg.solve(self.turn, straight))
 
 
 @dataclass(frozen=True)
@@ -357,7 +239,14 @@ class Unknowns:
         """(k, k) d(deviations of the numbers)/dx: 1 but for temperatures, which move together."""
         turn = np.eye(len(self.items))
         if self.transitions is not None:
-            own = self.transitions.slopes(x[self._together]) / self.transitions.std[:, np.newaxis]
+            std = self.transitions.std[:, np.newaxis]
+            own = self.transitions.slopes(x[self._together]) / std
+            if self._grains_apart:
+                spread = self.names.index(SPREAD)
+                steps = _TINY * np.eye(len(x))[[*range(len(x))[self._together], spread]]
+                moved = [np.subtract(self._four(x + d), self._four(x - d)) for d in steps]
+                columns = np.column_stack(moved) / (2.0 * _TINY * std)
+                own, turn[self._together, spread] = columns[:, :-1], columns[:, -1]
             still = np.linalg.norm(own, axis=1) < _STILL
             # At an end of the range, where x moves it no more, one is as unknown as it was.
             own[still] = np.eye(len(own))[still]
@@ -368,8 +257,7 @@ class Unknowns:
         """(k,) of the numbers from what is believed, each in its own prior deviations."""
         found = x.copy()
         if self.transitions is not None:
-            moving, values = self.transitions.moving, self.transitions.values(x[self._together])
-            moved = (values - self.transitions.mean)[moving]
+            moved = (np.array(self._four(x)) - self.transitions.mean)[self.transitions.moving]
             found[self._together] = moved / self.transitions.std
         return found
 
@@ -389,7 +277,7 @@ class Unknowns:
             item.name: item.value(at) for item, at in zip(self.items, x.tolist(), strict=True)
         }
         if self.transitions is not None:
-            found = self.transitions.values(x[self._together]).tolist()
+            found = self._four(x)
             four = dict(zip(TEMPERATURES, found, strict=True))
             values |= four
             if self.base["wire.law"] == "normal":  # a hysteresis, of widths as these allow
@@ -397,13 +285,33 @@ class Unknowns:
                 apart = abs(a_f - a_s - m_s + m_f) / (2.0 * BRANCH * _WIDEST_SPREAD)
                 least = max(_LEAST_HALF_WIDTH, apart)
                 lack = max(4.0 * least - (a_s + a_f - m_s - m_f), 0.0) / 2.0
-                four[TEMPERATURES[3]] = lower = max(m_f - lack, _LOWEST)
+                four[TEMPERATURES[3]] = lower = max(m_f - lack, LOWEST)
                 lack -= m_f - lower
-                four[TEMPERATURES[2]] = max(m_s - lack, lower + _NARROWEST)
+                four[TEMPERATURES[2]] = upper = max(m_s - lack, lower + NARROWEST)
+                if (lack := 4.0 * least - (a_s + a_f - upper - lower)) > _TINY:  # at the low end
+                    four[TEMPERATURES[1]] = finish = min(a_f + lack / 2.0, HIGHEST)
+                    lack -= finish - a_f
+                    four[TEMPERATURES[0]] = min(a_s + lack, finish - NARROWEST)
                 values |= four
                 values[SPREAD] = nearest_spread(four, values.get(SPREAD, self.base[SPREAD]))
         values |= {other: values[name] for other, name in self.tied.items()}
         return self.base.replace(values)
+
+    @cached_property
+    def _grains_apart(self) -> bool:
+        """Whether nothing is stated of the branches of a law of grains: centres and widths of their
+        hystereses are then known apart, and the ranges follow from both. A fit that moves ranges
+        and spread would go to grains that differ in nothing but their widths, at no cost."""
+        return SPREAD in self.names and not self.base.given.intersection(TEMPERATURES)
+
+    def _four(self, x: Array) -> list[float]:
+        """Transition temperatures at x [K]."""
+        assert self.transitions is not None
+        four = self.transitions.values(x[self._together])
+        if self._grains_apart:
+            number, known = self.names.index(SPREAD), self.base[SPREAD]
+            four = self.transitions.of_grains(four, self.items[number].value(x[number]), known)
+        return list(map(float, four))
 
     def nudged(self, bench: Parameters, x: Array, i: int, step: float) -> Parameters:
         """The bench at x, one of its unknowns moved."""
@@ -488,7 +396,7 @@ def as_in_the_field(parameters: Parameters) -> Parameters:
         values[h] = _NOT_STILL * parameters[h]
         std[h] = _FREE_CONVECTION * values[h]
     if not parameters.given.intersection(TEMPERATURES):
-        values |= dict(zip(TEMPERATURES, _FIELD_TEMPERATURES, strict=True))
+        values |= dict(zip(TEMPERATURES, FIELD_TEMPERATURES, strict=True))
     return parameters.assuming(values, std)
 
 

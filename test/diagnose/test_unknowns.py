@@ -14,6 +14,7 @@ from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.kernel import at_rest
+from sma_bench.physics.laws import normal
 
 QUANTITIES = ("current", "temperature", "deflection")
 
@@ -125,3 +126,28 @@ def test_a_deviation_of_0_is_exact():
         drawn = np.random.default_rng(1).standard_normal(len(unknowns.start(1.0)))
         there = unknowns.parameters(np.clip(drawn, *unknowns.bounds()))
         assert there[name] == pytest.approx(unknowns.base[name])
+
+
+def test_of_unstated_grains_centres_and_widths_of_hystereses_are_moved_apart():
+    wire = of_fits.as_in_the_field(rig("spring", {"wire.law": "normal"}))
+    unknowns = unknowns_of_records(wire, ("deflection",), unmodelled=True)
+    spread, first = (unknowns.names.index(name) for name in (of_fits.SPREAD, TEMPERATURES[0]))
+    x = np.zeros(len(unknowns.items))
+    assert [unknowns.parameters(x)[n] for n in TEMPERATURES] == [wire[n] for n in TEMPERATURES]
+    centres, halves, within = normal.groups(wire)
+    for x[spread] in (-2.0, 2.0):
+        moved = unknowns.parameters(x)
+        there = normal.groups(moved)
+        assert there[2] == pytest.approx(within) and np.mean(there[0]) == pytest.approx(centres[2])
+        more = np.diff(there[1])[-1] / np.diff(halves)[-1]
+        assert more == pytest.approx(moved[of_fits.SPREAD] / wire[of_fits.SPREAD])
+        assert abs(more - 1.0) > 0.3
+    x[first : first + 4] = 0.3, -0.2, 0.4, 0.1
+    steps = 1e-5 * np.eye(len(x))
+    changes = [unknowns.values(x + step) - unknowns.values(x - step) for step in steps]
+    told = unknowns.slopes(x)[:, np.newaxis] * unknowns.turn(x)
+    np.testing.assert_allclose(told, np.transpose(changes) / 2e-5, rtol=1e-3, atol=1e-3)
+    # Wherever it goes there is a wire of that law.
+    for reach in (1.0, 5.0, np.inf):
+        for ends in np.random.default_rng(5).choice([-1.0, 1.0], (40, len(x))):
+            unknowns.parameters(np.clip(reach * ends, *unknowns.bounds()))

@@ -1,0 +1,156 @@
+"""The four transition temperatures as a fit moves them: together, so that they stay in order."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
+from sma_bench.parameters.parameters import BRANCH
+
+Array = NDArray[np.float64]
+
+TEMPERATURES = tuple(TRANSITIONS.values())  # A_s, A_f, M_s, M_f
+FIELD_TEMPERATURES = (339.0, 367.0, 337.0, 309.0)  # K, of wires of which nothing is stated
+_FIELD_HALF_WIDTH = 0.3  # of the half width's logarithm, about theirs
+# Of the centre c in K and of the logarithms of h, w_A and w_M where nothing is stated. The
+# paper's h is 1.7 K, most wires have 5 to 20 K.
+_SPREADS = np.array([25.0, 1.2, 0.5, 0.5])
+_COORDINATES = np.array(
+    [[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25], [-1.0, 1.0, 0.0, 0.0],
+     [0.0, 0.0, 1.0, -1.0]]
+)  # fmt: skip
+_TEMPERATURES = np.linalg.inv(_COORDINATES)
+# The two ranges of one wire are as wide as each other, but for a third of what wires differ by.
+_ALIKE = np.linalg.cholesky(
+    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.85], [0.0, 0.0, 0.85, 1.0]]
+)
+LOWEST = float(BY_NAME[TEMPERATURES[0]].low or 0.0)
+HIGHEST = float(BY_NAME[TEMPERATURES[0]].high or 0.0)
+NARROWEST = 0.2  # K, of a range: the core divides by its width
+_FARTHEST = 5.0  # of a logarithm
+_WIDEST = (5.0, 2.0, 2.0)  # of those of the half width and of the two ranges
+_TINY = 1e-4  # prior deviations, of a difference
+
+
+@dataclass(frozen=True, eq=False)
+class Transitions:
+    """The transition temperatures that are not exact, moved so that their order holds wherever a
+    fit goes, as functions of x (m,) of unit normal prior.
+
+        A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
+
+    of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
+    and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is stated of the
+    four is the prior of these; of the others it is that of wires of the field, given what is
+    stated.
+
+    Attributes:
+        mean: (4,) K, as believed; moving: (m,) which of them; turn: (m, m) K, the root of the
+            prior's covariance, symmetric but for units: x[k] is mostly the k-th one's deviation.
+    """
+
+    mean: Array
+    moving: NDArray[np.intp]
+    turn: Array
+
+    @classmethod
+    def of(cls, parameters: Parameters) -> Self:
+        """As believed; a temperature whose deviation is 0 is exact."""
+        mean = np.array([parameters[name] for name in TEMPERATURES])
+        stated = np.array([name in parameters.given for name in TEMPERATURES])
+        coordinates = _COORDINATES @ mean
+        scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
+        scale[0] = _SPREADS[0]
+        if tuple(mean.tolist()) == FIELD_TEMPERATURES:
+            scale[1] = _FIELD_HALF_WIDTH * coordinates[1]
+        root = _TEMPERATURES * scale @ _ALIKE
+        covariance = root @ root.T
+        if stated.any():
+            std = np.array([parameters.std(n) for n in np.array(TEMPERATURES)[stated]])
+            own = np.diag(np.minimum(std, HIGHEST - LOWEST) ** 2)
+            within = covariance[np.ix_(stated, stated)]
+            follows = np.linalg.solve(within, covariance[stated]).T
+            covariance += follows @ (own - within) @ follows.T
+        moving = np.flatnonzero(~stated | (np.diag(covariance) > 1e-12))
+        kept = covariance[np.ix_(moving, moving)]
+        deviation = np.sqrt(np.diag(kept))
+        values, vectors = np.linalg.eigh(kept / np.outer(deviation, deviation))
+        half = vectors * np.sqrt(np.maximum(values, 0.0)) @ vectors.T
+        return cls(mean, moving, deviation[:, np.newaxis] * half)
+
+    @property
+    def std(self) -> Array:
+        """(m,) K, of each by itself."""
+        return np.asarray(np.sqrt(np.sum(self.turn**2, axis=1)))
+
+    @property
+    def stds(self) -> dict[str, float]:
+        """By name, of those that are not exact."""
+        names = [TEMPERATURES[k] for k in self.moving]
+        return dict(zip(names, self.std.tolist(), strict=True))
+
+    def values(self, x: Array) -> Array:
+        """(4,) K, A_s below A_f and M_f below M_s."""
+        straight = self.mean.copy()
+        straight[self.moving] += self.turn @ x
+        centre, *widths = (_COORDINATES @ straight).tolist()
+        half, austenite, martensite = (
+            width if known <= 0.0  # an impossible hysteresis is left as it is
+            else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), most))
+            for width, known, most in zip(
+                widths, (_COORDINATES[1:] @ self.mean).tolist(), _WIDEST, strict=True
+            )
+        )
+        branches = [[centre + half, 0.5 * austenite], [centre - half, 0.5 * martensite]]
+        exact = [k for k in range(4) if k not in self.moving]
+        for number in exact:
+            # An exact one takes its range along, and the other range if none of that is exact.
+            branch, sign = number // 2, (-1.0, 1.0, 1.0, -1.0)[number]
+            middle, reach = branches[branch]
+            off = float(self.mean[number]) - middle - sign * reach
+            for other in {branch, branch if exact[0] // 2 < branch else 1 - branch}:
+                branches[other][0] += off
+        found = []
+        for middle, reach in branches:
+            lower = min(max(middle - reach, LOWEST), HIGHEST - NARROWEST)
+            found.append((lower, min(max(middle + reach, lower + NARROWEST), HIGHEST)))
+        return np.array([*found[0], *found[1][::-1]])
+
+    def slopes(self, x: Array) -> Array:
+        """(m, m) d(moving ones)/dx, K."""
+        steps = _TINY * np.eye(len(x))
+        columns = [self.values(x + step) - self.values(x - step) for step in steps]
+        return np.asarray(np.column_stack(columns)[self.moving] / (2.0 * _TINY))
+
+    def x_of(self, values: Sequence[float] | Array) -> Array:
+        """Inverse of `values`."""
+        believed, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
+        logs = (believed > 0.0) & (found > 0.0)
+        logs[0] = False
+        found[logs] = believed[logs] * (1.0 + np.log(found[logs] / believed[logs]))
+        exact = len(self.moving) < 4  # which place the centre
+        rows = slice(1 if exact else 0, None)
+        straight = np.linalg.lstsq(
+            _COORDINATES[rows, self.moving], (found - believed)[rows], rcond=None
+        )[0]
+        return np.asarray(np.linalg.solve(self.turn, straight))
+
+    def of_grains(self, four: Array, spread: float, believed: float) -> Array:
+        """(4,) K whose ranges are those of the centres of grains, and what the spread of their
+        hystereses adds to them; where it is as believed, nothing more than is in them."""
+        centre, half, *ranges = (_COORDINATES @ four).tolist()
+        _, known, *usual = (_COORDINATES @ self.mean).tolist()
+        before, added = BRANCH * believed * known, BRANCH * spread * half
+        room = HIGHEST - LOWEST - 2.0 * half
+        wide = [
+            min(math.hypot(own * math.sqrt(max(1.0 - (before / as_usual) ** 2, 0.0)), added), room)
+            for own, as_usual in zip(ranges, usual, strict=True)
+        ]
+        found = _TEMPERATURES @ np.array([centre, half, *wide])
+        found += max(LOWEST - found.min(), 0.0) - max(found.max() - HIGHEST, 0.0)
+        return np.clip(found, LOWEST, HIGHEST)
