@@ -23,6 +23,7 @@ from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.compiled import compiled
 from sma_bench.errors import InputError
 from sma_bench.estimation.laws import repeatability
+from sma_bench.estimation.residual import Problem
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
@@ -77,7 +78,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _row(names: Sequence[str], r: dict[str, Any]) -> tuple[str, ...]:
     what = "all nine" if len(names) == len(RUNS) else ", ".join(names)
-    ours = f"{r['ours']:.2f}" + (f" ({r['with states']:.2f} with states)" if len(names) > 2 else "")
+    ours = f"{r['ours']:.2f}"
+    if len(names) > 2:
+        ours += f" (fitted alike {r['alike']:.2f}, with states {r['with states']:.2f})"
     laws = ", ".join(f"{name} {p:.0%}" for name, p in r["laws"].items() if p > 0.01)
     return what, f"{r['rival']:.2f}", ours, f"{r['held']:.0%}", f"{r['width']:.0%}", laws
 
@@ -100,15 +103,24 @@ def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
         scores["rival"].append(100.0 * _rms(eight_numbers(rival, run) - moved) / stroke)
         scores["held"].append(float(np.mean((moved > low) & (moved < high))))
         scores["width"].append(float(np.mean(high - low)) / stroke)
-    fit = model.experiments[0].laws[0].fit  # its runs' states found
-    left = [_rms(fit.left[b.rows]) / np.ptp(b.signal.value) for b in fit.problem.blocks]
+    # Of the most probable law: the runs by one set of numbers, and with their states found.
+    fits = {one.problem.states > 0.0: one for _, one in model.experiments[0].laws[0].weighed}
+    alike, fit = fits[False], fits[True]
+    one_set = alike.problem.measured - alike.predicted
     return {
         **{key: float(np.mean(own)) for key, own in scores.items()},
         "not worse": float(np.mean(np.less_equal(scores["ours"], scores["rival"]))),
-        "with states": 100.0 * float(np.mean(left)),
+        "alike": _share(one_set, alike.problem),
+        "with states": _share(fit.left, fit.problem),
         "repeats": repeatability(fit),
         "laws": {model.law.name: model.law.probability, **model.law.others} if model.law else {},
     }
+
+
+def _share(left: Array, problem: Problem) -> float:
+    """Root mean square of what is left, % of each run's stroke, mean over the runs."""
+    shares = [_rms(left[b.rows]) / np.ptp(b.signal.value) for b in problem.blocks]
+    return 100.0 * float(np.mean(shares))
 
 
 def _repeats(folder: Path) -> list[float]:

@@ -80,5 +80,6 @@ def run(args: SimpleNamespace) -> int:
             **about, "source": source, "format": table.format, "bag": str(record.path),
             "map": map_file, "signals": spans, "notes": list(table.notes), "account": vars(account),
         })
-    write_json(args.json, {"imported": entries})
+    if args.json:
+        write_json(args.json, {"imported": entries})
     return 0

@@ -1,8 +1,8 @@
 """Between which limits a bench will read: by an identification, or as far as a parameter file says.
 
 Benches are drawn within what is open of their numbers, each in a run of its own (`STATES`). The
-limits are those of a normal distribution about the most probable reading, with a floor of 0.5 % of
-what the signal spans. Where no fitted record has been, the draws part by themselves.
+limits are those of a normal distribution about the reading asked for, with a floor of 0.5 % of what
+the signal spans. Where no fitted record has been, the draws part by themselves.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,8 +23,9 @@ from sma_bench.parameters.parameter import EFFECT_PREFIX
 from sma_bench.progress import Report, silent
 from sma_bench.records.record import Signal
 
-_DRAWS, _FEWEST, _SEED = 40, 8, 43  # of all laws; of one
-_NEGLIGIBLE = 0.02  # probability of a law
+_DRAWS, _SEED = 40, 43
+_PAIRS, _FEWEST = 24, 6  # of draws, of all laws and of one fit
+_NEGLIGIBLE = 0.01  # of what a fit counts
 _FLOOR = 0.005  # of what a signal spans, that no model predicts
 
 
@@ -56,8 +57,9 @@ def predict(
     laws: Sequence[LawFit], observation: Observation, probability: float = 0.9
 ) -> dict[str, Band]:
     """What a run with this drive will show, by signal, after an identification of other runs: the
-    mean of the laws' most probable readings, the limits as the laws and their numbers leave them.
-    Raises InputError: `probability` is no share."""
+    mean over the laws, half way from what is most probable to the mean of all that is open, which
+    rounds every corner; the limits as laws and numbers leave them. Draws come in pairs, to both
+    sides of a fit. Raises InputError: `probability` is no share."""
     reach, random = reach_of(probability), np.random.default_rng(_SEED)
     means, weights, variances = [], [], []
     for weight, fitted in (pair for one in laws for pair in one.weighed):
@@ -66,14 +68,16 @@ def predict(
         values, vectors = np.linalg.eigh(fitted.covariance)
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         differ = max(fitted.problem.states, least_scale(fitted))
-        benches = [
-            _drawn(fitted.unknowns, fitted.x, root, differ, random)
-            for _ in range(max(round(_DRAWS * weight), _FEWEST))
-        ]
-        best, drawn = np.split(observation.predict([fitted.parameters, *benches]), [1], axis=1)
-        means.append(best[:, 0])
+        benches = []
+        for _ in range(max(round(_PAIRS * weight), _FEWEST)):
+            there = root @ random.standard_normal(len(fitted.x))
+            off = differ * random.standard_normal(len(STATES))
+            benches += [_moved(fitted.unknowns, fitted.x + s * there, s * off) for s in (1.0, -1.0)]
+        readings = observation.predict([fitted.parameters, *benches])
+        best, drawn = readings[:, 0], readings[:, 1:]
+        means.append(0.5 * (best + np.mean(drawn, axis=1)))
         weights.append(weight)
-        variances.append(np.mean((drawn - best) ** 2, axis=1))
+        variances.append(np.mean((drawn - means[-1][:, np.newaxis]) ** 2, axis=1))
     shares, every = np.array(weights) / np.sum(weights), np.array(means)
     mean = shares @ every
     variance = shares @ (np.array(variances) + (every - mean) ** 2)
@@ -118,7 +122,8 @@ def band_of(
     exact, drawn = simulated(parameters), []
     for number in range(_DRAWS):
         report(number / _DRAWS, f"draw {number + 1} of {_DRAWS}")
-        drawn.append(simulated(_drawn(unknowns, np.zeros(k), np.eye(k), 1.0, random)))
+        x, off = random.standard_normal(k), random.standard_normal(len(STATES))
+        drawn.append(simulated(_moved(unknowns, x, off)))
     return {
         signal.name: Band.about(
             signal.time, signal.values,
@@ -128,11 +133,8 @@ def band_of(
     }
 
 
-def _drawn(
-    unknowns: Unknowns, x: Array, root: Array, differ: float, random: np.random.Generator
-) -> Parameters:
-    """A bench about x (k,) by a covariance's root (k, k), in a run whose states differ by so many
-    times the usual."""
-    there = np.clip(x + root @ random.standard_normal(len(x)), *unknowns.bounds())
-    off = differ * random.standard_normal(len(STATES))
-    return in_state(unknowns.parameters(there), dict(zip(STATES, off.tolist(), strict=True)))
+def _moved(unknowns: Unknowns, x: Array, off: Array) -> Parameters:
+    """A bench at x (k,), within its bounds, in a run whose states are so many times the usual off
+    (of `STATES`, in their order)."""
+    there = unknowns.parameters(np.clip(x, *unknowns.bounds()))
+    return in_state(there, dict(zip(STATES, off.tolist(), strict=True)))

@@ -29,7 +29,6 @@ from sma_bench.progress import Report, part, silent
 PRIOR = {"normal": 0.72, "logistic": 0.14, "cosine": 0.1, "exponential": 0.04}
 _TEMPERED = 0.25
 _DIFFERENT = 0.7  # probability that the runs of a bench differ, before any
-_TINY = 1e-300
 _STARTS, _SEED = 2, 17
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _DRAWN = 2  # further starts, drawn from the prior
@@ -38,20 +37,20 @@ _DRAWN = 2  # further starts, drawn from the prior
 @dataclass(frozen=True, eq=False)
 class LawFit:
     """The model under one law, and how probable this law is; `others`: its less probable fit, with
-    runs that differ or are alike, and the share of the law's probability that this has."""
+    runs that differ or are alike."""
 
     law: str
     probability: float
     fit: Fit
     tried: tuple[Fit, ...]
-    others: tuple[tuple[float, Fit], ...] = ()
+    others: tuple[Fit, ...] = ()
 
     @property
     def weighed(self) -> tuple[tuple[float, Fit], ...]:
-        """Every fit with its probability."""
-        rest = 1.0 - sum(share for share, _ in self.others)
-        shares = ((rest, self.fit), *self.others)
-        return tuple((self.probability * share, one) for share, one in shares)
+        """Every fit with what it counts in a prediction: those of one law alike, as what fitted
+        runs differ by, which tells such fits apart, says nothing of another run."""
+        fits = (self.fit, *self.others)
+        return tuple((self.probability / len(fits), one) for one in fits)
 
 
 def weigh_laws(
@@ -104,8 +103,8 @@ def weigh_laws(
             key=lambda pair: -pair[0],
         )
         probability = sum(w for w, _ in fitted)
-        best, *rest = ((w / max(probability, _TINY), f.with_repeated_misfit()) for w, f in fitted)
-        weighed.append(LawFit(law, probability, best[1], tuple(tried), tuple(rest)))
+        best, *rest = (one.with_repeated_misfit() for _, one in fitted)
+        weighed.append(LawFit(law, probability, best, tuple(tried), tuple(rest)))
     return tuple(sorted(weighed, key=lambda one: -one.probability))
 
 
