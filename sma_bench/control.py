@@ -174,8 +174,7 @@ class Heating:
 class TemperatureController:
     """Reference and measured temperatures in, voltages out: one PI a wire, to power.
 
-    In power the wire is a lag, 1/(h A_c) over m c_p/(h A_c): the gains follow from the identified
-    parameters by Skogestad's rule.
+    In power the wire is a lag, 1/(h A_c) over m c_p/(h A_c): gains follow by Skogestad's rule.
     """
 
     def __init__(

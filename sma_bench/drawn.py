@@ -10,8 +10,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, ClassVar
 
-_LONGEST = 400  # characters of a line that stands for a result
-
 
 class Drawn:
     """What `plot` can draw; `drawing_room` imports a module of the room that draws."""
@@ -33,9 +31,6 @@ class Reported(Drawn):
     """What has a page of its own too; `writer`: the module of the drawing room and its function."""
 
     writer: ClassVar[tuple[str, str]]
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0][:_LONGEST]}>"
 
     def report(self, folder: str | Path) -> Path:
         """Write the page with its figures into a folder; the path of its index.html. Raises

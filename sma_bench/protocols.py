@@ -28,7 +28,7 @@ from sma_bench.border import read_yaml, shown
 from sma_bench.errors import InputError, did_you_mean, errors_in
 from sma_bench.installation import share_directory
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import LOAD_KINDS
+from sma_bench.parameters.parameter import LOAD_KINDS
 
 # s: a command clock sums periods; the rounding of that must not delay a step by a whole period.
 _TIME_ROUNDING = 1e-6

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 from sma_bench.border import printable
 from sma_bench.errors import InputError
@@ -36,6 +36,7 @@ NUMBER_HEADER = (
 TEMPLATES = Path(__file__).with_name("templates")
 _NO_BORDERS = str.maketrans("\n|", " /")
 _WIDTH, _NARROWEST = 96, 40  # cells
+_LONGEST = 400  # characters of a line that stands for a result
 
 
 @dataclass(frozen=True)
@@ -151,6 +152,21 @@ def with_error(value: float, std: float) -> str:
 
 
 # --- Cards.
+
+
+class Carded:
+    """A result, whose text is its card, in a notebook too."""
+
+    template: ClassVar[str]
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0][:_LONGEST]}>"
+
+    def __str__(self) -> str:
+        return card_text(self)
+
+    def _repr_html_(self) -> str:
+        return card_html(self)
 
 
 class Card(NamedTuple):

@@ -16,8 +16,7 @@ def run(args: SimpleNamespace) -> int:
     args.params = args.params or args.file
     parameters = options.parameters_from_options(args)
     findings = audit(parameters, papers_own=args.paper or not parameters.given)
-    if args.json:
-        write_json(args.json, {"findings": [finding.to_json() for finding in findings]})
+    write_json(args.json, {"findings": [finding.to_json() for finding in findings]})
     print_findings(findings)
     clashes = sum(finding.severity != "info" for finding in findings)
     print(f"{clashes} of {len(findings)} checks found a clash")

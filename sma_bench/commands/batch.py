@@ -68,12 +68,11 @@ def file_names(paths: list[str]) -> list[str]:
 def _print_outcomes(args: SimpleNamespace, outcomes: list[Outcome]) -> None:
     from sma_bench.report.tables import Table
 
-    if args.json:
-        entries = [
-            {"record": o.path, "seconds": o.seconds, "error": o.error or None, "result": o.result}
-            for o in outcomes
-        ]
-        write_json(args.json, {"kind": args.kind, "records": entries})
+    entries = [
+        {"record": o.path, "seconds": o.seconds, "error": o.error or None, "result": o.result}
+        for o in outcomes
+    ]
+    write_json(args.json, {"kind": args.kind, "records": entries})
     rows = []
     for given, o in zip(args.records, outcomes, strict=True):
         said = ""

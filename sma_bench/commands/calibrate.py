@@ -86,9 +86,8 @@ def run(args: SimpleNamespace) -> int:
     unit = sensor.known_unit
     span = f"{len(pairs)} pairs from {min(known):g} to {max(known):g} {unit}"
     print(f"{span}, rms of what is left {fit.rest:.2g} {unit}")
-    if args.json:
-        rest = {"parameters": fit.parameters, "std": std, "rms": fit.rest, "pairs": pairs}
-        write_json(args.json, {**rest, "uncertainty": fit.uncertainty})
+    rest = {"parameters": fit.parameters, "std": std, "rms": fit.rest, "pairs": pairs}
+    write_json(args.json, {**rest, "uncertainty": fit.uncertainty})
     if args.out:
         worst = {key: max(v, kept.get(key, 0.0)) if others else v for key, v in stated.items()}
         values = {**kept, **fit.parameters, **worst}

@@ -29,11 +29,10 @@ def run(args: SimpleNamespace) -> int:
         raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
     settings = dict(options.named_value(text) for text in args.settings)
     answer = _call(args, node, service, settings)
-    if args.json:
-        parsed: Any = answer
-        with suppress(InputError):  # results are JSON themselves
-            parsed = read_json(answer, "answer", _LARGEST_ANSWER)
-        write_json(args.json, {"service": f"{node}/{service}", "answer": parsed})
+    parsed: Any = answer
+    with suppress(InputError):  # results are JSON themselves
+        parsed = read_json(answer, "answer", _LARGEST_ANSWER)
+    write_json(args.json, {"service": f"{node}/{service}", "answer": parsed})
     say(answer.rstrip() or "done")
     return 0
 

@@ -18,8 +18,7 @@ def run(args: SimpleNamespace) -> int:
     with progress("compare") as report:
         report(0.1, "reading and simulating")
         found = compare([load(path, args.namespace) for path in args.records], args.models)
-    if args.json:
-        write_json(args.json, found.to_json())
+    write_json(args.json, found.to_json())
     rows = [d.cells() for d in found.differences]
     print_table(Table(HEADER, rows, frozenset({2, 3, 4, 5})))
     for name, shift in found.shifts.items():

@@ -22,8 +22,7 @@ def run(args: SimpleNamespace) -> int:
     with terminal.progress("diagnose") as report:
         compared = args.signals or QUANTITIES
         result = diagnose_files(args.records, args.hold_out, parameters, compared, report)
-    if args.json:
-        terminal.write_json(args.json, result.to_json())
+    terminal.write_json(args.json, result.to_json())
     if args.out:
         write_improved(args.out, result, "sma-bench diagnose")
 

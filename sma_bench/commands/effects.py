@@ -12,14 +12,13 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.parameters.parameter import EFFECTS
     from sma_bench.report.tables import Table
 
-    if args.json:
-        numbers = ("name", "unit", "default", "low", "high")
-        entries = [
-            {"name": e.name, "stage": e.stage, "acts_on": list(e.acts_on), "shows": e.shows,
-             "parameters": [{key: getattr(p, key) for key in numbers} for p in e.parameters]}
-            for e in EFFECTS.values()
-        ]
-        write_json(args.json, {"effects": entries})
+    numbers = ("name", "unit", "default", "low", "high")
+    entries = [
+        {"name": e.name, "stage": e.stage, "acts_on": list(e.acts_on), "shows": e.shows,
+         "parameters": [{key: getattr(p, key) for key in numbers} for p in e.parameters]}
+        for e in EFFECTS.values()
+    ]
+    write_json(args.json, {"effects": entries})
     if args.markdown:
         print(effects_page(), end="")
     else:

@@ -28,8 +28,7 @@ def run(args: SimpleNamespace) -> int:
             args.records, parameters, args.experiments or None, args.namespace, report, phases,
             stated,
         )  # fmt: skip
-    if args.json:
-        write_json(args.json, result.to_json())
+    write_json(args.json, result.to_json())
     if args.out:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
 

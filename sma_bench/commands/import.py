@@ -80,6 +80,5 @@ def run(args: SimpleNamespace) -> int:
             **about, "source": source, "format": table.format, "bag": str(record.path),
             "map": map_file, "signals": spans, "notes": list(table.notes), "account": vars(account),
         })
-    if args.json:
-        write_json(args.json, {"imported": entries})
+    write_json(args.json, {"imported": entries})
     return 0

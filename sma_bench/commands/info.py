@@ -21,9 +21,8 @@ def run(args: SimpleNamespace) -> int:
     with progress("reading"):
         records = open_records(args.record, args.namespace, stated)
         found = [describe(record) for record in records]
-    if args.json:
-        rest = {"sheets": found[1:]} if len(found) > 1 else {}
-        write_json(args.json, {**found[0], **rest})
+    rest = {"sheets": found[1:]} if len(found) > 1 else {}
+    write_json(args.json, {**found[0], **rest})
     for description in found:
         say(f"{description['path']}: {record_line(description)}")
         for table in record_tables(description):

@@ -52,8 +52,7 @@ def run(args: SimpleNamespace) -> int:
                 f"{case.folder}/believed.yaml, or record with the sensor and give the bag, then go "
                 "on with the same command"
             )
-    if args.json:
-        write_json(args.json, case.to_json())
+    write_json(args.json, case.to_json())
     return 0
 
 

@@ -38,8 +38,7 @@ def run(args: SimpleNamespace) -> int:
         )  # fmt: skip
     for name, rows in page.tables.items():
         write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(csv_table(rows)).decode())
-    if args.json:
-        write_json(args.json, page.to_json())
+    write_json(args.json, page.to_json())
     print_findings(page.notes)
     synthetic = sum(outcome.synthetic for outcome in page.outcomes.values())
     measured = len(page.outcomes) - synthetic

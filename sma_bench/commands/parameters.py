@@ -14,15 +14,14 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.report.tables import Table, value_cell
 
     parameters = options.parameters_from_options(args)
-    if args.json:
-        entries = [
-            {"name": p.name, "unit": p.unit,
-             "value": list(value) if isinstance(value := parameters[p.name], tuple) else value,
-             "std": parameters.std(p.name) if p.uncertainty is not None else None,
-             "low": p.low, "high": p.high, "description": p.description, "source": p.provenance}
-            for p in TABLE
-        ]
-        write_json(args.json, {"parameters": entries})
+    entries = [
+        {"name": p.name, "unit": p.unit,
+         "value": list(value) if isinstance(value := parameters[p.name], tuple) else value,
+         "std": parameters.std(p.name) if p.uncertainty is not None else None,
+         "low": p.low, "high": p.high, "description": p.description, "source": p.provenance}
+        for p in TABLE
+    ]
+    write_json(args.json, {"parameters": entries})
     if args.markdown:
         print(parameter_page(), end="")
     elif args.out:

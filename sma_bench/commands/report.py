@@ -26,9 +26,8 @@ def run(args: SimpleNamespace) -> int:
         page = write_collected_report(
             args.out, args.title, shown, parameters, given, made, column, drawing
         )
-    if args.json:
-        about = {"command": args.command_line, "versions": versions(), "page": str(page)}
-        write_json(args.json, {"inputs": [one.to_json() for one in shown], **about})
+    about = {"command": args.command_line, "versions": versions(), "page": str(page)}
+    write_json(args.json, {"inputs": [one.to_json() for one in shown], **about})
     for one in shown:
         say(f"{one.path}: {one.said}")
     warnings = sum(len(one.warnings) for one in shown)

@@ -80,15 +80,14 @@ def run(args: SimpleNamespace) -> int:
     findings = bench.limits_passed(simulation)
     if protocol is not None and load_kind(simulation.parameters) == "displacement":
         findings.append(Finding("warning", "load.kind", STANDS))
-    if args.json:
-        write_json(args.json, {
-            "bag": args.out, "protocol": args.protocol, "input": args.input,
-            "effects": list(args.effects), "noise_seed": args.noise, "samples": len(time),
-            "duration": float(time[-1] - time[0]),
-            "signals": {signal.name: signal.unit for signal in signals},
-            **band,
-            "findings": [finding.to_json() for finding in findings],
-        })  # fmt: skip
+    write_json(args.json, {
+        "bag": args.out, "protocol": args.protocol, "input": args.input,
+        "effects": list(args.effects), "noise_seed": args.noise, "samples": len(time),
+        "duration": float(time[-1] - time[0]),
+        "signals": {signal.name: signal.unit for signal in signals},
+        **band,
+        "findings": [finding.to_json() for finding in findings],
+    })  # fmt: skip
     print_findings(findings)
     say(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, {noise}")
     return 0

@@ -33,12 +33,12 @@ def say(text: str) -> None:
     print(printable(text, "\n"))
 
 
-def write_json(path: str, document: dict[str, Any]) -> None:
-    """Write a result file, whole or not at all; "-" is standard output. Raises InputError: the
-    folder cannot be written."""
+def write_json(path: str | None, document: dict[str, Any]) -> None:
+    """Write a result file, whole or not at all, where a path is given; "-" is standard output.
+    Raises InputError: the folder cannot be written."""
     if path == STANDARD_OUTPUT:
         print(json_text(document), end="", flush=True, file=results[-1] if results else None)
-    else:
+    elif path:
         write_result(path, document)
 
 

@@ -226,8 +226,7 @@ def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:
 
 def result_summary(node: str, text: str) -> dict[str, Any]:
     """What is shown of the JSON that `identification` or `diagnosis` latches: `title` and `lines`
-    of its card and, of an identification, `rows` of name and number; or `problem`, a line, where it
-    is no such result."""
+    of its card and, of an identification, `rows` of name and number; or `problem`, a line."""
     where, numbers = f"{node}/result", node == "identification"
     fields = {"card": A_LIST, **({"parameters": AN_OBJECT} if numbers else {})}
     try:

@@ -3,12 +3,12 @@ topic is made from (`templates/diagnosis.j2`)."""
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, ClassVar, Literal
+from dataclasses import dataclass, field, fields, is_dataclass
+from typing import Any, Literal
 
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.results import card_html, card_rows, card_text, cells, decoded, sentences
+from sma_bench.results import Carded, card_rows, cells, decoded, sentences
 
 Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained"]
 SET_MASS = 0.9  # probability that the credible candidates make together
@@ -73,10 +73,6 @@ class NextExperiment:
         """Whether it is worth the bench's time."""
         return self.worth >= WORTH
 
-    def to_json(self) -> dict[str, Any]:
-        """As in the contract."""
-        return {name: value for name, value in asdict(self).items() if name != "worth"}
-
 
 @dataclass(frozen=True)
 class Explanation:
@@ -135,10 +131,10 @@ class LeftOver:
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
-class DiagnosisResult:
+class DiagnosisResult(Carded):
     """What diagnose has found, or its file holds."""
 
-    template: ClassVar[str] = "diagnosis.j2"
+    template = "diagnosis.j2"
 
     verdict: Verdict
     cause: tuple[str, ...]  # effects, empty unless the verdict is effect
@@ -180,17 +176,6 @@ class DiagnosisResult:
                 break
         return tuple(chosen)
 
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__}: {str(self).partition(chr(10))[0][:400]}>"
-
-    def __str__(self) -> str:
-        """The verdict card."""
-        return card_text(self)
-
-    def _repr_html_(self) -> str:
-        """The verdict card in a notebook."""
-        return card_html(self)
-
     def _gap(self) -> list[dict[str, Any]]:
         """Lines of the topic `~/gap`: the gap as a whole, and one a measured quantity."""
         whole: dict[str, Any] = {
@@ -208,38 +193,32 @@ class DiagnosisResult:
 
     def to_json(self) -> dict[str, Any]:
         """The diagnosis result of contract section 5."""
-        first = self.candidates[0].parameters if self.candidates else {}
+        own = [f.name for f in fields(DiagnosisResult) if f.name != "path"]
+        numbers = self.candidates[0].parameters if self.candidates else {}
+        sizes = {
+            name: {n: e for n, e in numbers.items() if n.startswith(f"effect.{name}.")}
+            for name in self.cause
+        }
         return {
-            "verdict": self.verdict,
-            "cause": list(self.cause),
-            "candidates": [
-                {f.name: getattr(c, f.name) for f in fields(Explanation)}
-                | {"parameters": _numbers(c.parameters)} for c in self.candidates
-            ],
-            "credible": list(self.credible),
-            "card": card_rows(self),
+            **{name: _plain(getattr(self, name)) for name in own}, "size": _plain(sizes),
+            "credible": [*self.credible], "why": [*self.why], "card": card_rows(self),
             "gap": self._gap(),
-            "where": asdict(self.where),
-            "shrinkage": {name: asdict(s) for name, s in self.shrinkage.items()},
-            "why": list(self.why),
-            "size": {
-                name: _numbers({n: e for n, e in first.items() if n.startswith(f"effect.{name}.")})
-                for name in self.cause
-            },
-            "moved": [asdict(m) for m in self.moved],
-            "smoother": _numbers(self.smoother),
-            "difference": asdict(self.difference) if self.difference else None,
-            "left": asdict(self.left) if self.left else None,
-            "unexplained_sign": self.unexplained_sign,
-            "not_compared": list(self.not_compared),
-            "next_experiment": self.next_experiment.to_json() if self.next_experiment else None,
-            "record": list(self.record),
-            "findings": [str(f) for f in self.findings],
         }
 
 
-def _numbers(estimates: Mapping[str, Estimate]) -> dict[str, Any]:
-    return {n: {"value": e.value, "std": e.std, "unit": e.unit} for n, e in estimates.items()}
+def _plain(value: Any) -> Any:
+    """A fact as JSON has it: of an estimate value, error and unit, of a finding its line, of a
+    candidate no fit and of a next experiment no worth."""
+    if isinstance(value, Finding):
+        return str(value)
+    if isinstance(value, Estimate):
+        return {"value": value.value, "std": value.std, "unit": value.unit}
+    if is_dataclass(value):
+        known = fields(Explanation if isinstance(value, Explanation) else value)
+        value = {f.name: getattr(value, f.name) for f in known if f.name != "worth"}
+    if isinstance(value, Mapping):
+        return {name: _plain(own) for name, own in value.items()}
+    return [_plain(own) for own in value] if isinstance(value, (list, tuple)) else value
 
 
 def diagnosis_from(document: Any, where: str) -> DiagnosisResult:

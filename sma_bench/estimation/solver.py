@@ -316,14 +316,14 @@ class _State:
         return float(white @ white + self.x @ self.x + self.z @ self.z)
 
     def approach(self) -> None:
-        """Steps from afar, as long as they gain. At every second one the derivatives are those of
+        """Steps from afar, as long as they gain. At every second one rough derivatives are those of
         the last, mended by what its step showed (Broyden, Math. Comp. 19 (1965) 577)."""
-        before, last = np.inf, None
+        before, last, rough = np.inf, None, self.problem.voltage_noise
         for _ in range(_FAR_STEPS):
             self.problem = self.problem.with_noise(self.left())
-            if last is None or (self.x == last[0]).all():
+            if not rough or last is None or (self.x == last[0]).all():
                 last = self.x, self.predicted
-                self.linearise(rough=self.problem.voltage_noise)
+                self.linearise(rough)
             else:
                 self._mend(*last)
                 last = None
@@ -331,15 +331,14 @@ class _State:
             if last is not None and before - now < 2.0 * _SETTLED:
                 break
             before = now
-        if self.problem.voltage_noise:
-            self.linear_about = None  # rough derivatives are not those of the place
+        if rough:
+            self.linear_about = None  # such derivatives are not those of the place
 
     def _mend(self, x: Array, predicted: Array) -> None:
         """Derivatives of the baseline, so changed that a step from x is told as it was."""
         assert self.base is not None
         moved, missed = self.x - x, self.predicted - predicted - self.slopes @ (self.x - x)
         self.base = self.base + np.outer(missed, moved[: self.base.shape[1]]) / (moved @ moved)
-        self.linear_about = None
         self._take_slopes()
 
     def climb(self, most: int) -> None:

@@ -21,16 +21,8 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from sma_bench.arrays import Array, Mask
 from sma_bench.errors import InputError
+from sma_bench.hardware import thermal_image as image
 from sma_bench.hardware.safety import CELSIUS_ZERO
-from sma_bench.hardware.thermal_image import (
-    RAW_PER_KELVIN,
-    Frame,
-    Surface,
-    band_radiance,
-    radiance_of_raw,
-    slope_at,
-    temperature_of,
-)
 
 GROUP = 6  # lines that are averaged before the search
 _SHIFT = 4  # pixels from one group to the next: 37 degrees of tilt
@@ -52,7 +44,7 @@ _WIDEST_TILT = 1.3
 _MEDIAN_OVER_MEAN = 1.2533  # standard deviations of the two, of Gaussian noise
 _HIGHEST_FILL = 1.15
 _MOST_RIPPLE = 0.25  # of the wire's peak, beside it
-_HALF_STEP = 0.5 / RAW_PER_KELVIN  # K; at the end of the camera's range pixels are that end
+_HALF_STEP = 0.5 / image.RAW_PER_KELVIN  # K; at the end of the camera's range pixels are that end
 # A wire this many times clearer than the least visible one does not fade within this time [s].
 _TOO_CLEAR_TO_FADE, _NO_TIME_TO_FADE = 4.0, 0.1
 
@@ -188,7 +180,7 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
 
 
 def read_wire(
-    frame: Frame, region: Region, optics: Optics, surface: Surface, cold: bool = False
+    frame: image.Frame, region: Region, optics: Optics, surface: image.Surface, cold: bool = False
 ) -> WireReading:
     """Find the wire in its region and read it; the reason says why that cannot be. With `cold`, a
     dark line where there is no bright one is taken for the wire."""
@@ -200,7 +192,8 @@ def read_wire(
     first, line = (region.y, region.x) if region.along_x else (region.x, region.y)
     length, across = region.shape
     begin = min(first, reach)
-    radiance = radiance_of_raw(turned[line : line + length, first - begin : first + across + reach])
+    rows = turned[line : line + length]
+    radiance = image.radiance_of_raw(rows[:, first - begin : first + across + reach])
 
     # How far each pixel of a group of lines rises above those beside it (groups, across), the noise
     # of that, and the excess, summed across the wire, of one that could just be seen.
@@ -223,12 +216,12 @@ def read_wire(
     dark = None if bright else _ridge(-height, noise, length)
     ridge = bright or (dark if cold else None)
     if ridge is None:
-        beside = float(temperature_of(float(np.median(radiance))))
+        beside = float(image.temperature_of(float(np.median(radiance))))
         what = "wire colder than its" if dark else "no wire stands out from the"
         return WireReading(
             reason=f"{what} background of {beside - CELSIUS_ZERO:.1f} degC",
             background=beside,
-            limit=least / slope_at(beside),
+            limit=least / image.slope_at(beside),
         )
     # Lines in which the wire is seen with all of its surroundings.
     middle = np.rint(ridge.centre).astype(int) + begin
@@ -248,12 +241,12 @@ def read_wire(
     reading = _measured(window, half, tilt, bright is None, optics, surface)
     return reading._replace(
         clearness=ridge.clearness, centre=float(ridge.centre.mean()), visible=visible,
-        limit=least / slope_at(reading.background),
+        limit=least / image.slope_at(reading.background),
     )
 
 
 def _measured(
-    window: Array, half: int, tilt: Array, dark: bool, optics: Optics, surface: Surface
+    window: Array, half: int, tilt: Array, dark: bool, optics: Optics, surface: image.Surface
 ) -> WireReading:
     """Temperature, its standard deviation, fill factor and background, or why there is none, from
     radiances (lines, pixels) with the wire in their middle. The standard deviation holds the
@@ -266,10 +259,10 @@ def _measured(
     beside = (near + far) / 2.0
     excess = window[:, distance <= half] - beside[:, np.newaxis]
     pixels, background = excess.shape[1], float(np.median(beside))
-    beside_kelvin = float(temperature_of(background))
+    beside_kelvin = float(image.temperature_of(background))
 
     # The wire's surface, and what the steps of the pixel values leave open of it.
-    step = slope_at(beside_kelvin) / RAW_PER_KELVIN
+    step = image.slope_at(beside_kelvin) / image.RAW_PER_KELVIN
     if optics.correct_fill:
         over_width = 1.0 / optics.width
         surfaces = beside + excess.sum(axis=1) / (optics.width * tilt)
@@ -298,7 +291,7 @@ def _measured(
         # What curves the background between near and far may curve it below the wire too.
         abs(float(np.mean(near - far))) * pixels * over_width,
         above * optics.width_std * optics.width * over_width,
-        slope_at(float(temperature_of(apparent))) * optics.accuracy,
+        image.slope_at(float(image.temperature_of(apparent))) * optics.accuracy,
     )
     kelvin, std = surface.temperature(apparent, math.hypot(*parts))
 
@@ -308,7 +301,7 @@ def _measured(
     fill = peak / above if above else math.inf
     mean = window.mean(axis=0) - beside.mean()
     ripple = float(np.abs(((mean + mean[::-1]) / 2.0)[distance > half]).max())
-    coldest, hottest = (float(temperature_of(r)) for r in (window.min(), window.max()))
+    coldest, hottest = (float(image.temperature_of(r)) for r in (window.min(), window.max()))
     too_cold = coldest < optics.lowest + _HALF_STEP
     reason = ""
     if too_cold or hottest > optics.highest - _HALF_STEP:
@@ -349,7 +342,7 @@ class WireGauge:
     clear to see in the frame before (it left its region), and not when its heating should show."""
 
     def __init__(
-        self, region: Region, optics: Optics, surface: Surface, cold: bool = False
+        self, region: Region, optics: Optics, surface: image.Surface, cold: bool = False
     ) -> None:
         self._region, self._optics, self._surface, self._cold = region, optics, surface, cold
         self.reset()
@@ -357,7 +350,7 @@ class WireGauge:
     def reset(self) -> None:
         self._seen, self._clearness, self._lost = -math.inf, 0.0, False
 
-    def read(self, frame: Frame, time: float, expected: float = 0.0) -> WireReading:
+    def read(self, frame: image.Frame, time: float, expected: float = 0.0) -> WireReading:
         """The wire in a frame taken at `time` s, when it should have `expected` K or more."""
         reading = read_wire(frame, self._region, self._optics, self._surface, self._cold)
         if reading.seen:
@@ -378,7 +371,8 @@ class WireGauge:
             return WireReading(reason="wire lost while clear to see: it left its region")
         deviation = math.hypot(reading.limit / 2.0, self._optics.accuracy)
         kelvin, std = self._surface.temperature(
-            float(band_radiance(reading.background)), deviation * slope_at(reading.background)
+            float(image.band_radiance(reading.background)),
+            deviation * image.slope_at(reading.background),
         )
         return WireReading(
             kelvin=kelvin, std=std, background=reading.background, limit=reading.limit,

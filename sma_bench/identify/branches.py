@@ -66,8 +66,7 @@ class StrainTangents(NamedTuple):
     step: Number  # of the strain by which the outer lines differ half-way
     cold: Line
     hot: Line
-    # whether the straight stretch of the cold or the hot line is so short or so steep that the
-    # branch may not have been complete
+    # whether the cold or hot line's straight part is too short or steep for a complete branch
     short: tuple[bool, bool]
 
     def polyline(self, branch: Branch) -> Array:

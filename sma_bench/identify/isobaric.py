@@ -34,13 +34,8 @@ from sma_bench.identify.result import Experiment, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import wire_length, wire_section
-from sma_bench.records.instruments import (
-    SMALLEST_RANGE,
-    STRONGEST,
-    Branch,
-    IsobaricRecord,
-    find_cycles,
-)
+from sma_bench.records import instruments
+from sma_bench.records.instruments import Branch, IsobaricRecord
 from sma_bench.records.record import Record, samples
 
 # Start, finish and influence of stress of a direction.
@@ -102,7 +97,7 @@ def identify_isobaric(
     # Tangents and cosine of every branch; one without a transformation becomes a finding.
     readings: list[Reading] = []
     for record in records:
-        believable = record.strain_unit == "1" and record.stress <= STRONGEST
+        believable = record.strain_unit == "1" and record.stress <= instruments.STRONGEST
         stress = record.stress if believable else 0.0
         for cycle, branch in ((c, b) for c in record.cycles for b in c.branches):
             other = cycle.get("cooling" if branch.direction == "heating" else "heating")
@@ -185,12 +180,13 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
     for hold in rig.holds:
         inside = (time >= hold.start) & (time <= hold.stop)
         short = hold.clamped or hold.stop - hold.start < _SHORTEST_TEST
-        if short or np.ptp(kelvin[inside]) < SMALLEST_RANGE:
+        if short or np.ptp(kelvin[inside]) < instruments.SMALLEST_RANGE:
             continue
         stress = hold.value / wire_section(parameters)
         name = f"{record.path.name} {stress / 1e6:.0f} MPa"
         strain = elongation[inside] / wire_length(parameters)
-        cycles, remarks = find_cycles(kelvin[inside], strain, 0.0 * strain + stress, name)
+        held = np.full(len(strain), stress)
+        cycles, remarks = instruments.find_cycles(kelvin[inside], strain, held, name)
         tests.append(IsobaricRecord(record.path, name, stress, "1", tuple(cycles), tuple(remarks)))
     return tuple(tests)
 
@@ -220,7 +216,7 @@ def _temperatures(
     estimates: dict[str, Estimate] = {}
     details: dict[str, Estimate] = {}
     points: dict[str, Array] = {}
-    believable = levels[-1][0] <= STRONGEST
+    believable = levels[-1][0] <= instruments.STRONGEST
     if not believable:
         findings.append(remark("stress beyond belief", stress=levels[-1][0]))
     for direction, (start, finish, label) in PHASES.items():
@@ -319,7 +315,7 @@ def _strains(
             value, std, "relative" if is_relative else "1", "distance of the outer lines half-way",
             n,
         )
-        if is_relative or held > STRONGEST:
+        if is_relative or held > instruments.STRONGEST:
             continue
         # Strain by which martensite gives more than austenite at this stress and temperature.
         middle = float(np.mean([r.cosine.start[0] + r.cosine.finish[0] for r in readings])) / 2

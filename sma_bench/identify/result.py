@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding, Severity
 from sma_bench.parameters import Parameters
-from sma_bench.results import card_html, card_rows, card_text, decoded, sentences
+from sma_bench.results import Carded, card_rows, decoded, sentences
 
 if TYPE_CHECKING:
     from sma_bench.estimation.bands import Band
@@ -112,11 +112,11 @@ class Experiment:
 
 
 @dataclass(frozen=True, repr=False)
-class Identification(Reported):
+class Identification(Carded, Reported):
     """Everything the records gave, or what a result file holds of it."""
 
     writer = ("reports", "write_identification_report")
-    template: ClassVar[str] = "identification.j2"
+    template = "identification.j2"
 
     # the given ones with the estimates put in; of a result file the defaults
     parameters: Parameters
@@ -178,14 +178,6 @@ class Identification(Reported):
         ]
         return sorted(pairs, key=lambda pair: -abs(pair[0]))
 
-    def __str__(self) -> str:
-        """The card: a number a line."""
-        return card_text(self)
-
-    def _repr_html_(self) -> str:
-        """The card in a notebook."""
-        return card_html(self)
-
     def to_json(self) -> dict[str, Any]:
         """The result file of the contract, section 5."""
         law = {"law": asdict(self.law)} if self.law else {}
@@ -216,8 +208,7 @@ class _File:
 
 
 def identification_from(document: Any, where: str) -> Identification:
-    """An identification from what its JSON held. Raises InputError: one line that begins with
-    `where` and names the field."""
+    """An identification from what its JSON held. InputError: a line with `where` and the field."""
     found = decoded(_File, document, where)
     names, matrix = (found.correlation.get(key, []) for key in ("names", "matrix"))
     k = len(names)

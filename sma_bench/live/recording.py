@@ -171,8 +171,7 @@ def recorder_failure(text: str) -> str:
 
 class Readiness:
     """Whether the recorder, where one has to be there, and the bridge, where there is one, are
-    ready for a run, and go on in it: else it would heat for nothing. Answers with a line for
-    people, or "" when all is well."""
+    ready for a run, and go on in it: else it would heat for nothing. Answers with a line, or ""."""
 
     def __init__(self, required: Callable[[], bool] = lambda: False) -> None:
         self.required = required  # whether a recorder is

@@ -1,5 +1,4 @@
-"""A run of the bench: a protocol or a controller's reference, stopped at 0 V when something is
-wrong. No ROS, no clock of its own.
+"""A run of the bench: a protocol or a reference, stopped at 0 V when something is wrong. No ROS.
 
 States: idle, running, done, aborted. Once started, a run owns the outputs and keeps sending them
 (0 V when done or aborted) until it is reset.

@@ -51,8 +51,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node, or all of a container, until SIGINT, SIGTERM, the end of one of them or of the
     ROS context: 0 at a clean end, 2 after bad input or without what it imports, logged in a line.
 
-    The signals are handled here and not by rclpy, whose handler invalidates the context before a
-    node can send its last message.
+    The signals are handled here: rclpy's handler ends the context before a node's last message.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     asks_for_help = bool({"-h", "--help"} & set(arguments))

@@ -136,15 +136,19 @@ EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
 Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
 LOAD_KINDS = ("clamped", "displacement", "force", "spring", "antagonist", "beam")
 LAWS = ("cosine", "exponential", "logistic", "normal")
+CHOICES = {  # of texts; "" is what `parameters.load_kind` finds by the channels
+    "load.kind": ("", *LOAD_KINDS), "bench.drive": ("voltage", "duty", "current"),
+    "wire.law": LAWS, "wire.convection": ("constant", "free"),
+}
 
 
 @dataclass(frozen=True)
 class Effect:
     """One departure from the paper's model, called as its file; off with every default."""
 
-    name: str
     stage: Stage
-    parameters: tuple[Parameter, ...]  # its numbers, `effect.<name>.<number>`, its size first
+    # its numbers, its size first; `effect.<name>.<number>`, of which its file has the number alone
+    parameters: tuple[Parameter, ...]
     shows: str  # what an engineer sees at the bench
     acts_on: tuple[str, ...] = ("temperature", "deflection")  # signals, in the order of the chain
     loads: tuple[str, ...] = LOAD_KINDS  # under which a bench can have it
@@ -165,6 +169,7 @@ class Effect:
     # number to the parameter that it enters the model with, as a product: no record of the bench
     # tells one from the other, so what is unknown of it is in the number's error
     times: Mapping[str, str] | None = None
+    name: str = ""  # that of its file
     text: str = ""  # title, equation and source: the docstring of its file
 
     @property
@@ -198,7 +203,7 @@ class Effect:
 
 def declared_effects(folder: Path = EFFECT_FILES) -> dict[str, Effect]:
     """Effects of the files in a folder by name, in the order of the chain's stages. Raises
-    ValueError: a file without docstring or declaration, or with one that does not fit its name."""
+    ValueError: a file without docstring or declaration."""
 
     def value(node: ast.expr) -> Any:
         """A literal, or a call of one of the two types."""
@@ -219,13 +224,10 @@ def declared_effects(folder: Path = EFFECT_FILES) -> dict[str, Effect]:
         declaration, closed, _ = rest.partition("\n)\n")
         if not (found and closed and '"""' in text):
             raise ValueError(f"{path}: no docstring, or no EFFECT = Effect(...)")
-        effect = value(ast.parse(declaration + "\n)", path, "eval").body)
-        prefix = f"{EFFECT_PREFIX}{path.stem}."
-        if effect.name != path.stem:
-            raise ValueError(f"{path}: EFFECT is called {effect.name}, expected {path.stem}")
-        if not all(p.name.startswith(prefix) for p in effect.parameters):
-            raise ValueError(f"{path}: a parameter's name does not begin with {prefix}")
-        effects.append(replace(effect, text=inspect.cleandoc(text.split('"""')[1])))
+        effect, prefix = value(ast.parse(declaration + "\n)", path, "eval").body), EFFECT_PREFIX
+        numbers = (replace(p, name=f"{prefix}{path.stem}.{p.name}") for p in effect.parameters)
+        text = inspect.cleandoc(text.split('"""')[1])
+        effects.append(replace(effect, parameters=tuple(numbers), name=path.stem, text=text))
     stages = get_args(Stage)
     return {e.name: e for e in sorted(effects, key=lambda effect: stages.index(effect.stage))}
 

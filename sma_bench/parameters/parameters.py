@@ -7,24 +7,10 @@ from copy import copy
 from typing import Any
 
 from sma_bench.errors import InputError, did_you_mean
-from sma_bench.parameters.parameter import (
-    BY_NAME,
-    EFFECTS,
-    LAWS,
-    LOAD_KINDS,
-    TABLE,
-    TRANSITIONS,
-    Value,
-)
+from sma_bench.parameters.parameter import BY_NAME, CHOICES, EFFECTS, TABLE, TRANSITIONS, Value
 
 UNCERTAINTY_PREFIX = "uncertainty."
 SIDES = ("front", "back")
-DRIVES = ("voltage", "duty", "current")
-CONVECTIONS = ("constant", "free")
-_CHOICES = {
-    "load.kind": ("", *LOAD_KINDS), "bench.drive": DRIVES, "wire.law": LAWS,
-    "wire.convection": CONVECTIONS,
-}
 # Of a branch of wire.law normal: its range in deviations, from 2.5 to 97.5 %.
 BRANCH = 3.92
 _WITHIN = 0.05  # of what is possible, that an unstated spread keeps from its ends
@@ -162,7 +148,7 @@ class Parameters(Mapping[str, Value]):
         for side in sides:
             if side not in SIDES:
                 return f"bench.channel_sides: {side!r}, expected front or back"
-        for name, choices in _CHOICES.items():
+        for name, choices in CHOICES.items():
             if self[name] not in choices:
                 return f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
         if self["wire.law"] != "cosine" and (fault := self._fault_of_law()):
@@ -311,9 +297,8 @@ def as_recorded(parameters: Parameters) -> Parameters:
 
 
 def natural_convection(diameter: float, surface: float, ambient: float) -> float:
-    """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air, of Churchill and
-    Chu (1975), air at film temperature and 1 atm. `diameter` [m]; `surface`, `ambient`:
-    temperatures [K], surface above ambient."""
+    """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air by Churchill and
+    Chu (1975), at film temperature and 1 atm. `diameter` [m]; `surface` above `ambient` [K]."""
     film = 0.5 * (surface + ambient)
     conductivity = 0.0241 * (film / 273.15) ** 0.81
     viscosity = 1.716e-5 * (film / 273.15) ** 1.5 * (273.15 + 110.4) / (film + 110.4)

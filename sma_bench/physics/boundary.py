@@ -37,8 +37,7 @@ class Boundary:
     coupled: bool = False
     # strain of a side's wires at zero contraction, which is the bench at rest
     prestretch: PerSide = 0.0
-    # Pa, that the sum of stresses is more than that while contracting, less while lengthening;
-    # between the two the wires stand
+    # Pa, by which the sum of stresses is more contracting, less lengthening; between, wires stand
     friction: PerSide = 0.0
 
     @classmethod

@@ -47,8 +47,7 @@ _SIDE = {
 
 
 def _numbered(row: str, own: dict[str, tuple[str, ...]]) -> tuple[dict[str, int], int, int]:
-    """Column of every name, the first where it stands several times; where the state begins, and
-    the number of columns."""
+    """Column of every name (its first); where the state begins, and the number of columns."""
     effects = [EFFECTS[name] for name in sorted(EFFECTS) if EFFECTS[name].row == row]
     names: list[str] = []
     state = 0

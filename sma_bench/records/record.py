@@ -285,8 +285,7 @@ def drive_of(
 
 
 def imposed_elongation(record: Record) -> tuple[Array, Array]:
-    """Time (n,) s and elongation (n,) m that a testing machine went through. Raises InputError: the
-    record does not have it."""
+    """Time (n,) s and elongation (n,) m of a testing machine. InputError: the record has none."""
     if not has_samples(record, "elongation"):
         raise InputError(
             f"{record.path}: no elongation, expected the imposed one with load.kind displacement"

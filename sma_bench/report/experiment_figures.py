@@ -53,8 +53,7 @@ def _marks(marker: str, colour: str, label: str | None = None, **more: Any) -> d
 
 
 def plateau_picture(experiment: Experiment) -> Picture:
-    """Figs. 2 and 3: plateau means of current or steady temperature over voltage, heating and
-    cooling apart, and the fitted line."""
+    """Figs. 2 and 3: plateau means over voltage, heating and cooling apart, and the fitted line."""
     name, quantity, axis, parameter, symbol, unit = _PLATEAUS[experiment.name]
     estimate, curves = experiment.estimates[parameter], experiment.curves
     up = curves["heating"] > 0.5

@@ -23,15 +23,8 @@ from sma_bench import border
 from sma_bench.errors import InputError, errors_in
 from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
-from sma_bench.report.drawing import (
-    COLUMNS,
-    TABLE_HEADER,
-    PaperColumn,
-    curves_of,
-    drawn_rows,
-    in_column,
-    script,
-)
+from sma_bench.report import drawing
+from sma_bench.report.drawing import COLUMNS, TABLE_HEADER, PaperColumn
 from sma_bench.report.tables import Table
 from sma_bench.results import TEMPLATES, Card
 
@@ -61,7 +54,7 @@ class Picture:
 
     def files(self, column: PaperColumn) -> dict[str, bytes]:
         """SVG and PDF in the width of a column, their text as text, and as CSV what is drawn."""
-        shown = in_column(self.figure, column)
+        shown = drawing.in_column(self.figure, column)
         return {f"{self.name}.{kind}": self._file(shown, kind) for kind in ("svg", "pdf", "csv")}
 
     def save(self, path: str | Path, column: PaperColumn = COLUMNS["double"]) -> None:
@@ -71,7 +64,7 @@ class Picture:
         kind = path.suffix[1:].lower()
         if kind not in ("png", "svg", "pdf", "csv"):
             raise InputError(f"{path}: expected a name that ends in .png, .svg, .pdf or .csv")
-        content = self._file(in_column(self.figure, column), kind, dpi=300)
+        content = self._file(drawing.in_column(self.figure, column), kind, dpi=300)
         with errors_in(f"{path}: cannot be written"):
             border.write_files({path: content})
 
@@ -82,7 +75,7 @@ class Picture:
     def _file(self, figure: Figure, kind: str, dpi: float = 130) -> bytes:
         """PNG, SVG or PDF, or CSV of all that is drawn, in plain numbers."""
         if kind == "csv":
-            return csv_text(Table(TABLE_HEADER, drawn_rows(figure)))
+            return csv_text(Table(TABLE_HEADER, drawing.drawn_rows(figure)))
         buffer = io.BytesIO()
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
         with rc_context({"svg.fonttype": "none", "svg.hashsalt": self.name, "pdf.fonttype": 42}):
@@ -177,16 +170,17 @@ def write_report(
             files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
 
         # Nothing from elsewhere, and no other script than the page's own.
-        digest = base64.b64encode(hashlib.sha256(script().encode()).digest()).decode("ascii")
+        hashed = hashlib.sha256(drawing.script().encode()).digest()
+        digest = base64.b64encode(hashed).decode("ascii")
         policy = (
             "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
             f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
         )
         style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
         page = _template().render(
-            title=title, summary=summary, sections=sections, curves_of=curves_of,
+            title=title, summary=summary, sections=sections, curves_of=drawing.curves_of,
             policy=policy, plot_style=style,
-            script=script() if any(picture.over_time for picture in pictures) else "",
+            script=drawing.script() if any(picture.over_time for picture in pictures) else "",
         )
         _write_together(directory, {**files, _PAGE: page.encode("utf-8")})
         return directory / _PAGE

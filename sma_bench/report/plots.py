@@ -27,23 +27,7 @@ from sma_bench.records import DscRecord, Record
 from sma_bench.records.instruments import IsobaricRecord
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay
-from sma_bench.report.drawing import (
-    BAND,
-    FAINT,
-    MEASURED,
-    MODEL,
-    cell_texts,
-    drawable,
-    graph,
-    legend_above,
-    line_style,
-    named_rows,
-    new_figure,
-    plain,
-    plain_axes,
-    read_and_error,
-    thinned,
-)
+from sma_bench.report import drawing as draw
 from sma_bench.report.page import Picture, pictured
 from sma_bench.report.tables import LEAST_SHOWN
 from sma_bench.results import scale_of
@@ -94,12 +78,13 @@ def record_picture(record: AnyRecord, name: str) -> Picture | None:
         curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
     if not curves:
         return None
-    figure, ax = graph(*axes, height=4.2)
+    figure, ax = draw.graph(*axes, height=4.2)
     for k, (what, x, y) in enumerate(curves):
-        ax.plot(drawable(x), drawable(y), label=what, **line_style(k, len(curves), len(x)))
+        style = draw.line_style(k, len(curves), len(x))
+        ax.plot(draw.drawable(x), draw.drawable(y), label=what, **style)
     if len(curves) > 1:
         ax.legend(fontsize=7, ncols=2)
-    return pictured(key, plain(figure), f"{name}_{key}", path=record.path, **facts)
+    return pictured(key, draw.plain(figure), f"{name}_{key}", path=record.path, **facts)
 
 
 def _bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
@@ -131,13 +116,12 @@ def _bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture
 def _over_time(
     rows: Sequence[tuple[str, Curves]], markers: Sequence[tuple[float, str]] = ()
 ) -> Figure:
-    """A graph a row, of long signals the least and the largest sample of each stretch of time;
-    markers are steps of the protocol."""
-    figure, axes = new_figure(len(rows), height=1.0 + 1.5 * len(rows))
+    """A graph a row, long signals by least and largest of each stretch; markers: protocol steps."""
+    figure, axes = draw.new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
         for k, (what, time, values) in enumerate(curves):
-            t, v = thinned(time, drawable(values), _MOST_DRAWN)
-            ax.plot(t, v, label=what, **line_style(k, len(curves), len(t)))
+            t, v = draw.thinned(time, draw.drawable(values), _MOST_DRAWN)
+            ax.plot(t, v, label=what, **draw.line_style(k, len(curves), len(t)))
         ax.set_ylabel(label)
     most = max(range(len(rows)), key=lambda k: len(rows[k][1]))
     if len(rows[most][1]) > 1:
@@ -149,15 +133,15 @@ def _over_time(
     room, named = float(np.ptp(axes[0].get_xlim())) / 12.0, -np.inf
     for at, text in markers if len(markers) <= _MOST_MARKERS else ():
         for ax in axes:
-            ax.axvline(at, color=FAINT, lw=0.6, ls=":")
+            ax.axvline(at, color=draw.FAINT, lw=0.6, ls=":")
         if at - named > room:
             named = at
             axes[0].annotate(
                 text, (at, 1.0), xycoords=("data", "axes fraction"), fontsize=6, rotation=30,
-                color=FAINT, annotation_clip=True,
+                color=draw.FAINT, annotation_clip=True,
             )
     axes[-1].set_xlabel("time [s]")
-    return plain(figure)
+    return draw.plain(figure)
 
 
 # --- Simulations, and records and models over each other.
@@ -193,31 +177,31 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
         shared = ", ".join(dict.fromkeys(d.signal for d in found.differences))
         lack = f"no {', '.join(what)} in common" if what else "no difference"
         raise InputError(f"plot: {lack}: the records share {shared}")
-    figure, axes = read_and_error(len(worst), 0.9 + 2.4 * len(worst))
+    figure, axes = draw.read_and_error(len(worst), 0.9 + 2.4 * len(worst))
     for (upper, lower), signal in zip(axes, worst.values(), strict=True):
         unit, factor = scale_of(signal)
         shown = {n: r[signal] for n, r in found.records.items() if signal in r.signals}
         base = next(iter(shown.values()))
         for k, (record, own) in enumerate(shown.items()):
-            t, v = thinned(own.time, drawable(factor * own.values), _MOST_DRAWN)
-            style = line_style(k, len(shown), len(t))
+            t, v = draw.thinned(own.time, draw.drawable(factor * own.values), _MOST_DRAWN)
+            style = draw.line_style(k, len(shown), len(t))
             upper.plot(t, v, label=record, **style)
             if k:
                 inside = (base.time >= own.time[0]) & (base.time <= own.time[-1])
                 time = base.time[inside]
                 apart = factor * (np.interp(time, own.time, own.values) - base.values[inside])
-                lower.plot(*thinned(time, drawable(apart), _MOST_DRAWN), **style)
+                lower.plot(*draw.thinned(time, draw.drawable(apart), _MOST_DRAWN), **style)
         for d in found.differences:
             if d.signal == signal:
                 lower.plot([d.at], [factor * d.worst], "x", ms=7, color="black", label="_worst")
         upper.set_title(signal, loc="left", fontsize=9)
         upper.set_ylabel(f"[{unit}]")
         lower.set_ylabel(f"difference [{unit}]")
-    legend_above(axes[0][0])
+    draw.legend_above(axes[0][0])
     first = next(iter(found.records))
     shifts = ", ".join(f"{n} {s:+.3g} s" for n, s in found.shifts.items() if abs(s) > 1e-3)
     said = f" Clocks shifted by the voltages: {shifts}." if shifts else ""
-    return pictured("overlay", plain(figure), name, over_time=True, first=first, shifts=said)
+    return pictured("overlay", draw.plain(figure), name, over_time=True, first=first, shifts=said)
 
 
 # --- Identifications.
@@ -235,25 +219,25 @@ def agreement_picture(result: Identification, name: str = "agreement") -> Pictur
     shown = [known[name] for name in names]
     figure = Figure(figsize=(7.2, 1.3 + 0.32 * len(shown)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.6, 1.0))
-    place = named_rows(left, [n if known[n][0].stated else f"{n} *" for n in names])
+    place = draw.named_rows(left, [n if known[n][0].stated else f"{n} *" for n in names])
     scale = np.array([100.0 / abs(ref) for _, ref in shown])
     off = scale * [n.value - ref for n, ref in shown]
     parts = ([n.std for n, _ in shown], [n.statistical for n, _ in shown])
     whole, random = (scale * np.nan_to_num(np.array(part)) for part in parts)
-    left.errorbar(off, place, xerr=whole, fmt="none", ecolor=FAINT, elinewidth=1.2, capsize=3,
+    left.errorbar(off, place, xerr=whole, fmt="none", ecolor=draw.FAINT, elinewidth=1.2, capsize=3,
                   label="with the systematic error")
-    left.errorbar(off, place, xerr=random, fmt="o", color=MEASURED, elinewidth=3.0, ms=4,
+    left.errorbar(off, place, xerr=random, fmt="o", color=draw.MEASURED, elinewidth=3.0, ms=4,
                   label="statistical error")
-    left.axvline(0.0, color=MODEL, lw=1.0, ls="--")
+    left.axvline(0.0, color=draw.MODEL, lw=1.0, ls="--")
     left.set_ylim(-0.6, len(shown) - 0.4)
     left.set_xlabel("off what was stated [%]")
-    legend_above(left)
+    draw.legend_above(left)
     informed = [100.0 * n.informed for n, _ in shown]
-    right.barh(place, np.nan_to_num(informed), color=MEASURED, height=0.55)
+    right.barh(place, np.nan_to_num(informed), color=draw.MEASURED, height=0.55)
     right.set(xlabel="informed [%]", xlim=(0.0, 100.0), xticks=(0, 50, 100))
-    plain_axes(left, right)
+    draw.plain_axes(left, right)
     figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr, call-arg]
-    return pictured("agreement", plain(figure), name)
+    return pictured("agreement", draw.plain(figure), name)
 
 
 def correlation_picture(result: Identification, name: str = "correlation") -> Picture | None:
@@ -269,13 +253,13 @@ def correlation_picture(result: Identification, name: str = "correlation") -> Pi
     ax.set_xticks(range(len(names)), short, rotation=45, ha="right", fontsize=7)
     ax.set_yticks(range(len(names)), short, fontsize=7)
     form = ".2f" if len(names) <= _FEW else ".1f"
-    cell_texts(ax, {
+    draw.cell_texts(ax, {
         (row, column): (format(value, form), bool(abs(value) > 0.6))
         for (row, column), value in np.ndenumerate(matrix)
         if row != column and np.isfinite(value) and len(names) <= _MOST_NUMBERS
     }, 6)
     figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
-    return pictured("correlation", plain(figure), name)
+    return pictured("correlation", draw.plain(figure), name)
 
 
 # --- Diagnoses: signals, candidates, evidence, the next experiment.
@@ -310,21 +294,22 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
         shown = [worst[side] for side in dict.fromkeys(obs.sides[r[0].wire] for r in rows)]
 
         # Readings, and below them their errors with the band of the noise.
-        figure, axes = read_and_error(len(shown), 0.8 + 2.9 * len(shown))
+        figure, axes = draw.read_and_error(len(shown), 0.8 + 2.9 * len(shown))
         for (upper, lower), (signal, old, new) in zip(axes, shown, strict=True):
             time, value = signal.time, factor * signal.value
-            upper.plot(time, value, color=MEASURED, lw=2.6, alpha=0.45, label="measured")
+            upper.plot(time, value, color=draw.MEASURED, lw=2.6, alpha=0.45, label="measured")
             half = 2.0 * factor * sample_noise(result.model.problem, signal.name)
-            lower.axhspan(-half, half, color=FAINT, alpha=0.18, lw=0, gid=BAND)
+            lower.axhspan(-half, half, color=draw.FAINT, alpha=0.18, lw=0, gid=draw.BAND)
             for simulated, label, colour, dash in (
-                (factor * old, "as believed", FAINT, "--"), (factor * new, "improved", MODEL, "-"),
+                (factor * old, "as believed", draw.FAINT, "--"),
+                (factor * new, "improved", draw.MODEL, "-"),
             ):
                 upper.plot(time, simulated, label=label, color=colour, lw=1.0, ls=dash)
                 lower.plot(time, value - simulated, color=colour, lw=1.0, ls=dash)
             upper.set_ylabel(f"[{unit}]")
             upper.set_title(signal.name, loc="left", fontsize=9)
             lower.set_ylabel(f"error [{unit}]")
-        legend_above(axes[0][0])
+        draw.legend_above(axes[0][0])
         pictures.append(pictured(
             "diagnosis_signals", figure, f"diagnosis_{quantity}", over_time=True,
             quantity=quantity, path=obs.path, period=shown[0][0].period,
@@ -338,23 +323,23 @@ def candidate_picture(result: DiagnosisResult, name: str = "diagnosis_candidates
         c for k, c in enumerate(result.candidates)
         if c.name in _RIVALS or (k < _MOST_BARS and c.probability >= LEAST_SHOWN)
     ]
-    figure, (ax,) = new_figure(height=1.2 + 0.32 * len(shown))
+    figure, (ax,) = draw.new_figure(height=1.2 + 0.32 * len(shown))
     names = [f"{c.name} *" if c.name in result.credible else c.name for c in shown]
     stages = [[part for part in c.stage.split(JOIN) if part] for c in shown]
     place = _bars(ax, names, [c.probability for c in shown], stages)
     for y, c in zip(place, shown, strict=True):
         ax.text(c.probability + 0.01, y, f"{c.probability:.3f}", va="center", fontsize=8)
     ax.set(xlabel="probability", xlim=(0.0, 1.12))
-    return pictured("diagnosis_candidates", plain(figure), name)
+    return pictured("diagnosis_candidates", draw.plain(figure), name)
 
 
 def _bars(
     ax: Axes, names: Sequence[str], values: Sequence[float], stages: Sequence[Sequence[str]]
 ) -> Array:
     """A bar a name in the colour of its stages; (n,) where they are."""
-    place, legend = named_rows(ax, names), dict[str, BarContainer]()
+    place, legend = draw.named_rows(ax, names), dict[str, BarContainer]()
     for y, value, own in zip(place, values, stages, strict=True):
-        colour = _TWO_STAGES if len(own) > 1 else STAGE_COLOURS[own[0]] if own else FAINT
+        colour = _TWO_STAGES if len(own) > 1 else STAGE_COLOURS[own[0]] if own else draw.FAINT
         bar = ax.barh(y, value, color=colour, height=0.7, label=" and ".join(own))
         if own:
             legend.setdefault(" and ".join(own), bar)
@@ -375,7 +360,7 @@ def evidence_picture(result: Diagnosis) -> Picture:
     }
     gains["response of free form"] = search.flexible.gain
     ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
-    figure, (ax,) = new_figure(height=1.2 + 0.28 * len(ranked))
+    figure, (ax,) = draw.new_figure(height=1.2 + 0.28 * len(ranked))
     stages = [
         list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS)) for n in ranked
     ]
@@ -386,21 +371,20 @@ def evidence_picture(result: Diagnosis) -> Picture:
     ticks = [t for t in (-10, -3, 0, 3, 10, 30, 100, 300, 1000, 1e4, 1e5) if left <= t <= right]
     ax.set_xticks(ticks, [f"{t:g}" for t in ticks])
     ax.xaxis.set_minor_locator(NullLocator())
-    ax.axvline(0.0, color=FAINT, lw=0.8)
+    ax.axvline(0.0, color=draw.FAINT, lw=0.8)
     ax.set_xlabel("log evidence over recalibration alone [nats]")
     return pictured("diagnosis_evidence", figure, cut=-_AS_BAD)
 
 
 def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Picture | None:
-    """Voltages of the proposed protocol; None where there is none. Raises InputError: the protocol
-    cannot be run on this rig."""
+    """Voltages of the proposed protocol, None without. InputError: it cannot be run on this rig."""
     if result.next_experiment is None or not result.next_experiment.protocol:
         return None
     protocol = parse_protocol(dict(result.next_experiment.protocol), parameters)
     time, voltage = protocol.sample(_PROTOCOL_STEP)
     sides = np.array(parameters["bench.channel_sides"])
-    figure, ax = graph("time [s]", "voltage [V]", height=2.8)
-    for side, colour in zip(dict.fromkeys(sides), (MEASURED, MODEL), strict=False):
+    figure, ax = draw.graph("time [s]", "voltage [V]", height=2.8)
+    for side, colour in zip(dict.fromkeys(sides), (draw.MEASURED, draw.MODEL), strict=False):
         ax.plot(time, voltage[:, sides == side].max(axis=1), color=colour, lw=1.2, label=side)
     ax.legend(fontsize=8)
     separates = ", ".join(result.next_experiment.separates)
@@ -454,7 +438,7 @@ def gap_picture(result: Diagnosis) -> Picture:
         shown = np.clip(table, norm.vmin, norm.vmax)
         image = ax.imshow(shown, aspect="auto", cmap="YlOrRd", norm=norm)
         vars(image)["table"] = table
-        cell_texts(ax, {
+        draw.cell_texts(ax, {
             cell: (_short(value), float(norm(shown[cell])) > _DARK)
             for cell, value in np.ndenumerate(table) if np.isfinite(value)
         }, 8)  # fmt: skip
@@ -485,7 +469,7 @@ def _short(value: float) -> str:
 
 _MOST_SIGNALS = 3
 _WORTH_A_PICTURE = 0.05  # of all that is missing
-_COLOURS = dict(zip(PHASES, (FAINT, MODEL, MEASURED), strict=True))
+_COLOURS = dict(zip(PHASES, (draw.FAINT, draw.MODEL, draw.MEASURED), strict=True))
 
 
 def missing_pictures(result: Diagnosis) -> list[Picture]:
@@ -500,13 +484,13 @@ def missing_pictures(result: Diagnosis) -> list[Picture]:
 def _missing(result: Diagnosis, name: str) -> Picture:
     """Left by recalibration, over time (the first record's), simulated temperature and voltage."""
     unit, factor = scale_of(name)
-    figure, (over_time, temperature, voltage) = new_figure(3, 8.0, shared=False)
+    figure, (over_time, temperature, voltage) = draw.new_figure(3, 8.0, shared=False)
     model, shown = result.search.recalibrated, ""
     for block in model.problem.of_signal(name):
         obs, time, left = block.observation, block.signal.time, factor * model.left[block.rows]
         if not shown:
             shown = obs.path
-            over_time.plot(time, left, color=FAINT, lw=1.0)
+            over_time.plot(time, left, color=draw.FAINT, lw=1.0)
 
         # What the term may depend on: of a wire, or of the sides' warmest and highest.
         at = np.clip(np.searchsorted(obs.grid, time), 0, len(obs.grid) - 1)
@@ -522,7 +506,7 @@ def _missing(result: Diagnosis, name: str) -> Picture:
                 ax.plot(cause[here], left[here], ".", ms=2.5, color=colour)
     for phase, colour in _COLOURS.items():
         temperature.plot([], [], ".", ms=8, color=colour, label=phase)
-    legend_above(temperature)
+    draw.legend_above(temperature)
     across = ("simulated temperature of the wire [K]", "voltage of the wire [V]")
     if name == "deflection":
         across = ("simulated temperature, front less back [K]",

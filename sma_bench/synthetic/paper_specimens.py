@@ -14,14 +14,7 @@ from sma_bench.parameters.parameters import wire_section
 from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.bending import bending_coefficients
 from sma_bench.physics.material import cooled_fraction, heat_loss, heated_fraction, modulus
-from sma_bench.records.instruments import (
-    DscRecord,
-    DscSegment,
-    IsobaricRecord,
-    Phase,
-    TensileRecord,
-    find_cycles,
-)
+from sma_bench.records import instruments
 from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol_record
 
 # --- Synthetic DSC run: what the model's wire would do to a calorimeter (E5, Fig. 7).
@@ -40,7 +33,7 @@ _DRIFT = (25e-6, 12e-6)  # W, linear and quadratic over a scan
 _START_UP = 12.0  # s
 
 
-def dsc_run(parameters: Parameters, seed: int = 5) -> DscRecord:
+def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
     """One heating and one cooling for each of the two cycles of Table II; of another wire than the
     paper's both have its own transition temperatures."""
     cycles = [parameters, parameters]
@@ -50,7 +43,7 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> DscRecord:
             for cycle in published.DSC_CYCLES
         ]
     random = np.random.default_rng(seed)
-    segments: list[DscSegment] = []
+    segments: list[instruments.DscSegment] = []
     time = np.arange(0.0, (HOTTEST - COLDEST) / RATE, _SCAN_PERIOD)
     for wire in cycles:
         for sign in (1.0, -1.0):
@@ -65,13 +58,13 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> DscRecord:
             drift = _DRIFT[0] * share + _DRIFT[1] * share**2
             noise = _HEAT_FLOW_NOISE * random.standard_normal(len(time))
             began = len(segments) * (HOTTEST - COLDEST) / RATE
-            segments.append(DscSegment(
+            segments.append(instruments.DscSegment(
                 len(segments) + 1, sign * RATE, began + time, heat + drift + noise,
                 np.zeros(len(time)), temperature, temperature,
             ))
     path = Path(f"synthetic DSC run of {len(cycles)} cycles")
     header = {"Sample ID": "synthetic NiTi wire"}
-    return DscRecord(path, SAMPLE_MASS, header, tuple(segments), instrument="synthetic")
+    return instruments.DscRecord(path, SAMPLE_MASS, header, tuple(segments), instrument="synthetic")
 
 
 # --- Synthetic isobaric tests: the simulated wire heated and cooled while a load is held (E6,
@@ -92,7 +85,7 @@ _COSINE_WIDTH = 0.5 * math.pi
 
 def isobaric_test(
     parameters: Parameters, stress: float, name: str, seed: int = 1
-) -> IsobaricRecord:
+) -> instruments.IsobaricRecord:
     """One heating and cooling of the wire of `parameters` under a held stress [Pa]."""
     random = np.random.default_rng(seed)
     # The voltage that eq. (2) asks for a triangle of temperature.
@@ -109,8 +102,9 @@ def isobaric_test(
     run = simulate(parameters, time, voltage, boundary=Boundary.held_stress(stress))
     strain = -run.contraction[:, 0] + _STRAIN_NOISE * random.standard_normal(len(time))
     temperature = run.temperature[:, 0] + _TEMPERATURE_NOISE * random.standard_normal(len(time))
-    cycles, findings = find_cycles(temperature, strain, np.full(len(time), stress), name)
-    return IsobaricRecord(Path(name), name, stress, "1", cycles, tuple(findings))
+    held = np.full(len(time), stress)
+    cycles, findings = instruments.find_cycles(temperature, strain, held, name)
+    return instruments.IsobaricRecord(Path(name), name, stress, "1", cycles, tuple(findings))
 
 
 # --- Synthetic tensile tests at constant temperature (E7, Fig. 9).
@@ -130,10 +124,12 @@ _STRESS_NOISE = 0.6e6  # Pa, 0.04 N of a 500 N load cell on a 0.3 mm wire
 _POINTS = 1500
 
 
-def tensile_test(parameters: Parameters, temperature: float, name: str, seed: int) -> TensileRecord:
+def tensile_test(
+    parameters: Parameters, temperature: float, name: str, seed: int
+) -> instruments.TensileRecord:
     """One test of the wire of `parameters`: martensite below M_f, austenite above A_f.
     `temperature`: K; `name`: of the specimen."""
-    phase: Phase = "austenite"
+    phase: instruments.Phase = "austenite"
     if temperature <= parameters["wire.martensite_finish_temperature"]:
         phase, e_m = "martensite", parameters["wire.martensite_modulus"]
         begins, last = _DETWINNING_STRESS / e_m, 2.0 * _LARGEST_STRAIN
@@ -156,7 +152,7 @@ def tensile_test(parameters: Parameters, temperature: float, name: str, seed: in
     strain = np.linspace(0.0, _LARGEST_STRAIN, _POINTS)
     stress = np.interp(np.maximum(strain - _TOE, 0.0), fine, rounded)
     noise = _STRESS_NOISE * np.random.default_rng(seed).standard_normal(_POINTS)
-    return TensileRecord(Path(name), strain, stress + noise, temperature, phase=phase)
+    return instruments.TensileRecord(Path(name), strain, stress + noise, temperature, phase=phase)
 
 
 # --- The paper's experiments.
@@ -228,7 +224,7 @@ def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
     return triangle, protocol_record("composite_step", rig, 41)
 
 
-def _upfr_tests(wire: Parameters) -> tuple[IsobaricRecord, ...]:
+def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
     """E6: specimens with the paper's mean and deviation of where tangents meet under the holding
     force; first cycle, as prestrained. Another wire's deviate as much from its own."""
     stress = published.HOLDING_FORCE / wire_section(wire)
@@ -256,7 +252,7 @@ def _upfr_tests(wire: Parameters) -> tuple[IsobaricRecord, ...]:
     return tuple(tests)
 
 
-def _tensile_tests(parameters: Parameters) -> tuple[TensileRecord, ...]:
+def _tensile_tests(parameters: Parameters) -> tuple[instruments.TensileRecord, ...]:
     """E7: specimens that deviate as Table III says, at its temperatures as far as this wire is
     martensite and austenite there."""
     cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE

@@ -169,8 +169,8 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "made_up", "mechanical",
-    (Parameter("effect.made_up.rate", "1/s", 0.0, "Contraction a second.", "made up", 0.0, 1e-2),),
+    "mechanical",
+    (Parameter("rate", "1/s", 0.0, "Contraction a second.", "made up", 0.0, 1e-2),),
     shows="the beam bends all by itself", acts_on=("deflection",), marks=("EVOLVES",),
     columns={"rate": "SHRINKING"}, state=("SHRUNK",),
 )
@@ -211,7 +211,7 @@ def test_a_new_effect_is_one_file(tmp_path, pytestconfig):
     file.write_text("/**: {ros__parameters: {effect: {made_up: {rate: 1.0e-3}}}}")
     command = [sys.executable, "-W", "ignore", "-c", WITH_MADE_UP, str(file)]
     subprocess.run(command, check=True, cwd=tmp_path, timeout=120)
-    # One that is not of its name is named.
-    (tmp_path / "made_up.py").write_text(MADE_UP.replace("effect.made_up.rate", "effect.o.rate"))
-    with pytest.raises(ValueError, match="made_up.py: .*does not begin with"):
+    # One that declares nothing is named.
+    (tmp_path / "made_up.py").write_text(MADE_UP.replace("EFFECT = ", "THING = "))
+    with pytest.raises(ValueError, match="made_up.py: .*no EFFECT"):
         declared_effects(tmp_path)

@@ -11,16 +11,14 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "ambient_drift", "thermal",
-    (Parameter(
-        "effect.ambient_drift.rate", "K/s", 0.0, "Rise of the air around the wires; 0 is off.",
-        "assumed: 0.2 to 5 K in ten minutes", -0.2, 0.2, uncertainty=0.01,
-    ), Parameter(
-        "effect.ambient_drift.bend", "K/s2", 0.0, "Growth of that rise.",
-        "assumed: of the order of the rise over some minutes", -2e-3, 2e-3, uncertainty=8e-5,
-    )),
-    shows="all wires' temperatures drift alike, at rest too; transformations come at a little "
-    "less power",
+    "thermal",
+    (Parameter("rate", "K/s", 0.0, "Rise of the air around the wires; 0 is off.",
+               "assumed: 0.2 to 5 K in ten minutes", -0.2, 0.2, uncertainty=0.01),
+     Parameter("bend", "K/s2", 0.0, "Growth of that rise.",
+               "assumed: of the order of the rise over some minutes", -2e-3, 2e-3,
+               uncertainty=8e-5)),
+    shows="all wires' temperatures drift alike, at rest too; transformations come at a little less "
+    "power",
     marks=("HEATED_OTHERWISE",), columns={"rate": "AMBIENT_RATE", "bend": "AMBIENT_BEND"},
 )
 

@@ -14,16 +14,14 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
-    "deflection_drift", "sensor",
-    (Parameter(
-        "effect.deflection_drift.rate", "m/s", 0.0, "Drift of the deflection reading; 0 is off.",
-        "assumed: to 5 % of the stroke", -1e-3, 1e-3, uncertainty=1e-5,
-    ), Parameter(
-        "effect.deflection_drift.bend", "m/s2", 0.0, "Growth of that drift.",
-        "assumed: of the order of the drift over some minutes", -1e-5, 1e-5, uncertainty=1e-7,
-    )),
-    shows="the rest position wanders with time, whatever is driven",
-    acts_on=("deflection",), loads=("clamped", "force", "spring", "antagonist", "beam"),
+    "sensor",
+    (Parameter("rate", "m/s", 0.0, "Drift of the deflection reading; 0 is off.",
+               "assumed: to 5 % of the stroke", -1e-3, 1e-3, uncertainty=1e-5),
+     Parameter("bend", "m/s2", 0.0, "Growth of that drift.",
+               "assumed: of the order of the drift over some minutes", -1e-5, 1e-5,
+               uncertainty=1e-7)),
+    shows="the rest position wanders with time, whatever is driven", acts_on=("deflection",),
+    loads=("clamped", "force", "spring", "antagonist", "beam"),
 )
 
 

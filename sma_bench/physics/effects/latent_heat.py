@@ -9,12 +9,10 @@ paper drops; `core.heat` solves it together with the fractions.
 from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
-    "latent_heat", "thermal",
-    (Parameter(
-        "effect.latent_heat.heat", "J/kg", 0.0,
-        "Heat of transformation, the term of eq. (1) that the paper drops; 0 is off.",
-        "assumed: 4 to 25 J/g by DSC", 0.0, 60e3, uncertainty=10e3,
-    ),),
+    "thermal",
+    (Parameter("heat", "J/kg", 0.0,
+               "Heat of transformation, the term of eq. (1) that the paper drops; 0 is off.",
+               "assumed: 4 to 25 J/g by DSC", 0.0, 60e3, uncertainty=10e3),),
     shows="temperature lingers inside the transformation, up and down, and runs ahead of it "
     "afterwards",
     times={"heat": "wire.mass"},

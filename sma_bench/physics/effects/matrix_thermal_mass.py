@@ -15,18 +15,15 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "matrix_thermal_mass", "thermal",
-    (Parameter(
-        "effect.matrix_thermal_mass.heat_capacity", "J/K", 0.0,
-        "C_e, heat capacity of the silicone that a wire warms; 0 is off.",
-        "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5,
-    ), Parameter(
-        "effect.matrix_thermal_mass.inner_share", "1", 0.5,
-        "Share of the resistance from wire to air that lies between wire and silicone.",
-        "assumed: half", 0.02, 0.98, uncertainty=0.2,
-    )),
-    shows="fast part and slow part in every heating and cooling; rests too short for the slow "
-    "part leave the wire warm",
+    "thermal",
+    (Parameter("heat_capacity", "J/K", 0.0,
+               "C_e, heat capacity of the silicone that a wire warms; 0 is off.",
+               "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5),
+     Parameter("inner_share", "1", 0.5,
+               "Share of the resistance from wire to air that lies between wire and silicone.",
+               "assumed: half", 0.02, 0.98, uncertainty=0.2)),
+    shows="fast part and slow part in every heating and cooling; rests too short for the slow part "
+    "leave the wire warm",
     loads=("beam",), marks=("HEATED_OTHERWISE", "EVOLVES"),
     columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE"},
     state=("MATRIX_RISE",), scratch=("OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),

@@ -20,16 +20,13 @@ from sma_bench.physics import columns as at
 HARDENING = (170e6 - 100e6) / 0.067  # Pa
 
 EFFECT = Effect(
-    "opposing_wires", "mechanical",
-    (Parameter(
-        "effect.opposing_wires.engagement", "1", 0.0,
-        "Share of the other side's bending that reaches a wire; 0 is off.",
-        "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2,
-    ), Parameter(
-        "effect.opposing_wires.detwinning_stress", "Pa", 100e6,
-        "Stress at which the passive martensite gives way.",
-        "assumed: 50 to 200 MPa", 1e6, 1e9, uncertainty=60e6,
-    )),
+    "mechanical",
+    (Parameter("engagement", "1", 0.0,
+               "Share of the other side's bending that reaches a wire; 0 is off.",
+               "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2),
+     Parameter("detwinning_stress", "Pa", 100e6,
+               "Stress at which the passive martensite gives way.", "assumed: 50 to 200 MPa", 1e6,
+               1e9, uncertainty=60e6)),
     shows="less deflection than one side alone would give, a rest deflection after large strokes, "
     "and a larger stroke of the other side when it is heated next",
     acts_on=("deflection",), loads=("beam",), marks=("PULLS_OTHERWISE",), row="side",

@@ -32,17 +32,13 @@ ROUNDED = 1e-3  # of p = 1, whose q would be infinite
 TURN_DEPTH = 6  # reversals that are remembered, each as xi, f, g
 
 EFFECT = Effect(
-    "partial_transformation", "transformation",
-    (Parameter(
-        "effect.partial_transformation.memory", "1", 0.0,
-        "0: loops start at once where they are turned (contract); 1: they stay flat until they "
-        "meet the full loop.",
-        "assumed: between the two", -0.5, 1.0, uncertainty=0.4,
-    ), Parameter(
-        "effect.partial_transformation.return_point", "1", 0.0,
-        "0: inner loops run on to the origin (contract); 1: they close where they were opened.",
-        "assumed: between the two", 0.0, 1.0, uncertainty=0.4,
-    )),
+    "transformation",
+    (Parameter("memory", "1", 0.0,
+               "0: loops start at once where they are turned (contract); 1: they stay flat until "
+               "they meet the full loop.", "assumed: between the two", -0.5, 1.0, uncertainty=0.4),
+     Parameter("return_point", "1", 0.0,
+               "0: inner loops run on to the origin (contract); 1: they close where they were "
+               "opened.", "assumed: between the two", 0.0, 1.0, uncertainty=0.4)),
     shows="full loops fit, partial ones do not: deflection lingers or runs ahead after a turn "
     "inside the loop",
     acts_on=("deflection",), laws=("cosine", "exponential", "logistic"), marks=("EVOLVES",),

@@ -12,23 +12,18 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "phase_dependent_resistance", "electrical",
-    (Parameter(
-        "effect.phase_dependent_resistance.austenite_change", "1", 0.0,
-        "R of austenite over R of martensite, less 1; 0 is off.",
-        "assumed: resistivities of NiTi differ by up to 25 %, either way", -0.5, 1.0,
-        uncertainty=0.12,
-    ), Parameter(
-        "effect.phase_dependent_resistance.temperature_coefficient", "1/K", 0.0,
-        "Relative rise of R a kelvin above ambient.",
-        "assumed: below that of pure metals", -2e-3, 5e-3, uncertainty=2e-4,
-    )),
-    shows="current at the same voltage changes while the wire transforms, and with it the "
-    "heating; V over I runs a loop over temperature",
+    "electrical",
+    (Parameter("austenite_change", "1", 0.0,
+               "R of austenite over R of martensite, less 1; 0 is off.",
+               "assumed: resistivities of NiTi differ by up to 25 %, either way", -0.5, 1.0,
+               uncertainty=0.12),
+     Parameter("temperature_coefficient", "1/K", 0.0, "Relative rise of R a kelvin above ambient.",
+               "assumed: below that of pure metals", -2e-3, 5e-3, uncertainty=2e-4)),
+    shows="current at the same voltage changes while the wire transforms, and with it the heating; "
+    "V over I runs a loop over temperature",
     acts_on=("current", "temperature", "deflection"), marks=("HEATED_OTHERWISE",),
-    columns={
-        "austenite_change": "AUSTENITE_RESISTANCE", "temperature_coefficient": "RESISTANCE_SLOPE",
-    },
+    columns={"austenite_change": "AUSTENITE_RESISTANCE",
+             "temperature_coefficient": "RESISTANCE_SLOPE"},
 )
 
 

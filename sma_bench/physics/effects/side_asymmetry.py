@@ -9,12 +9,10 @@ Source: wires that do not lie alike in the matrix; the paper finds its two sides
 from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
-    "side_asymmetry", "mechanical",
-    (Parameter(
-        "effect.side_asymmetry.ratio", "1", 0.0,
-        "The front is stiffer and the back softer by this share; 0 is off.",
-        "assumed: to 50 %", -0.9, 0.9, uncertainty=0.25,
-    ),),
+    "mechanical",
+    (Parameter("ratio", "1", 0.0,
+               "The front is stiffer and the back softer by this share; 0 is off.",
+               "assumed: to 50 %", -0.9, 0.9, uncertainty=0.25),),
     shows="one side's strokes are too large and the other's too small, at right temperatures",
     acts_on=("deflection",), loads=("beam",),
 )

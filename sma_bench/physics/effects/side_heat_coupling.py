@@ -11,12 +11,10 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "side_heat_coupling", "thermal",
-    (Parameter(
-        "effect.side_heat_coupling.conductance", "W/K", 0.0,
-        "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
-        "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01,
-    ),),
+    "thermal",
+    (Parameter("conductance", "W/K", 0.0,
+               "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
+               "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01),),
     shows="a wire without voltage warms while the other side is driven; the driven one stays "
     "cooler",
     loads=("beam",), marks=("HEATED_OTHERWISE",), columns={"conductance": "ACROSS"},

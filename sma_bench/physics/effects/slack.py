@@ -12,12 +12,9 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "slack", "mechanical",
-    (Parameter(
-        "effect.slack.strain", "1", 0.0,
-        "Contraction that a wire takes up before it pulls; 0 is off.",
-        "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3,
-    ),),
+    "mechanical",
+    (Parameter("strain", "1", 0.0, "Contraction that a wire takes up before it pulls; 0 is off.",
+               "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3),),
     shows="deflection starts late and stops early in every stroke; small strokes are missing "
     "altogether",
     acts_on=("deflection",), loads=("beam", "spring"), marks=("PULLS_OTHERWISE",), row="side",

@@ -10,12 +10,10 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "supply_drop", "electrical",
-    (Parameter(
-        "effect.supply_drop.resistance", "ohm", 0.0,
-        "R_s of leads and contacts between the measured voltage and the wire; 0 is off.",
-        "assumed: thin leads and crimps", 0.0, 5.0, uncertainty=0.2,
-    ),),
+    "electrical",
+    (Parameter("resistance", "ohm", 0.0,
+               "R_s of leads and contacts between the measured voltage and the wire; 0 is off.",
+               "assumed: thin leads and crimps", 0.0, 5.0, uncertainty=0.2),),
     shows="less current and less heat than V/R and V^2/R; the resistance seen from the driver is "
     "too large, while the heat says it is not",
     acts_on=("current", "temperature", "deflection"), marks=("HEATED_OTHERWISE",),

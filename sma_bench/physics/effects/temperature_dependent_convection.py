@@ -12,13 +12,10 @@ from sma_bench.physics import columns as at
 from sma_bench.physics.convection import free_loss
 
 EFFECT = Effect(
-    "temperature_dependent_convection", "thermal",
-    (Parameter(
-        "effect.temperature_dependent_convection.rise", "1/K", 0.0,
-        "Relative rise of h a kelvin above ambient; 0 is off.",
-        "assumed: natural convection and radiation, +25 % from 320 to 420 K", -2e-3, 2e-2,
-        uncertainty=2.5e-3,
-    ),),
+    "thermal",
+    (Parameter("rise", "1/K", 0.0, "Relative rise of h a kelvin above ambient; 0 is off.",
+               "assumed: natural convection and radiation, +25 % from 320 to 420 K", -2e-3, 2e-2,
+               uncertainty=2.5e-3),),
     shows="steady temperatures fall short of V^2 when hot; cooling is faster when hot than when "
     "warm",
     marks=("HEATED_OTHERWISE",), columns={"rise": "CONVECTION_RISE"},

@@ -11,12 +11,9 @@ from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
 
 EFFECT = Effect(
-    "temperature_lag", "sensor",
-    (Parameter(
-        "effect.temperature_lag.time_constant", "s", 0.0,
-        "Time constant of the temperature reading; 0 is off.",
-        "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5,
-    ),),
+    "sensor",
+    (Parameter("time_constant", "s", 0.0, "Time constant of the temperature reading; 0 is off.",
+               "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5),),
     shows="readings round off and follow late, heating and cooling alike; the deflection is on "
     "time",
     acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),

@@ -11,12 +11,10 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "temperature_underfill", "sensor",
-    (Parameter(
-        "effect.temperature_underfill.missing", "1", 0.0,
-        "Share of the infrared spot that sees the background instead of the wire; 0 is off.",
-        "assumed: wire as thin as a pixel, up to 0.6", 0.0, 0.9, uncertainty=0.2,
-    ),),
+    "sensor",
+    (Parameter("missing", "1", 0.0,
+               "Share of the infrared spot that sees the background instead of the wire; 0 is off.",
+               "assumed: wire as thin as a pixel, up to 0.6", 0.0, 0.9, uncertainty=0.2),),
     shows="all excess temperatures read low by one factor; the deflection knows nothing of it",
     acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),
     columns={"missing": "MISSING_SPOT"},

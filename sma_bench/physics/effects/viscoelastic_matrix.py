@@ -13,15 +13,12 @@ from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 EFFECT = Effect(
-    "viscoelastic_matrix", "mechanical",
-    (Parameter(
-        "effect.viscoelastic_matrix.relaxation", "1", 0.0,
-        "Stiffness that relaxes over the stiffness that stays; 0 is off.",
-        "assumed: 5 to 20 % of silicones", 0.0, 3.0, uncertainty=0.2,
-    ), Parameter(
-        "effect.viscoelastic_matrix.time_constant", "s", 20.0, "Time constant of the relaxation.",
-        "assumed: 1 to 300 s", 0.2, 2000.0, uncertainty=15.0,
-    )),
+    "mechanical",
+    (Parameter("relaxation", "1", 0.0,
+               "Stiffness that relaxes over the stiffness that stays; 0 is off.",
+               "assumed: 5 to 20 % of silicones", 0.0, 3.0, uncertainty=0.2),
+     Parameter("time_constant", "s", 20.0, "Time constant of the relaxation.",
+               "assumed: 1 to 300 s", 0.2, 2000.0, uncertainty=15.0)),
     shows="deflection creeps on under constant temperature and comes back slowly at rest, to zero",
     acts_on=("deflection",), loads=("beam",), marks=("PULLS_OTHERWISE",), row="side",
     columns={"relaxation": "RELAXATION", "time_constant": "RELAXATION_TIME"}, state=("RELAXED",),

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from importlib import import_module
 from typing import Any
 
-from sma_bench.parameters.parameters import LAWS
+from sma_bench.parameters.parameter import LAWS
 
 
 def law_of(parameters: Mapping[str, Any]) -> Any:
