@@ -14,7 +14,6 @@ from sma_bench.cli import COMMANDS
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
-CHECK = ROOT / "examination" / "check" / "docs.py"
 
 NEEDED = ("mkdocs", "material", "mkdocstrings")
 MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
@@ -25,7 +24,8 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(MISSING), reason="no too
 @pytest.fixture(scope="module")
 def site(tmp_path_factory):
     folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run([sys.executable, CHECK, folder], capture_output=True, text=True)
+    command = [sys.executable, "-m", "examination.check", "docs", folder]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.strip() == str(folder / "index.html")
     return folder
