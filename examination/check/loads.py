@@ -9,7 +9,6 @@ predict: see loads.yaml.
     ./bench check loads --benches 20 --seed 0 --json result.json
 """
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -108,7 +107,3 @@ def report(results: Sequence[dict[str, Any]]) -> bool:
     print()
     print_coverage((item for r in results for item in r["deviations"].items()), Z_95)
     return passed
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -227,7 +227,3 @@ def fit_rival(runs: Sequence[Record]) -> Array:
         for branches in ((h, kelvin, c, kelvin) for h, c in ((40.0, 25.0), (30, 15), (60, 35)))
     ]
     return np.asarray(min(tries, key=lambda one: float(one.cost)).x)
-
-
-if __name__ == "__main__":
-    raise SystemExit(main())

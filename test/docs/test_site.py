@@ -70,7 +70,7 @@ def test_pages_are_as_they_are_meant(site):
         assert len(re.findall(r'<svg role="img" aria-label="[^"]{8,}"', text)) >= least
         assert "language-math" not in text
     python = text_of(site / "reference" / "python.html")
-    for said in (*api.__all__, "DataFrame of a record or a result", "Raises:"):
+    for said in (*api.__all__, "DataFrame of a record or a result", "Raises InputError"):
         assert said in python
     errata = text_of(site / "explanation" / "errata.html")
     assert len(re.findall(r"^\s*\d+\. ", errata, re.MULTILINE)) >= 11 and "N m²" in errata
