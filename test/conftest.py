@@ -227,6 +227,7 @@ def browser():
 @pytest.fixture
 def ros_domain(monkeypatch):
     """ROS_DOMAIN_ID that no other test has, in this run or another one on this machine."""
+    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     LOCKS.mkdir(exist_ok=True)
     for domain in random.sample(DOMAINS, len(DOMAINS)):
         with (LOCKS / str(domain)).open("w") as lock, contextlib.suppress(BlockingIOError):

@@ -498,14 +498,13 @@ def at_most(cuts: int, hours: float) -> float:
 
 def report(found: Sequence[dict[str, Any]]) -> int:
     """Print the tables; number of cuts."""
-    groups = {kind: [one for one in found if one["kind"] == kind] for kind in PLAYS}
     names = {
         "a wire": "host: rules of the node that commands, a wire",
         "four wires": "host: the bridge's driver, four wires",
         "firmware": "firmware: its logic on this computer",
         "uno": "emulated Uno: its image and the bridge's driver",
     }
-    groups = {names[kind]: own for kind, own in groups.items()}
+    groups = {name: [o for o in found if o["kind"] == kind] for kind, name in names.items()}
     host = [one for one in found if one["kind"] in ("a wire", "four wires")]
     groups |= {"host, all": host}
     stresses = sorted({stress for one in found for stress in one["stresses"]})
@@ -553,7 +552,3 @@ def main(argv: Sequence[str] | None = None) -> int:
         found = [one for some in in_pieces(some_played, jobs, options) for one in some]
         return 1 if report(found) else 0
     return 130
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -12,29 +12,22 @@ from host_firmware import HostFirmware
 from uno.emulated_bench import on_a_port
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.serial_link import (
-    LateAnswer,
-    LinkError,
-    LinkOptions,
-    SerialLink,
-    find_port,
-    open_port,
-)
+from sma_bench.hardware import serial_link
 from sma_bench.hardware.serial_messages import DeviceState, line
 
 PATIENCE = 30.0
-QUICK = LinkOptions(greeting_timeout=0.3, first_back_off=0.05, longest_back_off=0.2)
+QUICK = serial_link.LinkOptions(greeting_timeout=0.3, first_back_off=0.05, longest_back_off=0.2)
 VOLTS = (6000, 0, 0, 3000)
 
 
-class Watched(SerialLink):
+class Watched(serial_link.SerialLink):
     """A link that remembers what it told; what it reads next becomes what `change` makes of it."""
 
     def __init__(self, path):
         self.readings, self.events, self.change = [], [], None
 
         def opened():
-            port = open_port(path())
+            port = serial_link.open_port(path())
             read = port.read
             port.read = lambda size=1: self._changed_once(read(size))
             return port
@@ -46,7 +39,7 @@ class Watched(SerialLink):
         return change(data) if change else data
 
     def refuses_to_drive(self, why="not armed"):
-        with pytest.raises(LinkError, match=why):
+        with pytest.raises(serial_link.LinkError, match=why):
             self.drive(VOLTS)
 
 
@@ -87,9 +80,9 @@ def drive(link, bench):
     def step():
         try:
             link.drive(VOLTS)
-        except LinkError:
+        except serial_link.LinkError:
             for again in (link.reset, link.arm):
-                with suppress(LinkError):
+                with suppress(serial_link.LinkError):
                     again()
         time.sleep(0.02)
         return bench.device.duties[0] > 0.2
@@ -123,7 +116,7 @@ def test_only_what_is_armed_is_driven_and_every_stop_is_latched_with_its_cause(b
     assert is_off(link, bench)
     assert link.events[-1] == f"the device stopped: {link.status.cause_text}"
     assert link.status.cause_text in ("stop byte", "command timeout")
-    with pytest.raises(LinkError, match="device refused A: stopped: reset first"):
+    with pytest.raises(serial_link.LinkError, match="device refused A: stopped: reset first"):
         link.arm()
     link.reset()
     link.refuses_to_drive()
@@ -181,13 +174,13 @@ def test_pulled_cable_is_told_and_comes_back_disarmed(host_library):
             wait_for(lambda: not link.status.connected)
             assert link.events[-1].startswith("not connected: ")
             link.refuses_to_drive()
-            with pytest.raises(LinkError, match="not connected"):
+            with pytest.raises(serial_link.LinkError, match="not connected"):
                 link.arm()
 
 
 def test_a_process_that_is_kept_waiting_after_it_wrote_all_is_no_broken_port(monkeypatch):
     device, host = pty.openpty()
-    port, write = open_port(os.ttyname(host)), os.write
+    port, write = serial_link.open_port(os.ttyname(host)), os.write
 
     def write_and_wait(file, data):
         sent = write(file, data)
@@ -285,12 +278,12 @@ def test_device_that_does_not_speak_the_protocol_is_refused_and_a_port_is_found_
         wait_for(lambda: link.status.problem)
         assert link.status.problem.startswith("no answer to the handshake")
     with pytest.raises(InputError, match="port: none in .* expected one device"):
-        find_port(tmp_path)
+        serial_link.find_port(tmp_path)
     (tmp_path / "usb-Arduino_1").touch()
-    assert find_port(tmp_path) == str(tmp_path / "usb-Arduino_1")
+    assert serial_link.find_port(tmp_path) == str(tmp_path / "usb-Arduino_1")
     (tmp_path / "usb-Arduino_2").touch()
     with pytest.raises(InputError, match="usb-Arduino_1, .*usb-Arduino_2"):
-        find_port(tmp_path)
+        serial_link.find_port(tmp_path)
 
 
 def unknown_state(data):
@@ -352,10 +345,10 @@ def test_an_answer_that_is_late_is_no_other_hosts(link, monkeypatch):
         return say(letter, *numbers)
 
     monkeypatch.setattr(link, "_say", say_and_hear_late)
-    with pytest.raises(LateAnswer, match="no answer to A"):
+    with pytest.raises(serial_link.LateAnswer, match="no answer to A"):
         link.arm()
     monkeypatch.undo()
-    with suppress(LinkError):
+    with suppress(serial_link.LinkError):
         link.arm()
     link.stop()
     link.reset()

@@ -49,7 +49,6 @@ def test_sections_hold_solvers_readers_and_commands_against_their_limits(tmp_pat
 
 @pytest.mark.slow
 def test_nodes_and_the_twin_are_measured(tmp_path, ros_domain):
-    pytest.importorskip("rclpy")
     file = tmp_path / "perf.json"
     # In a process of its own, as what speaks to nodes.
     words = [sys.executable, str(PERF), "nodes", "bench", "twin", "--tiny", "--json", str(file)]

@@ -46,7 +46,6 @@ def test_well_formed_hostile_inputs_end_every_command_in_a_line_or_a_result(tmp_
 
 @pytest.mark.slow
 def test_killed_recorders_lose_a_second_at_most(ros_domain, nodes_forked, tmp_path):
-    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from examination.campaign.nodes import killed_recorder, lost_seconds
 
     seed = random.SystemRandom().randrange(100)
@@ -58,7 +57,6 @@ def test_killed_recorders_lose_a_second_at_most(ros_domain, nodes_forked, tmp_pa
 
 @pytest.mark.slow
 def test_nodes_go_on_under_foreign_traffic_and_kills(ros_domain, nodes_forked, tmp_path):
-    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from examination.campaign.nodes import ORDERS, foreign_traffic, restarted_nodes
 
     assert failed(foreign_traffic(5, 1, tmp_path / "traffic")) == []
@@ -69,7 +67,6 @@ def test_nodes_go_on_under_foreign_traffic_and_kills(ros_domain, nodes_forked, t
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [0, 1])
 def test_a_group_of_nodes_ends_while_it_starts_and_while_it_runs(ros_domain, monkeypatch, number):
-    pytest.importorskip("rclpy", reason="ROS 2 is not installed")
     from examination.check import stops
 
     monkeypatch.setattr(stops, "LIMIT", 20.0)  # beside other tests; 3 s is the check's

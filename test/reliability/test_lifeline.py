@@ -97,7 +97,6 @@ def ends_with(parent, pid):
 def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself_and_leaves_a_whole_bag(
     tmp_path, ros_domain, program, setsid
 ):
-    pytest.importorskip("rclpy")
     bag = tmp_path / "bag"
     parent, pid = started(program, bag, *setsid)
     assert within(bag.exists)
@@ -115,7 +114,6 @@ def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself_and_leave
 
 @pytest.mark.parametrize(("number", "after"), [(signal.SIGINT, 0.25), (signal.SIGTERM, 0.6)])
 def test_an_impatient_end_is_silent_at_any_moment(tmp_path, ros_domain, number, after):
-    pytest.importorskip("rclpy")
     log = tmp_path / "log"
     with log.open("wb") as stream:
         command = [sys.executable, "-c", SAYS_WHEN_IT_IS_READY, "experiment"]

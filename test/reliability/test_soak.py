@@ -1,7 +1,7 @@
 """The soak of sound benches: minutes of each part, what is counted, and benches that are not."""
 
-import dataclasses
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,14 +10,10 @@ from examination.check import soak
 from sma_bench.hardware.safety import CELSIUS_ZERO
 
 WORLD = soak.draw_world(np.random.default_rng(0))
-SOUND = dataclasses.replace(
+SOUND = replace(
     WORLD, room=CELSIUS_ZERO + 5.0, draught=0.0, age=(1.2,) * 4, austenite=0.0, noise=4.0,
     slow=False, sag=0.1, dip=0.08, camera=True, errors=(0.01, 0.02, -0.02, 0.05, -2.0),
 )  # fmt: skip
-
-
-def changed(**values):
-    return dataclasses.replace(SOUND, **values)
 
 
 @pytest.mark.parametrize(("kind", "seconds", "unsound", "said"), [
@@ -25,19 +21,13 @@ def changed(**values):
     ("four wires", 60.0, {"errors": (0.0, 0.8, 0.0, 0.0, 0.0)}, "over-current: front_1"),
     ("firmware", 240.0, {"errors": (0.0, 0.0, 0.0, 0.4, 0.0)}, "device: "),
 ])  # fmt: skip
-def test_a_sound_bench_is_let_be_and_one_that_is_not_is_cut(kind, seconds, unsound, said, request):
-    if kind == "firmware":
-        request.getfixturevalue("c_compiler")
+def test_a_sound_bench_is_let_be_and_one_that_is_not_is_cut(kind, seconds, unsound, said):
+    if kind == "firmware" and shutil.which("cc") is None:
+        pytest.skip("no C compiler (cc) here")
     assert soak.PLAYS[kind](SOUND, 1, seconds) == []
-    cuts = soak.PLAYS[kind](changed(**unsound), 1, seconds)
+    cuts = soak.PLAYS[kind](replace(SOUND, **unsound), 1, seconds)
     assert cuts and all(0.0 <= at <= seconds for at, _ in cuts)
     assert any(reason.startswith(said) for _, reason in cuts), cuts
-
-
-@pytest.fixture
-def c_compiler():
-    if shutil.which("cc") is None:
-        pytest.skip("no C compiler (cc) here")
 
 
 def test_an_emulated_uno_drives_as_it_is_asked_for_some_seconds(
@@ -46,5 +36,5 @@ def test_an_emulated_uno_drives_as_it_is_asked_for_some_seconds(
     monkeypatch.setattr(soak, "built", lambda _: (emulator, firmware_image))
     assert soak.minutes_of_the_uno(SOUND, 1, 4.0) == []
     # What a supply of 5 V cannot give is no false cut, but it shows that somebody looks.
-    cuts = soak.minutes_of_the_uno(changed(sag=3.0), 1, 8.0)
+    cuts = soak.minutes_of_the_uno(replace(SOUND, sag=3.0), 1, 8.0)
     assert cuts, "nobody looked"
