@@ -142,7 +142,7 @@ class DiagnosisResult(Carded):
     where: Where
     shrinkage: dict[str, Shrinkage]  # by quantity, on data that no fit saw
     moved: tuple[Moved, ...] = ()  # what the best model needs elsewhere than stated
-    # shapes of its kinetics beside the cosine's
+    # shapes of its kinetics, other than the cosine's
     smoother: dict[str, Estimate] = field(default_factory=dict)
     difference: Difference | None = None  # of the two best
     left: LeftOver | None = None  # what the best model leaves

@@ -8,11 +8,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import BRANCH
-
-Array = NDArray[np.float64]
 
 TEMPERATURES = tuple(TRANSITIONS.values())  # A_s, A_f, M_s, M_f
 FIELD_TEMPERATURES = (339.0, 367.0, 337.0, 309.0)  # K, of wires of which nothing is stated

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from sma_bench.arrays import Array
 from sma_bench.estimation.transitions import (
     FIELD_TEMPERATURES,
     HIGHEST,
@@ -36,8 +36,6 @@ from sma_bench.parameters.parameters import (
 )
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
-
-Array = NDArray[np.float64]
 
 HEAT = (
     "wire.resistance",

@@ -25,7 +25,7 @@ FLOWING = "flowing"
 _FEEDBACK = ("power", "temperature")
 Lasting = dict[str, tuple[float, int]]
 _COMMANDS = 10  # a reading may belong to any of the last commands
-_SENT = 1000  # more between two readings nobody needs
+_SENT = 1000  # volts kept between two readings, at most
 _REMEMBERED = 1.0  # s, for which a current that was measured stands for one that was not
 _LEAST_READINGS = 5  # that show what must last
 _RATE_BASE = 0.05  # s; stamps of a camera come a few ms early or late
@@ -96,7 +96,7 @@ class Limits:
 
     def heating_voltage(self, volt: float, ampere: float) -> float:
         """V that heat the wire at least as what was measured; NaN is not measured. A current that a
-        wire may have says what it takes; beside any other the wire counts as a new one. A current
+        wire may have says what it takes; with any other the wire counts as a new one. A current
         without a voltage heats too: a switch that does not open."""
         if volt >= LEAST_VOLTAGE and abs(ampere - volt / self.circuit) <= self.allowed_stray(volt):
             return self.measured_voltage(volt, ampere)
