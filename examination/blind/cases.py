@@ -1,7 +1,7 @@
 """Cases: what every effect moves, which case hides what, and all that is drawn for it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
@@ -46,17 +46,35 @@ class Setting:
 
 
 @dataclass(frozen=True)
+class Form:
+    """One form of an effect: what it has in place of the effect's own; settings beside them."""
+
+    moves: dict[str, Move] | None = None
+    natural: tuple[float, float] | None = None
+    settings: dict[str, Setting] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Symptom:
     """One effect; the fields are explained in symptoms.yaml."""
 
     moves: dict[str, Move]
     natural: tuple[float, float]
+    forms: dict[str, Form] = field(default_factory=dict)
     stage: str = ""
     signs: tuple[int, ...] = (1,)
     settings: dict[str, Setting] = field(default_factory=dict)
     in_deflection: bool = True
     of_peak_current: bool = False
     loads: tuple[str, ...] = LOADS
+
+    def in_form(self, name: str) -> "Symptom":
+        """The effect in one of its forms; as it is for ""."""
+        form = self.forms[name] if name else Form()
+        return replace(
+            self, moves=form.moves or self.moves, natural=form.natural or self.natural,
+            settings={**self.settings, **form.settings},
+        )  # fmt: skip
 
 
 _HERE = Path(__file__)
@@ -66,6 +84,9 @@ _TABLE = msgspec.convert(
 )
 # The contract's effects, and what no diagnosis has in its library.
 EFFECTS, OUTSIDE = _TABLE["effects"], _TABLE["outside"]
+# Effects of which every rig has a little; forms of what every rig has, with their features.
+OF_ALL_RIGS = ("temperature_dependent_convection", "deflection_drift", "temperature_lag")
+_ALWAYS: dict[str, dict[str, dict[str, float]]] = _DEALT["always"]
 
 # The largest amount that a target may ask for, over the largest natural one.
 STRETCH = 1.5
@@ -103,12 +124,17 @@ def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Dra
     """Direction, weights and settings of one occurrence; the largest current [A] of the records."""
     sign = int(rng.choice(symptom.signs))
     weights = tuple(float(rng.uniform(*move.weight)) for move in symptom.moves.values())
-    settings = {
+    return Draw(symptom, sign, weights, draw_settings(symptom.settings, rng), peak_current)
+
+
+def draw_settings(
+    settings: Mapping[str, Setting], rng: np.random.Generator
+) -> dict[str, float]:  # fmt: skip
+    return {
         name: float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))) if s.spread == "log"
                     else rng.uniform(s.low, s.high))
-        for name, s in symptom.settings.items()
+        for name, s in settings.items()
     }  # fmt: skip
-    return Draw(symptom, sign, weights, settings, peak_current)
 
 
 def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start: float) -> float:
@@ -228,13 +254,16 @@ def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator) -> list[st
 
 # --- A case: what is dealt to it, and everything about it that is drawn without knowing that.
 
-SPLITS = {"development": range(1000, 2000), "frozen-test": range(2000, 3000)}
+SPLITS = {range(1000, 2000): "development", range(2000, 3000): "frozen-test",
+          range(3000, 4000): "development"}  # fmt: skip
 OPEN = "open"
+# Seeds whose effects, and what every rig has, come in forms drawn for every case.
+IN_FORMS = range(2700, 4000)
 
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.
-_STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS)
-_DECK = 2**31 - 1
+_STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS, "forms")
+DECK = 2**31 - 1
 
 # Gap over noise that all nuisances together stay below.
 NUISANCE_LIMIT = 0.3
@@ -244,8 +273,9 @@ NUISANCE_LIMIT = 0.3
 class Case(Stage):
     """One case before anything is simulated: the rig with its drives and instruments, what it
     hides, what its owners believe, where they are mistaken (in stated standard deviations),
-    features that every rig has a little of, wanted gaps of those and of mild kinetics, and the
-    bags: storage, namespace, starts [ns since the epoch]."""
+    features that every rig has a little of, wanted gaps of those and of mild kinetics, the bags:
+    storage, namespace, starts [ns since the epoch]; the forms that effects, and what every rig has,
+    take here, and features that these have whatever is hidden."""
 
     seed: int
     index: int
@@ -259,17 +289,19 @@ class Case(Stage):
     storage: str
     namespace: str
     starts: Mapping[str, int]
+    forms: Mapping[str, str] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
 
     def stream(self, purpose: str) -> np.random.Generator:
         return _stream(self.seed, self.index, purpose)
 
 
 def split_of(seed: int) -> str:
-    return next((name for name, seeds in SPLITS.items() if seed in seeds), OPEN)
+    return next((name for seeds, name in SPLITS.items() if seed in seeds), OPEN)
 
 
 def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_DECK,)))
+    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(DECK,)))
     width = max(4, len(str(n)))
     return [
         draw_case(seed, k, card, f"{k + 1:0{width}d}", load)
@@ -285,6 +317,12 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
     mistakes = rigs.draw_wrong(beliefs, load)
     wrong = mistakes if card.kind == RECALIBRATION else {}
     nuisances = {n: float(little.uniform(*limits)) for n, limits in _DEALT["nuisances"].items()}
+    forms, fixed = {}, {}
+    if seed in IN_FORMS:
+        own = stream("forms")
+        forms, fixed = _draw_forms(own)
+        nuisances |= {n: float(own.uniform(*ends)) for n, ends in _DEALT["further"].items()}
+        card = replace(card, mild_kinetics=bool(own.random() < _DEALT["other_law_share"]))
     storage, namespace = (str(bag.choice(_DEALT[k])) for k in ("storages", "namespaces"))
     # Some working day, the second record after the first.
     day = _DEALT["first_day"] + 86400 * int(bag.integers(_DEALT["days"]))
@@ -310,7 +348,21 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         mild_gap=float(np.exp(little.uniform(*np.log(_DEALT["mild_gap"])))),
         storage=storage, namespace=namespace,
         starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
+        forms=forms, fixed=fixed,
     )  # fmt: skip
+
+
+def _draw_forms(rng: np.random.Generator) -> tuple[dict[str, str], dict[str, float]]:
+    """A form of every effect and of what every rig has, by name, and the features that go with the
+    latter; a rig's little of an effect has the form that the effect has."""
+    forms = {name: str(rng.choice(list(symptom.forms))) for name, symptom in EFFECTS.items()}
+    fixed = {}
+    for name in OF_ALL_RIGS:
+        fixed |= draw_settings(EFFECTS[name].forms[forms[name]].settings, rng)
+    for name, known in _ALWAYS.items():
+        forms[name] = str(rng.choice(list(known)))
+        fixed |= known[forms[name]]
+    return forms, fixed
 
 
 def _stream(seed: int, index: int, purpose: str) -> np.random.Generator:

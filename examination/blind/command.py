@@ -47,7 +47,7 @@ def blind() -> None:
     "--seed",
     type=int,
     required=True,
-    help="1000 to 1999: development, 2000 to 2999: frozen test, others: open",
+    help="1000 to 1999, 3000 to 3999: development, 2000 to 2999: frozen test, others: open",
 )
 @click.option("--n", default=200, show_default=True, help="cases")
 @click.option("--out", required=True, metavar="DIR", help="new folder")
@@ -127,6 +127,16 @@ def score_cases(
     if markdown:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text_atomically(path, text)
+
+
+@blind.command("features", help="Search development cases once each and keep what decides.")
+@click.option("--seed", type=click.IntRange(3000, 3999), default=3000, show_default=True)
+@click.option("--n", type=click.IntRange(1), default=800, show_default=True, help="cases")
+@click.option("--out", required=True, metavar="FILE", help="a line a case; goes on where it ended")
+def keep_features(seed: int, n: int, out: str) -> None:
+    from examination.blind.features import keep_features
+
+    keep_features(Path(out), seed, n)
 
 
 @blind.command("rival", help="Answer one case as a rival does.")

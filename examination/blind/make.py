@@ -21,7 +21,8 @@ from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
 from examination.blind.sensors import measure
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
-from sma_bench.parameters import write_parameters
+from sma_bench.parameters import Parameters, write_parameters
+from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
 
@@ -34,6 +35,7 @@ Readings = Mapping[str, Mapping[str, Array]]
 # Features that a mildly different kinetics moves together, at amount 1.
 MILD_KINETICS = {"grain_spread": 1.2, "kinetics_smoothness": 0.5}
 _SHRINK, _TRIALS = 0.8, 8
+LAW_SHOWS = 2.0  # gap over noise from which another law is a cause of its own
 
 
 @dataclass(frozen=True)
@@ -58,7 +60,7 @@ def size(case: Case) -> Sized:
     nuisance_gap = 0.0
     for trial in range(_TRIALS):
         scaled = {name: scale * value for name, value in case.nuisances.items()}
-        reached = measured(case, scaled, {}, fine=COARSE if trial == 0 else 1.0)
+        reached = measured(case, {**case.fixed, **scaled}, {}, fine=COARSE if trial == 0 else 1.0)
         if trial and reached <= cases.NUISANCE_LIMIT:
             little, nuisance_gap = scaled, reached
             break
@@ -66,6 +68,7 @@ def size(case: Case) -> Sized:
         scale *= wanted / reached if trial == 0 else min(wanted / reached, _SHRINK)
 
     # A transformation smoother by the wanted gap.
+    little = {**case.fixed, **little}
     base, kinetics_gap = dict(little), 0.0
     rng = case.stream("effect")
     if case.card.mild_kinetics:
@@ -83,7 +86,8 @@ def size(case: Case) -> Sized:
     rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
     features, draws, amounts = dict(base), {}, {}
     for name, target in zip(case.card.effects, case.card.targets, strict=True):
-        drawn = cases.draw({**EFFECTS, **OUTSIDE}[name], rng, case.peak_current())
+        symptom = {**EFFECTS, **OUTSIDE}[name].in_form(case.forms.get(name, ""))
+        drawn = cases.draw(symptom, rng, case.peak_current())
         amount = natural = drawn.natural(rng)
         if target is not None:
 
@@ -214,6 +218,37 @@ def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
             yield {**base, **shape, name: moved}
 
 
+def law_distance(stage: Stage, base: Features, quantities: tuple[str, ...]) -> float:
+    """Gap over noise between what a rig's law does and the cosine with its four temperatures
+    refitted: the largest over signals and records."""
+    cosine = {n: 0.0 if n in MILD_KINETICS else value for n, value in base.items()}
+    if cosine == base:
+        return 0.0
+
+    def readings(features: Features, parameters: Parameters | None = None) -> dict[str, Array]:
+        played = {r: stage.read(features, r, COARSE, parameters) for r in RECORDS}
+        return {
+            f"{r}/{name}": values / stage.sensors.std(quantity_of(name))
+            for r, read in played.items() for name, values in read.items()
+            if quantity_of(name) in quantities
+        }  # fmt: skip
+
+    def stacked(one: Mapping[str, Array], other: Mapping[str, Array]) -> Array:
+        return np.concatenate([one[name] - other[name] for name in other])
+
+    # Two steps of Gauss and Newton.
+    wanted, fitted, found = readings(base), stage.truth, {}
+    for _ in range(2):
+        found = readings(cosine, fitted)
+        moves = [fitted.replace({n: fitted[n] + 0.5}) for n in TRANSITIONS.values()]
+        columns = np.column_stack([stacked(readings(cosine, p), found) / 0.5 for p in moves])
+        by = np.linalg.lstsq(columns, stacked(wanted, found), rcond=None)[0]
+        changed = {n: fitted[n] + d for n, d in zip(TRANSITIONS.values(), by.tolist(), strict=True)}
+        fitted = fitted.replace(changed)
+    found = readings(cosine, fitted)
+    return max(float(np.sqrt(np.mean((wanted[n] - found[n]) ** 2))) for n in wanted)
+
+
 # --- A case's label, its bags, and a set of them in a new folder.
 
 NOMINAL = "nominal.yaml"
@@ -263,6 +298,12 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
             "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
                       for row in table[:12]],
         }  # fmt: skip
+    of_forms: dict[str, Any] = {}
+    if case.forms:
+        shown = (*card.effects, "kinetics", "noise", *cases.OF_ALL_RIGS)
+        of_forms["forms"] = {n: case.forms[n] for n in shown if n in case.forms}
+        of_forms["law_distance"] = round(law_distance(case, sized.base, quantities), 4)
+        of_forms["transformation_law"] = of_forms["law_distance"] > LAW_SHOWS
     return {
         "id": case.name, "kind": card.kind, "effects": list(card.effects), "stages": stages,
         "signals": card.signals, "noise": card.noise, "kinetics": card.mild_kinetics,
@@ -274,7 +315,7 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
         "features": dict(sorted(sized.features.items())), "base": dict(sorted(sized.base.items())),
         "load": load, "truth": rigs.true_values(case.truth), "sensors": asdict(case.sensors),
         "drives": {name: vars(drive) for name, drive in case.drives.items()},
-        "starts": dict(case.starts), "version": VERSION,
+        "starts": dict(case.starts), "version": VERSION, **of_forms,
     }  # fmt: skip
 
 

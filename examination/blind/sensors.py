@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.signal import lfilter
 
-from examination.blind.reality import Outcome, World
+from examination.blind.reality import Outcome, World, forms
 from sma_bench.records import Signal
 
 # --- What a sensor adds of its own: white, coloured and drifting noise.
@@ -40,12 +40,25 @@ class Noise:
         time = float(np.exp(rng.uniform(np.log(fastest), np.log(slowest))))
         return cls(std, float(rng.uniform(least, most)), time)
 
-    def draw(self, n: int, period: float, rng: np.random.Generator) -> Array:
-        """(n,) noise at samples `period` s apart, stationary from the first one on."""
+    def draw(
+        self, n: int, period: float, rng: np.random.Generator, tails: float = 0.0, slow: float = 0.0
+    ) -> Array:
+        """(n,) noise at samples `period` s apart, stationary from the first one on. Its white part
+        may follow Student's t with so many degrees of freedom (`tails`), a share `slow` of its
+        correlated part remember ten times as long."""
         white, driving = rng.standard_normal((2, n))
-        rho = np.exp(-period / self.correlation_time)
-        driving[1:] *= np.sqrt(1.0 - rho**2)
-        correlated = lfilter([1.0], [1.0, -rho], driving)
+        if tails > 0.0:
+            white = rng.standard_t(tails, n) * np.sqrt(1.0 - 2.0 / tails)
+
+        def remembered(driving: Array, time: float) -> Array:
+            rho = np.exp(-period / time)
+            driving[1:] *= np.sqrt(1.0 - rho**2)
+            return np.asarray(lfilter([1.0], [1.0, -rho], driving))
+
+        correlated = remembered(driving, self.correlation_time)
+        if slow > 0.0:
+            more = remembered(rng.standard_normal(n), 10.0 * self.correlation_time)
+            correlated = np.sqrt(1.0 - slow) * correlated + np.sqrt(slow) * more
         mixed = np.sqrt(1.0 - self.share) * white + np.sqrt(self.share) * correlated
         return np.asarray(self.std * mixed)
 
@@ -128,10 +141,16 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
     seen = outcome.temperature
     if fill < 1.0:
         wire, beside = seen**RADIANCE_EXPONENT, outcome.surface**RADIANCE_EXPONENT
-        seen = (fill * wire + (1.0 - fill) * beside) ** (1.0 / RADIANCE_EXPONENT)
+        filled: float | Array = fill
+        if world.feature("spot_opposite") > 0.0:  # in the order of channels: front, then back
+            beside = np.roll(wire, wire.shape[1] // 2, axis=1)
+        if (walk := world.feature("spot_walk")) > 0.0:
+            away = np.minimum(np.abs(outcome.deflection) / walk, 1.0)
+            filled = 1.0 - (1.0 - fill) * away[:, None]
+        seen = (filled * wire + (1.0 - filled) * beside) ** (1.0 / RADIANCE_EXPONENT)
     if lag > 0.0:
-        rho = np.exp(-(time[1] - time[0]) / lag)
-        seen = lfilter([1.0 - rho], [1.0, -rho], seen, axis=0, zi=rho * seen[:1])[0]
+        how = world.feature("lag_slow"), world.feature("lag_exposure")
+        seen = forms.lagged(seen, time[1] - time[0], lag, *how)
     if sensors.camera_clock != 0.0:
         late = time - sensors.camera_clock
         seen = np.column_stack([np.interp(late, time, column) for column in seen.T])
@@ -141,7 +160,9 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
     read = true + world.feature("sensor_nonlinearity") * true**2
     read = read + world.feature("pickup") * outcome.current.sum(axis=1)
     if drift := world.feature("deflection_drift"):
-        read = read + drift * drift_shape(time, sensors.seed)
+        heat = (outcome.voltage * outcome.current).sum(axis=1)
+        how = world.feature("drift_settling"), world.feature("drift_by_heat")
+        read = read + drift * forms.offset(drift_shape(time, sensors.seed), time, *how, heat)
     return {
         "voltage": outcome.voltage, "current": outcome.current, "temperature": seen,
         "deflection": read,
@@ -207,7 +228,8 @@ def measure(
             true = values[np.searchsorted(outcome.time, time, side="right") - 1]
         else:
             true = np.interp(time, outcome.time, values)
-        noisy = true + sensors.noise[quantity].draw(len(true), period, rng)
+        noise_form = world.feature("noise_tails"), world.feature("noise_slow")
+        noisy = true + sensors.noise[quantity].draw(len(true), period, rng, *noise_form)
         step, zero = RESOLUTION[quantity], _CELSIUS_ZERO if quantity == "temperature" else 0.0
         read = np.rint((noisy - zero) / step) * step + zero
         if quantity == "voltage":  # a converter reads no less than 0, and 0 when off

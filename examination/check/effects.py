@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
-from examination.blind.cases import QUANTITIES, SPLITS, Case, draw_cases
+from examination.blind.cases import IN_FORMS, QUANTITIES, Case, draw_cases, split_of
 from examination.blind.judgement import UNSEEN, proportion, unseen_drive
 from examination.blind.make import size
 from examination.blind.reality import World
@@ -113,7 +113,7 @@ def claims_of(case: Case) -> list[Claim]:
 def main(argv: Sequence[str] | None = None) -> int:
     options = options_of("effects", __doc__, argv, seed=(1000, "1000 to 1999"),
                          cases=(60, "size of the set"))  # fmt: skip
-    if options.seed not in SPLITS["development"]:
+    if split_of(options.seed) != "development" or options.seed in IN_FORMS:
         print(f"seed {options.seed}, expected one of development, 1000 to 1999", file=sys.stderr)
         return 2
     counted: list[Claim] = []

@@ -115,7 +115,7 @@ def walk(memory, temperatures, features):
         for kelvin in np.linspace(now, goal, 200)[1:]:
             if (kelvin > now) != grains.rising[0]:
                 transformation.turn(classes, table, memory, grains, 0, now, 0.0)
-            xi, _ = transformation.transform(classes, table, memory, grains, 0, kelvin, 0.0)
+            xi, _ = transformation.transform(classes, table, memory, 0.0, grains, 0, kelvin, 0.0)
             now = kelvin
         seen.append(xi)
     return seen

@@ -24,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from examination.blind.reality import forms
 from examination.blind.reality.world import Numbers, World
 from sma_bench.compiled import inlined
 from sma_bench.parameters.parameters import wire_length
@@ -36,7 +37,6 @@ HARDENING = 0.05  # of the modulus, while martensite detwins
 LEAST_MARTENSITE = 0.05
 LEAST_DAMPING = 0.1
 IDLE = 1e12  # Pa/m, of the wires behind a weight or a spring, which are never heated
-RELAXATION_TIMES = (1.0 / math.sqrt(10.0), math.sqrt(10.0))  # of relaxation_time
 
 # Rows of the scratch array: of the sides, then of the wires.
 STIFF, LOAD, IMBALANCE, SLOPE, GIVE, ERROR, ALONG, BEFORE = 0, 1, 2, 3, 4, 5, 6, 7
@@ -44,15 +44,17 @@ ROWS = 8
 
 
 class Beam(NamedTuple):
-    """Constants: SI units; arrays by wire (w,), side (2,) or Prony term (2,)."""
+    """Constants: SI units; arrays by wire (w,), side (2,) or Prony term (k,)."""
 
     side: NDArray[np.int64]
     stiffness: Array
     load: Array
     prestretch: Array
-    lever: float
+    lever: Array
+    bow: Array
     opposing: float
     relaxation_time: Array
+    relaxation_share: Array
     austenite_modulus: float
     modulus_change: float
     recoverable: float
@@ -65,7 +67,8 @@ class Pull(NamedTuple):
     """State: of the wires (w,) the fraction at the predicted stress and along stress, stresses [Pa]
     and their change in the last step, largest austenite fraction so far, plastic and detwinned
     strain; of the sides (2,) the deflection [m] towards itself, its change in the last step, and
-    what the Prony terms still feel of it (2, 2)."""
+    what the Prony terms still feel of it (2, k); of the wires how far each lies loose in its slack,
+    and what part of the strain that stays does so by now."""
 
     martensite: Array
     martensite_slope: Array
@@ -78,30 +81,37 @@ class Pull(NamedTuple):
     deflection: Array
     change: Array
     held: Array
+    loose: Array
+    settled: Array
 
 
 def beam(world: World) -> Beam:
     p = world.parameters
     sides = np.array([0 if side == "front" else 1 for side in world.sides], dtype=np.int64)
+    bow = np.zeros(2)
     # Lever [m], stiffness [Pa/m] and load [Pa] of each side, and how they oppose each other.
     if world.load == "beam":
         asymmetry, opposing = world.feature("stiffness_asymmetry"), world.feature("opposing")
         front, back = (p[f"composite.stress_per_deflection_{side}"] for side in ("front", "back"))
         stiffness = np.array([front * (1.0 + asymmetry), back * (1.0 - asymmetry)])
-        lever, load = p["composite.deflection_per_strain"], np.zeros(2)
+        load = np.zeros(2)
+        unequal = world.feature("progressive_asymmetry"), world.feature("lever_asymmetry")
+        lever, nearer, bow = forms.unequal_sides(p["composite.deflection_per_strain"], *unequal)
+        stiffness *= nearer
     else:
         section = p["wire.count"] * math.pi * p["wire.diameter"] ** 2 / 4.0
         spring, preload = p["load.stiffness"] / section, p["load.preload"] / section
-        held, lever, opposing = p["load.force"] / section, wire_length(p), 0.0
+        held, lever, opposing = p["load.force"] / section, np.full(2, wire_length(p)), 0.0
         if world.load == "antagonist":
             stiffness, load, opposing = np.full(2, spring), np.full(2, preload), 1.0
         elif world.load == "spring":
             stiffness, load = np.array([spring, IDLE]), np.array([preload + held, 0.0])
         else:
             stiffness, load = np.array([0.0, IDLE]), np.array([held, 0.0])
+    relaxing = world.feature("relaxation_law"), world.feature("relaxation_time")
     return Beam(
         sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]), lever,
-        opposing, world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
+        bow, opposing, *forms.prony(*relaxing),
         p["wire.austenite_modulus"], p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
         p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
         p["environment.ambient_temperature"], world.numbers,
@@ -114,35 +124,48 @@ def pull_at_rest(beam: Beam) -> Pull:
     rest = np.zeros((7, wires))
     rest[2] = (beam.load / np.bincount(beam.side))[beam.side]
     by_wire = (np.ones(wires), rest[0], rest[1], rest[2], rest[3], rest[4], rest[5], rest[6])
-    return Pull(*by_wire, np.zeros(2), np.zeros(2), np.zeros((2, 2)))
+    settled = np.full(wires, 0.0 if beam.features.residual_ratchet > 0.0 else 1.0)
+    held = np.zeros((2, len(beam.relaxation_time)))
+    return Pull(*by_wire, np.zeros(2), np.zeros(2), held, np.zeros(wires), settled)
 
 
 @inlined
 def wire_stress(beam, pull, i, xi, temperature, contraction):
-    """Stress of wire i, its slopes along xi and contraction, and its detwinned strain."""
-    austenite = 1.0 - xi
+    """Stress of wire i, its slopes along xi and contraction, its detwinned strain, and how far it
+    lies loose."""
+    austenite, straight = 1.0 - xi, 1.0
+    if beam.opposing > 0.0 and beam.features.opposing_gap > 0.0 and contraction < 0.0:
+        # Passive wires lie buckled: they are straightened before they resist.
+        contraction = min(contraction + beam.features.opposing_gap, 0.0)
+        straight = 1.0 if contraction < 0.0 else 0.0
     share, share_slope = austenite, -1.0
     if austenite < pull.transformed[i]:
-        share += beam.features.unrecovered_strain * (pull.transformed[i] - austenite)
-        share_slope += beam.features.unrecovered_strain
+        stays = beam.features.unrecovered_strain * pull.settled[i]
+        share += stays * (pull.transformed[i] - austenite)
+        share_slope += stays
     modulus = beam.austenite_modulus + xi * beam.modulus_change
     thermal = beam.expansion * (temperature - beam.rest_temperature)
     stretch = beam.recoverable * share - pull.elongation[i] - pull.detwinned[i] - contraction
     stretch += beam.prestretch[beam.side[i]]
     strain = stretch + thermal / modulus
-    loose = min(max(strain, 0.0), beam.features.slack)
-    stress = modulus * (strain - loose)
-    along_xi = beam.modulus_change * (stretch - loose) + modulus * beam.recoverable * share_slope
-    along, detwinned = -modulus, pull.detwinned[i]
-    if 0.0 < strain < beam.features.slack:
-        stress = along_xi = along = 0.0
-    elif beam.opposing > 0.0:
+    elastic, grip, loose = forms.taken_up(beam.features, strain, modulus, pull.loose[i])
+    stress = modulus * elastic
+    along_xi = modulus * beam.recoverable * share_slope
+    if grip == 1.0:
+        along_xi = beam.modulus_change * (stretch - loose) + along_xi
+    else:
+        slope = along_xi - beam.modulus_change * thermal / modulus
+        along_xi = beam.modulus_change * elastic + grip * slope
+    along, detwinned = -modulus * grip, pull.detwinned[i]
+    if beam.opposing > 0.0 and grip == 1.0:
         yielding = beam.features.detwinning_stress / max(xi, LEAST_MARTENSITE)
+        if beam.features.opposing_friction > 0.0:
+            yielding = beam.features.opposing_friction
         flow, soft, along = detwinning(yielding, modulus, stress, detwinned, contraction)
         stress -= modulus * flow
         along_xi *= soft
         detwinned += flow
-    return stress, along_xi, along, detwinned
+    return stress, along_xi, along * straight, detwinned, loose
 
 
 @inlined
@@ -173,7 +196,7 @@ def detwinning(yielding, modulus, stress, detwinned, contraction):
 def side_contraction(beam, i, front, back):
     """Contraction of the side of wire i when the sides deflect so [m]."""
     own, against = (front, back) if beam.side[i] == 0 else (back, front)
-    return (own - beam.opposing * against) / beam.lever
+    return (own - beam.opposing * against) / beam.lever[beam.side[i]]
 
 
 @inlined
@@ -194,11 +217,11 @@ def balance(beam, pull, temperature, step, scratch):
         if relaxing > 0.0:
             # What the relaxing part of the stiffness is worth in this step, and its load [m].
             worth, shift = 0.0, 0.0
-            for j in range(2):
-                ratio = step / beam.relaxation_time[j]
+            for j in range(len(beam.relaxation_time)):
+                ratio, part = step / beam.relaxation_time[j], beam.relaxation_share[j]
                 gain = -math.expm1(-ratio) / ratio
-                worth += 0.5 * gain
-                shift += 0.5 * (math.exp(-ratio) * pull.held[s, j] - gain * pull.deflection[s])
+                worth += part * gain
+                shift += part * (math.exp(-ratio) * pull.held[s, j] - gain * pull.deflection[s])
             scratch[STIFF, s] *= 1.0 - relaxing + relaxing * worth
             scratch[LOAD, s] += beam.stiffness[s] * relaxing * shift
     front, back = pull.deflection[0] + pull.change[0], pull.deflection[1] + pull.change[1]
@@ -211,19 +234,20 @@ def balance(beam, pull, temperature, step, scratch):
         # Errors of stresses and balance at these deflections, and their slopes.
         for s in range(2):
             d = front if s == 0 else back
-            cubic = beam.stiffness[s] * beam.features.stiffening * d * d
+            cubic = beam.stiffness[s] * (beam.features.stiffening + beam.bow[s]) * d * d
             scratch[IMBALANCE, s] = -(scratch[STIFF, s] + cubic) * d - scratch[LOAD, s]
             scratch[SLOPE, s], scratch[GIVE, s] = scratch[STIFF, s] + 3.0 * cubic, 0.0
         for i in range(wires):
             s = beam.side[i]
             contraction = side_contraction(beam, i, front, back)
             xi, slope = fraction(pull, i)
-            stress, along_xi, along, _ = wire_stress(beam, pull, i, xi, temperature[i], contraction)
+            found = wire_stress(beam, pull, i, xi, temperature[i], contraction)
+            stress, along_xi, along = found[0], found[1], found[2]
             damping = max(1.0 - along_xi * slope, LEAST_DAMPING)
             scratch[ERROR, i] = (pull.stress[i] - stress) / damping
             scratch[ALONG, i] = along / damping
             scratch[IMBALANCE, s] += pull.stress[i] - scratch[ERROR, i]
-            scratch[GIVE, s] -= scratch[ALONG, i] / beam.lever
+            scratch[GIVE, s] -= scratch[ALONG, i] / beam.lever[s]
         a, d = scratch[SLOPE, 0] + scratch[GIVE, 0], scratch[SLOPE, 1] + scratch[GIVE, 1]
         b, c = beam.opposing * scratch[GIVE, 0], beam.opposing * scratch[GIVE, 1]
         determinant = a * d - b * c
@@ -231,7 +255,7 @@ def balance(beam, pull, temperature, step, scratch):
         move_back = (c * scratch[IMBALANCE, 0] + a * scratch[IMBALANCE, 1]) / determinant
         front += move_front
         back += move_back
-        largest = (abs(move_front) + abs(move_back)) / beam.lever
+        largest = (abs(move_front) + abs(move_back)) / min(beam.lever[0], beam.lever[1])
         for i in range(wires):
             contraction = side_contraction(beam, i, move_front, move_back)
             change = scratch[ALONG, i] * contraction - scratch[ERROR, i]
@@ -242,12 +266,14 @@ def balance(beam, pull, temperature, step, scratch):
         pull.stress_change[i] = pull.stress[i] - scratch[BEFORE, i]
         contraction = side_contraction(beam, i, front, back)
         xi = fraction(pull, i)[0]
-        pull.detwinned[i] = wire_stress(beam, pull, i, xi, temperature[i], contraction)[3]
-        pull.transformed[i] = max(pull.transformed[i], 1.0 - xi)
+        found = wire_stress(beam, pull, i, xi, temperature[i], contraction)
+        pull.detwinned[i], pull.loose[i] = found[3], found[4]
+        most = forms.crept_back(beam.features, pull.transformed[i], 1.0 - xi, step)
+        pull.transformed[i] = max(most, 1.0 - xi)
         pull.martensite[i], pull.martensite_slope[i] = xi, 0.0
     for s in range(2):
         moved = (front if s == 0 else back) - pull.deflection[s]
-        for j in range(2):
+        for j in range(len(beam.relaxation_time)):
             ratio = step / beam.relaxation_time[j]
             gain = -math.expm1(-ratio) / ratio
             pull.held[s, j] = math.exp(-ratio) * pull.held[s, j] + gain * moved

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from examination.blind.reality import forms
 from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
@@ -58,6 +59,8 @@ def relative_film(world: World) -> Array:
     both = free_convection(excess, air, diameter) + radiation(excess, air)
     share = world.feature("convection_by_correlation")
     relative = both / np.interp(REFERENCE_EXCESS, excess, both)
+    other = world.feature("convection_power"), world.feature("convection_onset")
+    relative = forms.film(*other, relative, excess, REFERENCE_EXCESS)
     return np.asarray(np.maximum(1.0 + share * (relative - 1.0), LEAST_FILM))
 
 
@@ -66,7 +69,8 @@ def ambient(world: World, time: Array) -> Array:
     passed = time - time[0]
     wave = world.feature("ambient_wave") * np.sin(2.0 * np.pi * passed / WAVE_PERIOD)
     still = world.parameters["environment.ambient_temperature"]
-    return np.asarray(still + world.feature("ambient_rate") * passed + wave)
+    warmed = [world.feature(f"ambient_{name}") for name in ("rate", "settling", "instant")]
+    return np.asarray(still + forms.room(*warmed, passed) + wave)
 
 
 def gusts(world: World, time: Array) -> Array:
@@ -96,14 +100,17 @@ SECONDS_PER_MINUTE = 60.0
 
 
 @inlined
-def current(rig, voltage, temperature, martensite, driven):
-    """Current [A] of one wire that was driven so long [s], and the power [W] that heats it."""
+def current(rig, voltage, temperature, martensite, driven, sag):
+    """Current [A] of one wire that was driven so long [s], its supply sagging by so many V, and the
+    power [W] that heats it."""
     has = rig.features
-    warm = 1.0 + has.resistance_temperature_coefficient * (temperature - rig.beam.rest_temperature)
-    phase = 1.0 + has.resistance_austenite_change * (1.0 - martensite)
+    rise = temperature - rig.beam.rest_temperature
+    warm = 1.0 + has.resistance_temperature_coefficient * rise
+    phase = 1.0 + forms.phase_change(has, martensite, rise)
     wire = rig.resistance * max(warm * phase, LEAST_RESISTANCE)
     contact = has.contact_growth / SECONDS_PER_MINUTE
-    amperes = voltage / (wire + has.supply_resistance + contact * driven)
+    behind, leads = forms.supplied(has, voltage, sag)
+    amperes = behind / (wire + leads + contact * driven)
     if has.current_limit > 0.0:
         amperes = min(max(amperes, -has.current_limit), has.current_limit)
     return amperes, amperes * amperes * wire
@@ -152,6 +159,7 @@ def strip_of(world: World) -> Strip:
     p = world.parameters
     loss = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"]
     share, conductance = world.feature("silicone_share"), world.feature("side_conductance")
+    conductance *= 1.0 - world.feature("coupling_plume")
     # W/K: wire to the first cell, cell to cell, last cell to the surface; and from wire to wire.
     skin_cells, middle_cells = share / loss * np.array(SKIN_CELLS), np.array(MIDDLE_CELLS)
     skin, middle = (
@@ -161,9 +169,11 @@ def strip_of(world: World) -> Strip:
     skin, middle = 1.0 / skin, conductance / middle
     heat = world.feature("silicone_heat_capacity")
     wire = p["wire.mass"] * p["wire.specific_heat"]
-    skin_heat = heat * np.array(SKIN_CELLS)
+    places = world.feature("silicone_contact"), world.feature("silicone_plate")
+    skin_heat = heat * forms.skin_heat(*places, np.array(SKIN_CELLS))
     # Isolated cells take part in nothing, but the equations need a number.
-    middle_heat = 2.0 * heat * middle_cells if conductance > 0.0 else np.ones(MIDDLE)
+    between = 2.0 * heat + world.feature("coupling_capacity")
+    middle_heat = between * middle_cells if conductance > 0.0 else np.ones(MIDDLE)
     return Strip(
         np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
         np.concatenate([skin[:-1][::-1], middle, skin[:-1]]), float(skin[-1]),

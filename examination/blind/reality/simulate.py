@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from examination.blind.reality import forms
 from examination.blind.reality.beam import ROWS, Beam, balance, beam, pull_at_rest
 from examination.blind.reality.heat import (
     BACK_WIRE,
@@ -60,8 +61,8 @@ class Inputs(NamedTuple):
 
 class Wires(NamedTuple):
     """State of the wires, each (w,): K before and after a step, martensite before it, s driven,
-    full loops so far, K drift of the transition, J of latent heat owed, and the transformation per
-    kelvin in the last step [1/K]."""
+    full loops so far, K drift of the transition, J of latent heat owed, the transformation per
+    kelvin in the last step [1/K], and V by which the supply sags."""
 
     before: Array
     after: Array
@@ -71,6 +72,7 @@ class Wires(NamedTuple):
     shift: Array
     owed: Array
     apparent: Array
+    sag: Array
 
 
 class Scratch(NamedTuple):
@@ -83,12 +85,13 @@ class Scratch(NamedTuple):
 
 
 class Rig(NamedTuple):
-    """What a world is made of: ohm and J of latent heat of a wire; `pairs` (s, 2) are the wires in
-    front and behind of each strip."""
+    """What a world is made of: ohm and J of latent heat of a wire, K at which another phase may
+    take in some of that; `pairs` (s, 2) are the wires in front and behind of each strip."""
 
     features: Numbers
     resistance: float
     latent: float
+    aside: float
     strip: Strip
     pairs: NDArray[np.int64]
     classes: Classes
@@ -110,13 +113,18 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                 # Heat [W] into every wire: Joule's, and the latent heat that is still owed.
                 for i in range(len(wires.after)):
                     voltage, xi = inputs.voltage[k - 1, i], pull.martensite[i]
-                    joule = current(rig, voltage, wires.after[i], xi, wires.driven[i])[1]
+                    amperes, joule = current(
+                        rig, voltage, wires.after[i], xi, wires.driven[i], wires.sag[i]
+                    )
+                    wires.sag[i] = forms.sagged(rig.features, wires.sag[i], amperes, step)
                     if voltage != 0.0:
                         wires.driven[i] += step
                     paid = PAID_BACK * wires.owed[i]
                     wires.owed[i] -= paid
                     scratch.source[0, i] = joule + paid / step
-                    scratch.source[1, i] = rig.latent * wires.apparent[i]
+                    worth = forms.latent_worth(rig.features, xi)
+                    aside = forms.latent_aside(rig.features, wires.after[i], rig.aside)
+                    scratch.source[1, i] = rig.latent * (worth * wires.apparent[i] + aside)
                 heat(rig, inputs, k - 1, share, field, wires, step, scratch)
                 phase(rig, grains, pull, wires, step)
                 balance(rig.beam, pull, wires.after, step, scratch.beam)
@@ -134,8 +142,9 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
 def report(rig, inputs, k, field, wires, pull, values):
     for i in range(len(wires.after)):
         values[k, CURRENT, i] = current(
-            rig, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i]
-        )[0]
+            rig, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i],
+            wires.sag[i],
+        )[0]  # fmt: skip
         values[k, TEMPERATURE, i] = wires.after[i]
         values[k, MARTENSITE, i] = pull.martensite[i]
         values[k, STRESS, i] = pull.stress[i]
@@ -157,6 +166,9 @@ def heat(rig, inputs, k, share, field, wires, step, scratch):
             i = rig.pairs[strip, end]
             scratch.pair[0, end], scratch.pair[1, end] = scratch.source[0, i], scratch.source[1, i]
             wires.before[i] = wires.after[i]
+        # Warm air that rises past the wire behind.
+        plume = rig.features.side_conductance * rig.features.coupling_plume
+        scratch.pair[0, 1] += plume * (wires.after[rig.pairs[strip, 0]] - air)
         warm(rig.strip, field, strip, scratch.pair, air, gust, step, scratch.strip)
         wires.after[rig.pairs[strip, 0]] = field[strip, FRONT_WIRE]
         wires.after[rig.pairs[strip, 1]] = field[strip, BACK_WIRE]
@@ -165,15 +177,18 @@ def heat(rig, inputs, k, share, field, wires, step, scratch):
 @inlined
 def phase(rig, grains, pull, wires, step):
     """Transform every wire at its new temperature and the stress that its trend predicts."""
-    memory = rig.features.return_point_memory
+    memory, bow = rig.features.return_point_memory, rig.features.loop_bow
     for i in range(len(wires.after)):
         moved, shift = wires.after[i] - wires.before[i], wires.shift[i]
+        if moved > 0.0:  # where only the way to martensite drifts
+            shift *= 1.0 - rig.features.drift_of_martensite
         if abs(moved) > SMALLEST_MOVE and (moved > 0.0) != grains.rising[i]:
             turn(rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift, pull.stress[i])
         pull.predicted[i] = pull.stress[i] + pull.stress_change[i]
         xi, slope = transform(
-            rig.classes, rig.ramps, memory, grains, i, wires.after[i] - shift, pull.predicted[i]
-        )
+            rig.classes, rig.ramps, memory, bow, grains, i, wires.after[i] - shift,
+            pull.predicted[i],
+        )  # fmt: skip
         if rig.features.transformation_lag > 0.0:
             share = -math.expm1(-step / rig.features.transformation_lag)
             xi = wires.martensite[i] + share * (xi - wires.martensite[i])
@@ -192,16 +207,18 @@ def aftermath(rig, grains, pull, wires):
             martensite = grains.martensite[i, c] + grains.martensite_slope[i, c] * loaded
             grains.martensite[i, c] = min(max(martensite, 0.0), 1.0)
         change = pull.martensite[i] - wires.martensite[i]
-        if rig.beam.opposing > 0.0 and change < 0.0:
+        worth = forms.latent_worth(has, wires.martensite[i])
+        if rig.beam.opposing > 0.0 and change < 0.0 and has.opposing_friction == 0.0:
             # What transforms to austenite loses its detwinned strain.
             pull.detwinned[i] *= pull.martensite[i] / wires.martensite[i]
         wires.martensite[i] = pull.martensite[i]
         wires.loops[i] += 0.5 * abs(change)
-        worn = -math.expm1(-wires.loops[i] / has.drift_cycles)
+        worn = forms.worn(has, wires.loops[i], wires.driven[i])
         wires.shift[i], pull.elongation[i] = has.transition_drift * worn, has.plastic_strain * worn
+        pull.settled[i] = forms.ratcheted(has, wires.loops[i])
         if rig.latent > 0.0:
             moved = wires.after[i] - wires.before[i]
-            wires.owed[i] += rig.latent * (change + wires.apparent[i] * moved)
+            wires.owed[i] += rig.latent * (worth * (change + wires.apparent[i] * moved))
             if abs(moved) > SMALLEST_MOVE:
                 wires.apparent[i] = min(max(-change / moved, 0.0), STEEPEST)
 
@@ -248,16 +265,17 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
 
     front, back = ([i for i, s in enumerate(world.sides) if s == side]
                    for side in ("front", "back"))  # fmt: skip
-    p = world.parameters
+    p, law = world.parameters, (world.feature("kinetics_smoothness"), world.feature("kinetics_law"))
     rig = Rig(
         world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
-        strip_of(world), np.array([front, back], dtype=np.int64).T.copy(),
-        grain_classes(world), ramp_table(world.feature("kinetics_smoothness")), beam(world),
+        p["wire.austenite_start_temperature"] - forms.ASIDE_BELOW, strip_of(world),
+        np.array([front, back], dtype=np.int64).T.copy(), grain_classes(world), ramp_table(*law),
+        beam(world),
     )  # fmt: skip
     # Cold, all martensite, never driven.
     still = float(p["environment.ambient_temperature"])
     before, after = np.full((2, wires), still)
-    at_rest = Wires(before, after, np.ones(wires), *(np.zeros(wires) for _ in range(5)))
+    at_rest = Wires(before, after, np.ones(wires), *(np.zeros(wires) for _ in range(6)))
     scratch = Scratch(
         np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)), np.zeros((ROWS, wires))
     )

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from examination.blind.reality import forms
 from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
@@ -32,7 +33,8 @@ R_STRESS = 0.4  # of the martensite's shift with stress
 
 class Classes(NamedTuple):
     """Grain classes of every wire, each an array (c,): share of the transformation strain, K at the
-    ends of the ranges, one over their widths [1/K], shifts with stress [K/Pa]."""
+    ends of the ranges, one over their widths [1/K], shifts with stress [K/Pa], and those with bent
+    stress; its knee and square [Pa]."""
 
     weight: Array
     austenite_finish: Array
@@ -41,21 +43,31 @@ class Classes(NamedTuple):
     martensite_finish: Array
     martensite_rate: Array
     martensite_shift: Array
+    austenite_bend: Array
+    martensite_bend: Array
+    knee: float
+    square: float
 
 
 def grain_classes(world: World) -> Classes:
     p = world.parameters
     starts = p["wire.austenite_start_temperature"], p["wire.martensite_start_temperature"]
     finishes = p["wire.austenite_finish_temperature"], p["wire.martensite_finish_temperature"]
-    shifts = (
-        world.feature("stress_influence_factor_austenite") / p["wire.stress_influence_austenite"],
-        world.feature("stress_influence_factor_martensite") / p["wire.stress_influence_martensite"],
-    )
+    factors = np.array([
+        world.feature(f"stress_influence_factor_{phase}") for phase in ("austenite", "martensite")
+    ])  # fmt: skip
+    plain = np.array([p["wire.stress_influence_austenite"], p["wire.stress_influence_martensite"]])
+    # Of a bent line only what is added to the belief is bent.
+    knee, square = world.feature("stress_knee"), world.feature("stress_square")
+    is_bent = knee > 0.0 or square > 0.0
+    shifts = (1.0 / plain if is_bent else factors / plain).tolist()
+    bends = ((factors - 1.0) / plain if is_bent else np.zeros(2)).tolist()
     spread, r_share = world.feature("grain_spread"), world.feature("r_phase")
     offsets, weights = _normal(spread)
     rates = 1.0 / (finishes[0] - starts[0]), 1.0 / (starts[1] - finishes[1])
+    relays = world.feature("relays")
     rows = [
-        ((1.0 - r_share) * weight, finishes[0] + offset, rates[0], shifts[0],
+        ((1.0 - relays) * (1.0 - r_share) * weight, finishes[0] + offset, rates[0], shifts[0],
          finishes[1] + offset, rates[1], shifts[1])
         for offset, weight in zip(offsets, weights, strict=True)
     ]  # fmt: skip
@@ -64,7 +76,11 @@ def grain_classes(world: World) -> Classes:
         hot, cold = middle + 0.5 * (R_WIDTH + R_HYSTERESIS), middle - 0.5 * R_HYSTERESIS
         rows.append((r_share, hot, 1.0 / R_WIDTH, R_STRESS * shifts[0],
                      cold - 0.5 * R_WIDTH, 1.0 / R_WIDTH, R_STRESS * shifts[1]))  # fmt: skip
-    return Classes(*(np.ascontiguousarray(column) for column in np.array(rows).T))
+    if relays > 0.0:
+        rows += forms.relay_rows(starts, finishes, shifts, (1.0 - r_share) * relays)
+    columns = [np.ascontiguousarray(column) for column in np.array(rows).T]
+    columns += [np.full(len(rows), bend) for bend in bends]
+    return Classes(*columns, knee, square)
 
 
 def _normal(deviation: float) -> tuple[Array, Array]:
@@ -75,11 +91,11 @@ def _normal(deviation: float) -> tuple[Array, Array]:
     return deviation * nodes, weights / np.sum(weights)
 
 
-def ramp_table(smoothness: float) -> Array:
+def ramp_table(smoothness: float, law: float = 0.0) -> Array:
     """(m, 2) ramp from 0 to 1 over positions 0 to 1, and its slope per table step.
 
     From (1 - cos(pi x))/2 of the contract, smoothness 0, to the normal distribution function of
-    the same mean and deviation, 1.
+    the same mean and deviation, 1, or to that of another law.
     """
     steps = round((1.0 + 2.0 * BEYOND) * PER_WIDTH)
     position = np.arange(steps + 1) / PER_WIDTH - BEYOND
@@ -88,6 +104,8 @@ def ramp_table(smoothness: float) -> Array:
     scaled = (position - 0.5) / COSINE_DEVIATION
     normal = np.array([0.5 * math.erfc(-x / math.sqrt(2.0)) for x in scaled])
     density = np.exp(-0.5 * scaled**2) / (math.sqrt(2.0 * math.pi) * COSINE_DEVIATION)
+    if law > 0.0:
+        normal, density = forms.smooth_ramp(law, position, COSINE_DEVIATION)
     # Hermite interpolation meets the plateaus without a step.
     normal[0], normal[-1], density[0], density[-1] = 0.0, 1.0, 0.0, 0.0
     value = (1.0 - smoothness) * cosine + smoothness * normal
@@ -121,9 +139,9 @@ LOOPS = 16  # reversals that a class remembers
 SMALLEST_MOVE = 1e-9  # K, below which the temperature counts as held
 NOTHING = 1e-14
 
-# What a class remembers of its last reversal, columns of `line`: the line, and the other ramp.
-SLOPE, AIM_PHASE, AIM_RAMP, TRACED, OTHER_RAMP, OTHER_PLACE = 0, 1, 2, 3, 4, 5
-LINE = 6
+# What a class remembers of its last reversal, columns of `line`: the line, the other ramp, its own.
+SLOPE, AIM_PHASE, AIM_RAMP, TRACED, OTHER_RAMP, OTHER_PLACE, TURNED = 0, 1, 2, 3, 4, 5, 6
+LINE = 7
 
 
 class Grains(NamedTuple):
@@ -143,7 +161,7 @@ def grains_at_rest(wires: int, classes: int) -> Grains:
     """All martensite, cold; its first move is up."""
     shape = (wires, classes)
     line = np.zeros((*shape, LINE))
-    line[..., SLOPE] = 1.0
+    line[..., SLOPE] = line[..., TURNED] = 1.0
     return Grains(
         np.ones(wires, dtype=np.bool_), np.ones(shape), np.zeros(shape), line,
         np.zeros(shape, dtype=np.int64), np.zeros((*shape, LOOPS, 3)),
@@ -167,23 +185,28 @@ def ramp(table, position):
 @inlined
 def ramp_of(classes, table, c, rising, temperature, stress):
     """f (rising) or g of class c, and its slope along stress."""
+    bent, along = forms.bent_stress(classes.knee, classes.square, stress)
     if rising:
         rate, shift = classes.austenite_rate[c], classes.austenite_shift[c]
-        position = (classes.austenite_finish[c] + shift * stress - temperature) * rate
-        value, slope = ramp(table, position)
-        return value, slope * shift * rate
+        bend = classes.austenite_bend[c]
+        warmer = classes.austenite_finish[c] + shift * stress + bend * bent
+        value, slope = ramp(table, (warmer - temperature) * rate)
+        return value, slope * (shift + bend * along) * rate
     rate, shift = classes.martensite_rate[c], classes.martensite_shift[c]
-    position = (temperature - shift * stress - classes.martensite_finish[c]) * rate
-    value, slope = ramp(table, position)
-    return value, -slope * shift * rate
+    bend = classes.martensite_bend[c]
+    colder = temperature - shift * stress - bend * bent
+    value, slope = ramp(table, (colder - classes.martensite_finish[c]) * rate)
+    return value, -slope * (shift + bend * along) * rate
 
 
 @inlined
 def other_place(classes, c, rising, temperature, stress):
     """Where class c lies along the other ramp [K]; the ramp vanishes downwards."""
+    bent = forms.bent_stress(classes.knee, classes.square, stress)[0]
     if rising:
-        return temperature - classes.martensite_shift[c] * stress
-    return classes.austenite_shift[c] * stress - temperature
+        shift = classes.martensite_shift[c] * stress + classes.martensite_bend[c] * bent
+        return temperature - shift
+    return classes.austenite_shift[c] * stress + classes.austenite_bend[c] * bent - temperature
 
 
 @inlined
@@ -204,6 +227,7 @@ def turn(classes, table, memory, grains, i, temperature, stress):
         own, other = (f, g) if rising else (g, f)
         line[i, c, OTHER_RAMP] = other
         line[i, c, OTHER_PLACE] = other_place(classes, c, rising, temperature, stress)
+        line[i, c, TURNED] = own
         phase = grains.martensite[i, c] if rising else 1.0 - grains.martensite[i, c]
         draw(memory, grains, i, c, phase, own)
         if own <= NOTHING and phase > 0.0 and other < 1.0:
@@ -230,7 +254,7 @@ def draw(memory, grains, i, c, phase, own):
 
 
 @inlined
-def transform(classes, table, memory, grains, i, temperature, stress):
+def transform(classes, table, memory, bow, grains, i, temperature, stress):
     """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa].
 
     The temperature is less the drift of the transition, in the direction of `grains.rising`.
@@ -251,6 +275,10 @@ def transform(classes, table, memory, grains, i, temperature, stress):
                 draw(memory, grains, i, c, phase, end)
         phase = line[i, c, AIM_PHASE] + line[i, c, SLOPE] * (own - line[i, c, AIM_RAMP])
         slope = line[i, c, SLOPE] * along
+        if bow > 0.0:
+            turned = line[i, c, TURNED]
+            factor, power = forms.duhem(bow, own, turned, line[i, c, SLOPE] * turned)
+            phase, slope = phase * factor, slope * factor * power
         moved_back = other_place(classes, c, rising, temperature, stress) < line[i, c, OTHER_PLACE]
         moved_back = moved_back and line[i, c, OTHER_RAMP] > 0.0
         if moved_back or line[i, c, TRACED] > 0.0:

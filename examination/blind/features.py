@@ -1,0 +1,115 @@
+"""Development cases searched once each: what the decision looks at, beside the label.
+
+Cases cover all loads, one or two records and missing signals; a third of the owners state half of
+their numbers only. What is found is kept under a hash of the library, one line a case.
+"""
+
+import hashlib
+import json
+import time
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from examination.blind import cases
+from examination.blind.cases import QUANTITIES, Case
+from examination.blind.make import make_label, size
+from examination.blind.rigs import RECORDS, world_of
+from examination.blind.sensors import measure
+from sma_bench.diagnose import decision
+from sma_bench.diagnose.facts import weighed
+from sma_bench.diagnose.search import search
+from sma_bench.errors import InputError
+from sma_bench.estimation.observation import observe, shared_bin
+from sma_bench.parameters import Parameters
+from sma_bench.records import Record
+from sma_bench.records.check import mended
+
+PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
+# What the numbers of a search depend on; the decision is fitted to them.
+_LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
+_NOT_ITS = ("decision.py", "diagnosis.py", "result.py", "next_experiment.py")
+_LOADS = ("beam", "beam", "force", "beam", "spring", "beam", "antagonist")  # in turn
+_UNSTATED = 1 / 3  # of the owners
+_STATED_ALWAYS = ("bench.", "load.", "composite.", "wire.diameter", "wire.length", "wire.count")
+_STREAM = 2_000_003  # apart from those that cases are made of
+
+
+def library_hash() -> str:
+    """Of all that a search depends on."""
+    paths = sorted(p for room in _LIBRARY for p in (PACKAGE / room).rglob("*.py"))
+    own = hashlib.sha256()
+    for path in paths:
+        if path.name not in _NOT_ITS:
+            own.update(path.read_bytes())
+    return own.hexdigest()[:16]
+
+
+def keep_features(out: Path, seed: int, n: int) -> None:
+    """Add the cases to `out` that it does not hold yet, one by one: each a line of JSON. Raises
+    InputError where the file is of another library, or of other cases."""
+    library = library_hash()
+    lines = [json.loads(line) for line in out.read_text().splitlines()] if out.is_file() else []
+    for line in lines:
+        if (line["library"], line["seed"], line["n"]) != (library, seed, n):
+            raise InputError(f"{out}: holds features of another library, or of other cases")
+    done = {line["index"] for line in lines}
+    for index in range(n):
+        if index in done:
+            continue
+        begun = time.monotonic()
+        found = {"library": library, "seed": seed, "n": n, "index": index}
+        found |= features_of(seed, n, index)
+        with out.open("a") as file:
+            file.write(json.dumps(found, separators=(",", ":")) + "\n")
+        said = "+".join(found["label"]["effects"]) or found["label"]["kind"]
+        print(f"{index + 1}/{n} {time.monotonic() - begun:.0f} s: {said}", flush=True)
+
+
+def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
+    """Label, facts and today's probabilities of one case."""
+    load = _LOADS[index % len(_LOADS)]
+    deck = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(cases.DECK,)))
+    card = cases.deal(n, deck, load)[index]
+    case = cases.draw_case(seed, index, card, f"{index:04d}", load)
+    own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, index)))
+    sized = size(case)
+    names = RECORDS[: int(own.integers(1, 3))]
+    label = make_label(case, sized)
+    nominal = half_stated(case.nominal, own) if own.random() < _UNSTATED else case.nominal
+
+    records = [mended(record)[0] for record in recorded(case, sized.features, names)]
+    quantities = QUANTITIES[card.signals]
+    shortest = shared_bin(records, nominal)
+    found = search([observe(r, nominal, shortest, quantities) for r in records], nominal)
+    weights = decision.weigh(found)
+    today = {c.name: round(c.probability, 6) for c in decision.decide(found, weights)}
+    wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
+              "distinguishable", "load", "forms", "law_distance", "transformation_law")  # fmt: skip
+    return {
+        "label": {name: label[name] for name in wanted}, "today": today,
+        "records": len(names), "stated": len(nominal.given), "facts": asdict(weighed(found)),
+    }  # fmt: skip
+
+
+def recorded(case: Case, features: dict[str, float], names: tuple[str, ...]) -> list[Record]:
+    """What the instruments of a case record of its world, without a bag."""
+    world, found = world_of(case.truth, features), []
+    for name in names:
+        outcome, random = case.play(features, name), case.stream(name)
+        signals = measure(
+            outcome, world, case.sensors, case.channels, random, QUANTITIES[case.card.signals]
+        )
+        found.append(Record(Path(name), case.starts[name], {s.name: s for s in signals}))
+    return found
+
+
+def half_stated(nominal: Parameters, rng: np.random.Generator) -> Parameters:
+    """Half of the wire's numbers as nobody's: from the table, as far from it as wires differ."""
+    numbers = sorted(n for n in nominal.given if not n.startswith(_STATED_ALWAYS))
+    dropped = set(rng.permutation(numbers)[: len(numbers) // 2].tolist())
+    given = {n: nominal[n] for n in nominal.given if n not in dropped}
+    stds = {n: s for n, s in nominal.given_uncertainty.items() if n not in dropped}
+    return Parameters(given, stds)

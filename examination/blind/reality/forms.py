@@ -1,0 +1,288 @@
+# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
+"""Other forms of the same effects: short equations, each with its source; settings choose them.
+
+With every setting off each function is today's single form, to the last bit. Sources are of the
+kind of equation; where no source is named, it is a plausible one of this examination.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sma_bench.compiled import inlined
+
+Array = NDArray[np.float64]
+
+# --- Electrical.
+
+DIODE_CURRENT = 1.0  # A at which a constant drop is as large as that of the leads
+SLOW_SHARE = 0.6  # of a battery's drop that comes and goes
+
+
+@inlined
+def phase_change(has, martensite, rise):
+    """Relative change of a wire's resistance by phase, `rise` K above the start.
+
+    a [(1 - w)(1 - xi) + 4 w xi (1 - xi)] + |a| b xi (T - T_0): an intermediate phase of higher
+    resistivity (R-phase: Otsuka and Ren, Prog. Mater. Sci. 50, 2005), martensite whose resistance
+    rises with temperature (Furst and Seelecke, J. Intell. Mater. Syst. Struct. 23, 2012).
+    """
+    change, hump, austenite = has.resistance_austenite_change, has.resistance_hump, 1.0 - martensite
+    mixed = change * ((1.0 - hump) * austenite + 4.0 * hump * austenite * martensite)
+    return mixed + abs(change) * has.resistance_martensite_slope * rise * martensite
+
+
+@inlined
+def supplied(has, voltage, sag):
+    """V behind what drops whatever the current, and ohm of what drops with it.
+
+    V - t R_s I_1 - u, R_s (1 - t): a saturated transistor (Horowitz and Hill, The Art of
+    Electronics); tau du/dt = m R_s I - u: a battery's Thevenin model (Plett, Battery Management
+    Systems 1, 2015).
+    """
+    ohm = has.supply_resistance * (1.0 - has.supply_threshold)
+    if has.supply_memory > 0.0:
+        ohm *= 1.0 - SLOW_SHARE
+    if has.supply_threshold > 0.0 or has.supply_memory > 0.0:
+        drop = has.supply_threshold * has.supply_resistance * DIODE_CURRENT
+        voltage = max(voltage - drop - sag, 0.0)
+    return voltage, ohm
+
+
+@inlined
+def sagged(has, sag, amperes, step):
+    """u [V] of `supplied` after a step."""
+    if has.supply_memory > 0.0:
+        share = -math.expm1(-step / has.supply_memory)
+        sag += share * (SLOW_SHARE * has.supply_resistance * amperes - sag)
+    return sag
+
+
+# --- Heat.
+
+ASIDE_WIDTH, ASIDE_BELOW = 5.0, 8.0  # K: deviation of a heat peak of its own, below A_s
+POWER = 0.25  # of the excess: laminar free convection
+ONSET_GAIN = 1.44
+EVENT_RISE, EVENT_FALL, EVENT_REACH = 3.0, 60.0, 120.0  # s; a door does what a rate does in so long
+
+
+@inlined
+def latent_worth(has, martensite):
+    """Share of the mean latent heat at this fraction: (1 - q)[1 + k (2 xi - 1)], the skewed peaks
+    of calorimetry (Otsuka and Ren 2005)."""
+    return (1.0 - has.latent_aside) * (1.0 + has.latent_skew * (2.0 * martensite - 1.0))
+
+
+@inlined
+def latent_aside(has, temperature, centre):
+    """Share of the latent heat a kelvin that another phase takes in: q N(T; T_R, 5 K), the
+    R-phase's own peak (Miyazaki and Otsuka, Metall. Trans. A 17, 1986)."""
+    if has.latent_aside == 0.0:
+        return 0.0
+    away = (temperature - centre) / ASIDE_WIDTH
+    return has.latent_aside * math.exp(-0.5 * away * away) / (ASIDE_WIDTH * 2.5066282746)
+
+
+def film(power: float, onset: float, relative: Array, excess: Array, reference: float) -> Array:
+    """Relative film (m,) by excess: h ~ excess^(1/4) (Morgan, Adv. Heat Transfer 11, 1975), or
+    Nu = 1 + 1.44 max(1 - Ra_c/Ra, 0), a layer in which convection sets in (Hollands et al., J. Heat
+    Transfer 98, 1976)."""
+    if power > 0.0:
+        relative = (1.0 - power) * relative + power * (excess / reference) ** POWER
+    if onset > 0.0:
+        relative = 1.0 + ONSET_GAIN * np.maximum(1.0 - onset / excess, 0.0)
+    return np.asarray(relative)
+
+
+def skin_heat(contact: float, plate: float, cells: Array) -> Array:
+    """Heat capacity by cell, wire to surface, of 1 in all: even in the silicone, in a sleeve beside
+    the wire, or in a plate at the surface (lumped capacities behind contact resistances: Incropera,
+    Fundamentals of Heat and Mass Transfer, ch. 5)."""
+    heat = (1.0 - contact - plate) * cells
+    heat[0] += contact
+    heat[-1] += plate
+    return heat
+
+
+def room(rate: float, settling: float, instant: float, passed: Array) -> Array:
+    """K by which a room has warmed: r t; r tau [1 - exp(-t/tau)], an enclosure that settles; or a
+    door that is opened, 120 s r exp(-t/60 s) from that instant on (first-order rooms: ASHRAE
+    Handbook, Fundamentals)."""
+    if settling > 0.0:
+        return np.asarray(-rate * settling * np.expm1(-passed / settling))
+    if instant > 0.0:
+        since = np.maximum(passed - instant, 0.0)
+        opened = np.exp(-since / EVENT_FALL) - np.exp(-since / EVENT_RISE)
+        return np.asarray(rate * EVENT_REACH * opened)
+    return np.asarray(rate * passed)
+
+
+# --- Transformation.
+
+RELAYS = 6
+NARROW = 0.35  # width of a grain's own range, of the wire's
+
+
+def relay_rows(starts, finishes, shifts, share: float) -> list[tuple]:
+    """Grain classes (weight, A_f, rate, shift, M_f, rate, shift) that turn each in a narrow range
+    of its own, in the same order both ways: Preisach's plane along its centres, the play operator
+    (Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989)."""
+    # Places that have, with the narrow ranges, the mean and deviation of the cosine.
+    places = np.arccos(1.0 - 2.0 * (np.arange(RELAYS) + 0.5) / RELAYS) / np.pi - 0.5
+    wanted = math.sqrt((0.25 - 2.0 / math.pi**2) * (1.0 - NARROW**2))
+    places *= wanted / np.std(places)
+    hot, cold = finishes[0] - starts[0], starts[1] - finishes[1]
+    return [
+        (share / RELAYS,
+         0.5 * (starts[0] + finishes[0]) + (place + 0.5 * NARROW) * hot, 1.0 / (NARROW * hot),
+         shifts[0],
+         0.5 * (starts[1] + finishes[1]) + (place - 0.5 * NARROW) * cold, 1.0 / (NARROW * cold),
+         shifts[1])
+        for place in places.tolist()
+    ]  # fmt: skip
+
+
+@inlined
+def duhem(bow, own, turned, before):
+    """Factor on what is left of a phase on its way out of a loop, and its slope along the log of
+    the ramp: (o/o_r)^(b (1 - y_r)), of dy/do = p y/o, a Duhem equation (Madill and Wang, IEEE
+    Trans. Control Syst. Technol. 6, 1998). A full loop stays as it is."""
+    power = bow * max(1.0 - before, 0.0)
+    if power == 0.0 or turned <= 0.0 or own <= 0.0:
+        return 1.0, 1.0
+    return (own / turned) ** power, 1.0 + power
+
+
+@inlined
+def bent_stress(knee, square, stress):
+    """Stress on which the change of 1/C acts, and its slope: above a knee only (Brinson, J. Intell.
+    Mater. Syst. Struct. 4, 1993), or sigma |sigma|/sigma_0, a bent line in the plane of stress and
+    temperature (Tanaka et al., Res. Mechanica 18, 1986)."""
+    if square > 0.0:
+        return stress * abs(stress) / square, 2.0 * abs(stress) / square
+    return (stress - knee, 1.0) if stress > knee else (0.0, 0.0)
+
+
+def smooth_ramp(law: float, position: Array, deviation: float) -> tuple[Array, Array]:
+    """Ramp (m,) and its slope, of the mean 1/2 and this deviation: logistic (Ikuta et al., IEEE
+    MEMS 1991), or exponential with a sharp start (Tanaka 1986)."""
+    if law == 1.0:
+        scale = deviation * math.sqrt(3.0) / math.pi
+        value = 1.0 / (1.0 + np.exp(-(position - 0.5) / scale))
+        return value, value * (1.0 - value) / scale
+    value = np.exp(np.minimum(position - 0.5 - deviation, 0.0) / deviation)
+    return value, np.where(value < 1.0, value / deviation, 0.0)
+
+
+@inlined
+def worn(has, loops, driven):
+    """Share of the drift that is done: by loops, or by the time that the wire was hot (ageing:
+    Eggeler et al., Mater. Sci. Eng. A 378, 2004)."""
+    if has.drift_time > 0.0:
+        return -math.expm1(-driven / has.drift_time)
+    return -math.expm1(-loops / has.drift_cycles)
+
+
+# --- Mechanics.
+
+
+def prony(law: float, time: float) -> tuple[Array, Array]:
+    """Times (k,) and shares of the relaxing terms: a decade apart, one (standard linear solid), or
+    t^-0.15 over four decades (power law: Schapery, Int. J. Solids Struct. 2, 1966)."""
+    if law == 1.0:
+        return np.array([time]), np.ones(1)
+    if law == 2.0:
+        times = np.geomspace(0.01, 100.0, 9)
+        return time * times, times**-0.15 / np.sum(times**-0.15)
+    return time * np.array([1.0 / math.sqrt(10.0), math.sqrt(10.0)]), np.full(2, 0.5)
+
+
+STOP = 0.015  # m
+
+
+def unequal_sides(lever: float, progressive: float, nearer: float) -> tuple[Array, Array, Array]:
+    """Of front and back (2,): lever [m], stiffness over the belief, its growth with d^2 [1/m2]: a
+    soft stop on one side (Duffing), or wires nearer to the middle, alpha and beta as 1/a (eq. 16).
+    """
+    signs = np.array([1.0, -1.0])
+    relative = 1.0 / (1.0 - nearer * signs)
+    return lever * relative, relative, np.maximum(progressive * signs, 0.0) / STOP**2
+
+
+@inlined
+def taken_up(has, strain, modulus, loose):
+    """Elastic strain of a wire with slack, its slope, and how far it lies loose: dead zone; soft,
+    s [x/s - 1 + exp(-x/s)], a crimped wire that straightens (Lanir, J. Biomech. 16, 1983); or a
+    sleeve with friction, in which it slides where |sigma| > sigma_f (play with friction: Armstrong-
+    Helouvry et al., Automatica 30, 1994)."""
+    slack = has.slack
+    if has.slack_soft > 0.0 and slack > 0.0:
+        if strain <= 0.0:
+            return strain, 1.0, 0.0
+        left = math.exp(-strain / slack)
+        return strain - slack * (1.0 - left), 1.0 - left, 0.0
+    if has.slack_friction > 0.0:
+        hold = has.slack_friction / modulus
+        now = min(max(loose, strain - hold), strain + hold)
+        now = min(max(now, 0.0), slack)
+        sticks = abs(strain - now) < hold or now == 0.0 or now == slack
+        return strain - now, 1.0 if sticks else 0.0, now
+    now = min(max(strain, 0.0), slack)
+    return strain - now, 0.0 if 0.0 < strain < slack else 1.0, 0.0
+
+
+@inlined
+def crept_back(has, most, austenite, step):
+    """Largest austenite fraction that still holds strain, which creeps back: tau dm/dt = 1 - xi - m
+    (recovery of two-way strain; plausible)."""
+    if has.residual_recovery > 0.0:
+        most -= (most - austenite) * -math.expm1(-step / has.residual_recovery)
+    return most
+
+
+@inlined
+def ratcheted(has, loops):
+    """Share of the strain that stays after so many loops: 1 - exp(-n/n_0) (ratcheting: Lagoudas,
+    Shape Memory Alloys, 2008, ch. 3)."""
+    return -math.expm1(-loops / has.residual_ratchet) if has.residual_ratchet > 0.0 else 1.0
+
+
+# --- Sensors.
+
+SLOWER = 6.0  # time constant of a slow share, of the fast one's
+
+
+def lagged(values: Array, period: float, lag: float, slow: float, exposure: float) -> Array:
+    """(n, w) readings `period` s apart with a lag from rest: first order, a slow share beside it (a
+    glued thermocouple: Moffat, Exp. Therm. Fluid Sci. 1, 1988), or a mean over an exposure."""
+    from scipy.signal import lfilter
+
+    def first_order(time: float) -> Array:
+        rho = np.exp(-period / time)
+        return np.asarray(
+            lfilter([1.0 - rho], [1.0, -rho], values, axis=0, zi=rho * values[:1])[0]
+        )
+
+    if exposure > 0.0:
+        width = max(round(2.0 * lag / period), 1)
+        total = np.cumsum(np.vstack([np.repeat(values[:1], width, axis=0), values]), axis=0)
+        return np.asarray((total[width:] - total[:-width]) / width)
+    if slow == 0.0:
+        return first_order(lag)
+    return (1.0 - slow) * first_order(lag) + slow * first_order(SLOWER * lag)
+
+
+def offset(shape: Array, time: Array, settling: float, memory: float, power: Array) -> Array:
+    """(n,) of a deflection's slow offset, at most about 1: wandering `shape`, a warm-up 1 - exp(-t/
+    tau), or a mount that follows the wires' heat (n,) W (thermal drift of triangulation sensors:
+    makers' data sheets)."""
+    from scipy.signal import lfilter
+
+    if settling > 0.0:
+        return np.asarray(-np.expm1(-(time - time[0]) / settling))
+    if memory > 0.0:
+        rho = np.exp(-(time[1] - time[0]) / memory)
+        warm = lfilter([1.0 - rho], [1.0, -rho], power)
+        return np.asarray(warm / max(float(np.max(warm)), 1e-12))
+    return shape

@@ -1,0 +1,105 @@
+"""The numbers that a decision is made of: what every candidate gains, does and leaves."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sma_bench.diagnose.left_over import Left, left_over
+from sma_bench.diagnose.search import Search
+from sma_bench.diagnose.sizes import contribution, largest_gap
+from sma_bench.estimation.residual import DRIFT_EFFECT
+from sma_bench.estimation.solver import Fit
+
+JOIN = "+"
+_LOOKED_AT = 4  # best candidates whose remainder is looked at
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Of one candidate: an effect, or two."""
+
+    gain: float  # evidence over recalibration [nats]
+    gap: float  # what it does, in the noise of a sample
+    partner: float  # what the smaller of two does; of one the same
+    taken: float  # share of what recalibration leaves that it takes away, by root mean square
+    unsteady: float  # scatter of its size between stretches, of what noise lets it
+    surprise: float  # squared prior deviations of the bench's parameters
+    deviation: float  # the largest of them
+    left: dict[str, float] = field(default_factory=dict)  # of Left, for the best few
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Of one search."""
+
+    candidates: dict[str, Facts]
+    moved: float  # gap between the parameters as believed and as recalibrated, in noise
+    surprise: float  # of recalibration
+    deviation: float
+    left: dict[str, float]  # of Left, by recalibration
+    left_by_best: dict[str, float]
+    flexible: float  # nats that a smooth response gains over recalibration
+    flexible_gap: float  # what it does, in noise
+    beyond: float  # over the best candidate
+    beyond_gap: float
+    records: int
+    quantities: int
+    samples: int
+
+
+def weighed(search: Search) -> Weighed:
+    """Everything that the decision looks at."""
+    recalibrated, problem = search.recalibrated, search.best.problem
+    fits = effect_fits(search)
+    n = len(problem.measured)
+
+    # Squared error beyond noise, whitened by the noise of the best for all.
+    def error(fitted: Fit) -> float:
+        white = problem.whiten(fitted.left)
+        return max(float(white @ white) - n, 0.0)
+
+    before = max(error(recalibrated), 1e-9)
+    ranked = sorted(fits, key=lambda name: -fits[name].evidence)[:_LOOKED_AT]
+    found = {}
+    for name, fitted in fits.items():
+        effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
+        gap = own_gap(fitted)
+        unsteady = 1.0  # a zero that wanders has no size that is the same throughout
+        if effects != (DRIFT_EFFECT,):
+            unsteady = float(fitted.jackknifed[first] / fitted.std[first])
+        found[name] = Facts(
+            fitted.evidence - recalibrated.evidence, gap,
+            gap if len(effects) == 1 else min(own_gap(fitted, (e,)) for e in effects),
+            1.0 - float(np.sqrt(error(fitted) / before)), unsteady, fitted.surprise,
+            _deviation(fitted), plain(left_over(fitted)) if name in ranked else {},
+        )  # fmt: skip
+    return Weighed(
+        found, largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
+        recalibrated.surprise, _deviation(recalibrated), plain(search.left),
+        plain(search.left_by_best), search.flexible.gain, search.flexible.gap, search.beyond.gain,
+        search.beyond.gap, len(search.problem.observations),
+        len({q for obs in search.problem.observations for q in obs.quantities}), n,
+    )  # fmt: skip
+
+
+def plain(left: Left) -> dict[str, float]:
+    """Its numbers."""
+    return {name: value for name, value in vars(left).items() if name != "signal"}
+
+
+def effect_fits(search: Search) -> dict[str, Fit]:
+    """Of every single and pair, by its name."""
+    return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
+
+
+def own_gap(fitted: Fit, names: Iterable[str] = ()) -> float:
+    """What the effects of a candidate do, the rest of its model as it is."""
+    effects = tuple(names) or fitted.unknowns.effects
+    return largest_gap(fitted.problem, contribution(fitted, effects))
+
+
+def _deviation(fitted: Fit) -> float:
+    own: Any = fitted.x[: fitted.unknowns.bench]
+    return float(np.max(np.abs(own))) if len(own) else 0.0
