@@ -167,7 +167,11 @@ def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start:
 SINGLE, NONE, PAIR, OUTSIDE_KIND = "single", "none", "pair", "outside"
 ALL, PAPER = "all", "paper"
 # What a case shows besides the voltages.
-QUANTITIES = {ALL: ("current", "temperature", "deflection"), PAPER: ("deflection",)}
+QUANTITIES = {
+    ALL: ("current", "temperature", "deflection"), PAPER: ("deflection",),
+    "without current": ("temperature", "deflection"),
+    "without temperature": ("current", "deflection"),
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -139,6 +139,15 @@ def keep_features(seed: int, n: int, out: str) -> None:
     keep_features(Path(out), seed, n)
 
 
+@blind.command("learn", help="Weights of the decision from stored features, cross-validated.")
+@click.argument("features", metavar="FILE...", nargs=-1, required=True)
+@click.option("--out", metavar="FILE", help="write the table of weights")
+def learn_weights(features: tuple[str, ...], out: str | None) -> None:
+    from examination.blind.learn import learn
+
+    learn([Path(path) for path in features], Path(out) if out else None)
+
+
 @blind.command("rival", help="Answer one case as a rival does.")
 @click.argument("name", type=click.Choice([BIC]))
 @click.argument("records", metavar="RECORD...", nargs=-1, required=True)

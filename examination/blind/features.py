@@ -7,7 +7,7 @@ their numbers only. What is found is kept under a hash of the library, one line 
 import hashlib
 import json
 import time
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +32,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
 _LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
 _NOT_ITS = ("decision.py", "diagnosis.py", "result.py", "next_experiment.py")
 _LOADS = ("beam", "beam", "force", "beam", "spring", "beam", "antagonist")  # in turn
-_UNSTATED = 1 / 3  # of the owners
+_UNSTATED, _LESS_SIGNALS = 1 / 3, 0.35  # of the owners; of the benches that read all
 _STATED_ALWAYS = ("bench.", "load.", "composite.", "wire.diameter", "wire.length", "wire.count")
 _STREAM = 2_000_003  # apart from those that cases are made of
 
@@ -73,8 +73,13 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     load = _LOADS[index % len(_LOADS)]
     deck = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(cases.DECK,)))
     card = cases.deal(n, deck, load)[index]
-    case = cases.draw_case(seed, index, card, f"{index:04d}", load)
     own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, index)))
+    if card.signals == cases.ALL and own.random() < _LESS_SIGNALS:
+        known = {**cases.EFFECTS, **cases.OUTSIDE}
+        shown = all(known[name].in_deflection for name in card.effects)
+        less = "without current", "without temperature"
+        card = replace(card, signals=less[int(own.integers(2)) if shown else 0])
+    case = cases.draw_case(seed, index, card, f"{index:04d}", load)
     sized = size(case)
     names = RECORDS[: int(own.integers(1, 3))]
     label = make_label(case, sized)

@@ -51,10 +51,17 @@ class Label:
     stages: tuple[str, ...] = ()
     severities: dict[str, float] = field(default_factory=dict)
     wrong: dict[str, float] = field(default_factory=dict)
+    transformation_law: bool = False
+
+    @property
+    def hidden(self) -> frozenset[str]:
+        """What was hidden on purpose, or is right to say where nothing was."""
+        return _RIGHT_NAMES.get(self.kind, frozenset(self.effects))
 
     @property
     def names(self) -> frozenset[str]:
-        return _RIGHT_NAMES.get(self.kind, frozenset(self.effects))
+        """All that is right to say: another law too, where it shows beside what was hidden."""
+        return self.hidden | ({"transformation_law"} if self.transformation_law else set())
 
 
 @dataclass(frozen=True)
@@ -112,7 +119,7 @@ class Judged:
         right_ones = [parts for parts in credible if parts <= right]
         holds_truth = bool(right_ones)
         if label.kind == "pair":
-            holds_truth = frozenset[str]().union(*right_ones) == right
+            holds_truth = label.hidden <= frozenset[str]().union(*right_ones)
 
         # What the first choice and the verdict come to.
         first_right = first is not None and chosen <= right
@@ -139,7 +146,8 @@ class Judged:
             "family_right": first_right or any(STAGE_OF.get(part) in stages for part in chosen),
             "parameter_found": verdict == RECALIBRATION and not self.moved.isdisjoint(label.wrong),
             "confident_and_wrong": any(not parts & right for parts in sure),
-            "names one": bool(named & right), "names both": right <= named, "settled": settled,
+            "names one": bool(named & right), "names both": label.hidden <= named,
+            "settled": settled,
             "stated": (first.probability, first_right) if first else None,
             "error_before": self.error_before, "error_after": self.error_after,
             "seconds": self.seconds,

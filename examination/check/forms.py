@@ -22,7 +22,7 @@ from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 
 GAP, APART = 30.0, 3.0  # times the noise
 SEED = 3000
-_TRIALS = 40
+_TRIALS, _STARTS = 40, 12
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -66,7 +66,8 @@ def try_forms(name: str, true: str, other: str, rig: int) -> float:
     bounds = ([low] + [0.0] * len(shapes), [high] + [1.0] * len(shapes))
     best = wanted - _stacked(case, {})
     for sign in two.symptom.signs:
-        begin = np.array([np.log(two.natural(rng)), *[0.5] * len(shapes)])
+        tried = [np.array([at, *[0.5] * len(shapes)]) for at in np.linspace(low, high, _STARTS)]
+        begin = min(tried, key=lambda x: float(np.sum(left(x, sign) ** 2)))
         found = least_squares(
             left, begin, bounds=bounds, args=(sign,), diff_step=0.03, x_scale=0.3, max_nfev=_TRIALS
         )

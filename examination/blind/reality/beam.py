@@ -218,7 +218,8 @@ def balance(beam, pull, temperature, step, scratch):
             # What the relaxing part of the stiffness is worth in this step, and its load [m].
             worth, shift = 0.0, 0.0
             for j in range(len(beam.relaxation_time)):
-                ratio, part = step / beam.relaxation_time[j], beam.relaxation_share[j]
+                time, part = beam.relaxation_time[j], beam.relaxation_share[j]
+                ratio = step / forms.relaxing_in(beam.features, time, pull.held[s, j])
                 gain = -math.expm1(-ratio) / ratio
                 worth += part * gain
                 shift += part * (math.exp(-ratio) * pull.held[s, j] - gain * pull.deflection[s])
@@ -274,7 +275,8 @@ def balance(beam, pull, temperature, step, scratch):
     for s in range(2):
         moved = (front if s == 0 else back) - pull.deflection[s]
         for j in range(len(beam.relaxation_time)):
-            ratio = step / beam.relaxation_time[j]
+            time = beam.relaxation_time[j]
+            ratio = step / forms.relaxing_in(beam.features, time, pull.held[s, j])
             gain = -math.expm1(-ratio) / ratio
             pull.held[s, j] = math.exp(-ratio) * pull.held[s, j] + gain * moved
         pull.deflection[s] += moved

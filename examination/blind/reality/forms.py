@@ -16,8 +16,7 @@ Array = NDArray[np.float64]
 
 # --- Electrical.
 
-DIODE_CURRENT = 1.0  # A at which a constant drop is as large as that of the leads
-SLOW_SHARE = 0.6  # of a battery's drop that comes and goes
+SLOW_SHARE = 0.8  # of a battery's drop that comes and goes
 
 
 @inlined
@@ -34,25 +33,27 @@ def phase_change(has, martensite, rise):
 
 
 @inlined
-def supplied(has, voltage, sag):
-    """V behind what drops whatever the current, and ohm of what drops with it.
+def drawn(has, voltage, sag, ohm):
+    """Current [A] that a supply drives through `ohm` behind its leads.
 
-    V - t R_s I_1 - u, R_s (1 - t): a saturated transistor (Horowitz and Hill, The Art of
-    Electronics); tau du/dt = m R_s I - u: a battery's Thevenin model (Plett, Battery Management
-    Systems 1, 2015).
+    V - R_s I; V - R_s max(I - I_k, 0), an overloaded supply; V - (1 - m) R_s I - u with tau du/dt =
+    m R_s I - u, a battery (Thevenin's model: Plett, Battery Management Systems 1, 2015).
     """
-    ohm = has.supply_resistance * (1.0 - has.supply_threshold)
+    leads = has.supply_resistance
     if has.supply_memory > 0.0:
-        ohm *= 1.0 - SLOW_SHARE
-    if has.supply_threshold > 0.0 or has.supply_memory > 0.0:
-        drop = has.supply_threshold * has.supply_resistance * DIODE_CURRENT
-        voltage = max(voltage - drop - sag, 0.0)
-    return voltage, ohm
+        leads *= 1.0 - SLOW_SHARE
+        voltage = max(voltage - sag, 0.0)
+    if has.supply_knee > 0.0:
+        freely = voltage / ohm
+        if freely <= has.supply_knee:
+            return freely
+        voltage += leads * has.supply_knee
+    return voltage / (ohm + leads)
 
 
 @inlined
 def sagged(has, sag, amperes, step):
-    """u [V] of `supplied` after a step."""
+    """u [V] of `drawn` after a step."""
     if has.supply_memory > 0.0:
         share = -math.expm1(-step / has.supply_memory)
         sag += share * (SLOW_SHARE * has.supply_resistance * amperes - sag)
@@ -62,7 +63,6 @@ def sagged(has, sag, amperes, step):
 # --- Heat.
 
 ASIDE_WIDTH, ASIDE_BELOW = 5.0, 8.0  # K: deviation of a heat peak of its own, below A_s
-POWER = 0.25  # of the excess: laminar free convection
 ONSET_GAIN = 1.44
 EVENT_RISE, EVENT_FALL, EVENT_REACH = 3.0, 60.0, 120.0  # s; a door does what a rate does in so long
 
@@ -84,25 +84,35 @@ def latent_aside(has, temperature, centre):
     return has.latent_aside * math.exp(-0.5 * away * away) / (ASIDE_WIDTH * 2.5066282746)
 
 
-def film(power: float, onset: float, relative: Array, excess: Array, reference: float) -> Array:
-    """Relative film (m,) by excess: h ~ excess^(1/4) (Morgan, Adv. Heat Transfer 11, 1975), or
-    Nu = 1 + 1.44 max(1 - Ra_c/Ra, 0), a layer in which convection sets in (Hollands et al., J. Heat
-    Transfer 98, 1976)."""
-    if power > 0.0:
-        relative = (1.0 - power) * relative + power * (excess / reference) ** POWER
+def film(
+    radiant: float, onset: float, relative: Array, rays: Array, excess: Array, reference: float
+) -> Array:  # fmt: skip
+    """Film (m,) by excess over that at the reference [K]: free convection and radiation; radiation
+    alone, `rays` (m,) (Stefan and Boltzmann); or Nu = 1 + 1.44 max(1 - Ra_c/Ra, 0), a layer in
+    which convection sets in (Hollands et al., J. Heat Transfer 98, 1976)."""
     if onset > 0.0:
-        relative = 1.0 + ONSET_GAIN * np.maximum(1.0 - onset / excess, 0.0)
-    return np.asarray(relative)
+        layer = 1.0 + ONSET_GAIN * np.maximum(1.0 - onset / excess, 0.0)
+        return np.asarray(layer / np.interp(reference, excess, layer))
+    return rays if radiant > 0.0 else relative
 
 
-def skin_heat(contact: float, plate: float, cells: Array) -> Array:
-    """Heat capacity by cell, wire to surface, of 1 in all: even in the silicone, in a sleeve beside
-    the wire, or in a plate at the surface (lumped capacities behind contact resistances: Incropera,
-    Fundamentals of Heat and Mass Transfer, ch. 5)."""
-    heat = (1.0 - contact - plate) * cells
-    heat[0] += contact
-    heat[-1] += plate
-    return heat
+LAYERS = (0.1, 1.0, 10.0)  # of the time
+
+
+@inlined
+def from_reservoir(has, warmed, i, temperature, step):
+    """W into wire i from what it warms beside its way to the air; `warmed` (w, 3) K is advanced.
+
+    G (E - T) with tau dE/dt = T - E, a clamp; the mean of three of them, times a decade apart, a
+    block (lumped capacities: Incropera, Fundamentals of Heat and Mass Transfer, ch. 5).
+    """
+    watts = 0.0
+    for k in range(3):
+        part = 1.0 / 3.0 if has.reservoir_spread > 0.0 else (1.0 if k == 1 else 0.0)
+        watts += part * has.reservoir * (warmed[i, k] - temperature)
+        share = -math.expm1(-step / (has.reservoir_time * LAYERS[k]))
+        warmed[i, k] += share * (temperature - warmed[i, k])
+    return watts
 
 
 def room(rate: float, settling: float, instant: float, passed: Array) -> Array:
@@ -145,13 +155,14 @@ def relay_rows(starts, finishes, shifts, share: float) -> list[tuple]:
 
 @inlined
 def duhem(bow, own, turned, before):
-    """Factor on what is left of a phase on its way out of a loop, and its slope along the log of
-    the ramp: (o/o_r)^(b (1 - y_r)), of dy/do = p y/o, a Duhem equation (Madill and Wang, IEEE
-    Trans. Control Syst. Technol. 6, 1998). A full loop stays as it is."""
-    power = bow * max(1.0 - before, 0.0)
-    if power == 0.0 or turned <= 0.0 or own <= 0.0:
+    """Factor on the straight way out of a loop, and on its slope: 1 + b (1 - y_r)(1 - o/o_r), a
+    branch that starts flat, as Duhem equations whose slope goes with the way already made have
+    (Madill and Wang, IEEE Trans. Control Syst. Technol. 6, 1998). A full loop stays as it is."""
+    bulge = bow * max(1.0 - before, 0.0)
+    if bulge == 0.0 or turned <= 0.0 or own <= 0.0 or own > turned:
         return 1.0, 1.0
-    return (own / turned) ** power, 1.0 + power
+    place = own / turned
+    return 1.0 + bulge * (1.0 - place), 1.0 + bulge * (1.0 - 2.0 * place)
 
 
 @inlined
@@ -186,16 +197,27 @@ def worn(has, loops, driven):
 
 # --- Mechanics.
 
+SLOW_BACK = 8.0  # recovery's time, of relaxation's
+POWER_TIMES, POWER_LAW = (0.001, 3.0), 0.3  # of the time; exponent
+
 
 def prony(law: float, time: float) -> tuple[Array, Array]:
-    """Times (k,) and shares of the relaxing terms: a decade apart, one (standard linear solid), or
-    t^-0.15 over four decades (power law: Schapery, Int. J. Solids Struct. 2, 1966)."""
+    """Times (k,) and shares of the relaxing terms: a decade apart, one (standard linear solid,
+    slower back than forth), or those of a power law t^-0.3 (Schapery, Int. J. Solids Struct. 2,
+    1966)."""
     if law == 1.0:
         return np.array([time]), np.ones(1)
     if law == 2.0:
-        times = np.geomspace(0.01, 100.0, 9)
-        return time * times, times**-0.15 / np.sum(times**-0.15)
+        times = np.geomspace(*POWER_TIMES, 9)
+        return time * times, times**-POWER_LAW / np.sum(times**-POWER_LAW)
     return time * np.array([1.0 / math.sqrt(10.0), math.sqrt(10.0)]), np.full(2, 0.5)
+
+
+@inlined
+def relaxing_in(has, time, held):
+    """Time constant of a term that holds so much of the deflection: rubber that recovers more
+    slowly than it relaxes (Bergstrom and Boyce, J. Mech. Phys. Solids 46, 1998)."""
+    return time * SLOW_BACK if has.relaxation_law == 1.0 and held < 0.0 else time
 
 
 STOP = 0.015  # m
@@ -250,7 +272,7 @@ def ratcheted(has, loops):
 
 # --- Sensors.
 
-SLOWER = 6.0  # time constant of a slow share, of the fast one's
+SLOWER = 8.0  # time constant of a slow share, of the fast one's
 
 
 def lagged(values: Array, period: float, lag: float, slow: float, exposure: float) -> Array:

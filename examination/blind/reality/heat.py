@@ -59,8 +59,10 @@ def relative_film(world: World) -> Array:
     both = free_convection(excess, air, diameter) + radiation(excess, air)
     share = world.feature("convection_by_correlation")
     relative = both / np.interp(REFERENCE_EXCESS, excess, both)
-    other = world.feature("convection_power"), world.feature("convection_onset")
-    relative = forms.film(*other, relative, excess, REFERENCE_EXCESS)
+    rays = radiation(excess, air)
+    rays = rays / np.interp(REFERENCE_EXCESS, excess, rays)
+    other = world.feature("convection_radiant"), world.feature("convection_onset")
+    relative = forms.film(*other, relative, rays, excess, REFERENCE_EXCESS)
     return np.asarray(np.maximum(1.0 + share * (relative - 1.0), LEAST_FILM))
 
 
@@ -109,8 +111,7 @@ def current(rig, voltage, temperature, martensite, driven, sag):
     phase = 1.0 + forms.phase_change(has, martensite, rise)
     wire = rig.resistance * max(warm * phase, LEAST_RESISTANCE)
     contact = has.contact_growth / SECONDS_PER_MINUTE
-    behind, leads = forms.supplied(has, voltage, sag)
-    amperes = behind / (wire + leads + contact * driven)
+    amperes = forms.drawn(has, voltage, sag, wire + contact * driven)
     if has.current_limit > 0.0:
         amperes = min(max(amperes, -has.current_limit), has.current_limit)
     return amperes, amperes * amperes * wire
@@ -169,8 +170,7 @@ def strip_of(world: World) -> Strip:
     skin, middle = 1.0 / skin, conductance / middle
     heat = world.feature("silicone_heat_capacity")
     wire = p["wire.mass"] * p["wire.specific_heat"]
-    places = world.feature("silicone_contact"), world.feature("silicone_plate")
-    skin_heat = heat * forms.skin_heat(*places, np.array(SKIN_CELLS))
+    skin_heat = heat * np.array(SKIN_CELLS)
     # Isolated cells take part in nothing, but the equations need a number.
     between = 2.0 * heat + world.feature("coupling_capacity")
     middle_heat = between * middle_cells if conductance > 0.0 else np.ones(MIDDLE)

@@ -62,7 +62,7 @@ class Inputs(NamedTuple):
 class Wires(NamedTuple):
     """State of the wires, each (w,): K before and after a step, martensite before it, s driven,
     full loops so far, K drift of the transition, J of latent heat owed, the transformation per
-    kelvin in the last step [1/K], and V by which the supply sags."""
+    kelvin in the last step [1/K], V by which the supply sags; K of what it warms beside (w, 3)."""
 
     before: Array
     after: Array
@@ -73,6 +73,7 @@ class Wires(NamedTuple):
     owed: Array
     apparent: Array
     sag: Array
+    beside: Array
 
 
 class Scratch(NamedTuple):
@@ -122,6 +123,10 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                     paid = PAID_BACK * wires.owed[i]
                     wires.owed[i] -= paid
                     scratch.source[0, i] = joule + paid / step
+                    if rig.features.reservoir > 0.0:
+                        scratch.source[0, i] += forms.from_reservoir(
+                            rig.features, wires.beside, i, wires.after[i], step
+                        )
                     worth = forms.latent_worth(rig.features, xi)
                     aside = forms.latent_aside(rig.features, wires.after[i], rig.aside)
                     scratch.source[1, i] = rig.latent * (worth * wires.apparent[i] + aside)
@@ -275,7 +280,8 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     # Cold, all martensite, never driven.
     still = float(p["environment.ambient_temperature"])
     before, after = np.full((2, wires), still)
-    at_rest = Wires(before, after, np.ones(wires), *(np.zeros(wires) for _ in range(6)))
+    zeros = (np.zeros(wires) for _ in range(6))
+    at_rest = Wires(before, after, np.ones(wires), *zeros, np.full((wires, 3), still))
     scratch = Scratch(
         np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)), np.zeros((ROWS, wires))
     )

@@ -277,8 +277,8 @@ def transform(classes, table, memory, bow, grains, i, temperature, stress):
         slope = line[i, c, SLOPE] * along
         if bow > 0.0:
             turned = line[i, c, TURNED]
-            factor, power = forms.duhem(bow, own, turned, line[i, c, SLOPE] * turned)
-            phase, slope = phase * factor, slope * factor * power
+            factor, steep = forms.duhem(bow, own, turned, line[i, c, SLOPE] * turned)
+            phase, slope = phase * factor, slope * steep
         moved_back = other_place(classes, c, rising, temperature, stress) < line[i, c, OTHER_PLACE]
         moved_back = moved_back and line[i, c, OTHER_RAMP] > 0.0
         if moved_back or line[i, c, TRACED] > 0.0:

@@ -1,0 +1,250 @@
+"""The decision's weights from stored features: likeliest, cross-validated, with errors.
+
+A ridge whose strength cross-validation chooses keeps weights that the cases do not tell near 0.
+Forms are left out in turn (of every effect its first form, its second, its third), and rigs, every
+case having its own. Today's rules answer the same left-out cases.
+"""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+import yaml
+from scipy.optimize import minimize
+from scipy.special import logsumexp
+
+from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
+from examination.blind.cases import EFFECTS
+from examination.pieces import print_table
+from sma_bench.diagnose.facts import JOIN, Weighed
+from sma_bench.diagnose.utilities import FIXED, NAMES, SIGNS, features
+from sma_bench.parameters.yaml_file import write_text_atomically
+
+Array = npt.NDArray[np.float64]
+
+RIDGES = (0.1, 0.3, 1.0, 3.0, 10.0)
+FOLDS = 6
+COVERAGE, NAMED, CONFIDENT = 0.9, 0.6, 0.8
+_LEAST = 1e-6  # of a probability
+_SEED = 44
+_SIDED = [SIGNS[kind][name] for kind, _, name in (n.partition(".") for n in NAMES)]
+_BOUNDS = [((0.0, None), (None, None), (None, 0.0))[1 - sign] for sign in _SIDED]
+
+
+class Known:
+    """One case: explanations and their features (c, k), which are right, today's probabilities."""
+
+    def __init__(self, line: dict[str, Any]) -> None:
+        self.label, self.index = line["label"], line["index"]
+        rows = features(msgspec.convert(line["facts"], Weighed))
+        self.names = list(rows)
+        self.x = np.array([[row.get(name, 0.0) for name in NAMES] for row in rows.values()])
+        self.fixed = np.array([row.get(FIXED, 0.0) for row in rows.values()])
+        right = right_names(self.label, self.names)
+        self.right = np.array([name in right for name in self.names])
+        self.today = np.array([line["today"].get(name, 0.0) for name in self.names])
+        # Number of the form of what is hidden; rigs without an effect go by turns.
+        hidden = [n for n in self.label["effects"] if n in EFFECTS]
+        self.form = self.index % 3
+        if hidden:
+            main = max(hidden, key=lambda n: self.label["severities"].get(n, 0.0))
+            self.form = list(EFFECTS[main].forms).index(self.label["forms"][main])
+
+
+def right_names(label: dict[str, Any], names: Sequence[str]) -> set[str]:
+    """Explanations that are right to put first."""
+    kind, effects = label["kind"], label["effects"]
+    if kind == "none":
+        return {RECALIBRATION, NO_GAP}
+    if kind == "recalibration":
+        return {RECALIBRATION}
+    if kind == "outside":
+        return {UNEXPLAINED}
+    # Of a pair one effect alone where the other does less than a tenth, or no fit has them both.
+    main = max(effects, key=lambda name: label["severities"].get(name, 0.0))
+    whole = JOIN.join(sorted(effects))
+    least = min(label["severities"].get(name, 0.0) for name in effects)
+    if len(effects) > 1 and least < 0.1 * label["severities"].get(main, 0.0):
+        return {main, whole}
+    return {whole} if whole in names else set(effects)
+
+
+def fit_weights(cases: Sequence[Known], ridge: float) -> tuple[Array, Array]:
+    """The likeliest weights (k,) under a ridge, and the Hessian there (k, k)."""
+    scale = scales(cases)
+    edges = np.cumsum([0, *(len(case.names) for case in cases)])
+    x = np.vstack([case.x for case in cases]) / scale
+    fixed, right = (np.concatenate([getattr(c, n) for c in cases]) for n in ("fixed", "right"))
+    group = np.repeat(np.arange(len(cases)), np.diff(edges))
+
+    def shares(u: Array) -> tuple[Array, Array]:
+        """Probabilities of all in each case, and log of each case's sum."""
+        top = np.maximum.reduceat(u, edges[:-1])
+        e = np.exp(u - top[group])
+        total = np.add.reduceat(e, edges[:-1])
+        return e / total[group], np.log(total) + top
+
+    def loss(w: Array) -> tuple[float, Array]:
+        u = x @ w + fixed
+        p, whole = shares(u)
+        q, of_right = shares(np.where(right, u, -1e9))
+        value = float(np.sum(whole - of_right)) + 0.5 * ridge * float(w @ w)
+        return value, x.T @ (p - q * right) + ridge * w
+
+    found = minimize(loss, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B", bounds=_BOUNDS,
+                     options={"maxiter": 2000})  # fmt: skip
+    p, _ = shares(x @ found.x + fixed)
+    means = np.add.reduceat(x * p[:, None], edges[:-1], axis=0)
+    hessian = (x * p[:, None]).T @ x - means.T @ means + ridge * np.eye(len(NAMES))
+    return found.x / scale, hessian * np.outer(scale, scale)
+
+
+def scales(cases: Sequence[Known]) -> Array:
+    """(k,) root mean square of every feature where it is there."""
+    x = np.vstack([case.x for case in cases])
+    there = np.maximum(np.sum(x != 0.0, axis=0), 1)
+    return np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
+
+
+def answer(case: Known, weights: Array) -> Array:
+    """(c,) probabilities."""
+    u = case.x @ weights + case.fixed
+    return np.asarray(np.exp(u - logsumexp(u)))
+
+
+def left_out(cases: Sequence[Known], folds: Array, ridge: float) -> list[Array]:
+    """What weights that have not seen its fold answer to every case."""
+    found: list[Array] = [np.zeros(0)] * len(cases)
+    for fold in np.unique(folds):
+        seen = [case for case, own in zip(cases, folds, strict=True) if own != fold]
+        weights = fit_weights(seen, ridge)[0]
+        for k in np.flatnonzero(folds == fold).tolist():
+            found[k] = answer(cases[k], weights)
+    return found
+
+
+def log_probability(cases: Sequence[Known], answers: Sequence[Array]) -> Array:
+    """(n,) of what is right."""
+    return np.array([
+        np.log(max(float(p[case.right].sum()), _LEAST))
+        for case, p in zip(cases, answers, strict=True)
+    ])  # fmt: skip
+
+
+def mass_needed(case: Known, p: Array) -> float:
+    """Mass of the smallest set of the most probable explanations that holds the main effect."""
+    total = 0.0
+    for k in np.argsort(-p, kind="stable").tolist():
+        total += float(p[k])
+        if holds(case, k):
+            return total
+    return 1.0
+
+
+def holds(case: Known, k: int) -> bool:
+    """Whether an explanation holds the main effect, or is right otherwise."""
+    if case.right[k]:
+        return True
+    parts = set(case.names[k].split(JOIN))
+    severities = case.label["severities"]
+    known = [n for n in case.label["effects"] if n in EFFECTS]
+    return bool(known) and max(known, key=lambda n: severities.get(n, 0.0)) in parts
+
+
+def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, float]:
+    """Everything that is compared. Sets: the smallest that reach the conformal threshold, which the
+    other half of the cases gives."""
+    firsts = [int(np.argmax(p)) for p in answers]
+    right = np.array([case.right[k] for case, k in zip(cases, firsts, strict=True)])
+    singles = np.array([c.label["kind"] == "single" for c in cases])
+    plain = singles & np.array([bool(c.label["distinguishable"]) for c in cases])
+    effect = np.array([
+        case.names[k] in known_names(case) for case, k in zip(cases, firsts, strict=True)
+    ])  # fmt: skip
+    likely = np.array([p[k] for p, k in zip(answers, firsts, strict=True)])
+    kinds = {kind: np.array([c.label["kind"] == kind for c in cases])
+             for kind in ("none", "recalibration", "outside", "pair")}  # fmt: skip
+    named = effect & (likely >= NAMED)
+    needed = np.array([mass_needed(c, p) for c, p in zip(cases, answers, strict=True)])
+    halves, sizes, covered = np.arange(len(cases)) % 2, [], []
+    for half in (0, 1):
+        mass = conformal(needed[halves != half])
+        for k in np.flatnonzero(halves == half).tolist():
+            order = np.argsort(-answers[k], kind="stable")
+            count = int(np.searchsorted(np.cumsum(answers[k][order]), mass - 1e-9)) + 1
+            chosen = order[:count].tolist()
+            sizes.append(len({n for j in chosen for n in cases[k].names[j].split(JOIN)}))
+            covered.append(any(holds(cases[k], j) for j in chosen))
+    return {
+        "log probability of the truth": float(np.mean(log_probability(cases, answers))),
+        "first choice right": float(np.mean(right)),
+        "of distinguishable singles": float(np.mean(right[plain])),
+        "of these named and right": float(np.mean((right & named)[plain])),
+        "pairs, both": float(np.mean(right[kinds["pair"]])),
+        "outside as such": float(np.mean(right[kinds["outside"]])),
+        "wrong parameters as such": float(np.mean(right[kinds["recalibration"]])),
+        "false alarms of clean ones": float(np.mean(named[kinds["none"]])),
+        "confident and wrong": float(np.mean(~right & (likely >= CONFIDENT))),
+        "of those an effect": float(np.mean(~right & named & (likely >= CONFIDENT))),
+        "90 % set: coverage": float(np.mean(covered)),
+        "90 % set: size": float(np.mean(sizes)),
+        "90 % set: mass": conformal(needed),
+    }  # fmt: skip
+
+
+def known_names(case: Known) -> list[str]:
+    """Explanations that are made of effects."""
+    return [n for n in case.names if n not in (NO_GAP, RECALIBRATION, UNEXPLAINED)]
+
+
+def conformal(needed: Array) -> float:
+    """Mass that was enough in 90 % of the cases, one more reckoned as having needed all."""
+    place = int(np.ceil(COVERAGE * (len(needed) + 1))) - 1
+    return float(np.sort(needed)[min(place, len(needed) - 1)])
+
+
+def learn(paths: Sequence[Path], out: Path | None) -> None:
+    """Print today's rules beside the logit on the same left-out cases, then weights and errors;
+    write the table to `out`."""
+    lines = [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+    cases = [Known(line) for line in lines]
+    today = [case.today for case in cases]
+    forms = np.array([case.form for case in cases])
+    rigs = np.random.default_rng(_SEED).permutation(len(cases)) % FOLDS
+    print(f"{len(cases)} cases; ridge by log probability on left-out forms and rigs:")
+    scored = {}
+    for ridge in RIDGES:
+        both = [left_out(cases, folds, ridge) for folds in (forms, rigs)]
+        scored[ridge] = both
+        shown = "  ".join(f"{np.mean(log_probability(cases, a)):.3f}" for a in both)
+        print(f"  {ridge:5.1f}  {shown}")
+    best = max(RIDGES, key=lambda r: sum(np.mean(log_probability(cases, a)) for a in scored[r]))
+    by_forms, by_rigs = scored[best]
+    columns = [measures(cases, answers) for answers in (today, by_forms, by_rigs)]
+    head = ("measure", ">today", ">forms left out", ">rigs left out")
+    print_table(head, [(name, *(f"{c[name]:.3f}" for c in columns)) for name in columns[0]])
+    for name, answers in (("forms", by_forms), ("rigs", by_rigs)):
+        gain = log_probability(cases, answers) - log_probability(cases, today)
+        error = np.std(gain) / np.sqrt(len(cases))
+        print(f"log probability over today's, {name} left out: {np.mean(gain):+.3f} +- {error:.3f}")
+    weights, hessian = fit_weights(cases, best)
+    errors = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    print_table(
+        ("weight", ">value", ">error"),
+        [(n, f"{w:.3f}", f"{e:.3f}") for n, w, e in zip(NAMES, weights, errors, strict=True)],
+    )
+    if out is not None:
+        document = {
+            "source": f"{len(cases)} development cases, ridge {best:g}",
+            "library": lines[0]["library"],
+            "set_mass": round(columns[1]["90 % set: mass"], 4),
+            "weights": {n: [round(float(w), 4), round(float(e), 4)]
+                        for n, w, e in zip(NAMES, weights, errors, strict=True)},
+        }  # fmt: skip
+        text = "# Weights of the decision with their errors: ./bench blind learn writes them.\n"
+        text += yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
+        write_text_atomically(out, text)

@@ -1,0 +1,104 @@
+"""Forms: of every effect three, drawn for every case of the new seeds and named on its label."""
+
+import json
+
+import numpy as np
+import pytest
+
+from examination.blind import features, learn
+from examination.blind.cases import EFFECTS, IN_FORMS, draw_cases
+from examination.blind.make import make_label, size
+from examination.blind.reality import happen
+from examination.blind.rigs import COMMAND_PERIOD, world_of
+from examination.check.forms import try_forms
+from sma_bench.errors import InputError
+
+pytest.importorskip("numba", reason="whole records take minutes uncompiled")
+
+
+def test_every_effect_has_three_forms_and_new_seeds_draw_them():
+    assert all(len(symptom.forms) >= 3 for symptom in EFFECTS.values())
+    assert not any(case.forms or case.fixed for case in draw_cases(2699, 20))
+    drawn = {name: set() for name in EFFECTS}
+    for case in draw_cases(2700, 60):
+        for name, form in case.forms.items():
+            drawn.setdefault(name, set()).add(form)
+    assert all(drawn[name] == set(EFFECTS[name].forms) for name in EFFECTS)
+    assert len(drawn["kinetics"]) == len(drawn["noise"]) == 3
+    assert 2699 not in IN_FORMS and 3000 in IN_FORMS
+
+
+def test_a_form_is_named_on_the_label_and_does_what_another_does_not():
+    case = next(c for c in draw_cases(3000, 60) if c.card.effects == ("slack",))
+    label = make_label(case, size(case))
+    assert label["forms"]["slack"] == case.forms["slack"]
+    assert label["transformation_law"] == (label["law_distance"] > 2.0)
+    assert try_forms("slack", "hard", "soft", 0) > 3.0
+
+
+def test_off_every_setting_does_nothing():
+    """The single form of old seeds is what a world without settings is."""
+    case = draw_cases(1000, 4)[0]
+    time = case.drives["record"].grid(COMMAND_PERIOD)
+    volts = case.drives["record"].voltage(time, case.sides)
+    plain = happen(world_of(case.truth, {"slack": 0.004, "supply_resistance": 0.2}), time, volts)
+    off = {"slack": 0.004, "supply_resistance": 0.2, "slack_soft": 0.0, "supply_memory": 0.0}
+    same = happen(world_of(case.truth, off), time, volts)
+    assert np.array_equal(plain.deflection, same.deflection)
+
+
+# --- The decision learnt from what is known of cases.
+
+
+def line(index, rng):
+    """A made-up case whose right effect gains most, takes most away and is steady."""
+    names = ("slack", "latent_heat", "supply_drop")
+    true = names[index % 3]
+    left = {"ratio": 1.0, "size": 0.1, "outlier": 3.0, "drift": 0.0}
+    candidates = {}
+    for name in names:
+        right = name == true
+        candidates[name] = {
+            "gain": float(np.exp(rng.normal(5.0 if right else 3.0, 1.0))), "gap": 10.0,
+            "partner": 10.0, "taken": float(rng.uniform(0.8 * right, 1.0 if right else 0.8)),
+            "unsteady": float(rng.uniform(0.5, 2.0) if right else rng.uniform(1.0, 6.0)),
+            "surprise": 10.0, "deviation": 1.0, "left": left,
+        }  # fmt: skip
+    facts = {
+        "candidates": candidates, "moved": 5.0, "surprise": 30.0, "deviation": 3.0, "left": left,
+        "left_by_best": left, "flexible": 100.0, "flexible_gap": 1.0, "beyond": 5.0,
+        "beyond_gap": 0.1, "records": 2, "quantities": 3, "samples": 1000,
+    }  # fmt: skip
+    label = {"kind": "single", "effects": [true], "severities": {true: 10.0}, "forms": {
+        true: list(EFFECTS[true].forms)[(index // 3) % 3]}, "distinguishable": True}  # fmt: skip
+    return {"index": index, "label": label, "facts": facts, "library": "none",
+            "today": dict.fromkeys((*names, "recalibration", "no_gap", "unexplained"), 1 / 6)}
+
+
+def test_weights_are_learnt_with_their_signs_and_predict_left_out_forms(tmp_path, capsys):
+    rng = np.random.default_rng(1)
+    path = tmp_path / "features.jsonl"
+    path.write_text("".join(json.dumps(line(k, rng)) + "\n" for k in range(120)))
+    learn.learn([path], tmp_path / "weights.yaml")
+    said = capsys.readouterr().out
+    row = next(s for s in said.splitlines() if s.startswith("log probability of the truth"))
+    today, forms, rigs = map(float, row.split()[-3:])
+    assert abs(today - np.log(1 / 6)) < 1e-3 and min(forms, rigs) > -0.8
+    weights = learn.fit_weights([learn.Known(line(k, rng)) for k in range(90)], 1.0)[0]
+    known = dict(zip(learn.NAMES, weights, strict=True))
+    assert known["effect.taken"] > 0.0 >= known["effect.unsteady"]
+    assert "set_mass" in (tmp_path / "weights.yaml").read_text()
+
+
+def test_features_go_on_where_they_ended_and_refuse_another_library(tmp_path, capsys):
+    path = tmp_path / "features.jsonl"
+    features.keep_features(path, 3000, 1)
+    kept = path.read_text()
+    features.keep_features(path, 3000, 1)
+    assert path.read_text() == kept and kept.count("\n") == 1
+    known = json.loads(kept)
+    assert abs(sum(known["today"].values()) - 1.0) < 1e-3
+    assert learn.Known(known).right.any()
+    path.write_text(kept.replace(known["library"], "0" * 16))
+    with pytest.raises(InputError, match="another library"):
+        features.keep_features(path, 3000, 1)
