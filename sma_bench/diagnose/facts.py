@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.diagnose.left_over import Left, left_over
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
@@ -27,6 +28,8 @@ class Facts:
     unsteady: float  # scatter of its size between stretches, of what noise lets it
     surprise: float  # squared prior deviations of the bench's parameters
     deviation: float  # the largest of them
+    own: float  # largest prior deviation of the effects' own numbers
+    taken_by: dict[str, float]  # as `taken`, by quantity
     left: dict[str, float] = field(default_factory=dict)  # of Left, for the best few
 
 
@@ -38,6 +41,7 @@ class Weighed:
     moved: float  # gap between the parameters as believed and as recalibrated, in noise
     surprise: float  # of recalibration
     deviation: float
+    as_stated: float  # evidence of the parameters as believed over recalibration [nats]
     left: dict[str, float]  # of Left, by recalibration
     left_by_best: dict[str, float]
     flexible: float  # nats that a smooth response gains over recalibration
@@ -53,34 +57,42 @@ def weighed(search: Search) -> Weighed:
     """Everything that the decision looks at."""
     recalibrated, problem = search.recalibrated, search.best.problem
     fits = effect_fits(search)
-    n = len(problem.measured)
+    quantities = list(dict.fromkeys(b.signal.quantity for b in problem.blocks))
+    of = np.array([quantities.index(b.signal.quantity) for b in problem.blocks])
 
-    # Squared error beyond noise, whitened by the noise of the best for all.
-    def error(fitted: Fit) -> float:
-        white = problem.whiten(fitted.left)
-        return max(float(white @ white) - n, 0.0)
+    # (q,) squared error beyond noise, whitened by the noise of the best for all.
+    def error(fitted: Fit) -> Array:
+        white = problem.whiten(fitted.left) ** 2
+        sums = np.array([np.sum(white[b.rows] - 1.0) for b in problem.blocks])
+        return np.bincount(of, sums)
 
-    before = max(error(recalibrated), 1e-9)
+    def taken(now: Array, before: Array) -> Array:
+        return 1.0 - np.sqrt(np.maximum(now, 0.0) / np.maximum(before, 1.0))
+
+    before = error(recalibrated)
     ranked = sorted(fits, key=lambda name: -fits[name].evidence)[:_LOOKED_AT]
     found = {}
     for name, fitted in fits.items():
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
-        gap = own_gap(fitted)
+        gap, now = own_gap(fitted), error(fitted)
         unsteady = 1.0  # a zero that wanders has no size that is the same throughout
         if effects != (DRIFT_EFFECT,):
             unsteady = float(fitted.jackknifed[first] / fitted.std[first])
         found[name] = Facts(
             fitted.evidence - recalibrated.evidence, gap,
             gap if len(effects) == 1 else min(own_gap(fitted, (e,)) for e in effects),
-            1.0 - float(np.sqrt(error(fitted) / before)), unsteady, fitted.surprise,
-            _deviation(fitted), plain(left_over(fitted)) if name in ranked else {},
+            float(taken(now.sum(), before.sum())), unsteady, fitted.surprise, _deviation(fitted),
+            float(np.max(np.abs(fitted.x[first:]))),
+            dict(zip(quantities, taken(now, before).tolist(), strict=True)),
+            plain(left_over(fitted)) if name in ranked else {},
         )  # fmt: skip
     return Weighed(
         found, largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
-        recalibrated.surprise, _deviation(recalibrated), plain(search.left),
+        recalibrated.surprise, _deviation(recalibrated),
+        search.nominal.evidence - recalibrated.evidence, plain(search.left),
         plain(search.left_by_best), search.flexible.gain, search.flexible.gap, search.beyond.gain,
-        search.beyond.gap, len(search.problem.observations),
-        len({q for obs in search.problem.observations for q in obs.quantities}), n,
+        search.beyond.gap, len(search.problem.observations), len(quantities),
+        len(problem.measured),
     )  # fmt: skip
 
 

@@ -62,10 +62,11 @@ def line(index, rng):
             "gain": float(np.exp(rng.normal(5.0 if right else 3.0, 1.0))), "gap": 10.0,
             "partner": 10.0, "taken": float(rng.uniform(0.8 * right, 1.0 if right else 0.8)),
             "unsteady": float(rng.uniform(0.5, 2.0) if right else rng.uniform(1.0, 6.0)),
-            "surprise": 10.0, "deviation": 1.0, "left": left,
+            "surprise": 10.0, "deviation": 1.0, "own": 1.0, "taken_by": {}, "left": left,
         }  # fmt: skip
     facts = {
-        "candidates": candidates, "moved": 5.0, "surprise": 30.0, "deviation": 3.0, "left": left,
+        "candidates": candidates, "moved": 5.0, "surprise": 30.0, "deviation": 3.0,
+        "as_stated": -50.0, "left": left,
         "left_by_best": left, "flexible": 100.0, "flexible_gap": 1.0, "beyond": 5.0,
         "beyond_gap": 0.1, "records": 2, "quantities": 3, "samples": 1000,
     }  # fmt: skip
