@@ -19,9 +19,10 @@ import numpy as np
 from scipy.special import softmax
 
 from sma_bench.arrays import Array
-from sma_bench.diagnose.result import Explanation, Verdict
+from sma_bench.diagnose.facts import JOIN, effect_fits, own_gap
+from sma_bench.diagnose.result import Explanation, Verdict, inclusion
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import contribution, largest_gap
+from sma_bench.diagnose.sizes import largest_gap
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
@@ -30,7 +31,6 @@ from sma_bench.physics.effects import EFFECTS
 
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
 BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
-JOIN = "+"
 SURPRISED = "parameters are needed that nobody believes in"
 
 SCALE = 2.4  # nats
@@ -63,7 +63,8 @@ LARGEST_SIGN, LARGEST_BESIDE, MUCH = 6.0, -0.3, 15.0  # MUCH in nats
 # Log odds, to recalibration, of what is there and leaves no sign: a record without a sign is never
 # proof that only the parameters are off.
 UNSEEN = -1.45
-NAMED = 0.6  # probability from which one candidate is named
+NAMED = 0.6  # probability from which what is at work is named
+REMARK = 0.1  # share of the gap below which a partner is a remark beside the main cause
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,11 +72,6 @@ class Candidate(Explanation):
     """An explanation with the fit of its model, None for unexplained."""
 
     fit: Fit | None = None
-
-    @property
-    def effects(self) -> tuple[str, ...]:
-        """Effects that it is made of."""
-        return self.fit.unknowns.effects if self.fit is not None else ()
 
 
 @dataclass(frozen=True)
@@ -93,6 +89,8 @@ class Weights:
     # by effect, how often the records tell the same again: what its size scatters, as variance over
     # what noise and STEADY allow
     unsteady: Mapping[str, float] = field(default_factory=dict)
+    # of a pair, what each does, in noise
+    parts: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def probabilities(self) -> dict[str, float]:
         """Of every candidate."""
@@ -136,27 +134,42 @@ class Weights:
 
 def weigh(search: Search) -> Weights:
     """What the fits weigh."""
-    fits = _effect_fits(search)
+    fits = effect_fits(search)
     gaps = {name: own_gap(fit) for name, fit in fits.items()}
+    parts = {
+        JOIN.join(key): {effect: own_gap(fit, (effect,)) for effect in key}
+        for key, fit in search.pairs.items()
+    }
     signs = signs_of_unexplained(search)
     return Weights(
         {name: fit.evidence - search.recalibrated.evidence for name, fit in fits.items()},
-        gaps, {name: _worth_of(search, name, gaps[name]) for name in fits},
+        gaps, {
+            name: _worth(min(parts[name].values()), PARTNER_OF_INTEREST, 6.0) if name in parts
+            else _worth(gaps[name], SMALLEST_OF_INTEREST, SMALL) for name in fits
+        },
         largest_gap(
             search.recalibrated.problem, search.recalibrated.predicted - search.nominal.predicted
         ),
         max(v for name, v in signs.items() if name != SURPRISED),
         signs[SURPRISED], max(_signs_of_share(search).values()), len(search.problem.observations),
         {name: _unsteady(fit) for name, fit in search.singles.items() if search.gain(name) > 0.0},
-    )
+        parts,
+    )  # fmt: skip
 
 
 def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
-    """All candidates, the most probable first."""
-    fits = _effect_fits(search)
+    """All candidates, the most probable first. Of a pair whose smaller half does next to nothing
+    the other is the cause: what the pair has, that one has, and the smaller half is its remark."""
+    fits: dict[str, Fit] = effect_fits(search)
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
+    probabilities, remarks = weights.probabilities(), dict[str, dict[str, float]]()
+    for pair, parts in weights.parts.items():
+        small, main = sorted(parts, key=lambda effect: parts[effect])
+        if parts[small] < REMARK * parts[main]:
+            probabilities[main] += probabilities.pop(pair)
+            remarks.setdefault(main, {})[small] = parts[small] / parts[main]
     found = []
-    for name, probability in weights.probabilities().items():
+    for name, probability in probabilities.items():
         stages, numbers = [], {}
         if name in weights.gains:
             fitted = fits[name]
@@ -165,7 +178,8 @@ def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
             numbers = dict(list(every.items())[fitted.unknowns.baseline :])
         found.append(Candidate(
             name, probability, JOIN.join(dict.fromkeys(stages)), numbers,
-            weights.gaps.get(name, weights.moved), weights.gains.get(name, 0.0), fits.get(name),
+            weights.gaps.get(name, weights.moved), weights.gains.get(name, 0.0),
+            remarks.get(name, {}), fits.get(name),
         ))  # fmt: skip
     return tuple(sorted(found, key=lambda c: (-c.probability, c.name)))
 
@@ -182,25 +196,6 @@ def estimates(fitted: Fit, stds: Array) -> dict[str, Estimate]:
 def scale_of(best: float) -> float:
     """Nats that count as one, where the best effect gains `best`."""
     return SCALE + SHARE * best
-
-
-def _effect_fits(search: Search) -> dict[str, Fit]:
-    return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
-
-
-def own_gap(fitted: Fit, names: tuple[str, ...] | None = None) -> float:
-    """What the effects of a candidate do, the rest of its model as it is."""
-    effects = names or fitted.unknowns.effects
-    return largest_gap(fitted.problem, contribution(fitted, effects))
-
-
-def _worth_of(search: Search, name: str, gap: float) -> float:
-    """Of an effect by what it does, of a pair by what the smaller of both does."""
-    if JOIN not in name:
-        return _worth(gap, SMALLEST_OF_INTEREST, SMALL)
-    one, other = name.split(JOIN)
-    smaller = min(own_gap(search.pairs[one, other], (part,)) for part in (one, other))
-    return _worth(smaller, PARTNER_OF_INTEREST, 6.0)
 
 
 def signs_of_unexplained(search: Search) -> dict[str, float]:
@@ -267,13 +262,22 @@ def _unsteady(fitted: Fit) -> float:
     return float(max((fitted.jackknifed[first] / fitted.std[first] / STEADY) ** 2, 1.0))
 
 
+def named(candidates: Sequence[Candidate], weights: Weights) -> tuple[str, ...]:
+    """Effects that are at work, whatever else is: what does most first."""
+    found = sorted(name for name, p in inclusion(candidates).items() if p >= NAMED)
+    gaps = weights.parts.get(JOIN.join(found), {})
+    return tuple(sorted(found, key=lambda name: -gaps.get(name, 0.0)))
+
+
 def verdict_of(candidates: Sequence[Candidate]) -> Verdict:
     """What is said of candidates, the most probable first."""
+    if max(inclusion(candidates).values(), default=0.0) >= NAMED:
+        return "effect"
     first = candidates[0].name
     likely = sum(c.probability for c in candidates if c.name in BENIGN)
     if (likely if first in BENIGN else candidates[0].probability) < NAMED:
         return "ambiguous"
-    return "effect" if candidates[0].effects else cast(Verdict, first)
+    return cast(Verdict, first)
 
 
 def _worth(size: float, wanted: float, steepness: float) -> float:

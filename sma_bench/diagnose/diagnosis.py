@@ -123,7 +123,8 @@ def diagnose(
     weights = decision.weigh(found)
     candidates = decision.decide(found, weights)
     verdict = decision.verdict_of(candidates)
-    model = next(c.fit for c in candidates if c.fit is not None)
+    cause = decision.named(candidates, weights) if verdict == "effect" else ()
+    model = next(c.fit for c in candidates if c.fit is not None and set(cause) <= set(c.effects))
     recalibrated, no_gap = found.recalibrated, verdict == decision.NO_GAP
     improved = parameters if no_gap else _improved(model, parameters)
 
@@ -192,7 +193,7 @@ def diagnose(
     moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(
         verdict=verdict,
-        cause=candidates[0].effects if verdict == "effect" else (),
+        cause=cause,
         candidates=candidates,
         where=Where(
             top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)

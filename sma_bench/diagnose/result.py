@@ -2,7 +2,7 @@
 topic is made from (`templates/diagnosis.j2`)."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ from sma_bench.findings import Finding
 from sma_bench.results import Carded, card_rows, cells, decoded, sentences
 
 Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained"]
+NO_EFFECT = ("recalibration", "no_gap", "unexplained")  # candidates without a cause
 SET_MASS = 0.9  # probability that the credible candidates make together
 AT_NOISE = 1.05  # rms of the error over the noise of a sample: nothing to shrink
 WORTH = 0.05  # probability more than now that the true cause is given
@@ -84,6 +85,23 @@ class Explanation:
     parameters: dict[str, Estimate] = field(default_factory=dict)  # of its effects
     gap_over_noise: float = math.nan  # what these do
     log_evidence: float = math.nan  # nats, over recalibration
+    # effects that would do less than a tenth of what this one does beside it, with that share
+    beside: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Effects that it is made of."""
+        return () if self.name in NO_EFFECT else tuple(self.name.split("+"))
+
+
+def inclusion(candidates: Sequence[Explanation]) -> dict[str, float]:
+    """Of every effect the probability that it is at work, summed over all explanations that hold
+    it; the most probable first."""
+    found: dict[str, float] = {}
+    for candidate in candidates:
+        for effect in candidate.effects:
+            found[effect] = found.get(effect, 0.0) + candidate.probability
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
 @dataclass(frozen=True)
@@ -166,6 +184,17 @@ class DiagnosisResult(Carded):
         return tuple(sentences(self, "why"))
 
     @property
+    def effects(self) -> dict[str, float]:
+        """Probability of every effect that it is at work, alone or with another."""
+        return inclusion(self.candidates)
+
+    @property
+    def first(self) -> Explanation | None:
+        """The most probable candidate that holds the whole cause."""
+        held = (c for c in self.candidates if set(self.cause) <= set(c.effects))
+        return next(held, None)
+
+    @property
     def credible(self) -> tuple[str, ...]:
         """Names of the fewest candidates that make 90 % together."""
         total, chosen = 0.0, []
@@ -194,13 +223,14 @@ class DiagnosisResult(Carded):
     def to_json(self) -> dict[str, Any]:
         """The diagnosis result of contract section 5."""
         own = [f.name for f in fields(DiagnosisResult) if f.name != "path"]
-        numbers = self.candidates[0].parameters if self.candidates else {}
+        numbers = self.first.parameters if self.first else {}
         sizes = {
             name: {n: e for n, e in numbers.items() if n.startswith(f"effect.{name}.")}
             for name in self.cause
         }
         return {
             **{name: _plain(getattr(self, name)) for name in own}, "size": _plain(sizes),
+            "effects": {name: {"probability": p} for name, p in self.effects.items()},
             "credible": [*self.credible], "why": [*self.why], "card": card_rows(self),
             "gap": self._gap(),
         }

@@ -1,12 +1,19 @@
 """From signs and gains to probabilities and stages, without a fit; and what an experiment would
 settle, by the same rule."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sma_bench.diagnose.decision import Candidate, Weights, signs_of_unexplained
+from sma_bench.diagnose.decision import (
+    Candidate,
+    Weights,
+    named,
+    signs_of_unexplained,
+    verdict_of,
+)
 from sma_bench.diagnose.diagnosis import stages_of
 from sma_bench.diagnose.left_over import Left
 from sma_bench.diagnose.next_experiment import Telling, prospect
@@ -90,9 +97,7 @@ def stages(moved, **probabilities):
     x = np.array([*(moved.get(name, 0.0) for name in NAMES), 5.0])  # a shape, of no stage
     candidates = []
     for name, probability in probabilities.items():
-        benign = name in ("recalibration", "no_gap", "unexplained")
-        unknowns = SimpleNamespace(effects=() if benign else name.split("_and_"))
-        candidates.append(Candidate(name, probability, fit=SimpleNamespace(unknowns=unknowns)))
+        candidates.append(Candidate(name.replace("_and_", "+"), probability))
     search = SimpleNamespace(
         recalibrated=SimpleNamespace(unknowns=SimpleNamespace(bench_names=NAMES), x=x),
         ranked=["slack", "latent_heat"],
@@ -118,6 +123,19 @@ def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief
         "mechanical": 0.7,
         "thermal": 0.3,
     }
+
+
+def test_an_effect_is_named_from_the_sum_of_what_holds_it_and_the_larger_one_first():
+    pair = "latent_heat+slack"
+    weights = replace(weights_of({}), parts={pair: {"latent_heat": 2.0, "slack": 9.0}})
+    alone = [Candidate("slack", 0.35), Candidate(pair, 0.3), Candidate("unexplained", 0.35)]
+    assert verdict_of(alone) == "effect" and named(alone, weights) == ("slack",)
+    both = [Candidate(pair, 0.7), Candidate("no_gap", 0.3)]
+    assert verdict_of(both) == "effect" and named(both, weights) == ("slack", "latent_heat")
+    open_still = [Candidate("slack", 0.55), Candidate("latent_heat", 0.45)]
+    assert verdict_of(open_still) == "ambiguous" and named(open_still, weights) == ()
+    benign = [Candidate("no_gap", 0.4), Candidate("recalibration", 0.35), Candidate("slack", 0.25)]
+    assert verdict_of(benign) == "no_gap"
 
 
 # --- What an experiment would settle.
