@@ -179,17 +179,22 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
             chosen = order[:count].tolist()
             sizes.append(len({n for j in chosen for n in cases[k].names[j].split(JOIN)}))
             covered.append(any(holds(cases[k], j) for j in chosen))
+
+    def share(of: npt.NDArray[np.bool_], among: npt.NDArray[np.bool_] | None = None) -> float:
+        of = of if among is None else of[among]
+        return float(np.mean(of)) if len(of) else float("nan")
+
     return {
         "log probability of the truth": float(np.mean(log_probability(cases, answers))),
-        "first choice right": float(np.mean(right)),
-        "of distinguishable singles": float(np.mean(right[plain])),
-        "of these named and right": float(np.mean((right & named)[plain])),
-        "pairs, both": float(np.mean(right[kinds["pair"]])),
-        "outside as such": float(np.mean(right[kinds["outside"]])),
-        "wrong parameters as such": float(np.mean(right[kinds["recalibration"]])),
-        "false alarms of clean ones": float(np.mean(named[kinds["none"]])),
-        "confident and wrong": float(np.mean(~right & (likely >= CONFIDENT))),
-        "of those an effect": float(np.mean(~right & named & (likely >= CONFIDENT))),
+        "first choice right": share(right),
+        "of distinguishable singles": share(right, plain),
+        "of these named and right": share(right & named, plain),
+        "pairs, both": share(right, kinds["pair"]),
+        "outside as such": share(right, kinds["outside"]),
+        "wrong parameters as such": share(right, kinds["recalibration"]),
+        "an effect named of clean ones": share(named, kinds["none"]),
+        "confident and wrong": share(~right & (likely >= CONFIDENT)),
+        "of those an effect": share(~right & named & (likely >= CONFIDENT)),
         "90 % set: coverage": float(np.mean(covered)),
         "90 % set: size": float(np.mean(sizes)),
         "90 % set: mass": conformal(needed),

@@ -26,7 +26,7 @@ _TRIALS, _STARTS = 40, 12
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    own = {"rigs": (3, "that each pair is tried on"), "effect": ("", "only this one")}
+    own = {"rigs": (2, "that each pair is tried on"), "effect": ("", "only this one")}
     options = options_of("forms", __doc__, argv, **own, **IN_PIECES)
     names = [options.effect] if options.effect else list(EFFECTS)
     jobs = [
@@ -87,15 +87,16 @@ def _stacked(case: cases.Case, features: dict[str, float]) -> Any:
 
 
 def report(jobs: Sequence[tuple], found: Sequence[float]) -> int:
-    left: dict[tuple[str, str, str], list[float]] = {}
+    left: dict[tuple[str, str], dict[str, list[float]]] = {}
     for (name, true, other, _), value in zip(jobs, found, strict=True):
-        left.setdefault((name, true, other), []).append(value)
+        left.setdefault((name, true), {}).setdefault(other, []).append(value)
     print(f"what is left of one form, refitted as another, over the noise at a gap of {GAP:g}")
-    rows, alike = [], 0
-    for key, values in left.items():
-        median = float(np.median(values))
-        alike += median <= APART
-        rows.append((*key, f"{median:.1f}", "" if median > APART else "alike"))
-    print_table(("effect", "true form", "refitted as", ">left", ""), rows)
-    print(f"{len(rows) - alike} of {len(rows)} differ by more than {APART:g}")
+    rows, alike, pairs = [], 0, 0
+    for key, others in left.items():
+        medians = {other: float(np.median(values)) for other, values in others.items()}
+        alike += sum(median <= APART for median in medians.values())
+        pairs += len(medians)
+        rows.append((*key, ", ".join(f"{other} {value:.1f}" for other, value in medians.items())))
+    print_table(("effect", "true form", "left, refitted as"), rows)
+    print(f"{pairs - alike} of {pairs} differ by more than {APART:g}")
     return 0 if alike == 0 else 1

@@ -26,14 +26,19 @@ BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
 # Feature by kind of explanation, and the sign that its weight must have, 0 for either.
 SIGNS: dict[str, dict[str, int]] = {
     "effect": {
-        "one": 0, "gain": 1, "lead": 1, "taken": 1, "size": 1, "unsteady": -1, "surprise": -1,
-        "rivals": -1, "ratio": -1, "left": -1, "drift": -1,
+        "one": 0, "gain": 1, "lead": 1, "ahead": 1, "taken": 1, "worst": 1, "size": 1, "own": 0,
+        "unsteady": -1, "surprise": -1, "rivals": -1, "ratio": -1, "left": -1, "drift": -1,
     },
-    "pair": {"two": 0, "extra": 1, "partner": 1, "partner_size": 1, "best_half": 0},
+    "pair": {
+        "two": 0, "extra": 1, "extra_share": 1, "partner": 1, "partner_size": 1, "best_half": 0,
+    },
     "recalibration": {
         "surprise": -1, "deviation": 0, "flexible": -1, "ratio": -1, "moved": 1, "outlier": -1,
     },
-    "no_gap": {"one": 0, "moved": -1, "surprise": -1, "flexible": -1, "ratio": -1, "outlier": -1},
+    "no_gap": {
+        "one": 0, "moved": -1, "as_stated": 1, "surprise": -1, "flexible": -1, "ratio": -1,
+        "outlier": -1,
+    },
     "unexplained": {
         "one": 0, "beyond": 1, "flexible": 1, "ratio": 1, "left": 1, "outlier": 1, "drift": 1,
         "surprise": 1, "best_gain": 0, "best_left": 1, "best_unsteady": 1, "outlier_left": 1,
@@ -81,6 +86,7 @@ def features(found: Weighed) -> dict[str, dict[str, float]]:
             better = max(singles[part].gain for part in name.split(JOIN))
             of_pair = {
                 "two": 1.0, "extra": _signed(facts.gain - better),
+                "extra_share": _share(facts.gain - better, facts.gain),
                 "partner": _log(facts.partner / max(facts.gap, 1e-3), 0.01),
                 "partner_size": _small(facts.partner), "best_half": _nats(better),
             }  # fmt: skip
@@ -96,7 +102,10 @@ def features(found: Weighed) -> dict[str, dict[str, float]]:
         "recalibration.moved": _small(found.moved),
     }
     rows[NO_GAP] = {f"no_gap.{n}": value for n, value in of_recalibration.items()}
-    rows[NO_GAP] |= {"no_gap.one": 1.0, "no_gap.moved": _log(found.moved, 0.1)}
+    rows[NO_GAP] |= {
+        "no_gap.one": 1.0, "no_gap.moved": _log(found.moved, 0.1),
+        "no_gap.as_stated": _signed(found.as_stated),
+    }  # fmt: skip
 
     # What no candidate explains is judged by the best of them.
     best = max(found.candidates.values(), key=lambda f: f.gain, default=None)
@@ -128,11 +137,14 @@ def _of_effect(
     name: str, facts: Facts, found: Weighed, singles: Mapping[str, Facts]
 ) -> dict[str, float]:
     others = [f.gain for n, f in singles.items() if n not in name.split(JOIN)]
+    lead = facts.gain - max([0.0, *others])
     near = facts.gain - _NEAR - _CLOSE * max(facts.gain, 0.0)
     left = facts.left or found.left
     return {
-        "one": 1.0, "gain": _nats(facts.gain), "lead": _signed(facts.gain - max([0.0, *others])),
-        "taken": -_log(1.0 - facts.taken, _LEAST_LEFT), "size": _small(facts.gap),
+        "one": 1.0, "gain": _nats(facts.gain), "lead": _signed(lead),
+        "ahead": _share(lead, facts.gain), "taken": -_log(1.0 - facts.taken, _LEAST_LEFT),
+        "worst": max(min(facts.taken_by.values(), default=0.0), -1.0),
+        "size": _small(facts.gap), "own": _nats(facts.own, 1.0),
         "unsteady": _wild(facts), "surprise": _nats(facts.surprise, 16.0),
         "rivals": float(np.log1p(sum(gain > near for gain in others))),
         "ratio": _nats(left["ratio"]), "left": _nats(left["size"], 0.4),
@@ -147,6 +159,11 @@ def _nats(value: float, scale: float = 4.0) -> float:
 
 def _signed(value: float) -> float:
     return float(np.sign(value)) * _nats(abs(value))
+
+
+def _share(nats: float, of: float) -> float:
+    """Of a gain, from -1 to 1."""
+    return float(np.clip(nats / max(of, 4.0), -1.0, 1.0))
 
 
 def _log(value: float, least: float) -> float:
