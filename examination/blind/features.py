@@ -15,11 +15,11 @@ import numpy as np
 
 from examination.blind import cases
 from examination.blind.cases import QUANTITIES, Case
+from examination.blind.facts import weighed
 from examination.blind.make import make_label, size
 from examination.blind.rigs import RECORDS, world_of
 from examination.blind.sensors import measure
 from sma_bench.diagnose import decision
-from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.search import search
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe, shared_bin
@@ -40,6 +40,7 @@ _STREAM = 2_000_003  # apart from those that cases are made of
 def library_hash() -> str:
     """Of all that a search depends on."""
     paths = sorted(p for room in _LIBRARY for p in (PACKAGE / room).rglob("*.py"))
+    paths.append(Path(__file__).with_name("facts.py"))
     own = hashlib.sha256()
     for path in paths:
         if path.name not in _NOT_ITS:

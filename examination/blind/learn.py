@@ -7,6 +7,7 @@ case having its own. Today's rules answer the same left-out cases.
 
 import json
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,21 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 from scipy.optimize import minimize
-from scipy.special import logsumexp
+from scipy.special import softmax
 
 from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
 from examination.blind.cases import EFFECTS
+from examination.blind.facts import Weighed
+from examination.blind.utilities import FIXED, NAMES, SIGNS, features
 from examination.pieces import print_table
-from sma_bench.diagnose.facts import JOIN, Weighed
-from sma_bench.diagnose.utilities import FIXED, NAMES, SIGNS, features
+from sma_bench.diagnose.decision import JOIN
 from sma_bench.parameters.yaml_file import write_text_atomically
 
 Array = npt.NDArray[np.float64]
 
-RIDGES = (0.1, 0.3, 1.0, 3.0, 10.0)
+RIDGES, LAPSES = (0.1, 0.3, 1.0, 3.0), (0.0, 0.1, 0.2, 0.3, 0.4)
 FOLDS = 6
+NO_EFFECT, BENIGN = (NO_GAP, RECALIBRATION, UNEXPLAINED), "benign"
 COVERAGE, NAMED, CONFIDENT = 0.9, 0.6, 0.8
 _LEAST = 1e-6  # of a probability
 _SEED = 44
@@ -44,7 +47,10 @@ class Known:
         self.names = list(rows)
         self.x = np.array([[row.get(name, 0.0) for name in NAMES] for row in rows.values()])
         self.fixed = np.array([row.get(FIXED, 0.0) for row in rows.values()])
-        right = right_names(self.label, self.names)
+        facts = line["facts"]["candidates"]
+        # A partner that does less than a tenth is a remark: the pair stands for its larger half.
+        small = {n for n, f in facts.items() if JOIN in n and f["partner"] < 0.1 * f["gap"]}
+        right = right_names(self.label, self.names, small)
         self.right = np.array([name in right for name in self.names])
         self.today = np.array([line["today"].get(name, 0.0) for name in self.names])
         # Number of the form of what is hidden; rigs without an effect go by turns.
@@ -55,8 +61,8 @@ class Known:
             self.form = list(EFFECTS[main].forms).index(self.label["forms"][main])
 
 
-def right_names(label: dict[str, Any], names: Sequence[str]) -> set[str]:
-    """Explanations that are right to put first."""
+def right_names(label: dict[str, Any], names: Sequence[str], small: set[str]) -> set[str]:
+    """Explanations that are right to put first; `small`: pairs that stand for their larger half."""
     kind, effects = label["kind"], label["effects"]
     if kind == "none":
         return {RECALIBRATION, NO_GAP}
@@ -70,37 +76,40 @@ def right_names(label: dict[str, Any], names: Sequence[str]) -> set[str]:
     least = min(label["severities"].get(name, 0.0) for name in effects)
     if len(effects) > 1 and least < 0.1 * label["severities"].get(main, 0.0):
         return {main, whole}
+    if len(effects) == 1:
+        return {main} | {name for name in small if main in name.split(JOIN)}
     return {whole} if whole in names else set(effects)
 
 
-def fit_weights(cases: Sequence[Known], ridge: float) -> tuple[Array, Array]:
-    """The likeliest weights (k,) under a ridge, and the Hessian there (k, k)."""
+def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Array, Array]:
+    """The likeliest weights (k,) under a ridge, and their covariance (k, k) by the scores of the
+    cases."""
     scale = scales(cases)
     edges = np.cumsum([0, *(len(case.names) for case in cases)])
     x = np.vstack([case.x for case in cases]) / scale
     fixed, right = (np.concatenate([getattr(c, n) for c in cases]) for n in ("fixed", "right"))
     group = np.repeat(np.arange(len(cases)), np.diff(edges))
+    by_chance = lapse * np.add.reduceat(right.astype(float), edges[:-1]) / np.diff(edges)
 
-    def shares(u: Array) -> tuple[Array, Array]:
-        """Probabilities of all in each case, and log of each case's sum."""
-        top = np.maximum.reduceat(u, edges[:-1])
-        e = np.exp(u - top[group])
-        total = np.add.reduceat(e, edges[:-1])
-        return e / total[group], np.log(total) + top
+    def scores(w: Array) -> tuple[Array, Array]:
+        """Probability of what is right, and the slopes of its log along the utilities."""
+        u = x @ w + fixed
+        e = np.exp(u - np.maximum.reduceat(u, edges[:-1])[group])
+        p = e / np.add.reduceat(e, edges[:-1])[group]
+        told = np.add.reduceat(p * right, edges[:-1])
+        found = (1.0 - lapse) * told + by_chance
+        return found, (1.0 - lapse) * p * (right - told[group]) / found[group]
 
     def loss(w: Array) -> tuple[float, Array]:
-        u = x @ w + fixed
-        p, whole = shares(u)
-        q, of_right = shares(np.where(right, u, -1e9))
-        value = float(np.sum(whole - of_right)) + 0.5 * ridge * float(w @ w)
-        return value, x.T @ (p - q * right) + ridge * w
+        found, slopes = scores(w)
+        value = -float(np.sum(np.log(np.maximum(found, 1e-300)))) + 0.5 * ridge * float(w @ w)
+        return value, ridge * w - x.T @ slopes
 
     found = minimize(loss, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B", bounds=_BOUNDS,
                      options={"maxiter": 2000})  # fmt: skip
-    p, _ = shares(x @ found.x + fixed)
-    means = np.add.reduceat(x * p[:, None], edges[:-1], axis=0)
-    hessian = (x * p[:, None]).T @ x - means.T @ means + ridge * np.eye(len(NAMES))
-    return found.x / scale, hessian * np.outer(scale, scale)
+    each = np.add.reduceat(x * scores(found.x)[1][:, None], edges[:-1], axis=0)
+    information = each.T @ each + ridge * np.eye(len(NAMES))
+    return found.x / scale, np.linalg.inv(information) / np.outer(scale, scale)
 
 
 def scales(cases: Sequence[Known]) -> Array:
@@ -110,20 +119,19 @@ def scales(cases: Sequence[Known]) -> Array:
     return np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
 
 
-def answer(case: Known, weights: Array) -> Array:
+def answer(case: Known, weights: Array, lapse: float) -> Array:
     """(c,) probabilities."""
-    u = case.x @ weights + case.fixed
-    return np.asarray(np.exp(u - logsumexp(u)))
+    return (1.0 - lapse) * softmax(case.x @ weights + case.fixed) + lapse / len(case.names)
 
 
-def left_out(cases: Sequence[Known], folds: Array, ridge: float) -> list[Array]:
+def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float) -> list[Array]:
     """What weights that have not seen its fold answer to every case."""
     found: list[Array] = [np.zeros(0)] * len(cases)
     for fold in np.unique(folds):
         seen = [case for case, own in zip(cases, folds, strict=True) if own != fold]
-        weights = fit_weights(seen, ridge)[0]
+        weights = fit_weights(seen, ridge, lapse)[0]
         for k in np.flatnonzero(folds == fold).tolist():
-            found[k] = answer(cases[k], weights)
+            found[k] = answer(cases[k], weights, lapse)
     return found
 
 
@@ -155,20 +163,40 @@ def holds(case: Known, k: int) -> bool:
     return bool(known) and max(known, key=lambda n: severities.get(n, 0.0)) in parts
 
 
+def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
+    """What an answer comes to: the effect at work, "benign" or unexplained, whichever is the most
+    probable, that probability, and the effects by theirs."""
+    shares = dict(zip(case.names, p.tolist(), strict=True))
+    effects: dict[str, float] = {}
+    for name, share in shares.items():
+        for effect in name.split(JOIN) if name not in NO_EFFECT else ():
+            effects[effect] = effects.get(effect, 0.0) + share
+    whole = {**effects, BENIGN: shares[RECALIBRATION] + shares[NO_GAP],
+             UNEXPLAINED: shares[UNEXPLAINED]}  # fmt: skip
+    first = max(whole, key=lambda name: whole[name])
+    return first, whole[first], sorted(effects, key=lambda name: -effects[name])
+
+
 def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, float]:
     """Everything that is compared. Sets: the smallest that reach the conformal threshold, which the
     other half of the cases gives."""
-    firsts = [int(np.argmax(p)) for p in answers]
-    right = np.array([case.right[k] for case, k in zip(cases, firsts, strict=True)])
-    singles = np.array([c.label["kind"] == "single" for c in cases])
-    plain = singles & np.array([bool(c.label["distinguishable"]) for c in cases])
-    effect = np.array([
-        case.names[k] in known_names(case) for case, k in zip(cases, firsts, strict=True)
-    ])  # fmt: skip
-    likely = np.array([p[k] for p, k in zip(answers, firsts, strict=True)])
-    kinds = {kind: np.array([c.label["kind"] == kind for c in cases])
-             for kind in ("none", "recalibration", "outside", "pair")}  # fmt: skip
-    named = effect & (likely >= NAMED)
+    found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
+    likely = np.array([share for _, share, _ in found])
+    kinds = np.array([case.label["kind"] for case in cases])
+    truths = [
+        {"none": {BENIGN}, "recalibration": {BENIGN}, "outside": {UNEXPLAINED}}.get(
+            case.label["kind"], set(case.label["effects"])
+        )
+        for case in cases
+    ]  # fmt: skip
+    right = np.array([first in truth for (first, *_), truth in zip(found, truths, strict=True)])
+    effect = np.array([first not in (BENIGN, UNEXPLAINED) for first, *_ in found])
+    both = np.array([
+        set(ranked[: len(truth)]) == truth
+        for (*_, ranked), truth in zip(found, truths, strict=True)
+    ])
+    plain = (kinds == "single") & np.array([bool(c.label["distinguishable"]) for c in cases])
+    named, confident = effect & (likely >= NAMED), likely >= CONFIDENT
     needed = np.array([mass_needed(c, p) for c, p in zip(cases, answers, strict=True)])
     halves, sizes, covered = np.arange(len(cases)) % 2, [], []
     for half in (0, 1):
@@ -189,21 +217,17 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
         "first choice right": share(right),
         "of distinguishable singles": share(right, plain),
         "of these named and right": share(right & named, plain),
-        "pairs, both": share(right, kinds["pair"]),
-        "outside as such": share(right, kinds["outside"]),
-        "wrong parameters as such": share(right, kinds["recalibration"]),
-        "an effect named of clean ones": share(named, kinds["none"]),
-        "confident and wrong": share(~right & (likely >= CONFIDENT)),
-        "of those an effect": share(~right & named & (likely >= CONFIDENT)),
+        "pairs: one": share(right, kinds == "pair"),
+        "pairs: both": share(right & both, kinds == "pair"),
+        "outside as such": share(right, kinds == "outside"),
+        "wrong parameters as such": share(right, kinds == "recalibration"),
+        "an effect named of clean ones": share(named, kinds == "none"),
+        "confident and wrong": share(~right & confident),
+        "of those an effect": share(~right & effect & confident),
         "90 % set: coverage": float(np.mean(covered)),
         "90 % set: size": float(np.mean(sizes)),
         "90 % set: mass": conformal(needed),
     }  # fmt: skip
-
-
-def known_names(case: Known) -> list[str]:
-    """Explanations that are made of effects."""
-    return [n for n in case.names if n not in (NO_GAP, RECALIBRATION, UNEXPLAINED)]
 
 
 def conformal(needed: Array) -> float:
@@ -220,15 +244,15 @@ def learn(paths: Sequence[Path], out: Path | None) -> None:
     today = [case.today for case in cases]
     forms = np.array([case.form for case in cases])
     rigs = np.random.default_rng(_SEED).permutation(len(cases)) % FOLDS
-    print(f"{len(cases)} cases; ridge by log probability on left-out forms and rigs:")
+    print(f"{len(cases)} cases; log probability with forms and with rigs left out:")
     scored = {}
-    for ridge in RIDGES:
-        both = [left_out(cases, folds, ridge) for folds in (forms, rigs)]
-        scored[ridge] = both
-        shown = "  ".join(f"{np.mean(log_probability(cases, a)):.3f}" for a in both)
-        print(f"  {ridge:5.1f}  {shown}")
-    best = max(RIDGES, key=lambda r: sum(np.mean(log_probability(cases, a)) for a in scored[r]))
-    by_forms, by_rigs = scored[best]
+    for ridge, lapse in product(RIDGES, LAPSES):
+        both = [left_out(cases, folds, ridge, lapse) for folds in (forms, rigs)]
+        values = [float(np.mean(log_probability(cases, answers))) for answers in both]
+        scored[ridge, lapse] = sum(values), both
+        print(f"  ridge {ridge:4.1f}, lapse {lapse:.1f}: {values[0]:.3f}  {values[1]:.3f}")
+    best = max(scored, key=lambda key: scored[key][0])
+    by_forms, by_rigs = scored[best][1]
     columns = [measures(cases, answers) for answers in (today, by_forms, by_rigs)]
     head = ("measure", ">today", ">forms left out", ">rigs left out")
     print_table(head, [(name, *(f"{c[name]:.3f}" for c in columns)) for name in columns[0]])
@@ -236,15 +260,16 @@ def learn(paths: Sequence[Path], out: Path | None) -> None:
         gain = log_probability(cases, answers) - log_probability(cases, today)
         error = np.std(gain) / np.sqrt(len(cases))
         print(f"log probability over today's, {name} left out: {np.mean(gain):+.3f} +- {error:.3f}")
-    weights, hessian = fit_weights(cases, best)
-    errors = np.sqrt(np.diag(np.linalg.inv(hessian)))
+    weights, covariance = fit_weights(cases, *best)
+    errors = np.sqrt(np.diag(covariance))
     print_table(
         ("weight", ">value", ">error"),
         [(n, f"{w:.3f}", f"{e:.3f}") for n, w, e in zip(NAMES, weights, errors, strict=True)],
     )
     if out is not None:
         document = {
-            "source": f"{len(cases)} development cases, ridge {best:g}",
+            "source": f"{len(cases)} development cases, ridge {best[0]:g}",
+            "lapse": best[1],
             "library": lines[0]["library"],
             "set_mass": round(columns[1]["90 % set: mass"], 4),
             "weights": {n: [round(float(w), 4), round(float(e), 4)]

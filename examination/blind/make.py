@@ -236,17 +236,20 @@ def law_distance(stage: Stage, base: Features, quantities: tuple[str, ...]) -> f
     def stacked(one: Mapping[str, Array], other: Mapping[str, Array]) -> Array:
         return np.concatenate([one[name] - other[name] for name in other])
 
-    # Two steps of Gauss and Newton.
-    wanted, fitted, found = readings(base), stage.truth, {}
-    for _ in range(2):
+    # Steps of Gauss and Newton, of which the best counts: a temperature may overshoot.
+    wanted, fitted, best = readings(base), stage.truth, np.inf
+    for _ in range(3):
         found = readings(cosine, fitted)
+        gap = max(float(np.sqrt(np.mean((wanted[n] - found[n]) ** 2))) for n in wanted)
+        if gap >= best:
+            break
+        best = gap
         moves = [fitted.replace({n: fitted[n] + 0.5}) for n in TRANSITIONS.values()]
         columns = np.column_stack([stacked(readings(cosine, p), found) / 0.5 for p in moves])
         by = np.linalg.lstsq(columns, stacked(wanted, found), rcond=None)[0]
         changed = {n: fitted[n] + d for n, d in zip(TRANSITIONS.values(), by.tolist(), strict=True)}
         fitted = fitted.replace(changed)
-    found = readings(cosine, fitted)
-    return max(float(np.sqrt(np.mean((wanted[n] - found[n]) ** 2))) for n in wanted)
+    return best
 
 
 # --- A case's label, its bags, and a set of them in a new folder.

@@ -19,10 +19,9 @@ import numpy as np
 from scipy.special import softmax
 
 from sma_bench.arrays import Array
-from sma_bench.diagnose.facts import JOIN, effect_fits, own_gap
 from sma_bench.diagnose.result import Explanation, Verdict, inclusion
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import largest_gap
+from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
@@ -30,6 +29,7 @@ from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
+JOIN = "+"
 BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
 SURPRISED = "parameters are needed that nobody believes in"
 
@@ -196,6 +196,16 @@ def estimates(fitted: Fit, stds: Array) -> dict[str, Estimate]:
 def scale_of(best: float) -> float:
     """Nats that count as one, where the best effect gains `best`."""
     return SCALE + SHARE * best
+
+
+def effect_fits(search: Search) -> dict[str, Fit]:
+    """Of every single and pair, by its name."""
+    return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
+
+
+def own_gap(fitted: Fit, names: tuple[str, ...] = ()) -> float:
+    """What the effects of a candidate do, or some of them, the rest of its model as it is."""
+    return largest_gap(fitted.problem, contribution(fitted, names or fitted.unknowns.effects))
 
 
 def signs_of_unexplained(search: Search) -> dict[str, float]:

@@ -85,9 +85,9 @@ def test_weights_are_learnt_with_their_signs_and_predict_left_out_forms(tmp_path
     row = next(s for s in said.splitlines() if s.startswith("log probability of the truth"))
     today, forms, rigs = map(float, row.split()[-3:])
     assert abs(today - np.log(1 / 6)) < 1e-3 and min(forms, rigs) > -0.8
-    weights = learn.fit_weights([learn.Known(line(k, rng)) for k in range(90)], 1.0)[0]
+    weights = learn.fit_weights([learn.Known(line(k, rng)) for k in range(90)], 1.0, 0.1)[0]
     known = dict(zip(learn.NAMES, weights, strict=True))
-    assert known["effect.taken"] > 0.0 >= known["effect.unsteady"]
+    assert known["effect.lead"] + known["effect.ahead"] > 0.0 >= known["effect.unsteady"]
     assert "set_mass" in (tmp_path / "weights.yaml").read_text()
 
 

@@ -1,19 +1,18 @@
 """The numbers that a decision is made of: what every candidate gains, does and leaves."""
 
-from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from sma_bench.arrays import Array
+from sma_bench.diagnose.decision import effect_fits, own_gap
 from sma_bench.diagnose.left_over import Left, left_over
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import contribution, largest_gap
+from sma_bench.diagnose.sizes import largest_gap
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
 
-JOIN = "+"
 _LOOKED_AT = 4  # best candidates whose remainder is looked at
 
 
@@ -99,17 +98,6 @@ def weighed(search: Search) -> Weighed:
 def plain(left: Left) -> dict[str, float]:
     """Its numbers."""
     return {name: value for name, value in vars(left).items() if name != "signal"}
-
-
-def effect_fits(search: Search) -> dict[str, Fit]:
-    """Of every single and pair, by its name."""
-    return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
-
-
-def own_gap(fitted: Fit, names: Iterable[str] = ()) -> float:
-    """What the effects of a candidate do, the rest of its model as it is."""
-    effects = tuple(names) or fitted.unknowns.effects
-    return largest_gap(fitted.problem, contribution(fitted, effects))
 
 
 def _deviation(fitted: Fit) -> float:
