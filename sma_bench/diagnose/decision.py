@@ -65,6 +65,7 @@ LARGEST_SIGN, LARGEST_BESIDE, MUCH = 6.0, -0.3, 15.0  # MUCH in nats
 UNSEEN = -1.45
 NAMED = 0.6  # probability from which what is at work is named
 REMARK = 0.1  # share of the gap below which a partner is a remark beside the main cause
+WORTH_SAYING = 0.02  # probability
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +167,10 @@ def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
     for pair, parts in weights.parts.items():
         small, main = sorted(parts, key=lambda effect: parts[effect])
         if parts[small] < REMARK * parts[main]:
-            probabilities[main] += probabilities.pop(pair)
-            remarks.setdefault(main, {})[small] = parts[small] / parts[main]
+            share = probabilities.pop(pair)
+            probabilities[main] += share
+            if share >= WORTH_SAYING:
+                remarks.setdefault(main, {})[small] = parts[small] / parts[main]
     found = []
     for name, probability in probabilities.items():
         stages, numbers = [], {}

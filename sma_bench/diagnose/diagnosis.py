@@ -30,7 +30,6 @@ from sma_bench.records.record import Record, fingerprint
 
 SURPRISING = 2.0  # prior deviations
 _SMOOTHER = ("wire.transition_spread", "wire.transition_tail")
-_WORTH_SAYING = 0.02  # probability of `unexplained`
 _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
 _FIT_SHARE = 0.6  # of a single record without another to hold out
 _STAGES = {
@@ -343,7 +342,7 @@ def _facts(
     # The sign that weighs most for a cause outside the library, unless that is out of question.
     sign = ""
     unexplained = next(c for c in candidates if c.name == decision.UNEXPLAINED)
-    if unexplained.probability >= _WORTH_SAYING and verdict != decision.NO_GAP:
+    if unexplained.probability >= decision.WORTH_SAYING and verdict != decision.NO_GAP:
         signs = decision.signs_of_unexplained(found)
         sign = max(signs, key=lambda name: signs[name])
         if signs[sign] <= 0.0:
