@@ -53,12 +53,15 @@ class Known:
         right = right_names(self.label, self.names, small)
         self.right = np.array([name in right for name in self.names])
         self.today = np.array([line["today"].get(name, 0.0) for name in self.names])
-        # Number of the form of what is hidden; rigs without an effect go by turns.
+        # What is hidden does most, number of its form; rigs without an effect go by turns.
         hidden = [n for n in self.label["effects"] if n in EFFECTS]
+        severities = self.label["severities"]
+        self.main = max(hidden, key=lambda n: severities.get(n, 0.0)) if hidden else ""
         self.form = self.index % 3
-        if hidden:
-            main = max(hidden, key=lambda n: self.label["severities"].get(n, 0.0))
-            self.form = list(EFFECTS[main].forms).index(self.label["forms"][main])
+        if self.main:
+            self.form = list(EFFECTS[self.main].forms).index(self.label["forms"][self.main])
+        singles = {n: f["gain"] for n, f in facts.items() if JOIN not in n}
+        self.gains_most = max(singles, key=lambda n: singles[n], default="")
 
 
 def right_names(label: dict[str, Any], names: Sequence[str], small: set[str]) -> set[str]:
@@ -157,10 +160,7 @@ def holds(case: Known, k: int) -> bool:
     """Whether an explanation holds the main effect, or is right otherwise."""
     if case.right[k]:
         return True
-    parts = set(case.names[k].split(JOIN))
-    severities = case.label["severities"]
-    known = [n for n in case.label["effects"] if n in EFFECTS]
-    return bool(known) and max(known, key=lambda n: severities.get(n, 0.0)) in parts
+    return case.main in case.names[k].split(JOIN)
 
 
 def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
@@ -260,6 +260,20 @@ def learn(paths: Sequence[Path], out: Path | None) -> None:
         gain = log_probability(cases, answers) - log_probability(cases, today)
         error = np.std(gain) / np.sqrt(len(cases))
         print(f"log probability over today's, {name} left out: {np.mean(gain):+.3f} +- {error:.3f}")
+    # By the number of the form, the first being the one that all seeds before 2700 have.
+    rows = []
+    for form in np.unique(forms).tolist():
+        own = [
+            k for k, c in enumerate(cases)
+            if c.form == form and c.label["kind"] == "single" and c.label["distinguishable"]
+        ]
+        if own:
+            most = np.mean([cases[k].gains_most == cases[k].main for k in own])
+            firsts = [np.mean([said(cases[k], answers[k])[0] == cases[k].main for k in own])
+                      for answers in (today, by_forms, by_rigs)]  # fmt: skip
+            rows.append((form + 1, len(own), *(f"{share:.2f}" for share in (most, *firsts))))
+    print("distinguishable singles put first, by the number of their form:")
+    print_table(("form", ">n", ">gains most", ">today", ">forms left out", ">rigs left out"), rows)
     weights, covariance = fit_weights(cases, *best)
     errors = np.sqrt(np.diag(covariance))
     print_table(
