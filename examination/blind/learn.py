@@ -48,8 +48,11 @@ class Known:
         self.x = np.array([[row.get(name, 0.0) for name in NAMES] for row in rows.values()])
         self.fixed = np.array([row.get(FIXED, 0.0) for row in rows.values()])
         facts = line["facts"]["candidates"]
-        # A partner that does less than a tenth is a remark: the pair stands for its larger half.
-        small = {n for n, f in facts.items() if JOIN in n and f["partner"] < 0.1 * f["gap"]}
+        # A partner that does less than a tenth is a remark: the pair stands for its better half.
+        small = {
+            n: max(n.split(JOIN), key=lambda e: facts[e]["gain"])
+            for n, f in facts.items() if JOIN in n and f["partner"] < 0.1 * f["gap"]
+        }  # fmt: skip
         right = right_names(self.label, self.names, small)
         self.right = np.array([name in right for name in self.names])
         self.today = np.array([line["today"].get(name, 0.0) for name in self.names])
@@ -64,8 +67,10 @@ class Known:
         self.gains_most = max(singles, key=lambda n: singles[n], default="")
 
 
-def right_names(label: dict[str, Any], names: Sequence[str], small: set[str]) -> set[str]:
-    """Explanations that are right to put first; `small`: pairs that stand for their larger half."""
+def right_names(
+    label: dict[str, Any], names: Sequence[str], small: dict[str, str]
+) -> set[str]:  # fmt: skip
+    """Explanations that are right to put first; `small`: pairs that stand for their better half."""
     kind, effects = label["kind"], label["effects"]
     if kind == "none":
         return {RECALIBRATION, NO_GAP}
@@ -80,7 +85,7 @@ def right_names(label: dict[str, Any], names: Sequence[str], small: set[str]) ->
     if len(effects) > 1 and least < 0.1 * label["severities"].get(main, 0.0):
         return {main, whole}
     if len(effects) == 1:
-        return {main} | {name for name in small if main in name.split(JOIN)}
+        return {main} | {pair for pair, half in small.items() if half == main}
     return {whole} if whole in names else set(effects)
 
 

@@ -159,13 +159,14 @@ def weigh(search: Search) -> Weights:
 
 
 def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
-    """All candidates, the most probable first. Of a pair whose smaller half does next to nothing
-    the other is the cause: what the pair has, that one has, and the smaller half is its remark."""
+    """All candidates, the most probable first. Of a pair whose worse half does next to nothing the
+    better one is the cause: what the pair has, that one has, and the worse half is its remark."""
     fits: dict[str, Fit] = effect_fits(search)
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
     probabilities, remarks = weights.probabilities(), dict[str, dict[str, float]]()
     for pair, parts in weights.parts.items():
-        small, main = sorted(parts, key=lambda effect: parts[effect])
+        # By what each gains alone: what an effect does, parameters may undo.
+        small, main = sorted(parts, key=lambda effect: weights.gains[effect])
         if parts[small] < REMARK * parts[main]:
             share = probabilities.pop(pair)
             probabilities[main] += share
@@ -276,10 +277,9 @@ def _unsteady(fitted: Fit) -> float:
 
 
 def named(candidates: Sequence[Candidate], weights: Weights) -> tuple[str, ...]:
-    """Effects that are at work, whatever else is: what does most first."""
-    found = sorted(name for name, p in inclusion(candidates).items() if p >= NAMED)
-    gaps = weights.parts.get(JOIN.join(found), {})
-    return tuple(sorted(found, key=lambda name: -gaps.get(name, 0.0)))
+    """Effects that are at work, whatever else is: what gains most by itself first."""
+    found = [name for name, p in inclusion(candidates).items() if p >= NAMED]
+    return tuple(sorted(found, key=lambda name: -weights.gains[name]))
 
 
 def verdict_of(candidates: Sequence[Candidate]) -> Verdict:

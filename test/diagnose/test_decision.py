@@ -1,7 +1,6 @@
 """From signs and gains to probabilities and stages, without a fit; and what an experiment would
 settle, by the same rule."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -126,8 +125,7 @@ def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief
 
 
 def test_an_effect_is_named_from_the_sum_of_what_holds_it_and_the_larger_one_first():
-    pair = "latent_heat+slack"
-    weights = replace(weights_of({}), parts={pair: {"latent_heat": 2.0, "slack": 9.0}})
+    pair, weights = "latent_heat+slack", weights_of({"latent_heat": 20.0, "slack": 90.0})
     alone = [Candidate("slack", 0.35), Candidate(pair, 0.3), Candidate("unexplained", 0.35)]
     assert verdict_of(alone) == "effect" and named(alone, weights) == ("slack",)
     both = [Candidate(pair, 0.7), Candidate("no_gap", 0.3)]
