@@ -19,6 +19,7 @@ import numpy as np
 from scipy.special import softmax
 
 from sma_bench.arrays import Array
+from sma_bench.compiled import in_threads
 from sma_bench.diagnose.result import Explanation, Verdict
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
@@ -137,7 +138,7 @@ class Weights:
 def weigh(search: Search) -> Weights:
     """What the fits weigh."""
     fits = _effect_fits(search)
-    gaps = {name: own_gap(fit) for name, fit in fits.items()}
+    gaps = dict(zip(fits, in_threads(own_gap, [(fit,) for fit in fits.values()]), strict=True))
     signs = signs_of_unexplained(search)
     return Weights(
         {name: fit.evidence - search.recalibrated.evidence for name, fit in fits.items()},
@@ -154,6 +155,8 @@ def weigh(search: Search) -> Weights:
 def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
     """All candidates, the most probable first."""
     fits = _effect_fits(search)
+    errors = in_threads(lambda fitted: fitted.errors, [(fit,) for fit in fits.values()])
+    errors_of = dict(zip(fits, errors, strict=True))
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
     found = []
     for name, probability in weights.probabilities().items():
@@ -161,7 +164,7 @@ def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
         if name in weights.gains:
             fitted = fits[name]
             stages = [EFFECTS[effect].stage for effect in fitted.unknowns.effects]
-            every = estimates(fitted, fitted.errors)
+            every = estimates(fitted, errors_of[name])
             numbers = dict(list(every.items())[fitted.unknowns.baseline :])
         found.append(Candidate(
             name, probability, JOIN.join(dict.fromkeys(stages)), numbers,

@@ -138,7 +138,8 @@ def next_experiment(
         return _showing(search, matter)
     if candidates[0].probability >= SET_MASS or matter.most < WORTH:
         return None
-    options = [found for name in TESTS if (found := _test(name, matter)) is not None]
+    tests = in_threads(_test, [(name, matter) for name in TESTS])
+    options = [found for found in tests if found is not None]
     if len(matter.fits) > 1:
         # The best drive, and the same with each sensor that the bench does not have.
         best = _best_drive(matter)
@@ -340,12 +341,11 @@ def _planned(
         entries = np.repeat(1.0 / stride, len(columns))
         if signal.quantity == "current":
             entries = entries * voltage[: len(columns), signal.wire]
-        average = csr_array(
-            (entries, (np.repeat(rows, stride), columns)), shape=(len(rows), len(time))
-        )
+        begins = np.arange(0, len(columns) + 1, stride)
+        average = csr_array((entries, columns, begins), shape=(len(rows), len(time)))
         signals.append(replace(
             signal, time=time[0] + (rows + 0.5) * stride * _PERIOD, value=np.zeros(len(rows)),
-            average=average, count=np.full(len(rows), float(np.median(signal.count))),
+            average=average, count=np.full(len(rows), signal.usual_count),
         ))  # fmt: skip
     noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more}
     stands = None if like.imposed is None else np.full(len(time), like.imposed[0])

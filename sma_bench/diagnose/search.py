@@ -216,13 +216,15 @@ def _singles(
     progress(names[0])
     starts = _starts(baseline, recalibrated, names)
 
-    def fit_from(name: str, x: Array, rounds: int = 2) -> Fit:
-        unknowns, frozen = baseline.with_effects([name]), recalibrated.derivatives
-        return fit(recalibrated.problem, unknowns, x, rounds=rounds, frozen=frozen)
+    def fit_from(name: str, x: Array, rounds: int = 2, predicted: Array | None = None) -> Fit:
+        return fit(
+            recalibrated.problem, baseline.with_effects([name]), x, rounds=rounds,
+            frozen=recalibrated.derivatives, predicted=predicted,
+        )
 
     def off(name: str) -> Fit:
         x = start_off(recalibrated, baseline.with_effects([name]), name)
-        return fit_from(name, x, rounds=0)
+        return fit_from(name, x, 0, recalibrated.predicted)
 
     def single(name: str) -> Fit:
         progress(name)
@@ -260,7 +262,7 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
 def _refined(found: Fit) -> Fit:
     """The same model once more, with what its own jumps and delays do, not recalibration's."""
     problem = found.problem.with_nuisances(found.parameters)
-    return fit(problem, found.unknowns, found.x, rounds=2)
+    return fit(problem, found.unknowns, found.x, rounds=2, predicted=found.predicted)
 
 
 def _handed_over(found: Fit) -> Fit:
