@@ -223,6 +223,8 @@ class Problem:
         if not len(which):
             return np.empty((len(predicted), 0))
         seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)
+        if len(which) * self.cells <= (len(which) + 1) * seen.cells:  # `here` is known on these
+            seen = self
         high = unknowns.bounds()[1]
         steps = np.where(x + _STEP <= high, _STEP, -_STEP)[[*which]]
         benches = [
@@ -233,6 +235,11 @@ class Problem:
         if seen is self:
             return (readings - predicted[:, np.newaxis]) / steps
         return (readings[:, 1:] - readings[:, :1]) / steps
+
+    @property
+    def cells(self) -> int:
+        """Of all simulations of the records."""
+        return sum(len(o.grid) for o in self.observations)
 
     @cached_property
     def coarse(self) -> "Problem":
