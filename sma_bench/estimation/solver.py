@@ -122,7 +122,7 @@ class Fit:
         white = self.problem.whiten(self.left) - pulled
         moved, expected = np.zeros(len(known)), np.zeros(len(known))
         for index in self.problem.stretches(_STRETCHES):
-            own = rows[index]
+            own = rows.take(index, axis=0)
             try:
                 without = np.linalg.solve(
                     information - own.T @ own,
