@@ -2,19 +2,17 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from threading import Thread
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sma_bench.compiled import is_compiled
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
 from sma_bench.physics import columns as at
-from sma_bench.physics import core, material
+from sma_bench.physics import material
 from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import Boundary
 from sma_bench.physics.effects import EFFECTS
@@ -140,13 +138,6 @@ def run_once() -> None:
     """Two steps of the default bench, for which the core is compiled or read from the disk."""
     bench = Parameters.defaults()
     simulate(bench, [0.0, 0.05, 0.1], np.ones((3, len(bench["bench.channels"]))))
-
-
-def load_aside() -> None:
-    """Read the core's machine code in a thread, if there is any: 0.2 s, most of them without the
-    interpreter's lock, in which others can read their files."""
-    if is_compiled(core.run):
-        Thread(target=run_once).start()
 
 
 class Bench(Readings):
