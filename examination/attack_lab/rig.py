@@ -114,11 +114,8 @@ def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Reco
     t, air = np.interp(camera, time, kelvin), np.interp(camera, time, room)
     t = air + sensors.emissivity * (t - air) + sensors.drift * camera / duration
     t = ZERO + sensors.camera.of(t - ZERO, random)
-    signals = [
-        Signal("wire.voltage", "V", power, v),
-        Signal("wire.current", "A", power, i),
-        Signal("wire.temperature", "K", camera + sensors.camera_late, t),
-    ]
+    signals = [Signal("wire.voltage", "V", power, v), Signal("wire.current", "A", power, i),
+               Signal("wire.temperature", "K", camera + sensors.camera_late, t)]  # fmt: skip
     if sensors.thermometer:
         stamps = np.arange(0.0, duration, 1.0)
         shown = np.interp(stamps, time, room) + 0.05 * random.standard_normal(len(stamps))

@@ -142,10 +142,8 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
     read = read + world.feature("pickup") * outcome.current.sum(axis=1)
     if drift := world.feature("deflection_drift"):
         read = read + drift * drift_shape(time, sensors.seed)
-    return {
-        "voltage": outcome.voltage, "current": outcome.current, "temperature": seen,
-        "deflection": read,
-    }  # fmt: skip
+    return {"voltage": outcome.voltage, "current": outcome.current, "temperature": seen,
+            "deflection": read}  # fmt: skip
 
 
 def drift_shape(time: Array, seed: int) -> Array:
@@ -213,7 +211,6 @@ def measure(
         if quantity == "voltage":  # a converter reads no less than 0, and 0 when off
             read = np.where(true > 0.0, np.maximum(read, 0.0), 0.0)
         if quantity in ("voltage", *quantities):
-            signals.append(Signal(
-                name, UNITS[quantity], time[arrived], read[arrived], received[arrived]
-            ))  # fmt: skip
+            signals.append(Signal(name, UNITS[quantity], time[arrived], read[arrived],
+                                  received[arrived]))  # fmt: skip
     return signals

@@ -48,11 +48,8 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         short = measuring.staircase_bag(folder / "short", 30.0 if tiny else 60.0)
-        commands = {
-            "--help": ["--help"],
-            "identify --help": ["identify", "--help"],
-            "identify a minute's bag": ["identify", str(short)],
-        }
+        commands = {"--help": ["--help"], "identify --help": ["identify", "--help"],
+                    "identify a minute's bag": ["identify", str(short)]}  # fmt: skip
         most = dict(zip(commands, (1.0, 1.0, 2.0), strict=True))
         if not tiny:
             gap, paper = map(str, measuring.diagnosis_case(folder))

@@ -48,12 +48,10 @@ def made(tmp_path_factory):
             (root / "cases" / name / record).mkdir(parents=True)
         nominal = root / "cases" / name / "nominal.yaml"
         write_parameters(nominal, case.nominal, names=sorted(case.nominal.given))
-        labels[name] = {
-            "id": name, "kind": kind, "effects": list(effects), "severity": 9.0, "where": WHERE,
-            "signals": "all", "features": features, "truth": true_values(case.truth),
-            "sensors": asdict(case.sensors),
-            "drives": {n: vars(d) for n, d in case.drives.items()},
-        }  # fmt: skip
+        labels[name] = {"id": name, "kind": kind, "effects": list(effects), "severity": 9.0,
+                        "where": WHERE, "signals": "all", "features": features,
+                        "truth": true_values(case.truth), "sensors": asdict(case.sensors),
+                        "drives": {n: vars(d) for n, d in case.drives.items()}}  # fmt: skip
     sha256 = files.seal(root / "labels.sealed", list(labels.values()))
     manifest = {"seed": 5, "split": "open", "cases": list(CASES), "sha256": sha256}
     (root / "manifest.json").write_text(json.dumps(manifest))

@@ -28,10 +28,8 @@ def diagnosed(load, effect, drive=()):
     off = {n: believed[n] + believed.std(n) * random.standard_normal() for n in MOVED}
     bench = believed.replace({**off, **effect})
     *seen, unseen = (
-        moving_record(
-            bench, strokes(bench, shape, 20.0, 60.0, top=5.6), seed,
-            ("voltage", "elongation", "deflection", "force"),
-        )  # fmt: skip
+        moving_record(bench, strokes(bench, shape, 20.0, 60.0, top=5.6), seed,
+                      ("voltage", "elongation", "deflection", "force"))  # fmt: skip
         for shape, seed in (("triangle", 4), ("step", 5), ("sine", 13))
     )  # fmt: skip
     with few_effects(("latent_heat", "residual_strain", "deflection_drift")):

@@ -69,11 +69,8 @@ def diagnosed(bag):
     return work
 
 
-PLAYED = {
-    "A bag to R": lambda bag: lambda: main(["identify", bag]),
-    "A bag to a verdict": diagnosed,
-    "A volt to a temperature": live,
-}
+PLAYED = {"A bag to R": lambda bag: lambda: main(["identify", bag]),
+          "A bag to a verdict": diagnosed, "A volt to a temperature": live}  # fmt: skip
 
 
 def test_every_walk_of_the_page_is_played():

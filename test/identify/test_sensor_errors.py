@@ -48,11 +48,8 @@ def test_numbers_share_the_errors_of_their_sensors():
 
 
 def test_a_calibration_puts_the_readings_right():
-    wrong = {
-        "current": lambda x: (x - 0.02) / 1.05,
-        "voltage": lambda x: x / 0.97,
-        "temperature": lambda x: AMBIENT + 0.8 * (x - AMBIENT),
-    }
+    wrong = {"current": lambda x: (x - 0.02) / 1.05, "voltage": lambda x: x / 0.97,
+             "temperature": lambda x: AMBIENT + 0.8 * (x - AMBIENT)}  # fmt: skip
     known = Parameters.of_paper().replace({
         AMPERES: 1.05, "sensor.current.offset": 0.02, VOLTS: 0.97,
         "sensor.temperature.spot_share": 0.8, "environment.ambient_temperature": AMBIENT,

@@ -96,10 +96,8 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
     executor = OneThreadExecutor()
     marker, progress = "experiment/marker", "experiment/progress"
     for name in NODE_TABLES:
-        node = nodes[name] = make(
-            name, "--params-file", str(COMPOSITE), *FILLED,
-            "-p", QOS.format(f"{progress}.publisher"),
-        )  # fmt: skip
+        node = nodes[name] = make(name, "--params-file", str(COMPOSITE), *FILLED, "-p",
+                                  QOS.format(f"{progress}.publisher"))  # fmt: skip
         executor.add_node(node)
         # A best-effort commander is heard.
         drives = name in ("simulator", "serial_bridge")

@@ -34,11 +34,9 @@ def complaint(call, *args, **kwargs):
 
 
 def test_defaults_are_the_papers_table_one_and_every_declaration_is_complete():
-    table_one = {
-        "wire.resistance": 2.6987, "wire.heat_transfer_coefficient": 403.26,
-        "wire.specific_heat": 343.2, "wire.mass": 0.091e-3, "wire.surface_area": 395.84e-6,
-        "environment.ambient_temperature": 296.15,
-    }  # fmt: skip
+    table_one = {"wire.resistance": 2.6987, "wire.heat_transfer_coefficient": 403.26,
+                 "wire.specific_heat": 343.2, "wire.mass": 0.091e-3, "wire.surface_area": 395.84e-6,
+                 "environment.ambient_temperature": 296.15}  # fmt: skip
     assert {name: DEFAULTS[name] for name in table_one} == table_one
     for parameter in TABLE:
         assert parameter.description.endswith(".") and parameter.provenance, parameter.name

@@ -20,10 +20,9 @@ AMBIENT = 296.15
 # A wire of 0.5 mm as catalogues have it, wide hysteresis and unequal ranges.
 GRADE = dict(zip(TRANSITIONS.values(), (345.0, 363.0, 338.0, 312.0), strict=True))
 C_A, C_M = 7.3e6, 9.0e6
-STOCK = WIRE.replace({
-    **GRADE, "wire.stress_influence_austenite": C_A, "wire.stress_influence_martensite": C_M,
-    "wire.hysteresis_spread": 0.25,
-})  # fmt: skip
+STOCK = WIRE.replace({**GRADE, "wire.stress_influence_austenite": C_A,
+                      "wire.stress_influence_martensite": C_M,
+                      "wire.hysteresis_spread": 0.25})  # fmt: skip
 SIGNALS = ("temperature", "martensite_fraction", "stress", "bending", "deflection_reading")
 OHM, HEAT = WIRE["wire.resistance"], by_hand.Heat(WIRE)
 

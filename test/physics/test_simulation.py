@@ -52,11 +52,8 @@ STIFF = {
 
 @settings(deadline=None, max_examples=60)
 @example(STIFF, 1988, 0.005)
-@given(
-    st.one_of(rigs, st.just(SECOND_CYCLE)),
-    st.integers(0, 2**32 - 1),
-    st.sampled_from([0.005, 0.05, 0.5]),
-)
+@given(st.one_of(rigs, st.just(SECOND_CYCLE)), st.integers(0, 2**32 - 1),
+       st.sampled_from([0.005, 0.05, 0.5]))  # fmt: skip
 def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, period):
     rig = COMPOSITE.replace(numbers)
     time, voltage = random_voltage(seed, 120, 4, period)

@@ -143,10 +143,9 @@ def test_a_bench_that_does_as_believed_is_never_called_a_gap(
         assert [stream.twin.counts[name] for name in names] == [200, 600, 0]
 
 
-@pytest.mark.parametrize(("load", "supply"), [
-    ("force", {"bench.drive": "duty"}), ("spring", {"bench.lead_resistance": 0.3}),
-    ("antagonist", {}),
-])  # fmt: skip
+@pytest.mark.parametrize(("load", "supply"), [("force", {"bench.drive": "duty"}),
+                                              ("spring", {"bench.lead_resistance": 0.3}),
+                                              ("antagonist", {})])  # fmt: skip
 def test_wires_with_a_load_are_quiet_until_they_do_otherwise(load, supply):
     rig = BENCH if load == "antagonist" else BENCH.replace(ONE_WIRE)
     belief = rig.replace({"load.kind": load, **LOADS[load], **supply})

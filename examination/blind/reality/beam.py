@@ -99,13 +99,12 @@ def beam(world: World) -> Beam:
             stiffness, load = np.array([spring, IDLE]), np.array([preload + held, 0.0])
         else:
             stiffness, load = np.array([0.0, IDLE]), np.array([held, 0.0])
-    return Beam(
-        sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]), lever,
-        opposing, world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
-        p["wire.austenite_modulus"], p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
-        p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
-        p["environment.ambient_temperature"], world.numbers,
-    )  # fmt: skip
+    return Beam(sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]),
+                lever, opposing, world.feature("relaxation_time") * np.array(RELAXATION_TIMES),
+                p["wire.austenite_modulus"],
+                p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
+                p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
+                p["environment.ambient_temperature"], world.numbers)  # fmt: skip
 
 
 def pull_at_rest(beam: Beam) -> Pull:

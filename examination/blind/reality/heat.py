@@ -164,11 +164,9 @@ def strip_of(world: World) -> Strip:
     skin_heat = heat * np.array(SKIN_CELLS)
     # Isolated cells take part in nothing, but the equations need a number.
     middle_heat = 2.0 * heat * middle_cells if conductance > 0.0 else np.ones(MIDDLE)
-    return Strip(
-        np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
-        np.concatenate([skin[:-1][::-1], middle, skin[:-1]]), float(skin[-1]),
-        loss / (1.0 - share), relative_film(world),
-    )  # fmt: skip
+    return Strip(np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
+                 np.concatenate([skin[:-1][::-1], middle, skin[:-1]]), float(skin[-1]),
+                 loss / (1.0 - share), relative_film(world))  # fmt: skip
 
 
 @inlined

@@ -249,11 +249,10 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     front, back = ([i for i, s in enumerate(world.sides) if s == side]
                    for side in ("front", "back"))  # fmt: skip
     p = world.parameters
-    rig = Rig(
-        world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
-        strip_of(world), np.array([front, back], dtype=np.int64).T.copy(),
-        grain_classes(world), ramp_table(world.feature("kinetics_smoothness")), beam(world),
-    )  # fmt: skip
+    rig = Rig(world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
+              strip_of(world), np.array([front, back], dtype=np.int64).T.copy(),
+              grain_classes(world), ramp_table(world.feature("kinetics_smoothness")),
+              beam(world))  # fmt: skip
     # Cold, all martensite, never driven.
     still = float(p["environment.ambient_temperature"])
     before, after = np.full((2, wires), still)
@@ -267,9 +266,7 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     grains = grains_at_rest(wires, len(rig.classes.weight))
     run(rig, inputs, field, grains, pull_at_rest(rig.beam), at_rest, scratch, values, tip, sides)
     values = values[:, :, :driven]
-    return Outcome(
-        time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE], values[:, SURFACE],
-        values[:, MARTENSITE], values[:, STRESS],
-        deflection=tip if world.load in ("beam", "antagonist") else -tip,
-        side_deflection=sides, ambient=inputs.ambient,
-    )  # fmt: skip
+    return Outcome(time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE],
+                   values[:, SURFACE], values[:, MARTENSITE], values[:, STRESS],
+                   deflection=tip if world.load in ("beam", "antagonist") else -tip,
+                   side_deflection=sides, ambient=inputs.ambient)  # fmt: skip

@@ -144,10 +144,8 @@ def grains_at_rest(wires: int, classes: int) -> Grains:
     shape = (wires, classes)
     line = np.zeros((*shape, LINE))
     line[..., SLOPE] = 1.0
-    return Grains(
-        np.ones(wires, dtype=np.bool_), np.ones(shape), np.zeros(shape), line,
-        np.zeros(shape, dtype=np.int64), np.zeros((*shape, LOOPS, 3)),
-    )  # fmt: skip
+    return Grains(np.ones(wires, dtype=np.bool_), np.ones(shape), np.zeros(shape), line,
+                  np.zeros(shape, dtype=np.int64), np.zeros((*shape, LOOPS, 3)))  # fmt: skip
 
 
 @inlined
