@@ -13,10 +13,8 @@ from scipy.integrate import solve_ivp
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
 
-FOUR = {
-    "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-    "bench.channel_sides": ("front", "front", "back", "back"),
-}
+FOUR = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+        "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 INFLUENCES = ("wire.stress_influence_austenite", "wire.stress_influence_martensite")
 WIRE = Parameters.of_paper()
 # Two wires a side that bend a composite by a few centimetres.

@@ -42,12 +42,10 @@ def random_voltage(seed, samples, wires, period):
 
 
 # Where Newton's steps converge slowly: ended at steps of 1e-7 they leave an error of 2.5e-9.
-STIFF = {
-    **alloy((321.4393121396765, 14.0, 325.75, 3.0), (13573015.0, 13710709.0)),
-    "composite.stress_per_deflection_front": 25977424783.0,
-    "composite.stress_per_deflection_back": 0.6 * 25977424783.0,
-    "wire.thermal_expansion_factor": 0.0,
-}
+STIFF = {**alloy((321.4393121396765, 14.0, 325.75, 3.0), (13573015.0, 13710709.0)),
+         "composite.stress_per_deflection_front": 25977424783.0,
+         "composite.stress_per_deflection_back": 0.6 * 25977424783.0,
+         "wire.thermal_expansion_factor": 0.0}  # fmt: skip
 
 
 @settings(deadline=None, max_examples=60)
