@@ -164,12 +164,10 @@ class Bench:
         return Parameters.of_paper().replace(dict(self.known), dict(self.unsure))
 
     def truth(self) -> dict[str, float]:
-        return {
-            "wire.resistance": self.wire.resistance,
-            "wire.heat_transfer_coefficient": self.wire.loss,
-            "wire.specific_heat": self.wire.specific_heat,
-            "environment.ambient_temperature": self.wire.room,
-        }
+        return {"wire.resistance": self.wire.resistance,
+                "wire.heat_transfer_coefficient": self.wire.loss,
+                "wire.specific_heat": self.wire.specific_heat,
+                "environment.ambient_temperature": self.wire.room}  # fmt: skip
 
     def but(self, wire: Mapping[str, Any], sensors: Mapping[str, Any], **own: Any) -> "Bench":
         """The same with some numbers changed; a mapping changes some of a reading."""

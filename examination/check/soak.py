@@ -488,12 +488,10 @@ def at_most(cuts: int, hours: float) -> float:
 
 def report(found: Sequence[dict[str, Any]]) -> int:
     """Print the tables; number of cuts."""
-    names = {
-        "a wire": "host: rules of the node that commands, a wire",
-        "four wires": "host: the bridge's driver, four wires",
-        "firmware": "firmware: its logic on this computer",
-        "uno": "emulated Uno: its image and the bridge's driver",
-    }
+    names = {"a wire": "host: rules of the node that commands, a wire",
+             "four wires": "host: the bridge's driver, four wires",
+             "firmware": "firmware: its logic on this computer",
+             "uno": "emulated Uno: its image and the bridge's driver"}  # fmt: skip
     groups = {name: [o for o in found if o["kind"] == kind] for kind, name in names.items()}
     host = [one for one in found if one["kind"] in ("a wire", "four wires")]
     groups |= {"host, all": host}

@@ -64,12 +64,10 @@ finally:
 """
 BARE = tuple(f"bare_{k}" for k in range(GROUP))
 _SMALL = {"image_width": 64, "image_height": 64}
-_OWN = {
-    "experiment": {"protocol": "composite_triangle", "autostart": "true"},
-    "recorder": {"output": "bag"},
-    "ir_camera": {**_SMALL, "regions": list(regions_side_by_side(4, 64, 64))},
-    "synthetic_camera": _SMALL,
-}
+_OWN = {"experiment": {"protocol": "composite_triangle", "autostart": "true"},
+        "recorder": {"output": "bag"},
+        "ir_camera": {**_SMALL, "regions": list(regions_side_by_side(4, 64, 64))},
+        "synthetic_camera": _SMALL}  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -170,13 +168,11 @@ def _stopped(
     found, seconds = {}, {name: round(ended.get(name, _FOR_EVER), 3) for name in processes}
     for name, process in processes.items():
         text, status = said(name), process.poll()
-        wrong = [
-            f"there after {seconds[name]:.1f} s" if seconds[name] > LIMIT else "",
-            f"status {status}" if status else "",
-            "still in the graph" if name in ghosts and name in ended else "",
-            "not ready" if not (while_starting or were[name]) else "",
-            "a traceback" if "Traceback" in text else "",
-        ]
+        wrong = [f"there after {seconds[name]:.1f} s" if seconds[name] > LIMIT else "",
+                 f"status {status}" if status else "",
+                 "still in the graph" if name in ghosts and name in ended else "",
+                 "not ready" if not (while_starting or were[name]) else "",
+                 "a traceback" if "Traceback" in text else ""]  # fmt: skip
         wrong = wrong if name in NODES else wrong[2:3]
         line = ", ".join(filter(None, wrong))
         line += f" ({text[-300:]})" if line else ""

@@ -115,10 +115,8 @@ def _dsc(kind: str, rng: np.random.Generator) -> Truth:
     peak = rng.uniform(0.1, 0.3) * np.exp(-(((temperature - centre) / (0.06 * height)) ** 2))
     flow = np.where(is_heating, 1.0, -1.0) * (0.05 + peak)  # W/g
     mass = float(np.round(rng.uniform(5e-6, 20e-6), 9))
-    columns = (
-        Quantity("temperature", "temperature", temperature),
-        Quantity("heat_flow", "heat flow", flow * 1e3 * mass),
-    )
+    columns = (Quantity("temperature", "temperature", temperature),
+               Quantity("heat_flow", "heat flow", flow * 1e3 * mass))  # fmt: skip
     return Truth(kind, np.arange(rows) * step, columns, mass)
 
 

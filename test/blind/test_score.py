@@ -72,11 +72,9 @@ def hand_in(made, folder, answers, name="diagnosis", program=("x",)):
     return cases
 
 
-GOOD = {
-    "0001": document("effect", "supply_drop", supply_drop=1.0),
-    "0002": document("no_gap", no_gap=1.0) | {"shrinkage": {}},
-    "0003": document("ambiguous", protocol=TIE, slack=0.5, residual_strain=0.5),
-}
+GOOD = {"0001": document("effect", "supply_drop", supply_drop=1.0),
+        "0002": document("no_gap", no_gap=1.0) | {"shrinkage": {}},
+        "0003": document("ambiguous", protocol=TIE, slack=0.5, residual_strain=0.5)}  # fmt: skip
 
 
 def test_labels_stay_sealed_until_the_last_answer_to_this_set(made, tmp_path, monkeypatch, capsys):

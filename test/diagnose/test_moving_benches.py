@@ -10,11 +10,9 @@ from sma_bench.protocols import parse_protocol
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-MOVED = (
-    *("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"),
-    *("wire.austenite_start_temperature", "wire.martensite_finish_temperature"),
-    "wire.maximum_recoverable_strain",
-)
+MOVED = (*("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"),
+         *("wire.austenite_start_temperature", "wire.martensite_finish_temperature"),
+         "wire.maximum_recoverable_strain")  # fmt: skip
 DUTY = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
 CASES = {
     "force": ({"effect.latent_heat.heat": 9e3}, DUTY),
