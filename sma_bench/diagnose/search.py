@@ -12,7 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
-from sma_bench.estimation.observation import Observation
+from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.unknowns import (
@@ -34,6 +34,8 @@ _MOST_FROM_BELIEF = 3
 _MOST_PAIRED, _PARTNERS = 3, 3
 _HOPELESS = 0.5  # of the best single's gain: with a partner, less than that is no rival of it
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
+_STANDS_STILL = 0.05  # of the motion that is read
+_DRAWN, _STARTED, _SEED = 60, 2, 19  # benches that are tried where the believed one stands still
 _LOST = 5.0  # nats below recalibration: the fit may have gone astray
 _FIRST = 2  # effects, the most promising
 # What a start promises is off by factors of three; where the lead is beyond ten promises and this
@@ -115,6 +117,7 @@ def search(
     progress("recalibration")
     fresh = Problem.of(observations)
     starts = [baseline.start(spread) for spread in _SPREADS]
+    starts += _where_it_moves(fresh, baseline, parameters)
     recalibrated, _ = recalibrate(fresh, parameters, baseline, starts)
     problem = replace(fresh, nuisances=recalibrated.problem.nuisances)
     # As believed: every parameter exact.
@@ -194,6 +197,29 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
         if name not in known and load in effect.loads and law in effect.laws
         and set(effect.acts_on) & set(quantities)
     ]
+
+
+def _where_it_moves(
+    problem: Problem, unknowns: Unknowns, parameters: Parameters
+) -> list[Array]:
+    """Believable benches (k,) each that move as the records do, where the one believed in stands
+    still: no small step from there shows a motion, and all of it would pass for drift."""
+    moved = [b for b in problem.blocks if b.signal.quantity in MOVED]
+    here, reach = problem.predict(parameters), [np.ptp(b.signal.value) for b in moved]
+    shown = [np.ptp(here[b.rows]) for b in moved]
+    if all(a > _STANDS_STILL * b for a, b in zip(shown, reach, strict=True)):
+        return []
+    random = np.random.default_rng(_SEED)
+    drawn = [unknowns.start() for _ in range(_DRAWN)]
+    for x in drawn:
+        x[: unknowns.bench] = random.standard_normal(unknowns.bench)
+    benches = [unknowns.parameters(np.clip(x, *unknowns.bounds())) for x in drawn]
+    readings = problem.coarse.predict_many(benches)
+    missed = [
+        sum(np.std(b.signal.value - one[b.rows]) / r for b, r in zip(moved, reach, strict=True))
+        for one in readings.T
+    ]
+    return [drawn[k] for k in np.argsort(missed)[:_STARTED]]
 
 
 def _starts(baseline: Unknowns, fitted: Fit, names: Sequence[str]) -> dict[str, Start]:
