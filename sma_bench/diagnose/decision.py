@@ -155,8 +155,6 @@ def weigh(search: Search) -> Weights:
 def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
     """All candidates, the most probable first."""
     fits = _effect_fits(search)
-    errors = in_threads(lambda fitted: fitted.errors, [(fit,) for fit in fits.values()])
-    errors_of = dict(zip(fits, errors, strict=True))
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
     found = []
     for name, probability in weights.probabilities().items():
@@ -164,7 +162,7 @@ def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
         if name in weights.gains:
             fitted = fits[name]
             stages = [EFFECTS[effect].stage for effect in fitted.unknowns.effects]
-            every = estimates(fitted, errors_of[name])
+            every = estimates(fitted, fitted.errors)
             numbers = dict(list(every.items())[fitted.unknowns.baseline :])
         found.append(Candidate(
             name, probability, JOIN.join(dict.fromkeys(stages)), numbers,

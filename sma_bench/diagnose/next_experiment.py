@@ -138,8 +138,7 @@ def next_experiment(
         return _showing(search, matter)
     if candidates[0].probability >= SET_MASS or matter.most < WORTH:
         return None
-    tests = in_threads(_test, [(name, matter) for name in TESTS])
-    options = [found for found in tests if found is not None]
+    options = [found for name in TESTS if (found := _test(name, matter)) is not None]
     if len(matter.fits) > 1:
         # The best drive, and the same with each sensor that the bench does not have.
         best = _best_drive(matter)

@@ -134,10 +134,10 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         pass
     finally:
         _end_within(_LEAVING)
+        for node in nodes.values() if making else ():  # another could not be made
+            node.close()  # a recorder has a bag open
         with end_of_ros():
             for node in nodes.values():
-                if making:  # another could not be made: a recorder has a bag open
-                    node.close()
                 node.destroy_node()
             _end_within(_LEAVING)
             gc.collect()  # one that was half made leaves the graph with its last reference

@@ -336,7 +336,7 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
             rms = float(np.sqrt(np.nanmean((measured - model) ** 2)))
             ax.plot(time, measured, **_marks(".", MEASURED, "measured", ms=1.5, rasterized=True))
             ax.plot(time, model, color=MODEL, lw=1, label=f"model, rms {rms:.2g} {unit}")
-            name = signal.removeprefix(f"{head}.") if head else signal
+            name = signal.removeprefix(f"{head}.")
             if bands:
                 band = bands[int(head or 0)][name]
                 limits: dict[str, Any] = {"color": FAINT, "lw": 0.8, "ls": "--"}

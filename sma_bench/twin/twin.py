@@ -111,6 +111,7 @@ class Twin:
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]
         self._voltages = MeasuredVoltages(len(self._channels))
+        self._share = math.nan  # of readings, between the limits that are asked for
         self.tune(settings)
         self._judge = Judge(side_names(parameters))
         self._origin: int | None = None
@@ -121,14 +122,16 @@ class Twin:
     def tune(self, settings: Settings) -> None:
         self._settings, self._period = settings, 1.0 / settings["publish_rate"]
         self._voltages.timeout = settings["voltage_timeout"]
-        self._draw()
+        if settings["band"] != self._share:
+            self._share = settings["band"]
+            self._draw()
 
     def _draw(self) -> None:
         """Draw the benches of a band, if one is asked for."""
         self._benches: list[Parameters] = []
         self._doubt: Doubt | None = None
         self.no_band = ""  # why there is none
-        if self._settings["band"]:
+        if self._share:
             try:
                 self._benches = benches_within(self._parameters, _BENCHES)
             except InputError as error:
@@ -225,7 +228,7 @@ class Twin:
         if not len(time):
             return
         if self._benches and self._doubt is None:
-            self._doubt = Doubt(run, self._benches, self._settings["band"])
+            self._doubt = Doubt(run, self._benches, self._share)
         run.advance(time, volts)
         if (doubt := self._doubt) is not None:
             doubt.advance(time, volts)
