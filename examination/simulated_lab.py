@@ -22,10 +22,8 @@ from sma_bench.records import Signal
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_protocol
 
-RIG = {
-    "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-    "bench.channel_sides": ("front", "front", "back", "back"),
-}
+RIG = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+       "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 IDENTIFIED = tuple(_DATA["errors"])
 EXACT = ("wire.mass", "wire.surface_area", "wire.diameter")

@@ -75,6 +75,13 @@ def is_compiled(function: Callable[..., Any]) -> bool:
     return folder is not None and any(folder.rglob(files))
 
 
+def load_aside(function: Callable[..., Any], use: Callable[[], None]) -> None:
+    """Have machine code of a compiled function that is on the disk read in a thread, by a `use` of
+    it: 0.2 s for the physics, most of them without the interpreter's lock, while files are read."""
+    if is_compiled(function):
+        threading.Thread(target=use).start()
+
+
 def when_compiling(notify: Callable[[], None]) -> None:
     """Have `notify` called once, when this process first compiles, or waits for one that does."""
     _listeners.append(notify)

@@ -214,10 +214,9 @@ def browser():
     if program is None:
         pytest.skip("no browser here (Debian package chromium)")
     # As root, and without asking its maker for news: what is tested needs no network.
-    options = [
-        "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-        "--disable-background-networking", "--disable-component-update", "--disable-sync",
-    ]  # fmt: skip
+    options = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+               "--disable-background-networking", "--disable-component-update",
+               "--disable-sync"]  # fmt: skip
     with playwright.sync_playwright() as driver:
         chromium = driver.chromium.launch(executable_path=program, args=options, timeout=120e3)
         yield chromium

@@ -144,14 +144,10 @@ def _windy(b: Bench) -> Wire:
 
 
 _ALLOY_CHANGES = {"latent": 12e3, "change": (332.0, 352.0)}
-_R_CHANGES = {
-    "hot_resistance": 0.06,
-    "change": lambda b: (b.wire.room, b.wire.room + 1.5 * b.warming),
-}
-_WIDER = {
-    "wire.diameter": lambda b: 1.05 * b.known.get("wire.diameter", 0.3e-3),
-    "wire.surface_area": lambda b: 1.05 * b.wire.area,
-}
+_R_CHANGES = {"hot_resistance": 0.06,
+              "change": lambda b: (b.wire.room, b.wire.room + 1.5 * b.warming)}  # fmt: skip
+_WIDER = {"wire.diameter": lambda b: 1.05 * b.known.get("wire.diameter", 0.3e-3),
+          "wire.surface_area": lambda b: 1.05 * b.wire.area}  # fmt: skip
 WIRES = {
     "air flow +20 % from one staircase to the next": _records(
         lambda b, r: (b.staircase(r), b.staircase(r, _windy(b)), b.ramps(r))
@@ -261,14 +257,12 @@ def beam(random, seed: int, **own) -> Case:
     one = Beam(Alloy.drawn(random), random.uniform(0.8, 1.0), random.uniform(4e9, 5e9))
     alloy, off = one.alloy, 1.0 + 0.02 * random.standard_normal(4)
     # The truth, what the lab believes of it, and how sure it is.
-    rows = {
-        "wire.resistance": (one.resistance, off[0], 0.06),
-        "wire.heat_transfer_coefficient": (one.heat_loss / 2e-4, off[1], 4.0),
-        "wire.specific_heat": (one.capacity / 0.091e-3, off[2], 12.0),
-        "composite.deflection_per_strain": (one.alpha, off[3], 0.03),
-        "composite.stress_per_deflection_front": (one.beta, 1.03, 2e8),
-        "composite.stress_per_deflection_back": (one.beta, 0.97, 2e8),
-    }
+    rows = {"wire.resistance": (one.resistance, off[0], 0.06),
+            "wire.heat_transfer_coefficient": (one.heat_loss / 2e-4, off[1], 4.0),
+            "wire.specific_heat": (one.capacity / 0.091e-3, off[2], 12.0),
+            "composite.deflection_per_strain": (one.alpha, off[3], 0.03),
+            "composite.stress_per_deflection_front": (one.beta, 1.03, 2e8),
+            "composite.stress_per_deflection_back": (one.beta, 0.97, 2e8)}  # fmt: skip
     truth = {name: true for name, (true, _, _) in rows.items()}
     truth |= alloy.truth() | {"environment.ambient_temperature": one.room}
     errors = {"c_a": 4e5, "c_m": 4e5, "e_a": 1.5e9, "e_m": 0.6e9, "eps_l": 1e-3, "theta": 3e4}

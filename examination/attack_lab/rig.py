@@ -114,11 +114,8 @@ def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Reco
     t, air = np.interp(camera, time, kelvin), np.interp(camera, time, room)
     t = air + sensors.emissivity * (t - air) + sensors.drift * camera / duration
     t = ZERO + sensors.camera.of(t - ZERO, random)
-    signals = [
-        Signal("wire.voltage", "V", power, v),
-        Signal("wire.current", "A", power, i),
-        Signal("wire.temperature", "K", camera + sensors.camera_late, t),
-    ]
+    signals = [Signal("wire.voltage", "V", power, v), Signal("wire.current", "A", power, i),
+               Signal("wire.temperature", "K", camera + sensors.camera_late, t)]  # fmt: skip
     if sensors.thermometer:
         stamps = np.arange(0.0, duration, 1.0)
         shown = np.interp(stamps, time, room) + 0.05 * random.standard_normal(len(stamps))
@@ -167,12 +164,10 @@ class Bench:
         return Parameters.of_paper().replace(dict(self.known), dict(self.unsure))
 
     def truth(self) -> dict[str, float]:
-        return {
-            "wire.resistance": self.wire.resistance,
-            "wire.heat_transfer_coefficient": self.wire.loss,
-            "wire.specific_heat": self.wire.specific_heat,
-            "environment.ambient_temperature": self.wire.room,
-        }
+        return {"wire.resistance": self.wire.resistance,
+                "wire.heat_transfer_coefficient": self.wire.loss,
+                "wire.specific_heat": self.wire.specific_heat,
+                "environment.ambient_temperature": self.wire.room}  # fmt: skip
 
     def but(self, wire: Mapping[str, Any], sensors: Mapping[str, Any], **own: Any) -> "Bench":
         """The same with some numbers changed; a mapping changes some of a reading."""

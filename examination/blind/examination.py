@@ -87,10 +87,8 @@ class Examinee:
 
     def _run(self, desk: Path, records: Sequence[str]) -> None:
         """Run the program in its folder; raises InputError where it gives no answer."""
-        command = [
-            *self.program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT,
-            "--json", _RESULT, "--out", _IMPROVED,
-        ]  # fmt: skip
+        command = [*self.program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT, "--json",
+                   _RESULT, "--out", _IMPROVED]  # fmt: skip
         # The caller's environment, with one thread a process and without a trace of its folder.
         paths = [str(PACKAGE_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = {k: v for k, v in os.environ.items() if k not in ("OLDPWD", "_")}
@@ -98,10 +96,9 @@ class Examinee:
         environment |= {"PWD": str(desk), "PYTHONPATH": os.pathsep.join(paths)}
         limit = self.time_limit * (1 + len(records)) / 2.0  # half of it goes with the records
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
-            process = subprocess.Popen(
-                command, cwd=desk, env=environment, text=True, start_new_session=True,
-                stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=errors,
-            )  # fmt: skip
+            process = subprocess.Popen(command, cwd=desk, env=environment, text=True,
+                                       start_new_session=True, stdin=subprocess.DEVNULL,
+                                       stdout=subprocess.DEVNULL, stderr=errors)  # fmt: skip
             end = time.monotonic() + limit
             while process.poll() is None:
                 if time.monotonic() > end or self.stopped.is_set():
@@ -208,10 +205,9 @@ def _do_and_ask(
                 stage, (grid, voltage) = Stage.from_label(label), protocol.sample(COMMAND_PERIOD)
                 world = world_of(stage.truth, label["features"])
                 wanted = {*QUANTITIES[label["signals"]], *asked.quantities}
-                signals = measure(
-                    happen(world, grid, voltage), world, stage.sensors, protocol.channels, random,
-                    tuple(q for q in QUANTITIES["all"] if q in wanted),
-                )  # fmt: skip
+                signals = measure(happen(world, grid, voltage), world, stage.sensors,
+                                  protocol.channels, random,
+                                  tuple(q for q in QUANTITIES["all"] if q in wanted))  # fmt: skip
                 write_record(bags[-1], signals, "bench", _START_NS + number * _HOUR_NS)
         except InputError as error:
             files.keep(place.parent, place.name, None, str(error), 0.0)

@@ -28,11 +28,8 @@ _BENIGN = frozenset((NO_GAP, RECALIBRATION))
 _SILENCE = files.Answer("", (), (), None, {}, None)
 # What is right to say of a case without an effect of the library. Where nothing is wrong, the
 # parameters still differ from the truth by their uncertainty, and saying that is no error.
-_RIGHT_NAMES = {
-    "none": _BENIGN,
-    "recalibration": frozenset((RECALIBRATION,)),
-    "outside": frozenset((UNEXPLAINED,)),
-}
+_RIGHT_NAMES = {"none": _BENIGN, "recalibration": frozenset((RECALIBRATION,)),
+                "outside": frozenset((UNEXPLAINED,))}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -223,10 +220,9 @@ class UnseenRecord:
     def gaps(self, parameters: Parameters) -> dict[str, float]:
         """Root mean square of measured less simulated, of every signal and every quantity."""
         found = simulate(parameters, self.time, self.voltage)
-        simulated = self.stage.named({
-            "current": found.current, "temperature": found.temperature_reading,
-            "deflection": found.deflection_reading,
-        })  # fmt: skip
+        simulated = self.stage.named({"current": found.current,
+                                      "temperature": found.temperature_reading,
+                                      "deflection": found.deflection_reading})  # fmt: skip
         square = {
             name: float(np.mean((read - simulated[name]) ** 2))
             for name, read in self.readings.items()

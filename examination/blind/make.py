@@ -363,11 +363,9 @@ def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") 
                 labels = joblib.Parallel(jobs)(calls)
             else:  # joblib's own way in one process now and then lets an interrupt past its caller
                 labels = [make_case(case, folder / CASES) for case in due]
-            manifest = {
-                "layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "load": load,
-                "split": cases.split_of(seed), "cases": [label["id"] for label in labels],
-                "sha256": seal(folder / LABELS, labels),
-            }  # fmt: skip
+            manifest = {"layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "load": load,
+                        "split": cases.split_of(seed), "cases": [label["id"] for label in labels],
+                        "sha256": seal(folder / LABELS, labels)}  # fmt: skip
             text = json.dumps(manifest, indent=1) + "\n"
             (folder / MANIFEST).write_text(text, encoding="utf-8")
             folder.rename(out)

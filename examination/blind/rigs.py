@@ -264,11 +264,9 @@ class Stage:
     def from_label(cls, label: Mapping[str, Any]) -> Self:
         """The stage of a case; its features are label["features"], without the effect
         label["base"]."""
-        return cls(
-            _rig(dict(label["truth"]), {}, label.get("load", "beam")),
-            msgspec.convert(label["sensors"], Sensors),
-            msgspec.convert(label["drives"], dict[str, Drive]),
-        )
+        return cls(_rig(dict(label["truth"]), {}, label.get("load", "beam")),
+                   msgspec.convert(label["sensors"], Sensors),
+                   msgspec.convert(label["drives"], dict[str, Drive]))  # fmt: skip
 
     def play(
         self, features: Mapping[str, float], record: str, fine: float = 1.0,

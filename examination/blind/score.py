@@ -93,13 +93,12 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
             before, after = (
                 judgement.parameter_error(label["truth"], nominal, p) for p in (nominal, improved)
             )
-            into.append(Judged(
-                msgspec.convert(label, judgement.Label), kept.answer,
-                unseen.shrunk(nominal, improved), judgement.moved_parameters(nominal, improved),
-                history[-1].answer if len(history) > 1 else None,
-                tied and (len(history) > 1 or not asks_for_more(kept)),
-                before, after, kept.seconds, kept.line,
-            ))  # fmt: skip
+            into.append(Judged(msgspec.convert(label, judgement.Label), kept.answer,
+                               unseen.shrunk(nominal, improved),
+                               judgement.moved_parameters(nominal, improved),
+                               history[-1].answer if len(history) > 1 else None,
+                               tied and (len(history) > 1 or not asks_for_more(kept)), before,
+                               after, kept.seconds, kept.line))  # fmt: skip
     return [
         Score(paper.examination.name, tuple(of), {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
         for paper, of in zip(papers, judged, strict=True)
@@ -184,10 +183,8 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
 _MOST_SHOWN = 4
 _DASH = "–"
 # By style of a measure: factor, digits, unit behind the number.
-_STYLES = {
-    "share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
-    "seconds": (1.0, 1, " s"),
-}  # fmt: skip
+_STYLES = {"share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
+           "seconds": (1.0, 1, " s")}  # fmt: skip
 
 
 def number(measure: Measure, value: float) -> str:

@@ -235,7 +235,6 @@ def measure(
         if quantity == "voltage":  # a converter reads no less than 0, and 0 when off
             read = np.where(true > 0.0, np.maximum(read, 0.0), 0.0)
         if quantity in ("voltage", *quantities):
-            signals.append(Signal(
-                name, UNITS[quantity], time[arrived], read[arrived], received[arrived]
-            ))  # fmt: skip
+            signals.append(Signal(name, UNITS[quantity], time[arrived], read[arrived],
+                                  received[arrived]))  # fmt: skip
     return signals

@@ -58,10 +58,8 @@ def full_disk(size: int, seed: int, folder: Path) -> list[Outcome]:
                 commands.append(f"{command}: {found}" if found else "")
     return [
         Outcome.of("disk", f"{what} ({kind})", len(wrong), wrong)
-        for what, wrong in (
-            ("recorder's bag fills the disk", bags),
-            (", ".join(_COMMANDS), commands),
-        )
+        for what, wrong in (("recorder's bag fills the disk", bags),
+                            (", ".join(_COMMANDS), commands))  # fmt: skip
     ]
 
 
@@ -99,11 +97,9 @@ def _fill_with_a_bag(path: Path) -> str:
 
 
 # Commands that write more than these disks hold; `good` is a good file on them.
-_COMMANDS = {
-    "simulate": "--params {params} --protocol quick_ramp --out {disk}/bag",
-    "simulate --json": "{disk}/good --protocol quick_ramp --out {beside}/bag --force",
-    "parameters": "--params {params} --out {disk}/good --force",
-}
+_COMMANDS = {"simulate": "--params {params} --protocol quick_ramp --out {disk}/bag",
+             "simulate --json": "{disk}/good --protocol quick_ramp --out {beside}/bag --force",
+             "parameters": "--params {params} --out {disk}/good --force"}  # fmt: skip
 
 
 def _fill_with(command: str, disk: Path) -> str:

@@ -12,9 +12,8 @@ from examination.bags import in_sqlite3
 from sma_bench.records import Signal, contract
 from sma_bench.records.bag_writer import write_record
 
-TOPICS = (
-    ("/bench/wire/power", contract.BATTERY_STATE), ("/bench/joint_states", contract.JOINT_STATE),
-)  # fmt: skip
+TOPICS = (("/bench/wire/power", contract.BATTERY_STATE),
+          ("/bench/joint_states", contract.JOINT_STATE))  # fmt: skip
 MAGIC = b"\x89MCAP0\r\n"
 _SUPER_JOURNAL = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _PAGE, _SECTOR = 4096, 512

@@ -14,10 +14,8 @@ import numpy as np
 import openpyxl
 import yaml
 
-NUMBERS = (
-    0.0, -0.0, 1.0, 5.0, 25.0, 300.0, -1.0, 1e-300, 5e-324, 1e9, 1e38, 1e308, -1e308, math.inf,
-    -math.inf, math.nan,
-)  # fmt: skip
+NUMBERS = (0.0, -0.0, 1.0, 5.0, 25.0, 300.0, -1.0, 1e-300, 5e-324, 1e9, 1e38, 1e308, -1e308,
+           math.inf, -math.inf, math.nan)  # fmt: skip
 # YAML documents that are a kilobyte as a file and gigabytes when every alias is followed.
 _BOMB = b"a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + b"".join(
     b"a%d: &a%d [%s]\n" % (k, k, b", ".join([b"*a%d" % (k - 1)] * 9)) for k in range(1, 12)

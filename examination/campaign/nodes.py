@@ -335,11 +335,8 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
     seconds, hours = 60.0 * max(size, _SHORTEST), []
     held: dict[str, list[float]] = {node: [] for node in NODES}
     clock: deque[float] = deque([0.0], maxlen=1)  # the newest; /clock ticks with every command
-    settings = (
-        {"speed": _SPEED},
-        {"protocol": str(protocol), "use_sim_time": True},
-        {"output": str(folder / "bag"), "use_sim_time": True},
-    )
+    settings = ({"speed": _SPEED}, {"protocol": str(protocol), "use_sim_time": True},
+                {"output": str(folder / "bag"), "use_sim_time": True})  # fmt: skip
     with bench_nodes(folder / "logs") as talker:
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         talker.node.create_subscription(

@@ -39,12 +39,9 @@ logging.root.setLevel(logging.INFO)
 logging.setLoggerClass(LaunchLogger)
 """
 INFO = "launch_testing-0.dist-info"
-PLUGIN = {
-    "launch/__init__.py": "",
-    "launch/logging.py": LAUNCH,
-    f"{INFO}/METADATA": "Metadata-Version: 2.1\nName: launch_testing\nVersion: 0\n",
-    f"{INFO}/entry_points.txt": "[pytest11]\nlaunch = launch.logging\n",
-}
+PLUGIN = {"launch/__init__.py": "", "launch/logging.py": LAUNCH,
+          f"{INFO}/METADATA": "Metadata-Version: 2.1\nName: launch_testing\nVersion: 0\n",
+          f"{INFO}/entry_points.txt": "[pytest11]\nlaunch = launch.logging\n"}  # fmt: skip
 
 
 def needed(names: Sequence[str]) -> dict[str, metadata.Distribution]:

@@ -57,10 +57,9 @@ NEEDED = {"single": THRESHOLD, "pair": PAIR_THRESHOLD, "recalibration": -np.inf}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    options = options_of(
-        "ceilings", __doc__, argv, set=(..., "answered"), out=(Path, "new folder"),
-        cases=(int, "the first so many only"), time_limit=(600.0, "s a case"),
-    )  # fmt: skip
+    options = options_of("ceilings", __doc__, argv, set=(..., "answered"), out=(Path, "new folder"),
+                         cases=(int, "the first so many only"),
+                         time_limit=(600.0, "s a case"))  # fmt: skip
     if options.out is None:
         print("ceilings: no --out, expected a new folder", file=sys.stderr)
         return 2
@@ -70,10 +69,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     options.out.mkdir(parents=True)
 
     # Nothing is left of wrong parameters once they are right, and no library has effects outside.
-    variants = {
-        "as_is": (None, ""), "exact": (make_exact, "recalibration"), "tested": (make_tested, ""),
-        "model": (make_by_model, "outside"),
-    }  # fmt: skip
+    variants = {"as_is": (None, ""), "exact": (make_exact, "recalibration"),
+                "tested": (make_tested, ""), "model": (make_by_model, "outside")}  # fmt: skip
     scores = []
     for variant, (change, without) in variants.items():
         cases = copied(
@@ -163,11 +160,10 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
         drive = stage.drives[record]
         time = drive.grid(COMMAND_PERIOD)
         found = simulate_finely(bench, time, drive.voltage(time))
-        outcome = Outcome(
-            time, found.voltage, found.current, found.temperature_reading,
-            found.temperature_reading, found.martensite_fraction, found.stress,
-            found.deflection_reading, found.bending, np.full(len(time), 293.0),
-        )  # fmt: skip
+        outcome = Outcome(time, found.voltage, found.current, found.temperature_reading,
+                          found.temperature_reading, found.martensite_fraction, found.stress,
+                          found.deflection_reading, found.bending,
+                          np.full(len(time), 293.0))  # fmt: skip
         random = np.random.default_rng([_STREAM, int(label["id"]), number])
         shown = QUANTITIES[label["signals"]]
         signals = measure(outcome, world, stage.sensors, stage.channels, random, shown)

@@ -254,10 +254,9 @@ class Copy:
         """Whether Python ends well with these arguments, here."""
         environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
         # Its own session: nodes that a fault leaves behind end with it.
-        process = subprocess.Popen(
-            [sys.executable, *arguments], cwd=self.root, env=environment, stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
+        process = subprocess.Popen([sys.executable, *arguments], cwd=self.root, env=environment,
+                                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+                                   start_new_session=True)  # fmt: skip
         try:
             return process.wait(longest) == 0
         except subprocess.TimeoutExpired:

@@ -34,13 +34,11 @@ OLDEST_PYTHON = "3.11"
 BUILD, RUNTIME, TEST = "requirements-build.txt", "requirements.txt", "requirements-test.txt"
 ROBOT, NOBLE = "requirements-robot.txt", "requirements-noble.txt"
 # What is installed before each, whose packages it need not name again.
-BELOW = {
-    BUILD: (), RUNTIME: (BUILD,), TEST: (BUILD, RUNTIME),
-    "requirements-docs.txt": (BUILD, RUNTIME, TEST),
-    "requirements-perf.txt": (BUILD, RUNTIME, TEST),
-    "requirements-notebook.txt": (BUILD, RUNTIME),
-    ROBOT: (), NOBLE: (BUILD, ROBOT),
-}  # fmt: skip
+BELOW = {BUILD: (), RUNTIME: (BUILD,), TEST: (BUILD, RUNTIME),
+         "requirements-docs.txt": (BUILD, RUNTIME, TEST),
+         "requirements-perf.txt": (BUILD, RUNTIME, TEST),
+         "requirements-notebook.txt": (BUILD, RUNTIME), ROBOT: (),
+         NOBLE: (BUILD, ROBOT)}  # fmt: skip
 # These two have Ubuntu 24.04's Python and versions, and never meet the others.
 UBUNTU = (ROBOT, NOBLE)
 

@@ -30,10 +30,8 @@ RIGS = ("wire_rig.yaml", "composite_rig.yaml")
 DASHBOARD = "dashboard"
 
 # Attribute of sros2's policy, by what a node has.
-KINDS = {
-    "publish": ("topics", "topic"), "subscribe": ("topics", "topic"),
-    "reply": ("services", "service"), "request": ("services", "service"),
-}  # fmt: skip
+KINDS = {"publish": ("topics", "topic"), "subscribe": ("topics", "topic"),
+         "reply": ("services", "service"), "request": ("services", "service")}  # fmt: skip
 _ADDED = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 CONTRACT, LISTENERS = _ADDED["contract"], _ADDED["listeners"]
 _CLOCK = "/clock"

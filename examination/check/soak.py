@@ -93,12 +93,10 @@ class World:
     @property
     def stresses(self) -> list[str]:
         celsius = self.room - CELSIUS_ZERO
-        found = {
-            "room below 12 degC": celsius < 12.0, "room above 33 degC": celsius > 33.0,
-            "draughts": self.draught > 0.0, "aged wires": max(self.age) > 1.0,
-            "noisy sensors": self.noise > 1.0, "slow sensors": self.slow,
-            "supply that sags": self.sag > 0.0, "no camera": not self.camera,
-        }  # fmt: skip
+        found = {"room below 12 degC": celsius < 12.0, "room above 33 degC": celsius > 33.0,
+                 "draughts": self.draught > 0.0, "aged wires": max(self.age) > 1.0,
+                 "noisy sensors": self.noise > 1.0, "slow sensors": self.slow,
+                 "supply that sags": self.sag > 0.0, "no camera": not self.camera}  # fmt: skip
         return [name for name, true in found.items() if true]
 
     def parameters(
@@ -128,12 +126,10 @@ def draw_world(rng: np.random.Generator) -> World:
     """Every stress in half of the hours."""
     uniform, has = rng.uniform, (rng.random(6) < 0.5).tolist()
     age = 1.0 + 0.2 * rng.random() * has[1]
-    return World(
-        CELSIUS_ZERO + uniform(5.0, 40.0), 0.7 * has[0], (age,) * 4, uniform(-0.15, 0.1),
-        4.0 if has[2] else 1.0, has[3], uniform(0.02, 0.1) * has[4], 0.08 * has[4],
-        bool(rng.random() < 0.8),
-        tuple(uniform(-1.0, 1.0, 5) * (0.01, 0.02, 0.02, 0.05, 2.0)),
-    )  # fmt: skip
+    return World(CELSIUS_ZERO + uniform(5.0, 40.0), 0.7 * has[0], (age,) * 4, uniform(-0.15, 0.1),
+                 4.0 if has[2] else 1.0, has[3], uniform(0.02, 0.1) * has[4], 0.08 * has[4],
+                 bool(rng.random() < 0.8),
+                 tuple(uniform(-1.0, 1.0, 5) * (0.01, 0.02, 0.02, 0.05, 2.0)))  # fmt: skip
 
 
 def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tuple[float, float]]:
@@ -384,17 +380,13 @@ def hour_of_the_firmware(world: World, seed: int, seconds: float = HOUR) -> list
     """When, and why, safety.c cuts four sound wires."""
     limits = Limits.from_parameters(BELIEVED["four wires"])
     own = limits.resistance * max(world.age)
-    numbers = (
-        seed, seconds, 12.0, world.sag, world.dip, CURRENT_NOISE * world.noise,
-        2.0 * world.errors[3], DRIFT * SWING, own, world.austenite, world.room,
-        limits.heat_loss * (1.0 + 0.3 * world.draught), limits.heat_capacity,
-        world.highest(limits),
-    )  # fmt: skip
+    numbers = (seed, seconds, 12.0, world.sag, world.dip, CURRENT_NOISE * world.noise,
+               2.0 * world.errors[3], DRIFT * SWING, own, world.austenite, world.room,
+               limits.heat_loss * (1.0 + 0.3 * world.draught), limits.heat_capacity,
+               world.highest(limits))  # fmt: skip
     asked = "C " + " ".join(map(str, device_limits(limits, DEVICE, 12.0)))
-    ended = subprocess.run(
-        [built("firmware"), *map(repr, map(float, numbers)), asked],
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+    ended = subprocess.run([built("firmware"), *map(repr, map(float, numbers)), asked],
+                           capture_output=True, text=True, check=True)  # fmt: skip
     lines = [line.split() for line in ended.stdout.splitlines()]
     return [(float(at), f"device: {CAUSES[int(cause)]}") for at, cause in lines]
 
@@ -470,10 +462,8 @@ def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> list
 # --- Counted
 
 
-PLAYS = {
-    "a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
-    "firmware": hour_of_the_firmware, "uno": minutes_of_the_uno,
-}  # fmt: skip
+PLAYS = {"a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
+         "firmware": hour_of_the_firmware, "uno": minutes_of_the_uno}  # fmt: skip
 
 
 def played(kind: str, seed: int, seconds: float) -> dict[str, Any]:
@@ -498,12 +488,10 @@ def at_most(cuts: int, hours: float) -> float:
 
 def report(found: Sequence[dict[str, Any]]) -> int:
     """Print the tables; number of cuts."""
-    names = {
-        "a wire": "host: rules of the node that commands, a wire",
-        "four wires": "host: the bridge's driver, four wires",
-        "firmware": "firmware: its logic on this computer",
-        "uno": "emulated Uno: its image and the bridge's driver",
-    }
+    names = {"a wire": "host: rules of the node that commands, a wire",
+             "four wires": "host: the bridge's driver, four wires",
+             "firmware": "firmware: its logic on this computer",
+             "uno": "emulated Uno: its image and the bridge's driver"}  # fmt: skip
     groups = {name: [o for o in found if o["kind"] == kind] for kind, name in names.items()}
     host = [one for one in found if one["kind"] in ("a wire", "four wires")]
     groups |= {"host, all": host}

@@ -2,9 +2,10 @@
 
 Real processes: while they start, from the interpreter's first line on, or while a simulated bench
 is driven and recorded. None may be there 3 s after Ctrl-C or stay in the graph that another program
-sees, and none may say more than lines. Ten seconds a group on two free cores.
+sees, and none may say more than lines. Two at least of each group are bare nodes of rclpy, for
+comparison: of these ghosts alone are counted. Ten seconds a group on two free cores.
 
-    ./bench check stops --groups 250 --json stops.json
+    ./bench check stops --groups 250 [--only experiment serial_bridge] --json stops.json
 """
 
 import random
@@ -44,24 +45,42 @@ signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
 from sma_bench.nodes import start
 getattr(start, sys.argv.pop(1))()
 """
+_BARE = """\
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from std_msgs.msg import String
+rclpy.init()
+node = rclpy.create_node("node")
+publisher = node.create_publisher(String, "chatter", 10)
+node.create_timer(0.05, lambda: publisher.publish(String(data="hello")))
+print("ready", flush=True)
+try:
+    rclpy.spin(node)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+finally:
+    node.destroy_node()
+    rclpy.try_shutdown()
+"""
+BARE = tuple(f"bare_{k}" for k in range(GROUP))
 _SMALL = {"image_width": 64, "image_height": 64}
-_OWN = {
-    "experiment": {"protocol": "composite_triangle", "autostart": "true"},
-    "recorder": {"output": "bag"},
-    "ir_camera": {**_SMALL, "regions": list(regions_side_by_side(4, 64, 64))},
-    "synthetic_camera": _SMALL,
-}
+_OWN = {"experiment": {"protocol": "composite_triangle", "autostart": "true"},
+        "recorder": {"output": "bag"},
+        "ir_camera": {**_SMALL, "regions": list(regions_side_by_side(4, 64, 64))},
+        "synthetic_camera": _SMALL}  # fmt: skip
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when all of them ended in time, left no ghost and said no more than lines."""
     own = {"groups": (250, f"of {GROUP} nodes"), "seed": (1, "of all")}
+    own["only"] = tuple(NODES), "of these nodes"
     options = options_of("stops", __doc__, argv, **own, **IN_PIECES | {"processes": (1, "at once")})
-    jobs = [(options.seed, number) for number in range(options.groups)]
+    jobs = [(options.seed, number, GROUP, tuple(options.only)) for number in range(options.groups)]
     stops = [one for group in in_pieces(stopped, jobs, options) for one in group]
     rows = []
-    for name in (*NODES, "all"):
-        if found := [one for one in stops if name in (one["node"], "all")]:
+    kinds = {name: (name,) for name in NODES} | {"all": tuple(NODES), "bare rclpy": BARE}
+    for name, alike in kinds.items():
+        if found := [one for one in stops if one["node"] in alike]:
             seconds, wrong = [one["seconds"] for one in found], [o for o in found if o["wrong"]]
             starting = sum(not one["ready"] for one in found)
             times = f"{np.median(seconds):.2f}", f"{max(seconds):.2f}"
@@ -69,14 +88,17 @@ def main(argv: Sequence[str] | None = None) -> int:
     print_table(("node", ">stops", ">of a start", ">median s", ">longest s", ">wrong"), rows)
     for one in (one for one in stops if one["wrong"]):
         print(f"group {one['group']}: {one['node']}: {one['wrong']}")
-    return 1 if any(one["wrong"] for one in stops) else 0
+    return 1 if any(one["wrong"] for one in stops if one["node"] in NODES) else 0
 
 
-def stopped(seed: int, number: int, size: int = GROUP) -> list[dict[str, Any]]:
+def stopped(
+    seed: int, number: int, size: int, only: Sequence[str] = tuple(NODES)
+) -> list[dict[str, Any]]:
     """Start a group, stop it, and say of each of its nodes how long that took and what was wrong.
     Every other group is stopped while it starts."""
     rng = random.Random(f"{seed}/{number}")
-    names = rng.sample(sorted(NODES), size)
+    names = rng.sample(sorted(only), min(size - 2, len(only)))
+    names += BARE[: size - len(names)]
     private_ros_environment()
     rclpy.init(args=[])
     node = rclpy.create_node("watcher", namespace="/elsewhere")
@@ -96,16 +118,16 @@ def stopped(seed: int, number: int, size: int = GROUP) -> list[dict[str, Any]]:
 
 
 def _started(name: str, folder: Path) -> subprocess.Popen[bytes]:
-    given = ["-r", f"__ns:={NAMESPACE}"]
-    given += ["--params-file", str(share_directory() / "config" / "composite_rig.yaml")]
-    for key, value in _OWN.get(name, {}).items():
-        given += ["-p", f"{key}:={value}"]
+    given = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
+    command = [sys.executable, "-c", _BARE, *given, "-r", f"__node:={name}"]
+    if name in NODES:
+        given += ["--params-file", str(share_directory() / "config" / "composite_rig.yaml")]
+        for key, value in _OWN.get(name, {}).items():
+            given += ["-p", f"{key}:={value}"]
+        command = [*_HELD, sys.executable, "-c", _HEARD, name, *given]
     with (folder / f"{name}.log").open("wb") as log:
-        return subprocess.Popen(
-            [*_HELD, sys.executable, "-c", _HEARD, name, "--ros-args", *given],
-            stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=folder,
-            env=tied_to_this_process(),
-        )  # fmt: skip
+        return subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL,
+                                cwd=folder, env=tied_to_this_process())  # fmt: skip
 
 
 def _stopped(
@@ -146,13 +168,12 @@ def _stopped(
     found, seconds = {}, {name: round(ended.get(name, _FOR_EVER), 3) for name in processes}
     for name, process in processes.items():
         text, status = said(name), process.poll()
-        wrong = [
-            f"there after {seconds[name]:.1f} s" if seconds[name] > LIMIT else "",
-            f"status {status}" if status else "",
-            "still in the graph" if name in ghosts and name in ended else "",
-            "not ready" if not (while_starting or were[name]) else "",
-            "a traceback" if "Traceback" in text else "",
-        ]
+        wrong = [f"there after {seconds[name]:.1f} s" if seconds[name] > LIMIT else "",
+                 f"status {status}" if status else "",
+                 "still in the graph" if name in ghosts and name in ended else "",
+                 "not ready" if not (while_starting or were[name]) else "",
+                 "a traceback" if "Traceback" in text else ""]  # fmt: skip
+        wrong = wrong if name in NODES else wrong[2:3]
         line = ", ".join(filter(None, wrong))
         line += f" ({text[-300:]})" if line else ""
         found[name] = {"seconds": seconds[name], "ready": were[name], "wrong": line}

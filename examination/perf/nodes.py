@@ -238,9 +238,8 @@ def _start(
         words += [*planned.arguments, "--ros-args", "-r", f"__ns:={NAMESPACE}"]
         words += ["--params-file", planned.file, *parameter_arguments(planned.parameters)]
         with log.open("ab") as out:
-            processes.append(subprocess.Popen(
-                words, stdout=out, stderr=subprocess.STDOUT, env=tied_to_this_process()
-            ))  # fmt: skip
+            processes.append(subprocess.Popen(words, stdout=out, stderr=subprocess.STDOUT,
+                                              env=tied_to_this_process()))  # fmt: skip
     while log.read_text().count("]: ready") < 6:
         if time.monotonic() - begin > _STARTING or any(p.poll() is not None for p in processes):
             raise RuntimeError(f"the bench did not start: {log.read_text()[-400:]}")

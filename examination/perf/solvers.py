@@ -171,10 +171,8 @@ def _tolerances(rtol: float, y: Array) -> dict:
 
 # --- The cases, and both held against a solver whose error is far smaller.
 
-COMPOSITE = {
-    "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-    "bench.channel_sides": ("front", "front", "back", "back"),
-}
+COMPOSITE = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+             "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 EFFECTS = {"effect.latent_heat.heat": 12e3, "effect.temperature_dependent_convection.rise": 2e-3}
 EFFECTS |= {f"{_OF_PHASE}.austenite_change": -0.1, f"{_OF_PHASE}.temperature_coefficient": 4e-4}
 STEP = 0.01  # s, the bench's 100 Hz

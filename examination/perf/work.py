@@ -34,10 +34,8 @@ LENGTHS = {"2 minutes": 120.0, "10 minutes": 600.0, "an hour": 3600.0}
 CASES = 24
 LONG = {"10 minutes of triangles": 600.0, "an hour of triangles": 3600.0}
 LONG |= {"8 hours of triangles": 28_800.0}
-WORK = {
-    "identification": lambda record, lab: identify([record], lab, experiments=["E10"]),
-    "diagnosis": lambda record, lab: diagnose([record], lab),
-}
+WORK = {"identification": lambda record, lab: identify([record], lab, experiments=["E10"]),
+        "diagnosis": lambda record, lab: diagnose([record], lab)}  # fmt: skip
 BAGS, DIAGNOSES = 200, 4
 _DURATION = 300.0  # s, of each
 _GAIN = 0.95  # of the cores
@@ -48,11 +46,8 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
     with TemporaryDirectory() as name:
         folder = Path(name)
         short = measuring.staircase_bag(folder / "short", 30.0 if tiny else 60.0)
-        commands = {
-            "--help": ["--help"],
-            "identify --help": ["identify", "--help"],
-            "identify a minute's bag": ["identify", str(short)],
-        }
+        commands = {"--help": ["--help"], "identify --help": ["identify", "--help"],
+                    "identify a minute's bag": ["identify", str(short)]}  # fmt: skip
         most = dict(zip(commands, (1.0, 1.0, 2.0), strict=True))
         if not tiny:
             gap, paper = map(str, measuring.diagnosis_case(folder))

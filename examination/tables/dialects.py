@@ -211,10 +211,9 @@ def _clock(
     }  # fmt: skip
     if how in clocks:
         return clocks[how]
-    forms = {
-        "AM/PM": "%I:%M:%S.%f %p", "hh:mm:ss": "%H:%M:%S.%f", "whole seconds": "%Y-%m-%d %H:%M:%S",
-        "ISO with zone": "%Y-%m-%dT%H:%M:%S.%f+01:00",
-    }  # fmt: skip
+    forms = {"AM/PM": "%I:%M:%S.%f %p", "hh:mm:ss": "%H:%M:%S.%f",
+             "whole seconds": "%Y-%m-%d %H:%M:%S",
+             "ISO with zone": "%Y-%m-%dT%H:%M:%S.%f+01:00"}  # fmt: skip
     if how in forms:
         return [(title, "", written(forms[how]), 0)]
     columns = [("Timestamp", "", written(f"{day} %H:%M:%S.%f"), 0)]

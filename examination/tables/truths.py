@@ -96,10 +96,9 @@ def _bench(kind: str, rng: np.random.Generator) -> Truth:
     else:
         back = np.roll(drive, rows // 6)
         tip = 3e-3 * (rise - np.roll(rise, rows // 6)) / rise.max()
-        columns = [
-            Quantity("front.voltage", "voltage", drive), Quantity("back.voltage", "voltage", back),
-            Quantity("deflection", "length", tip - tip[0]),
-        ]  # fmt: skip
+        columns = [Quantity("front.voltage", "voltage", drive),
+                   Quantity("back.voltage", "voltage", back),
+                   Quantity("deflection", "length", tip - tip[0])]  # fmt: skip
     order = rng.permutation(len(columns) - (kind == "duty" and rng.random() < 0.5))
     return Truth(kind, time, tuple(columns[k] for k in order))
 
@@ -116,10 +115,8 @@ def _dsc(kind: str, rng: np.random.Generator) -> Truth:
     peak = rng.uniform(0.1, 0.3) * np.exp(-(((temperature - centre) / (0.06 * height)) ** 2))
     flow = np.where(is_heating, 1.0, -1.0) * (0.05 + peak)  # W/g
     mass = float(np.round(rng.uniform(5e-6, 20e-6), 9))
-    columns = (
-        Quantity("temperature", "temperature", temperature),
-        Quantity("heat_flow", "heat flow", flow * 1e3 * mass),
-    )
+    columns = (Quantity("temperature", "temperature", temperature),
+               Quantity("heat_flow", "heat flow", flow * 1e3 * mass))  # fmt: skip
     return Truth(kind, np.arange(rows) * step, columns, mass)
 
 
@@ -132,10 +129,9 @@ def _isobaric(kind: str, rng: np.random.Generator) -> Truth:
     centre = np.where(np.arange(rows) < rows // 2, 355.0, 335.0)
     strain = 0.005 + 0.03 / (1.0 + np.exp((temperature - centre) / 3.0))
     stress = rng.uniform(50e6, 250e6) * np.ones(rows) * (1.0 + 1e-3 * np.sin(np.arange(rows)))
-    columns = (
-        Quantity("temperature", "temperature", temperature), Quantity("strain", "strain", strain),
-        Quantity("stress", "stress", stress),
-    )  # fmt: skip
+    columns = (Quantity("temperature", "temperature", temperature),
+               Quantity("strain", "strain", strain),
+               Quantity("stress", "stress", stress))  # fmt: skip
     return Truth(kind, np.arange(rows) * 2.0, columns)
 
 

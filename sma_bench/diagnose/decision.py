@@ -19,6 +19,7 @@ import numpy as np
 from scipy.special import softmax
 
 from sma_bench.arrays import Array
+from sma_bench.compiled import in_threads
 from sma_bench.diagnose.result import Explanation, Verdict, inclusion
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
@@ -136,7 +137,7 @@ class Weights:
 def weigh(search: Search) -> Weights:
     """What the fits weigh."""
     fits = effect_fits(search)
-    gaps = {name: own_gap(fit) for name, fit in fits.items()}
+    gaps = dict(zip(fits, in_threads(own_gap, [(fit,) for fit in fits.values()]), strict=True))
     parts = {
         JOIN.join(key): {effect: own_gap(fit, (effect,)) for effect in key}
         for key, fit in search.pairs.items()

@@ -14,7 +14,7 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.diagnose.sizes import largest_gap
-from sma_bench.estimation.observation import BinnedSignal, Observation
+from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.physics.simulate import Simulation
@@ -62,7 +62,7 @@ def left_over(fitted: Fit) -> Left:
             # Drift that noise was credited with, as far as the scatter in motion exceeds rest.
             excess = np.sqrt(1.0 - slow / fast)
             drifting = excess * float(np.hypot(noise.drift, noise.white))
-            sample = signal.noise * np.sqrt(float(np.median(signal.count)))
+            sample = signal.noise * np.sqrt(signal.usual_count)
             size = max(size, drifting / sample)
         first = max((ratio, signal.name), (found.ratio, found.signal), key=lambda r: r[0])
         found = Left(*first, size, outlier, found.drift)
@@ -145,16 +145,19 @@ def _features(obs: Observation, simulation: Simulation) -> list[tuple[Key, Array
     """(rows, own features) of each signal of a record, in units of its noise."""
     found = []
     clock = (obs.grid - obs.grid[0]) / 100.0
+    moves = {s.name: s.quantity in ("deflection", "force") for s in obs.signals}
+    wires = {s.wire for s in obs.signals if not moves[s.name]}
+    of_wires = {wire: _of_wire(wire, obs, simulation) for wire in wires}
     for signal in obs.signals:
-        of = _of_motion if signal.quantity in ("deflection", "force") else _of_wire
-        histories = [clock, clock**2, *of(signal, obs, simulation)]
-        histories += [np.ones_like(clock)] if signal.quantity == "current" else []
-        block = np.column_stack([signal.average @ h for h in histories]) * signal.noise
+        own = _of_motion(obs, simulation) if moves[signal.name] else of_wires[signal.wire]
+        constant = [np.ones_like(clock)] if signal.quantity == "current" else []
+        histories = np.column_stack([clock, clock**2, *own, *constant])
+        block = signal.average @ histories * signal.noise
         found.append(((signal.name, block.shape[1]), block))
     return found
 
 
-def _of_motion(_: BinnedSignal, obs: Observation, simulation: Simulation) -> list[Array]:
+def _of_motion(obs: Observation, simulation: Simulation) -> list[Array]:
     found: list[Array] = []
     for number, side in enumerate(dict.fromkeys(obs.sides)):
         own = [k for k, name in enumerate(obs.sides) if name == side]
@@ -171,8 +174,7 @@ def _of_motion(_: BinnedSignal, obs: Observation, simulation: Simulation) -> lis
     return found
 
 
-def _of_wire(signal: BinnedSignal, obs: Observation, simulation: Simulation) -> list[Array]:
-    wire = signal.wire
+def _of_wire(wire: int, obs: Observation, simulation: Simulation) -> list[Array]:
     power = _unit(obs.voltage[:, wire] ** 2)
     own, xi = simulation.temperature[:, wire], simulation.martensite_fraction[:, wire]
     opposite = [k for k, side in enumerate(obs.sides) if side != obs.sides[wire]]

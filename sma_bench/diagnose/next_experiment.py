@@ -173,7 +173,7 @@ def _showing(search: Search, matter: Matter) -> NextExperiment | None:
     shown = []
     for drive in KNOWN:
         document = drive.document(matter.level, matter.sides)
-        planned = _planned(document, recalibrated, matter, ())
+        planned, _ = _planned(document, recalibrated, matter, ())
         (obs,) = planned.observations
         term = missing.on(obs, obs.simulate(recalibrated.parameters))
         size = float(np.linalg.norm(planned.whiten(term)))
@@ -244,8 +244,9 @@ def _driven(
     most: int | None = None, mounted: Sequence[str] = (), minutes: float = 0.0,
 ) -> NextExperiment:
     """A drive with what it would tell; `most` directions of each cause, all by default."""
-    planned = _planned(document, next(iter(fits.values())), matter, mounted)
-    readings = {name: planned.predict(f.parameters) for name, f in fits.items()}
+    (first, fitted), *others = fits.items()
+    planned, known = _planned(document, fitted, matter, mounted)
+    readings = {first: known, **{name: planned.predict(f.parameters) for name, f in others}}
 
     def space(name: str) -> Array:
         """(n, k) whitened, in which the records leave a cause free, one deviation long."""
@@ -318,9 +319,10 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
 
 def _planned(
     document: Mapping[str, Any], fitted: Fit, matter: Matter, mounted: Sequence[str]
-) -> Problem:
+) -> tuple[Problem, Array]:
     """The bench on a protocol that it has not run: the same sensors at the same rates, and new ones
-    of the quantities that are `mounted`. Raises InputError: the wires would get too hot."""
+    of the quantities that are `mounted`; and what they would read (n,). Raises InputError: the
+    wires would get too hot."""
     protocol = parse_protocol(dict(document), matter.parameters, "next experiment")
     time, commanded = protocol.sample(_PERIOD)
     voltage = heating_voltage(commanded, matter.parameters)
@@ -340,12 +342,11 @@ def _planned(
         entries = np.repeat(1.0 / stride, len(columns))
         if signal.quantity == "current":
             entries = entries * voltage[: len(columns), signal.wire]
-        average = csr_array(
-            (entries, (np.repeat(rows, stride), columns)), shape=(len(rows), len(time))
-        )
+        begins = np.arange(0, len(columns) + 1, stride)
+        average = csr_array((entries, columns, begins), shape=(len(rows), len(time)))
         signals.append(replace(
             signal, time=time[0] + (rows + 0.5) * stride * _PERIOD, value=np.zeros(len(rows)),
-            average=average, count=np.full(len(rows), float(np.median(signal.count))),
+            average=average, count=np.full(len(rows), signal.usual_count),
         ))  # fmt: skip
     noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more}
     stands = None if like.imposed is None else np.full(len(time), like.imposed[0])
@@ -354,13 +355,15 @@ def _planned(
         imposed=stands,
     )
     # Where a level is held for longer than ever, the wires get hotter than they were.
-    hottest = float(obs.simulate(fitted.parameters).temperature.max())
+    simulation = obs.simulate(fitted.parameters)
+    hottest = float(simulation.temperature.max())
     limit = float(fitted.parameters["bench.maximum_temperature"]) - _COOLER
     if hottest > limit:
         raise InputError(
             f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}"
         )
-    return Problem((obs,), noise | fitted.problem.noise, (offsets(signals),))
+    planned = Problem((obs,), noise | fitted.problem.noise, (offsets(signals),))
+    return planned, np.concatenate(obs.readings(simulation))
 
 
 def _directions(fitted: Fit) -> Array:

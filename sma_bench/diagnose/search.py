@@ -12,7 +12,8 @@ from scipy.linalg import cho_factor, cho_solve
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
-from sma_bench.estimation.observation import Observation
+from sma_bench.estimation.laws import starts
+from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.unknowns import (
@@ -33,7 +34,8 @@ _MOST_REFINED = 4
 _MOST_FROM_BELIEF = 3
 _MOST_PAIRED, _PARTNERS = 3, 3
 _HOPELESS = 0.5  # of the best single's gain: with a partner, less than that is no rival of it
-_SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
+_STANDS_STILL = 0.05  # of the motion that is read
+_DRAWN, _STARTED = 60, 2  # benches that are tried where the believed one stands still
 _LOST = 5.0  # nats below recalibration: the fit may have gone astray
 _FIRST = 2  # effects, the most promising
 # What a start promises is off by factors of three; where the lead is beyond ten promises and this
@@ -114,8 +116,8 @@ def search(
     baseline = unknowns_of_records(parameters, quantities)
     progress("recalibration")
     fresh = Problem.of(observations)
-    starts = [baseline.start(spread) for spread in _SPREADS]
-    recalibrated, _ = recalibrate(fresh, parameters, baseline, starts)
+    tries = [*starts(baseline, 0), *_where_it_moves(fresh, baseline, parameters)]
+    recalibrated, _ = recalibrate(fresh, parameters, baseline, tries)
     problem = replace(fresh, nuisances=recalibrated.problem.nuisances)
     # As believed: every parameter exact.
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
@@ -196,6 +198,26 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     ]
 
 
+def _where_it_moves(
+    problem: Problem, unknowns: Unknowns, parameters: Parameters
+) -> list[Array]:
+    """Believable benches (k,) each that move as the records do, where the one believed in stands
+    still: no small step from there shows a motion, and all of it would pass for drift."""
+    moved = [b for b in problem.blocks if b.signal.quantity in MOVED]
+    here, reach = problem.predict(parameters), [np.ptp(b.signal.value) for b in moved]
+    shown = [np.ptp(here[b.rows]) for b in moved]
+    if all(a > _STANDS_STILL * b for a, b in zip(shown, reach, strict=True)):
+        return []
+    drawn = starts(unknowns, _DRAWN)
+    benches = [unknowns.parameters(np.clip(x, *unknowns.bounds())) for x in drawn]
+    readings = problem.coarse.predict_many(benches)
+    missed = [
+        sum(np.std(b.signal.value - one[b.rows]) / r for b, r in zip(moved, reach, strict=True))
+        for one in readings.T
+    ]
+    return [drawn[k] for k in np.argsort(missed)[:_STARTED]]
+
+
 def _starts(baseline: Unknowns, fitted: Fit, names: Sequence[str]) -> dict[str, Start]:
     """Of every effect, added to a fit of the baseline."""
     remainder = Remainder(fitted)
@@ -214,19 +236,21 @@ def _singles(
     if not names:
         return {}
     progress(names[0])
-    starts = _starts(baseline, recalibrated, names)
+    begun = _starts(baseline, recalibrated, names)
 
-    def fit_from(name: str, x: Array, rounds: int = 2) -> Fit:
-        unknowns, frozen = baseline.with_effects([name]), recalibrated.derivatives
-        return fit(recalibrated.problem, unknowns, x, rounds=rounds, frozen=frozen)
+    def fit_from(name: str, x: Array, rounds: int = 2, predicted: Array | None = None) -> Fit:
+        return fit(
+            recalibrated.problem, baseline.with_effects([name]), x, rounds=rounds,
+            frozen=recalibrated.derivatives, predicted=predicted,
+        )
 
     def off(name: str) -> Fit:
         x = start_off(recalibrated, baseline.with_effects([name]), name)
-        return fit_from(name, x, rounds=0)
+        return fit_from(name, x, 0, recalibrated.predicted)
 
     def single(name: str) -> Fit:
         progress(name)
-        found = fit_from(name, starts[name].x)
+        found = fit_from(name, begun[name].x)
         if found.evidence >= recalibrated.evidence - _LOST:
             return found
         without = off(name)
@@ -234,11 +258,11 @@ def _singles(
             return found
         return max(found, without, fit_from(name, without.x), key=_evidence)
 
-    ranked = sorted(names, key=lambda name: starts[name].gain, reverse=True)
+    ranked = sorted(names, key=lambda name: begun[name].gain, reverse=True)
     first, others = ranked[:_FIRST], ranked[_FIRST:]
     fits = dict(zip(first, in_threads(single, [(name,) for name in first]), strict=True))
     lead = max(f.evidence - recalibrated.evidence for f in fits.values())
-    hopeless = {n for n in others if _PROMISES * starts[n].gain < lead - _BEYOND}
+    hopeless = {n for n in others if _PROMISES * begun[n].gain < lead - _BEYOND}
     rest = in_threads(
         lambda name: (off if name in hopeless else single)(name), [(name,) for name in others]
     )
@@ -260,7 +284,7 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
 def _refined(found: Fit) -> Fit:
     """The same model once more, with what its own jumps and delays do, not recalibration's."""
     problem = found.problem.with_nuisances(found.parameters)
-    return fit(problem, found.unknowns, found.x, rounds=2)
+    return fit(problem, found.unknowns, found.x, rounds=2, predicted=found.predicted)
 
 
 def _handed_over(found: Fit) -> Fit:

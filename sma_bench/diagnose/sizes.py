@@ -63,7 +63,7 @@ def sample_noise(problem: Problem, name: str) -> float:
     effect that it drifts."""
     signal = next(problem.of_signal(name)).signal
     noise = problem.noise[name]
-    white = noise.white * np.sqrt(float(np.median(signal.count)))
+    white = noise.white * np.sqrt(signal.usual_count)
     return float(white if noise.wanders else np.hypot(white, noise.drift))
 
 
@@ -141,7 +141,7 @@ def shrinkage(
     for obs in observations:
         models = [obs.readings(obs.simulate(p)) for p in (nominal, recalibrated, improved)]
         for signal, *readings in zip(obs.signals, *models, strict=True):
-            noise, usual = noises[signal.name], np.median(signal.count)
+            noise, usual = noises[signal.name], signal.usual_count
             which = np.floor((signal.time - signal.time[0]) / _BLOCK).astype(np.intp)
             _, which = np.unique(which, return_inverse=True)
             counts = np.bincount(which, signal.count)

@@ -26,7 +26,7 @@ from sma_bench.records.record import Signal
 _DRAWS, _SEED = 40, 43
 _PAIRS, _FEWEST = 24, 6  # of draws, of all laws and of one fit
 _NEGLIGIBLE = 0.01  # of what a fit counts
-_FLOOR = 0.005  # of what a signal spans, that no model predicts
+FLOOR = 0.005  # of what a signal spans, that no model predicts
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class Band:
     @classmethod
     def about(cls, time: Array, mean: Array, variance: Array, reach: float) -> "Band":
         """Limits that are `reach` standard deviations off."""
-        off = reach * np.sqrt(variance + (_FLOOR * float(np.ptp(mean))) ** 2)
+        off = reach * np.sqrt(variance + (FLOOR * float(np.ptp(mean))) ** 2)
         return cls(time, mean, mean - off, mean + off)
 
 
@@ -98,13 +98,29 @@ def band_of(
 
     Args:
         parameters: numbers of wire, room, load and effects with a stated `uncertainty.` are drawn,
-            each by itself; sensors and all others are as they are.
+            each by itself (`benches_within`); sensors and all others are as they are.
         simulated: signals of the run that is asked for, on a bench; probability: between 0 and 1.
 
     Raises:
         InputError: another probability, or no number has a stated uncertainty.
     """
-    reach = reach_of(probability)
+    reach, benches = reach_of(probability), benches_within(parameters, _DRAWS)
+    exact, drawn = simulated(parameters), []
+    for number, bench in enumerate(benches):
+        report(number / _DRAWS, f"draw {number + 1} of {_DRAWS}")
+        drawn.append(simulated(bench))
+    return {
+        signal.name: Band.about(
+            signal.time, signal.values,
+            np.mean([(one[i].values - signal.values) ** 2 for one in drawn], axis=0), reach,
+        )
+        for i, signal in enumerate(exact) if not signal.name.endswith("voltage")
+    }
+
+
+def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
+    """Benches as these parameters leave them open, each in a run of its own. Raises InputError: no
+    number of wire, room, load or effects has a stated uncertainty."""
     stated = [
         n for n, std in parameters.given_uncertainty.items()
         if std > 0.0 and not n.startswith("sensor.")
@@ -118,19 +134,11 @@ def band_of(
         n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)
     }
     unknowns = unknowns_of(parameters, names, shapes=shapes)
-    k, random = len(unknowns.items), np.random.default_rng(_SEED)
-    exact, drawn = simulated(parameters), []
-    for number in range(_DRAWS):
-        report(number / _DRAWS, f"draw {number + 1} of {_DRAWS}")
-        x, off = random.standard_normal(k), random.standard_normal(len(STATES))
-        drawn.append(simulated(_moved(unknowns, x, off)))
-    return {
-        signal.name: Band.about(
-            signal.time, signal.values,
-            np.mean([(one[i].values - signal.values) ** 2 for one in drawn], axis=0), reach,
-        )
-        for i, signal in enumerate(exact) if not signal.name.endswith("voltage")
-    }
+    random, benches = np.random.default_rng(_SEED), []
+    for _ in range(count):
+        x, off = (random.standard_normal(n) for n in (len(unknowns.items), len(STATES)))
+        benches.append(_moved(unknowns, x, off))
+    return benches
 
 
 def _moved(unknowns: Unknowns, x: Array, off: Array) -> Parameters:

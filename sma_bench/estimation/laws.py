@@ -108,12 +108,12 @@ def weigh_laws(
     return tuple(sorted(weighed, key=lambda one: -one.probability))
 
 
-def starts(unknowns: Unknowns) -> list[Array]:
+def starts(unknowns: Unknowns, drawn: int = _DRAWN) -> list[Array]:
     """What is believed, with sharp and with smooth kinetics, and some believable benches."""
     tries, random = [unknowns.start(spread) for spread in _SPREADS], np.random.default_rng(_SEED)
     if np.array_equal(tries[0], tries[1]):  # a law without a spread
         tries.pop()
-    for _ in range(_DRAWN):
+    for _ in range(drawn):
         x = unknowns.start(abs(float(random.standard_normal())))
         x[: unknowns.bench] = random.standard_normal(unknowns.bench)
         tries.append(x)

@@ -72,18 +72,11 @@ class Noise:
     @property
     def total(self) -> float:
         """Standard deviation of the noise of a bin."""
-        return float(np.hypot(self.white, self.drift))
+        return math.hypot(self.white, self.drift)
 
     def whiten(self, columns: Array) -> Array:
         """Residuals or derivatives (b,) or (b, k) as independent ones of unit variance."""
-        white = np.array(columns, dtype=np.float64, order="C")
-        self.whiten_in_place(white)
-        return white
-
-    def whiten_in_place(self, columns: Array) -> None:
-        """The same, written over the columns, whose rows follow one another in memory."""
-        phi, theta, innovation = self.arma
-        _whiten(columns.reshape(len(columns), -1), phi, theta, 1.0 / innovation, 1.0 / self.total)
+        return whiten(columns, [len(columns)], [self])
 
     @cached_property
     def arma(self) -> tuple[float, float, float]:
@@ -154,16 +147,30 @@ def _shapes(period: float) -> tuple[tuple[Noise, ...], Array, tuple[Array, ...]]
     return shapes, np.array([(s.drift, s.time) for s in shapes]).T, whitening
 
 
+def whiten(rows: Array, bins: Sequence[int], noises: Sequence["Noise"]) -> Array:
+    """Rows (n,) or (n, k), of which each noise has its number of bins, as independent ones of unit
+    variance."""
+    white = np.array(rows, dtype=np.float64, order="C")
+    numbers = np.array([(*noise.arma, noise.total) for noise in noises]).reshape(-1, 4)
+    _whiten(white.reshape(len(white), -1), np.array(bins), numbers)
+    return white
+
+
 @compiled
-def _whiten(columns: Array, phi: float, theta: float, scale: float, first: float) -> None:
-    """Write ARMA(1,1) innovations over the columns (b, k)."""
-    before = np.zeros(columns.shape[1])
-    white = np.zeros(columns.shape[1])
-    for i in range(columns.shape[0]):
-        for k in range(columns.shape[1]):
-            white[k] = columns[i, k] - phi * before[k] - theta * white[k]
-            before[k] = columns[i, k]
-            columns[i, k] = white[k] * (scale if i > 0 else first)
+def _whiten(columns: Array, bins: NDArray[np.int64], noises: Array) -> None:
+    """Write ARMA(1,1) innovations over the columns (n, k); of the noises (m, 4): phi, theta, what
+    the innovations and the first sample are divided by."""
+    i = 0
+    for number in range(bins.shape[0]):
+        phi, theta, scale = noises[number, 0], noises[number, 1], 1.0 / noises[number, 3]
+        before, white = np.zeros(columns.shape[1]), np.zeros(columns.shape[1])
+        for _ in range(bins[number]):
+            for k in range(columns.shape[1]):
+                white[k] = columns[i, k] - phi * before[k] - theta * white[k]
+                before[k] = columns[i, k]
+                columns[i, k] = white[k] * scale
+            scale = 1.0 / noises[number, 2]
+            i += 1
 
 
 @compiled

@@ -121,10 +121,15 @@ class BinnedSignal:
     average: csr_array
     sensor: Sensor
 
+    @cached_property
+    def usual_count(self) -> float:
+        """Samples of most bins."""
+        return float(np.median(self.count))
+
     @property
     def usual_drift(self) -> float:
         """Slow drift that a good instrument may have."""
-        return max(self.sensor.drift, self.noise * float(np.sqrt(np.median(self.count))))
+        return max(self.sensor.drift, self.noise * float(np.sqrt(self.usual_count)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +205,9 @@ class Observation:
         volts = self.voltage if voltage is None else voltage
         volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
         if not self.holds:
-            return simulate(parameters, self.grid, volts, initial=at_rest(parameters))
+            load = Boundary.of(parameters)
+            rest = at_rest(parameters, load)
+            return simulate(parameters, self.grid, volts, initial=rest, boundary=load)
         if self.imposed is not None:
             moved = self.imposed + (0.0 if loads is None else float(loads[0]))
             load = Boundary.imposed(parameters, float(moved[0]))
@@ -256,9 +263,10 @@ class Observation:
     @cached_property
     def _averages(self) -> csr_array:
         """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
+        late = [(s.average, self.delays.get(s.quantity, 0.0)) for s in self.signals]
         own = [
-            s.average @ _interpolation(self.grid, self.grid - self.delays.get(s.quantity, 0.0))
-            for s in self.signals
+            average @ _interpolation(self.grid, self.grid - delay) if delay else average
+            for average, delay in late
         ]
         return csr_array(block_diag(own, "csr"))
 
@@ -323,9 +331,10 @@ def _course(quantity: str, simulation: Simulation) -> Array:
         return simulation.deflection_reading[:, np.newaxis]
     if quantity == "elongation":
         return -wire_length(simulation.parameters) * simulation.contraction[:, :1]
-    if quantity in ("temperature", "force"):
-        whole = simulation.force.sum(axis=1)[:, np.newaxis]
-        return whole if quantity == "force" else simulation.temperature_reading
+    if quantity == "force":
+        return simulation.force.sum(axis=1)[:, np.newaxis]
+    if quantity == "temperature":
+        return simulation.temperature_reading
     state = simulation.temperature, simulation.martensite_fraction
     return current(simulation.parameters, 1.0, *state)
 

@@ -16,7 +16,7 @@ from scipy.linalg import block_diag, cho_factor
 
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
-from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess
+from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess, whiten
 from sma_bench.estimation.nuisances import Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
@@ -223,6 +223,8 @@ class Problem:
         if not len(which):
             return np.empty((len(predicted), 0))
         seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)
+        if len(which) * self.cells <= (len(which) + 1) * seen.cells:  # `here` is known on these
+            seen = self
         high = unknowns.bounds()[1]
         steps = np.where(x + _STEP <= high, _STEP, -_STEP)[[*which]]
         benches = [
@@ -233,6 +235,11 @@ class Problem:
         if seen is self:
             return (readings - predicted[:, np.newaxis]) / steps
         return (readings[:, 1:] - readings[:, :1]) / steps
+
+    @property
+    def cells(self) -> int:
+        """Of all simulations of the records."""
+        return sum(len(o.grid) for o in self.observations)
 
     @cached_property
     def coarse(self) -> "Problem":
@@ -250,10 +257,7 @@ class Problem:
 
     def whiten(self, rows: Array) -> Array:
         """Rows (n,) or (n, k) as independent ones of unit variance."""
-        white = np.array(rows, dtype=np.float64, order="C")
-        for block, noise in zip(self.blocks, self.noises, strict=True):
-            noise.whiten_in_place(white[block.rows])
-        return white
+        return whiten(rows, [len(block.signal.time) for block in self.blocks], self.noises)
 
     @property
     def noises(self) -> tuple[Noise, ...]:

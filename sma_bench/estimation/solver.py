@@ -122,13 +122,16 @@ class Fit:
         white = self.problem.whiten(self.left) - pulled
         moved, expected = np.zeros(len(known)), np.zeros(len(known))
         for index in self.problem.stretches(_STRETCHES):
-            own = rows[index]
+            own = rows.take(index, axis=0)
             try:
-                without = np.linalg.inv(information - own.T @ own)
+                without = np.linalg.solve(
+                    information - own.T @ own,
+                    np.column_stack([np.eye(len(information), k), own.T @ white[index]]),
+                )[:k]
             except np.linalg.LinAlgError:  # readings beyond all measure: nothing else tells them
                 return self.unknowns.slopes(self.x)
-            moved += (turn @ (without @ (own.T @ white[index]))[:k]) ** 2
-            expected += np.diag(turn @ without[:k, :k] @ turn.T) - known
+            moved += (turn @ without[:, k]) ** 2
+            expected += np.diag(turn @ without[:, :k] @ turn.T) - known
         excess = moved / np.maximum(expected, _TINY)
         variance = np.minimum(known * np.maximum(excess, 1.0), 1.0)
         return self.unknowns.slopes(self.x) * np.sqrt(variance)
@@ -136,7 +139,7 @@ class Fit:
 
 def fit(
     problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3, frozen: Array | None = None,
-    keep_noise: bool = False, far: bool = False,
+    keep_noise: bool = False, far: bool = False, predicted: Array | None = None,
 ) -> Fit:
     """Fit one model.
 
@@ -150,8 +153,9 @@ def fit(
         keep_noise: take the problem's noise as it is.
         far: from the optimum: at first every step takes all derivatives anew, and for noise what
             the model leaves there, so that none trusts a model that does not fit yet.
+        predicted: (n,) readings at x, where they are known.
     """
-    state = _State(problem, unknowns, x, frozen)
+    state = _State(problem, unknowns, x, frozen, predicted)
     if far:
         state.approach()
     state.linearise()
@@ -189,7 +193,7 @@ def recalibrate(
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
     last = (best.problem if keep_noise else first).with_nuisances(best.parameters)
-    return fit(last, unknowns, best.x, rounds=2), tried
+    return fit(last, unknowns, best.x, rounds=2, predicted=best.predicted), tried
 
 
 def fit_imperfect(
@@ -275,7 +279,8 @@ def least_scale(fitted: Fit) -> float:
 
 class _State:
     def __init__(
-        self, problem: Problem, unknowns: Unknowns, x: Array, frozen: Array | None
+        self, problem: Problem, unknowns: Unknowns, x: Array, frozen: Array | None,
+        predicted: Array | None,
     ) -> None:
         self.problem = problem.for_effects(unknowns.effects)
         self.unknowns, self.given, self.base = unknowns, frozen, frozen
@@ -284,7 +289,9 @@ class _State:
         self.kept: tuple[Problem, Array, Array, Array, Array] | None = None
         self.slopes_of: tuple[Array | None, Array | None] = None, None
         self.x = np.clip(x, *unknowns.bounds())
-        self.predicted = self.problem.predict(unknowns.parameters(self.x))
+        if predicted is None:
+            predicted = self.problem.predict(unknowns.parameters(self.x))
+        self.predicted = predicted
         self.z = self._best_nuisances()
 
     def linearise(self, rough: bool = False) -> None:

@@ -64,7 +64,7 @@ LOADS = {
 FRICTION = "load.friction"
 # A load frame shows strains and stresses by the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
-SPREAD = "wire.hysteresis_spread"
+SPREAD, END = "wire.hysteresis_spread", "wire.end_length"
 # Real kinetics are a little smoother than the cosine's; that is no effect, but a nuisance.
 # Standard deviation about what is believed, lowest and highest value, in the parameter's unit.
 SHAPES = {
@@ -98,6 +98,8 @@ FIELD = {
 _RISE = "effect.temperature_dependent_convection.rise"  # which free convection has already
 _FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # share that is unknown; what a room adds to still air
 _WIDEST_SPREAD = 1.5  # of its hystereses
+_LONGEST_END = 0.03  # m
+_CONDUCTIVITY, _END = 13.0, 0.6  # W/(m K), of NiTi between its phases; share that is unknown
 _LEAST_HALF_WIDTH = 0.1  # K, of the law that is made of hystereses
 # Products: what is known of the second factor is carried by the first, which the fit moves.
 PRODUCTS = {
@@ -369,6 +371,8 @@ def unknowns_of_records(
             )
             if parameters["wire.law"] == "normal":
                 shapes[SPREAD] = (parameters.std(SPREAD), 0.02, 2.0)
+                if unmodelled or parameters[END]:
+                    shapes[END] = (parameters.std(END), 0.0, _LONGEST_END)
             names += [*own, "wire.diameter"]
             names += [] if parameters["wire.length"] else ["wire.mass"]
         elif "deflection" in quantities:
@@ -393,6 +397,10 @@ def as_in_the_field(parameters: Parameters) -> Parameters:
     if parameters["wire.convection"] == "free" and h not in parameters.given:
         values[h] = _NOT_STILL * parameters[h]
         std[h] = _FREE_CONVECTION * values[h]
+    if parameters["wire.law"] == "normal" and END not in parameters.given:  # a fin
+        loss = 4.0 * values.get(h, parameters[h])
+        values[END] = math.sqrt(_CONDUCTIVITY * parameters["wire.diameter"] / loss)
+        std[END] = _END * values[END]
     if not parameters.given.intersection(TEMPERATURES):
         values |= dict(zip(TEMPERATURES, FIELD_TEMPERATURES, strict=True))
     return parameters.assuming(values, std)

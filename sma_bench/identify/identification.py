@@ -427,7 +427,7 @@ def _fits(
         for block in fitted.problem.blocks:
             signal, left = block.signal, fitted.left[block.rows]
             # A bin's mean hides most of its samples' white noise: it is added again.
-            count = float(np.median(signal.count))
+            count = signal.usual_count
             hidden = signal.noise**2 * (count - 1.0)
             rms = float(np.sqrt(np.average(left**2, weights=signal.count) + hidden))
             noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))

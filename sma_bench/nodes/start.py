@@ -67,7 +67,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     import rclpy
     from rclpy.executors import ExternalShutdownException
 
-    from sma_bench.ros.node import start_ros
+    from sma_bench.ros.node import end_of_ros, start_ros
 
     nodes: dict[str, Any] = {}
     # No locks, that a signal could find held: signals and nodes that have ended; while nodes are
@@ -134,11 +134,13 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         pass
     finally:
         _end_within(_LEAVING)
-        for node in nodes.values():
-            if making:  # another could not be made: a recorder has a bag open
-                node.close()
-            node.destroy_node()
-        rclpy.try_shutdown()
+        for node in nodes.values() if making else ():  # another could not be made
+            node.close()  # a recorder has a bag open
+        with end_of_ros():
+            for node in nodes.values():
+                node.destroy_node()
+            _end_within(_LEAVING)
+            gc.collect()  # one that was half made leaves the graph with its last reference
         signal.setitimer(signal.ITIMER_REAL, 0.0)
     return 0
 
@@ -293,7 +295,6 @@ def _run(name: str, argv: Sequence[str] | None = None) -> None:
     """Everything is closed by then: the interpreter takes a second to take itself to pieces."""
     status = start(name, argv)
     _end_within(_LEAVING)
-    gc.collect()  # a node leaves the graph with its last reference, and cycles hold some
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError, ValueError):  # nobody may be left to read it
             stream.flush()

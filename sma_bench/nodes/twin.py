@@ -9,6 +9,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64
 
+from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
 from sma_bench.nodes.base import BenchNode
 from sma_bench.parameters.parameters import load_kind
@@ -20,6 +21,7 @@ from sma_bench.twin.twin import Prediction, Residual, Twin
 # Topics below `twin/` are called as those of the bench that they stand beside, and have their types
 # and stamps. A residual is measured less predicted; what is not part of it is NaN.
 PREDICTED, RESIDUAL, ENERGY = "twin/", "twin/residual/", "twin/energy/"
+LIMITS = {"twin/low/": -1.0, "twin/high/": 1.0}  # times how far a sound bench may be off
 # Reliable unless a publisher that is there already is not: a lost voltage is a wrong prediction.
 # Deep, as a player or a simulation faster than life comes in bursts.
 _OFFERED = QoSProfile(depth=2000, reliability=ReliabilityPolicy.BEST_AVAILABLE)
@@ -33,17 +35,18 @@ class TwinNode(BenchNode):
 
     def __init__(self) -> None:
         super().__init__("twin")
-        self._channels = channels = self.parameters["bench.channels"]
+        self._channels = self.parameters["bench.channels"]
         self._joint = "tip" if moves_tip(self.parameters) else "wire"
         self._moves = load_kind(self.parameters) != "clamped"  # its position is compared
-        self._predicted, self._residual = (
-            BenchTopics(self, channels, channels, joint=self._joint, below=below)
-            for below in (PREDICTED, RESIDUAL)
-        )
+        self._topics: dict[str, BenchTopics] = {}
+        self._below(PREDICTED)
+        self._residual = self._below(RESIDUAL)
         self._energy = {s: self.create_publisher(Float64, ENERGY + s, READINGS)
                         for s in twin.MEASURED_STAGES}
         twin.compile_model(self.parameters)
         self._twin = Twin(self.parameters, self.settings, self._predict, self._part)
+        if self._twin.no_band:
+            raise InputError(f"band: {self._twin.no_band}")
         self._loaded = self.parameters
         self._judged = self._twin.verdict
         self._said = ""
@@ -77,13 +80,28 @@ class TwinNode(BenchNode):
             elongation = 0.0 if math.isnan(position) else position
             self._twin.mechanics(stamp_of(message), message.effort[k], elongation)
 
+    def _below(self, below: str) -> BenchTopics:
+        """Publishers of a bench's topics below that, made when first needed."""
+        if below not in self._topics:
+            channels = self._channels
+            self._topics[below] = BenchTopics(
+                self, channels, channels, joint=self._joint, below=below
+            )
+        return self._topics[below]
+
     def _predict(self, found: Prediction) -> None:
+        self._publish(PREDICTED, found)
+        for below, share in LIMITS.items() if found.off else ():
+            self._publish(below, found.moved(share))
+
+    def _publish(self, below: str, found: Prediction) -> None:
+        topics = self._below(below)
         for k, channel in enumerate(self._channels):
-            self._predicted.power(channel, found.voltage[k], found.current[k], found.stamp)
+            topics.power(channel, found.voltage[k], found.current[k], found.stamp)
             celsius = found.temperature[k] - CELSIUS_ZERO
-            self._predicted.temperature(channel, celsius, found.stamp)
+            topics.temperature(channel, celsius, found.stamp)
         held = None if self._moves else found.mechanics
-        self._predicted.joint(found.stamp, found.mechanics if self._moves else 0.0, held)
+        topics.joint(found.stamp, found.mechanics if self._moves else 0.0, held)
 
     def _part(self, residual: Residual) -> None:
         value, stamp = residual.value, residual.stamp
@@ -101,6 +119,8 @@ class TwinNode(BenchNode):
             self._twin.tune(self.settings)
             if before != self.parameters:
                 self._twin.change(self.parameters)
+            if self._twin.no_band:
+                self.get_logger().warning(f"no band: {self._twin.no_band}")
         self._twin.advance()
         if self._restarts != self._twin.restarts:
             self._restarts = self._twin.restarts

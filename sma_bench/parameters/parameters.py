@@ -153,6 +153,9 @@ class Parameters(Mapping[str, Value]):
                 return f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
         if self["wire.law"] != "cosine" and (fault := self._fault_of_law()):
             return fault
+        if self["wire.end_length"] > 0.0 and self["wire.law"] != "normal":
+            value = f"wire.end_length is {self['wire.end_length']:g} m"
+            return f"{value} with wire.law {self['wire.law']}, expected 0, or law normal"
         kind, used = load_kind(self), len(set(sides))
         for name in LOAD_NEEDS.get(kind, ()):
             if self[name] <= 0.0:

@@ -9,7 +9,7 @@ first what a bench is, then its state, then what is noted within a step.
 
 from sma_bench.parameters.parameter import EFFECTS
 
-PLAYS = 5  # groups of grains of laws/normal.py
+PLAYS = 8  # at most, of laws/normal.py
 
 _WIRE = {
     "constants": (  # reciprocals spare the core divisions
@@ -18,8 +18,8 @@ _WIRE = {
         "MARTENSITE_FINISH", "MARTENSITE_SLOPE", "MARTENSITE_SHIFT",  # M_f, 1/(M_s - M_f), 1/C_M
         "AUSTENITE_MODULUS", "MODULUS_CHANGE", "RECOVERABLE_STRAIN", "EXPANSION", "SIDE",
         "AUSTENITE_SPREAD", "MARTENSITE_SPREAD", "TAIL",  # of the ramps, which run from 0 to 1
-        "LAW", "GROUPS", "SHARPNESS",  # its number; number, 1/s, c_j, b_j of laws/normal.py
-        *["CENTRES"] * PLAYS, *["HALF_WIDTHS"] * PLAYS,
+        "LAW", "GROUPS", "SHARPNESS",  # its number; of laws/normal.py number, 1/s and of each play
+        *["CENTRES"] * PLAYS, *["HALF_WIDTHS"] * PLAYS, *["SHARES"] * PLAYS, *["WARMTH"] * PLAYS,
         "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
         "CONVECTION", "CONVECTION_EXPONENT", "RADIATION",  # of free convection, W/K, 1, W/K4
         "CURRENT_DRIVEN", "PRESTRETCH",  # by a current source; strain at which it is mounted

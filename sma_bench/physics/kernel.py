@@ -159,10 +159,13 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
             row[mark] = 1.0
     row[at.LAW] = number_of(p)
     if p["wire.law"] == "normal":
-        centres, halves, deviation = normal.groups(p)
-        row[at.CENTRES : at.CENTRES + normal.PLAYS] = centres
-        row[at.HALF_WIDTHS : at.HALF_WIDTHS + normal.PLAYS] = halves
-        row[at.GROUPS], row[at.SHARPNESS] = normal.PLAYS, 1.0 / deviation
+        plays, deviation = normal.plays(p)
+        count = plays.shape[1]
+        for first, numbers in zip(
+            (at.CENTRES, at.HALF_WIDTHS, at.SHARES, at.WARMTH), plays, strict=True
+        ):
+            row[first : first + count] = numbers
+        row[at.GROUPS], row[at.SHARPNESS] = count, 1.0 / deviation
     if p["wire.convection"] == "free":
         note_free(row, p)
     row[at.HEATING] = 1.0 / (heated_resistance(p) * heat_loss(p))

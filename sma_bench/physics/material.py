@@ -127,13 +127,16 @@ def current(
     """
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
     count, effect = parameters["wire.count"], "effect.phase_dependent_resistance."
-    of_phase = 1.0 + parameters[effect + "austenite_change"] * (1.0 - xi)
-    rise = kelvin - parameters["environment.ambient_temperature"]
-    of_heat = np.maximum(1.0 + parameters[effect + "temperature_coefficient"] * rise, LEAST)
-    resistance = parameters["wire.resistance"] * of_phase * of_heat
+    change = parameters[effect + "austenite_change"]
+    growth = parameters[effect + "temperature_coefficient"]
+    shape = np.broadcast_shapes(kelvin.shape, xi.shape)
+    resistance = np.full(shape, parameters["wire.resistance"])
     if parameters["bench.drive"] == "current":
-        resistance = np.full_like(resistance, parameters["wire.resistance"])
         return np.asarray(count * volts / resistance)
+    if change != 0.0 or growth != 0.0:
+        rise = kelvin - parameters["environment.ambient_temperature"]
+        of_heat = np.maximum(1.0 + growth * rise, LEAST)
+        resistance = resistance * (1.0 + change * (1.0 - xi)) * of_heat
     leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
     return np.asarray(count * volts / (resistance + count * leads))
 

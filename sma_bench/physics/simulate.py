@@ -56,7 +56,8 @@ class Readings:
     @property
     def deflection_reading(self) -> Any:
         """(...) m, what a sensor reads: the deflection, unless its zero drifts."""
-        return self.deflection + zero(self.parameters, self.clock)
+        drifts = EFFECTS["deflection_drift"].is_on(self.parameters)
+        return self.deflection + (zero(self.parameters, self.clock) if drifts else 0.0)
 
     @property
     def elongation(self) -> Array:
@@ -133,6 +134,12 @@ def simulate(
     return Bench(parameters, initial=initial, boundary=boundary).follow(time, voltage, elongation)
 
 
+def run_once() -> None:
+    """Two steps of the default bench, for which the core is compiled or read from the disk."""
+    bench = Parameters.defaults()
+    simulate(bench, [0.0, 0.05, 0.1], np.ones((3, len(bench["bench.channels"]))))
+
+
 class Bench(Readings):
     """The same bench stepped live, with the readings of now."""
 
@@ -200,9 +207,8 @@ class Bench(Readings):
             if not np.all(np.isfinite(array)):
                 k = int(np.argwhere(~np.isfinite(array))[0][0])
                 raise InputError(f"simulation: {name} of sample {k} is {array[k]}, expected finite")
-        backward = np.flatnonzero(np.diff(seconds) <= 0.0)
-        if backward.size:
-            k = int(backward[0])
+        if not np.all(seconds[1:] > seconds[:-1]):
+            k = int(np.argmax(seconds[1:] <= seconds[:-1]))
             raise InputError(
                 f"simulation: time goes from {seconds[k]} to {seconds[k + 1]} s at sample {k + 1}, "
                 "expected increasing"

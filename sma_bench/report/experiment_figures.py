@@ -8,6 +8,7 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
+from sma_bench.estimation.bands import predict
 from sma_bench.identify.estimate import SYMBOLS
 from sma_bench.identify.result import Experiment
 from sma_bench.identify.tensile import SYMBOL
@@ -315,7 +316,10 @@ def constitutive_picture(e9: Experiment) -> Picture:
 
 
 def bench_fit_pictures(e10: Experiment) -> list[Picture]:
-    """Signals of the rig over time with the fitted simulation, one picture a record."""
+    """Signals of the rig over time with the fitted simulation, one picture a record; of wires that
+    move a load with the limits of 90 % of another such run's readings."""
+    observations = e10.laws[0].fit.problem.observations if e10.laws else ()
+    bands = [predict(e10.laws, one) for one in observations]
     records: dict[str, list[tuple[str, str]]] = {}  # signals with their quantity
     for signal in (key.removesuffix(".model") for key in e10.curves if key.endswith(".model")):
         head, _, rest = signal.partition(".")
@@ -332,7 +336,13 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
             rms = float(np.sqrt(np.nanmean((measured - model) ** 2)))
             ax.plot(time, measured, **_marks(".", MEASURED, "measured", ms=1.5, rasterized=True))
             ax.plot(time, model, color=MODEL, lw=1, label=f"model, rms {rms:.2g} {unit}")
-            ax.set(ylabel=f"{signal.removeprefix(f'{head}.')}\n[{unit}]")
+            name = signal.removeprefix(f"{head}.")
+            if bands:
+                band = bands[int(head or 0)][name]
+                limits: dict[str, Any] = {"color": FAINT, "lw": 0.8, "ls": "--"}
+                ax.plot(band.time, factor * band.low, **limits, label="90 % of another run")
+                ax.plot(band.time, factor * band.high, **limits)
+            ax.set(ylabel=f"{name}\n[{unit}]")
             ax.legend(fontsize=8)
         axes[-1].set(xlabel="time [s]")
         name = f"bench_fit_{head}" if head else "bench_fit"

@@ -21,7 +21,7 @@ from sma_bench.border import shown
 from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
 from sma_bench.live.run import DONE, IDLE, RUNNING
-from sma_bench.ros.node import LATCHED, READINGS, OverridableNode, start_ros
+from sma_bench.ros.node import LATCHED, READINGS, OverridableNode, end_of_ros, start_ros
 from sma_bench.ros.processes import NodeProcesses
 
 _SPIN = 0.05  # s
@@ -217,8 +217,8 @@ class BenchClient(NodeCalls):
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._node.destroy_node()
-        rclpy.try_shutdown()
+        with end_of_ros():
+            self._node.destroy_node()
 
     def _look(self) -> None:
         self._meanwhile()

@@ -297,8 +297,8 @@ def listening_node(
     finally:
         ended.set()
         thread.join()
-        node.destroy_node()
-        rclpy.try_shutdown()
+        with ros.end_of_ros():
+            node.destroy_node()
 
 
 def state_line(text: str) -> str:

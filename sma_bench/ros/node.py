@@ -6,12 +6,13 @@ name, started by mistake, are two commanders. What is not signed, from `ros2 top
 is identified by the graph alone: it is taken while there is one such publisher.
 """
 
+import contextlib
 import copy
 import importlib
 import math
 import time
 import uuid
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import rclpy
@@ -46,6 +47,7 @@ READINGS = QoSProfile(depth=2000)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Messages that wait for a listener to readings and commands; for one to the `newest`, and by it.
 _HEARD, _NEWEST = 50, 2
+_READ = 0.2  # s in which a peer on a busy machine reads what it has received
 _OVERRIDABLE = QoSOverridingOptions((
     QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY
 ))
@@ -63,6 +65,28 @@ def start_ros(arguments: Sequence[str]) -> None:
         rclpy.init(args=list(arguments), signal_handler_options=SignalHandlerOptions.NO)
     except (rcl.RCLError, rcl.UnknownROSArgsError) as error:
         raise InputError(str(error)) from None
+
+
+@contextlib.contextmanager
+def end_of_ros() -> Iterator[None]:
+    """End this process's nodes inside, and then its ROS context: no other program keeps them.
+
+    DDS's participant ends with the last node. A peer whose rmw_fastrtps reads what was said of a
+    node after it has heard of that end takes the node up again, for ever. So one without any topic,
+    which `ros2 node list` hides, stays until peers have read that the others are gone.
+    """
+    last = None
+    if rclpy.ok():
+        handle = rclpy.get_default_context().handle
+        with handle:
+            last = rcl.Node("_leaving", "/", handle, None, False, False)
+    try:
+        yield
+    finally:
+        if last is not None:
+            time.sleep(_READ)
+            last.destroy_when_not_in_use()
+        rclpy.try_shutdown()
 
 
 class OverridableNode(Node):

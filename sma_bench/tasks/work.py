@@ -4,9 +4,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from sma_bench.compiled import load_aside
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECTS
+from sma_bench.physics import core
+from sma_bench.physics.simulate import run_once
 from sma_bench.progress import Report, by_name, in_turn, part, silent
 from sma_bench.records import open_records, read_record
 from sma_bench.records.instruments import Phase
@@ -46,6 +49,7 @@ def identify_files(
     read, or nothing that can be identified."""
     from sma_bench.identify import identify
 
+    load_aside(core.run, run_once)
     reading = part(report, 0.0, _READING)
     records = [
         record
@@ -65,6 +69,7 @@ def diagnose_files(
     read, or nothing that can be compared."""
     from sma_bench.diagnose import diagnose
 
+    load_aside(core.run, run_once)
     reading = part(report, 0.0, _READING_BAGS)
     records = [
         read_record(path)

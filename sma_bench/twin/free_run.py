@@ -2,12 +2,15 @@
 
 import math
 from collections import deque
+from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
 from sma_bench.arrays import Array, IntArray
+from sma_bench.estimation.bands import FLOOR, reach_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
@@ -164,6 +167,13 @@ class FreeRun:
             self._log = deque([(state, begins, held)])
             self.trajectory = self._followed(begins, held)
 
+    def of_another(self, parameters: Parameters) -> Self:
+        """The same run of a bench with other parameters, its last minute simulated again."""
+        other = copy(self)
+        other._known, other._log = self._known.copy(), deque(self._log)
+        other.change(parameters)
+        return other
+
     def _begin(self, parameters: Parameters, state: State | None) -> None:
         self.parameters = parameters
         self._settling = 10.0 * float(time_constant(parameters))
@@ -191,3 +201,37 @@ class FreeRun:
         driven = np.where(newest < 0, self._driven, np.argmax(run.voltage, axis=1)[newest])
         conductance = current(p, 1.0, kelvin, xi)
         return Trajectory(time, kelvin, run.temperature_reading, conductance, mechanics, driven)
+
+
+class Doubt:
+    """How far a sound bench may be from the prediction, its sensors' noise not counted: benches
+    within what is open of the parameters run beside it, each in a run of its own
+    (estimation/bands.py)."""
+
+    def __init__(self, run: FreeRun, benches: Sequence[Parameters], probability: float) -> None:
+        self._run, self._reach = run, reach_of(probability)
+        self._others = [run.of_another(bench) for bench in benches]
+        self._least, self._most = (self._columns(run, slice(-1, None))[0] for _ in range(2))
+        self._least[: run.trajectory.conductance.shape[1]] = 0.0  # a current spans from none
+
+    def advance(self, time: Array, voltage: Array) -> None:
+        """Go on as the run itself has done."""
+        for other in self._others:
+            other.advance(time, voltage)
+        new = self._columns(self._run, slice(-len(time), None))
+        self._least = np.minimum(self._least, new.min(axis=0))
+        self._most = np.maximum(self._most, new.max(axis=0))
+
+    def off(self, row: int) -> Array:
+        """(2 w + 1,) how far the conductances, temperatures and the mechanics may be off there, in
+        their units; a band has a floor of a share of what each has spanned."""
+        rows = slice(row, row + 1)
+        mean = self._columns(self._run, rows)[0]
+        drawn = np.vstack([self._columns(other, rows) for other in self._others])
+        floor = FLOOR * (self._most - self._least)
+        return np.asarray(self._reach * np.sqrt(np.mean((drawn - mean) ** 2, axis=0) + floor**2))
+
+    @staticmethod
+    def _columns(run: FreeRun, rows: slice) -> Array:
+        at = run.trajectory
+        return np.column_stack([at.conductance[rows], at.reading[rows], at.mechanics[rows]])

@@ -14,12 +14,13 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
+from sma_bench.estimation.bands import benches_within
 from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics.boundary import side_names
 from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, BinStatistics, Comparison
-from sma_bench.twin.free_run import FreeRun, MeasuredVoltages
+from sma_bench.twin.free_run import Doubt, FreeRun, MeasuredVoltages
 
 Settings = Mapping[str, Any]
 
@@ -30,6 +31,7 @@ _FRESH = 0.5  # s
 _FAR_AHEAD = 2.0  # s; readings of a record's last round
 _QUEUE = 4000  # readings that wait for the voltages of their moment
 _EVERY = 5  # bins between two verdicts
+_BENCHES = 12  # drawn for a band
 _CLAMPED = 1e-4  # m; a wire whose end has moved further is not the one that is modelled
 
 ELECTRICAL, THERMAL, MECHANICAL, SENSOR = "electrical", "thermal", "mechanical", "sensor"
@@ -42,13 +44,24 @@ _MUCH = 2.0  # times
 
 
 class Prediction(NamedTuple):
-    """What the model says at a time (ns): (w,) A and K, and the deflection [m] or force [N]."""
+    """What the model says at a time (ns): (w,) A and K, and the deflection [m] or force [N]; `off`:
+    the same, how far a sound bench may be from it, where that is asked for."""
 
     stamp: int
     voltage: Array
     current: Array
     temperature: Array
     mechanics: float
+    off: "Prediction | None" = None
+
+    def moved(self, share: float) -> "Prediction":
+        """A limit: what is `share` times `off` away."""
+        assert self.off is not None
+        return Prediction(
+            self.stamp, self.voltage, self.current + share * self.off.current,
+            self.temperature + share * self.off.temperature,
+            self.mechanics + share * self.off.mechanics,
+        )
 
 
 class Residual(NamedTuple):
@@ -98,6 +111,7 @@ class Twin:
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]
         self._voltages = MeasuredVoltages(len(self._channels))
+        self._share = math.nan  # of readings, between the limits that are asked for
         self.tune(settings)
         self._judge = Judge(side_names(parameters))
         self._origin: int | None = None
@@ -108,9 +122,24 @@ class Twin:
     def tune(self, settings: Settings) -> None:
         self._settings, self._period = settings, 1.0 / settings["publish_rate"]
         self._voltages.timeout = settings["voltage_timeout"]
+        if settings["band"] != self._share:
+            self._share = settings["band"]
+            self._draw()
+
+    def _draw(self) -> None:
+        """Draw the benches of a band, if one is asked for."""
+        self._benches: list[Parameters] = []
+        self._doubt: Doubt | None = None
+        self.no_band = ""  # why there is none
+        if self._share:
+            try:
+                self._benches = benches_within(self._parameters, _BENCHES)
+            except InputError as error:
+                self.no_band = str(error)
 
     def _begin_anew(self) -> None:
         self._run: FreeRun | None = None
+        self._doubt = None
         self._comparison: Comparison | None = None
         self._waited_since: float | None = None
         self._kelvin: dict[int, tuple[float, float]] = {}
@@ -149,6 +178,7 @@ class Twin:
     def change(self, parameters: Parameters) -> None:
         """Go on with other parameters of the same channels; the last minute is simulated again."""
         self._parameters = as_recorded(parameters)
+        self._draw()
         if self._run is not None:
             self._run.change(self._parameters)
             self._comparison = Comparison(self._run, self._settings["allowed.temperature"])
@@ -197,14 +227,22 @@ class Twin:
             return
         if not len(time):
             return
+        if self._benches and self._doubt is None:
+            self._doubt = Doubt(run, self._benches, self._share)
         run.advance(time, volts)
+        if (doubt := self._doubt) is not None:
+            doubt.advance(time, volts)
         trajectory = run.trajectory
         rows = np.minimum(np.searchsorted(trajectory.time, time), len(trajectory.time) - 1)
         for k in self._due("prediction", 0, time):
-            row = int(rows[k])
+            row, stamp, off = int(rows[k]), self._stamp(float(time[k])), None
+            if doubt is not None:
+                w, away = len(volts[k]), doubt.off(row)
+                amperes = volts[k] * away[:w]
+                off = Prediction(stamp, volts[k], amperes, away[w:-1], float(away[-1]))
             self._on_prediction(Prediction(
-                self._stamp(float(time[k])), volts[k], volts[k] * trajectory.conductance[row],
-                trajectory.reading[row], float(trajectory.mechanics[row]),
+                stamp, volts[k], volts[k] * trajectory.conductance[row],
+                trajectory.reading[row], float(trajectory.mechanics[row]), off,
             ))
         for (kind, wire), waiting in self._pending.items():
             ready = []

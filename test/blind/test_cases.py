@@ -62,11 +62,8 @@ def test_cases_are_good_records_labelled_as_dealt_and_only_the_sealed_file_names
 # The sealed seeds give what they always gave, dealt in balance, beliefs off by what they state:
 # seed, number of cases, load, case, and a digest of samples, believed numbers and label. The first
 # of the development split, one of the frozen set of docs/blind/results.md, one of another load.
-KEPT = {
-    (1000, 60, "beam", 3): "481d3aba2cd9d0b0",
-    (2600, 200, "beam", 11): "b4f562c37b25a15b",
-    (1200, 24, "spring", 2): "3725f0c39a0bfb35",
-}
+KEPT = {(1000, 60, "beam", 3): "481d3aba2cd9d0b0", (2600, 200, "beam", 11): "b4f562c37b25a15b",
+        (1200, 24, "spring", 2): "3725f0c39a0bfb35"}  # fmt: skip
 
 
 def shortened(value: Any) -> Any:

@@ -44,12 +44,10 @@ if order in ("improve", "spoil"):
 if order != "silent":
     Path("result.json").write_text(json.dumps(result) if order != "babble" else "so {")
 """
-FAILURES = {
-    "crash": "exit code 3: ValueError: it hurts", "silent": "no result was written",
-    "babble": "result is not JSON", "wrong": "result: verdict 'perhaps'",
-    "effect": "verdict effect without improved parameters",
-    "spoil": "improved.yaml: expected a ROS parameter file",
-}  # fmt: skip
+FAILURES = {"crash": "exit code 3: ValueError: it hurts", "silent": "no result was written",
+            "babble": "result is not JSON", "wrong": "result: verdict 'perhaps'",
+            "effect": "verdict effect without improved parameters",
+            "spoil": "improved.yaml: expected a ROS parameter file"}  # fmt: skip
 
 
 @pytest.fixture

@@ -48,12 +48,10 @@ def made(tmp_path_factory):
             (root / "cases" / name / record).mkdir(parents=True)
         nominal = root / "cases" / name / "nominal.yaml"
         write_parameters(nominal, case.nominal, names=sorted(case.nominal.given))
-        labels[name] = {
-            "id": name, "kind": kind, "effects": list(effects), "severity": 9.0, "where": WHERE,
-            "signals": "all", "features": features, "truth": true_values(case.truth),
-            "sensors": asdict(case.sensors),
-            "drives": {n: vars(d) for n, d in case.drives.items()},
-        }  # fmt: skip
+        labels[name] = {"id": name, "kind": kind, "effects": list(effects), "severity": 9.0,
+                        "where": WHERE, "signals": "all", "features": features,
+                        "truth": true_values(case.truth), "sensors": asdict(case.sensors),
+                        "drives": {n: vars(d) for n, d in case.drives.items()}}  # fmt: skip
     sha256 = files.seal(root / "labels.sealed", list(labels.values()))
     manifest = {"seed": 5, "split": "open", "cases": list(CASES), "sha256": sha256}
     (root / "manifest.json").write_text(json.dumps(manifest))
@@ -74,11 +72,9 @@ def hand_in(made, folder, answers, name="diagnosis", program=("x",)):
     return cases
 
 
-GOOD = {
-    "0001": document("effect", "supply_drop", supply_drop=1.0),
-    "0002": document("no_gap", no_gap=1.0) | {"shrinkage": {}},
-    "0003": document("ambiguous", protocol=TIE, slack=0.5, residual_strain=0.5),
-}
+GOOD = {"0001": document("effect", "supply_drop", supply_drop=1.0),
+        "0002": document("no_gap", no_gap=1.0) | {"shrinkage": {}},
+        "0003": document("ambiguous", protocol=TIE, slack=0.5, residual_strain=0.5)}  # fmt: skip
 
 
 def test_labels_stay_sealed_until_the_last_answer_to_this_set(made, tmp_path, monkeypatch, capsys):

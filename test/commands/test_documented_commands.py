@@ -22,11 +22,9 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 DEVELOPER = {"test", "blind", "perf", "check"}
 FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
-LAUNCH_ARGUMENTS = {
-    "wire_bench.launch.py": WIRE.arguments,
-    "composite_bench.launch.py": COMPOSITE.arguments,
-    "replay.launch.py": bench_plan.REPLAY,
-}
+LAUNCH_ARGUMENTS = {"wire_bench.launch.py": WIRE.arguments,
+                    "composite_bench.launch.py": COMPOSITE.arguments,
+                    "replay.launch.py": bench_plan.REPLAY}  # fmt: skip
 PLACEHOLDERS = {"NODE": "simulator"}
 # Within a sentence, without what they take.
 NAMED_ONLY = {"call", "import", "info", "notebook", "python", "run"}

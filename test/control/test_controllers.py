@@ -23,10 +23,9 @@ from sma_bench.synthetic.bench_records import run_loop
 
 # What a lab's own identification leaves these uncertain by; those of the table are of Table I,
 # read by sensors as good as their data sheets say.
-AFTER_IDENTIFICATION = {
-    "wire.resistance": 0.03, "wire.heat_transfer_coefficient": 8.0, "wire.specific_heat": 10.0,
-    "environment.ambient_temperature": 0.5,
-}  # fmt: skip
+AFTER_IDENTIFICATION = {"wire.resistance": 0.03, "wire.heat_transfer_coefficient": 8.0,
+                        "wire.specific_heat": 10.0,
+                        "environment.ambient_temperature": 0.5}  # fmt: skip
 NUMBERS = st.floats(-1e3, 1e3)
 PAPER = Parameters.of_paper()
 WIRE = PAPER.replace({}, AFTER_IDENTIFICATION)
@@ -45,12 +44,10 @@ def off_by_deviations(parameters, names, seed, deviations=1.0):
 def run(bench, controller, reference, duration, period=PERIOD, **reading):
     """Run a controller on a bench; reference: K, or m, at a time in s."""
     if isinstance(controller, DeflectionController):
-        return run_loop(
-            bench, lambda plant: np.array(plant.deflection), reference,
-            lambda wanted, read, ahead: controller.step(
-                float(wanted), float(read), period, float(ahead)
-            ), duration, period, **reading,
-        )  # fmt: skip
+        return run_loop(bench, lambda plant: np.array(plant.deflection), reference, lambda wanted,
+                        read,
+                        ahead: controller.step( float(wanted), float(read), period, float(ahead) ),
+                        duration, period, **reading)  # fmt: skip
     return run_loop(
         bench, lambda plant: np.array(plant.temperature), lambda t: np.array([reference(t)]),
         lambda wanted, read, _: controller.step(wanted, read, period), duration, period, **reading,
@@ -104,11 +101,9 @@ LEVELS = [303.15, 308.15, 313.15, 318.15, 323.15, 328.15]  # K, below A_s
 ], ids=["off and late", "still air, off and late"])  # fmt: skip
 def test_staircase_below_a_s_is_tracked(wire, dwell, settling, seed):
     controller = TemperatureController(wire, PERIOD, delay=PERIOD + 0.0125)
-    found = run(
-        off_by_deviations(wire, THERMAL, seed), controller,
-        lambda t: LEVELS[min(int(t / dwell + 1e-9), len(LEVELS) - 1)], dwell * len(LEVELS),
-        late=1, seed=seed, **KELVIN,
-    )  # fmt: skip
+    found = run(off_by_deviations(wire, THERMAL, seed), controller,
+                lambda t: LEVELS[min(int(t / dwell + 1e-9), len(LEVELS) - 1)], dwell * len(LEVELS),
+                late=1, seed=seed, **KELVIN)  # fmt: skip
     times, kelvins = (a.reshape(len(LEVELS), -1) for a in (found.time, found.actual))
     for time, kelvin, level in zip(times, kelvins, LEVELS, strict=True):
         off = kelvin - level
@@ -180,10 +175,8 @@ def test_any_drive_holds_a_temperature_and_stays_within_the_current(drive):
 
 # --- Deflection.
 
-COMPOSITE = WIRE.replace({
-    "bench.channels": ["front_1", "front_2", "back_1", "back_2"],
-    "bench.channel_sides": ["front", "front", "back", "back"],
-})  # fmt: skip
+COMPOSITE = WIRE.replace({"bench.channels": ["front_1", "front_2", "back_1", "back_2"],
+                          "bench.channel_sides": ["front", "front", "back", "back"]})  # fmt: skip
 UNCERTAIN = [
     p.name for p in TABLE
     if p.uncertainty and p.default and p.name.startswith(("wire.", "environment.", "composite."))
@@ -283,10 +276,8 @@ def test_an_unreachable_deflection_neither_winds_up_nor_burns_nor_does_a_dead_se
         np.testing.assert_array_equal(step, open_.step(wanted, 0.0, PERIOD))
 
 
-SUPPLIES = {
-    "force": {"bench.drive": "duty"}, "spring": {"bench.lead_resistance": 0.3},
-    "antagonist": {"bench.drive": "current"},
-}  # fmt: skip
+SUPPLIES = {"force": {"bench.drive": "duty"}, "spring": {"bench.lead_resistance": 0.3},
+            "antagonist": {"bench.drive": "current"}}  # fmt: skip
 RIGS = {
     load: PAPER.replace({"load.kind": load, **LOADS[load], **supply})
     for load, supply in SUPPLIES.items()

@@ -26,14 +26,12 @@ SCATTER = "deflection scatters more in motion than at rest"
 def signs(gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0), gap=5.0):
     """Of what a search found: gain of the best, each sign before (recalibrated) and after."""
     return signs_of_unexplained(
-        SimpleNamespace(
-            recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
-            best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
-            flexible=SimpleNamespace(gain=flexible),
-            beyond=SimpleNamespace(gain=beyond, gap=gap),
-            left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
-            left_by_best=Left(9.0, "deflection", sizes[1], 12.0, 11.0),
-        )
+        SimpleNamespace(recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
+                        best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
+                        flexible=SimpleNamespace(gain=flexible),
+                        beyond=SimpleNamespace(gain=beyond, gap=gap),
+                        left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
+                        left_by_best=Left(9.0, "deflection", sizes[1], 12.0, 11.0))  # fmt: skip
     )
 
 

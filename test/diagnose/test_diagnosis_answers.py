@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from planted import ALL, ONE_WIRE, believed, drive, few_effects, planted_record
 
@@ -11,6 +12,7 @@ from examination.bags import in_sqlite3
 from examination.blind.case_files import checked_answer
 from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol
 from sma_bench.records import read_record
 from sma_bench.records.bag_writer import write_record
@@ -41,6 +43,23 @@ def test_the_answer_obeys_the_contract(planted_diagnosis):
     credible = planted_diagnosis.credible
     assert sum(probabilities[: len(credible)]) >= 0.9 > sum(probabilities[: len(credible) - 1])
     assert credible == tuple(c.name for c in candidates[: len(credible)])
+
+
+def test_a_bench_that_its_lab_takes_for_one_that_stands_still_is_recalibrated(tmp_path):
+    # With the table's heat transfer, which nobody states, no wire would get warm enough to move.
+    lab, unstated = believed(), {"wire.heat_transfer_coefficient", "wire.surface_area"}
+    truth, steps = lab.replace({"wire.heat_transfer_coefficient": 150.0}), [LOW]
+    for side, level in (("front", 3.0), ("back", 3.0), ("front", 2.4)):
+        steps += [{"kind": "step", "drive": side, "level": level, "duration": 8.0}, LOW, LOW]
+    protocol = parse_protocol({"name": "steps", "steps": steps}, truth)
+    record = planted_record(tmp_path / "bag", quantities=ALL[2:], bench=truth, protocol=protocol)
+    stated = {name: lab[name] for name in lab.given - unstated}
+    stds = {name: std for name, std in lab.given_uncertainty.items() if name in stated}
+    with few_effects():
+        found = diagnose([record], Parameters(stated, stds))
+    assert found.verdict == "recalibration"
+    left = found.search.recalibrated.left
+    assert left.std() < 0.002 * np.ptp(record["deflection"].values)
 
 
 def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_rig, tmp_path):

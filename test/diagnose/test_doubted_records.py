@@ -9,12 +9,11 @@ import pytest
 import sma_bench
 from sma_bench.records.check import mended, under_suspicion
 
-LAB = {
-    "bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind": "clamped",
-    "wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0, "wire.specific_heat": 450.0,
-    "wire.mass": 0.09e-3, "wire.surface_area": 236e-6, "environment.ambient_temperature": 296.0,
-    "uncertainty.wire.heat_transfer_coefficient": 20.0, "uncertainty.wire.specific_heat": 100.0,
-}  # fmt: skip
+LAB = {"bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind": "clamped",
+       "wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0, "wire.specific_heat": 450.0,
+       "wire.mass": 0.09e-3, "wire.surface_area": 236e-6, "environment.ambient_temperature": 296.0,
+       "uncertainty.wire.heat_transfer_coefficient": 20.0,
+       "uncertainty.wire.specific_heat": 100.0}  # fmt: skip
 STAIRCASE = np.repeat([0.0, 0.4, 0.8, 1.0, 0.8, 0.4, 0.0], 150)
 
 

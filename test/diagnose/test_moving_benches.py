@@ -10,11 +10,9 @@ from sma_bench.protocols import parse_protocol
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
-MOVED = (
-    *("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"),
-    *("wire.austenite_start_temperature", "wire.martensite_finish_temperature"),
-    "wire.maximum_recoverable_strain",
-)
+MOVED = (*("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"),
+         *("wire.austenite_start_temperature", "wire.martensite_finish_temperature"),
+         "wire.maximum_recoverable_strain")  # fmt: skip
 DUTY = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
 CASES = {
     "force": ({"effect.latent_heat.heat": 9e3}, DUTY),
@@ -28,10 +26,8 @@ def diagnosed(load, effect, drive=()):
     off = {n: believed[n] + believed.std(n) * random.standard_normal() for n in MOVED}
     bench = believed.replace({**off, **effect})
     *seen, unseen = (
-        moving_record(
-            bench, strokes(bench, shape, 20.0, 60.0, top=5.6), seed,
-            ("voltage", "elongation", "deflection", "force"),
-        )  # fmt: skip
+        moving_record(bench, strokes(bench, shape, 20.0, 60.0, top=5.6), seed,
+                      ("voltage", "elongation", "deflection", "force"))  # fmt: skip
         for shape, seed in (("triangle", 4), ("step", 5), ("sine", 13))
     )  # fmt: skip
     with few_effects(("latent_heat", "residual_strain", "deflection_drift")):

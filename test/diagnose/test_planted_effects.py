@@ -114,13 +114,8 @@ def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_di
     found = planted_diagnosis
     smooth = found.search.flexible
     missing = replace(smooth, gain=9.0, weights=np.ones_like(smooth.weights))
-    proposed = next_experiment(
-        "unexplained",
-        found.candidates,
-        replace(found.search, flexible=missing),
-        weigh(found.search),
-        found.observations,
-        found.parameters,
-    )
+    proposed = next_experiment("unexplained", found.candidates,
+                               replace(found.search, flexible=missing), weigh(found.search),
+                               found.observations, found.parameters)  # fmt: skip
     assert proposed.separates == () and "what no effect explains" in proposed.why
     assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0

@@ -73,12 +73,8 @@ def statements(draw):
 
 
 @settings(max_examples=80)
-@given(
-    load=st.sampled_from(LOAD_KINDS),
-    stated=statements(),
-    reach=st.sampled_from([1.0, 5.0, np.inf]),
-    seed=st.integers(0, 2**32 - 1),
-)
+@given(load=st.sampled_from(LOAD_KINDS), stated=statements(),
+       reach=st.sampled_from([1.0, 5.0, np.inf]), seed=st.integers(0, 2**32 - 1))  # fmt: skip
 def test_wherever_a_fit_goes_there_is_a_bench_that_can_be_simulated(load, stated, reach, seed):
     try:
         bench = rig(load, *stated)

@@ -100,10 +100,8 @@ def test_arduino_ide_flags_build_it_too_of_every_source_of_the_makefile(firmware
     assert outcome.returncode == 0, outcome.stderr
 
 
-ANALOG = {
-    "FRONT_CURRENT": "front current", "BACK_CURRENT": "back current", "SUPPLY": "supply",
-    "FRONT_RANGE": "front range", "BACK_RANGE": "back range",
-}
+ANALOG = {"FRONT_CURRENT": "front current", "BACK_CURRENT": "back current", "SUPPLY": "supply",
+          "FRONT_RANGE": "front range", "BACK_RANGE": "back range"}  # fmt: skip
 # Arduino's names of the port pins that an Uno brings out.
 DIGITAL = {"PD6": "D6", "PD5": "D5", "PB3": "D11", "PD3": "D3", "PD4": "D4"}
 

@@ -82,10 +82,8 @@ class FakeLink:
 
 def telemetry(time, mean=0.0, duty=0.0):
     """A frame of a device that is driven with this duty."""
-    return Telemetry(
-        0, round(1e6 * time), 0, 0, SUPPLY, (mean, 0.0), (1.5, 1.5), (duty, 0.0, 0.0, 0.0), 0,
-        time=time,
-    )
+    return Telemetry(0, round(1e6 * time), 0, 0, SUPPLY, (mean, 0.0), (1.5, 1.5),
+                     (duty, 0.0, 0.0, 0.0), 0, time=time)  # fmt: skip
 
 
 class Bench:

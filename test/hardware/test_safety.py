@@ -315,6 +315,13 @@ def test_pulses_between_two_readings_heat_as_they_were_sent():
             if k % 20 == 5:
                 wire = bench.read(PERIOD * k, volt, kelvin=LIMITS.ambient - 40.0)
         assert wire.startswith("disagreement: a measured at -17 degC, the model says ")
+    # What was sent before the last reading heats no more.
+    held = Wire("a")
+    held.command(0.0)
+    for now in (0.0, 1.0):
+        held.command(8.0)
+        held.power(8.0, 8.0 / LIMITS.circuit, now, LIMITS)
+    assert held.modelled == pytest.approx(LIMITS.warmed(LIMITS.ambient, 8.0, 1.0), abs=0.1)
 
 
 def test_a_camera_that_sees_no_warming_disagrees_and_too_fast_a_warming_is_told():

@@ -34,12 +34,11 @@ def test_checksum_and_documented_session_are_valid():
 
 def test_messages_are_decoded_and_what_is_none_is_refused():
     """Text and binary telemetry say the same."""
-    expected = Telemetry(
-        sequence=57, time_us=3210000, state=1, cause=0, supply=pytest.approx(12.003),
-        current=pytest.approx((-0.102, 0.0)), range_voltage=pytest.approx((1.5002, 1.499)),
-        duty=pytest.approx((2844 / 65536, 0.0, 0.0, 65535 / 65536)), echo=1,
-        drop=pytest.approx((0.432, 0.0)),
-    )  # fmt: skip
+    expected = Telemetry(sequence=57, time_us=3210000, state=1, cause=0,
+                         supply=pytest.approx(12.003), current=pytest.approx((-0.102, 0.0)),
+                         range_voltage=pytest.approx((1.5002, 1.499)),
+                         duty=pytest.approx((2844 / 65536, 0.0, 0.0, 65535 / 65536)), echo=1,
+                         drop=pytest.approx((0.432, 0.0)))  # fmt: skip
     for body, message in (
         (TEXT, expected), (FRAME, expected), (b"K A 13841", serial_messages.Accepted("A", 13841)),
         (b"N V 6", Refused("V", 6)), (b"P 3 4294967295 5", serial_messages.Pong(3, 4294967295, 5)),
@@ -146,10 +145,8 @@ def window(number, period_us=10000):
     )
 
 
-@given(
-    uptime=st.integers(1000, 2_000_000), first=st.integers(1, 50),
-    period=st.sampled_from((2000, 10000, 100000)),
-)  # fmt: skip
+@given(uptime=st.integers(1000, 2_000_000), first=st.integers(1, 50),
+       period=st.sampled_from((2000, 10000, 100000)))  # fmt: skip
 def test_a_restart_is_noticed_after_any_uptime(uptime, first, period):
     """Most of all between half a turn of the clock, 35.8 min, and a whole one."""
     status = LinkStatus()

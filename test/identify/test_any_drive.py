@@ -12,15 +12,13 @@ from wire_records import Sensors, Wire, record_of
 import sma_bench
 from sma_bench.errors import InputError
 
-TRUTH = {
-    "wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0, "wire.specific_heat": 500.0
-}  # fmt: skip
-LAB = {
-    "bench.channels": ["wire"], "bench.channel_sides": ["front"], "wire.mass": 0.09e-3,
-    "wire.surface_area": 236e-6, "wire.resistance": 3.3, "wire.heat_transfer_coefficient": 60.0,
-    "wire.specific_heat": 450.0, "uncertainty.wire.resistance": 0.3,
-    "uncertainty.wire.heat_transfer_coefficient": 30.0, "uncertainty.wire.specific_heat": 150.0,
-}  # fmt: skip
+TRUTH = {"wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0,
+         "wire.specific_heat": 500.0}  # fmt: skip
+LAB = {"bench.channels": ["wire"], "bench.channel_sides": ["front"], "wire.mass": 0.09e-3,
+       "wire.surface_area": 236e-6, "wire.resistance": 3.3, "wire.heat_transfer_coefficient": 60.0,
+       "wire.specific_heat": 450.0, "uncertainty.wire.resistance": 0.3,
+       "uncertainty.wire.heat_transfer_coefficient": 30.0,
+       "uncertainty.wire.specific_heat": 150.0}  # fmt: skip
 
 
 def on_wait_off(t):

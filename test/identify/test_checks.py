@@ -13,10 +13,8 @@ from examination.simulated_lab import EXPERIMENTS
 from sma_bench.identify import whole_model
 
 # Each of another kind: in the errors, warned of, seen in the record, in the statements, refused.
-OF_WIRES = (
-    *("E1 to E3 camera gain +5 %", "E1 to E3 lead of 0.1 ohm", "E1 to E3 camera saturates"),
-    "E1 to E3 spot half filled",
-)
+OF_WIRES = (*("E1 to E3 camera gain +5 %", "E1 to E3 lead of 0.1 ohm", "E1 to E3 camera saturates"),
+            "E1 to E3 spot half filled")  # fmt: skip
 OF_TABLES = (
     *("E5 sample lags 8 s", "E5 signal saturates", "E7 soft grips", "E7 a slip in the rise"),
     *("E8 spot half filled", "E8 wrong diameter: 6 % too large"),

@@ -89,12 +89,11 @@ def test_all_signals_give_the_truth_and_products_better_than_their_factors(forei
 
 
 def bench(**changes):
-    values = {
-        "bench.channels": CHANNELS, "bench.channel_sides": ("front", "back"),
-        "wire.heat_transfer_coefficient": 110.0, "wire.surface_area": 188.5e-6,
-        "wire.martensite_start_temperature": 330.0, "wire.martensite_finish_temperature": 314.0,
-        ALPHA: 1.0, FRONT: 4e9, BACK: 4e9,
-    }  # fmt: skip
+    values = {"bench.channels": CHANNELS, "bench.channel_sides": ("front", "back"),
+              "wire.heat_transfer_coefficient": 110.0, "wire.surface_area": 188.5e-6,
+              "wire.martensite_start_temperature": 330.0,
+              "wire.martensite_finish_temperature": 314.0, ALPHA: 1.0, FRONT: 4e9,
+              BACK: 4e9}  # fmt: skip
     exact = dict.fromkeys(("wire.mass", "wire.surface_area"), 0.0)
     return Parameters.of_paper().replace({**values, **changes}, exact)
 
@@ -166,9 +165,8 @@ def test_an_effect_that_the_model_lacks_is_seen_in_the_residual():
     assert warning.numbers["ratio"] > 2.0
 
 
-@pytest.mark.parametrize(("drop", "message"), [
-    ("back_1.voltage", "no voltage of channel back_1"), ("deflection", "no motion"),
-])  # fmt: skip
+@pytest.mark.parametrize(("drop", "message"), [("back_1.voltage", "no voltage of channel back_1"),
+                                               ("deflection", "no motion")])  # fmt: skip
 def test_what_is_absent_is_named(drop, message):
     record = record_of(bench())
     signals = {n: s for n, s in record.signals.items() if n != drop}

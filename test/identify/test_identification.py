@@ -82,14 +82,11 @@ def test_record_made_elsewhere_gives_its_truth_within_two_stated_errors(shared_d
 
 
 BARE = Record(Path("empty"), 0, {})
-REFUSED = {
-    "constant": ([steady_record(3.0)], "1 plateau at 1 voltage, 0 ramps"),
-    "five samples": ([steady_record(3.0, 5)], "5 samples"),
-    "NaN": ([steady_record(np.nan)], "nothing to identify"),
-    "no signals": ([BARE], "signals none"),
-    "no record": ([], "no record"),
-    "no such experiment": ([BARE], "'E4', expected one of E0", ["E4"]),
-}
+REFUSED = {"constant": ([steady_record(3.0)], "1 plateau at 1 voltage, 0 ramps"),
+           "five samples": ([steady_record(3.0, 5)], "5 samples"),
+           "NaN": ([steady_record(np.nan)], "nothing to identify"),
+           "no signals": ([BARE], "signals none"), "no record": ([], "no record"),
+           "no such experiment": ([BARE], "'E4', expected one of E0", ["E4"])}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", REFUSED)

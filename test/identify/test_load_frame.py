@@ -47,9 +47,8 @@ def test_a_load_is_followed_where_it_was_measured_and_nowhere_else():
     time = np.concatenate([np.arange(0.0, 70.0, 0.05), np.arange(100.0, 160.0, 0.05)])
     force = np.where(time < 60.0, 2.0, np.where(time < 70.0, 0.2 * time - 10.0, 6.0))
     still = {"elongation": 1e-3 * np.sin(time), "force": force}
-    record = Record(Path("bag"), 0, {
-        name: Signal(name, "m", time, values) for name, values in still.items()
-    })  # fmt: skip
+    record = Record(Path("bag"), 0, {name: Signal(name, "m", time, values) for name,
+                                     values in still.items()})  # fmt: skip
     holds = find_holds(record, 0.0, 1000.0)
     assert holds[0].start == 0.0 and holds[-1].stop == 1000.0
     assert all(a.stop == b.start for a, b in zip(holds, holds[1:], strict=False))

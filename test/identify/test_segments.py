@@ -24,12 +24,8 @@ def test_quiet_supply_shows_the_same_plateaus_and_one_wild_sample_none():
 
 
 @settings(max_examples=20, deadline=None)
-@given(
-    levels=st.lists(st.integers(0, 24), min_size=2, max_size=12),
-    dwell=st.floats(3.0, 40.0),
-    rate=st.sampled_from([10.0, 20.0, 100.0]),
-    seed=st.integers(0, 1000),
-)
+@given(levels=st.lists(st.integers(0, 24), min_size=2, max_size=12), dwell=st.floats(3.0, 40.0),
+       rate=st.sampled_from([10.0, 20.0, 100.0]), seed=st.integers(0, 1000))  # fmt: skip
 def test_any_steps_come_back_as_plateaus_at_their_levels(levels, dwell, rate, seed):
     levels = [a for a, b in zip(levels, [*levels[1:], -1], strict=True) if a != b]
     rng = np.random.default_rng(seed)

@@ -48,11 +48,8 @@ def test_numbers_share_the_errors_of_their_sensors():
 
 
 def test_a_calibration_puts_the_readings_right():
-    wrong = {
-        "current": lambda x: (x - 0.02) / 1.05,
-        "voltage": lambda x: x / 0.97,
-        "temperature": lambda x: AMBIENT + 0.8 * (x - AMBIENT),
-    }
+    wrong = {"current": lambda x: (x - 0.02) / 1.05, "voltage": lambda x: x / 0.97,
+             "temperature": lambda x: AMBIENT + 0.8 * (x - AMBIENT)}  # fmt: skip
     known = Parameters.of_paper().replace({
         AMPERES: 1.05, "sensor.current.offset": 0.02, VOLTS: 0.97,
         "sensor.temperature.spot_share": 0.8, "environment.ambient_temperature": AMBIENT,
@@ -144,10 +141,8 @@ def deviation(seed):
     moving = Sensors(100.0, 80.0, offset=0.01, delay=rng.uniform(-0.005, 0.005), scale_error=gain)
     # Nor does a supply know when it will be read: in step with the readings c_p is 0.1 % low.
     lead = 4.0 + rng.uniform(0.0, 1.0 / moving.power_rate)
-    records = [
-        staircase(truth, steady, seed, 15.0, top=6.25 * scale, increment=0.5 * scale),
-        ramp(truth, moving, seed + 5000, top=2.5 * scale, lead=lead),
-    ]
+    records = [staircase(truth, steady, seed, 15.0, top=6.25 * scale, increment=0.5 * scale),
+               ramp(truth, moving, seed + 5000, top=2.5 * scale, lead=lead)]  # fmt: skip
     found = identify(records, CALIBRATED).estimates
     true = zip((R, H, CP), (ohm, loss, heat), strict=True)
     return [(found[name].value - value) / found[name].std for name, value in true]

@@ -32,10 +32,8 @@ def record(
     stress = stress + 10e6 * np.maximum(temperature - transform_above, 0.0)
     force = np.maximum(stress, 0.0) * AREA + 0.02 * rng.standard_normal(len(time))
     measured = temperature + 0.2 * rng.standard_normal(len(time))
-    signals = (
-        Signal("force", "N", time + 0.013, force),
-        Signal("wire.temperature", "K", time, measured),
-    )
+    signals = (Signal("force", "N", time + 0.013, force),
+               Signal("wire.temperature", "K", time, measured))  # fmt: skip
     return Record(Path("clamped"), 0, {signal.name: signal for signal in signals})
 
 

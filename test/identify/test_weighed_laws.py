@@ -13,6 +13,8 @@ from sma_bench.identify import identify
 from sma_bench.identify.result import identification_from
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
+from sma_bench.report.drawing import curves_of
+from sma_bench.report.experiment_figures import bench_fit_pictures
 
 ROOM, STROKE = "environment.ambient_temperature", "wire.maximum_recoverable_strain"
 KEEP = ("voltage", "elongation")
@@ -53,6 +55,15 @@ def test_the_records_tell_the_law_and_its_band_holds_what_no_fit_saw(weighed):
     assert np.mean((moved > band.low) & (moved < band.high)) > 0.9
     assert np.mean(band.high - band.low) < 0.3 * stroke
     assert np.all(narrow.high - narrow.low < band.high - band.low)
+
+
+def test_the_report_draws_the_limits_of_another_run(weighed):
+    for picture in bench_fit_pictures(weighed[1].experiments[0]):
+        for axes in curves_of(picture.figure):
+            lines = {line["label"]: np.array(line["y"]) for line in axes["lines"]}
+            low, high = (np.array(line["y"]) for line in axes["lines"] if "90 %" in line["label"])
+            (fitted,) = (y for label, y in lines.items() if label.startswith("model"))
+            assert np.mean((fitted > low) & (fitted < high)) > 0.9
 
 
 def test_a_stated_law_is_kept_and_others_are_not_tried():

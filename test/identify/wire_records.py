@@ -88,11 +88,8 @@ def record_of(wire, sensors, seed, voltage, duration, step, lag=0.0, cooling=Non
     v = np.clip(np.round(v / ADC_STEP), 0, 1023) * ADC_STEP
     i = np.round(i / CURRENT_STEP) * CURRENT_STEP
     kelvin = np.round((kelvin - 273.15) / CAMERA_STEP) * CAMERA_STEP + 273.15
-    signals = (
-        Signal("wire.voltage", "V", t, v),
-        Signal("wire.current", "A", t, i),
-        Signal("wire.temperature", "K", s + sensors.delay, kelvin),
-    )
+    signals = (Signal("wire.voltage", "V", t, v), Signal("wire.current", "A", t, i),
+               Signal("wire.temperature", "K", s + sensors.delay, kelvin))  # fmt: skip
     return Record(Path("synthetic"), 0, {one.name: one for one in signals}, tuple(markers))
 
 

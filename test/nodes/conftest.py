@@ -27,13 +27,12 @@ ROOT = Path(__file__).resolve().parents[2]
 NAMESPACE = "/bench"
 PATIENCE = 30.0
 SETTLING = 0.3
-KINDS = {
-    "power": (BatteryState,), "temperature": (Temperature,), "true_temperature": (Temperature,),
-    "joint_states": (JointState,), "range": (Range,), "marker": (String,), "clock": (Clock, 1),
-    "voltage_command": (Float64MultiArray,), "setpoint": (Float64MultiArray,),
-    "diagnostics": (DiagnosticArray,), "gap": (DiagnosticArray, LATCHED), "thermal": (Float64,),
-    "state": (String, LATCHED), "result": (String, LATCHED), "progress": (String, LATCHED),
-}  # fmt: skip
+KINDS = {"power": (BatteryState,), "temperature": (Temperature,),
+         "true_temperature": (Temperature,), "joint_states": (JointState,), "range": (Range,),
+         "marker": (String,), "clock": (Clock, 1), "voltage_command": (Float64MultiArray,),
+         "setpoint": (Float64MultiArray,), "diagnostics": (DiagnosticArray,),
+         "gap": (DiagnosticArray, LATCHED), "thermal": (Float64,), "state": (String, LATCHED),
+         "result": (String, LATCHED), "progress": (String, LATCHED)}  # fmt: skip
 
 
 class RunningNode:

@@ -278,10 +278,8 @@ FAULTS = {
 @pytest.mark.parametrize(
     ("hazard", "detection", "limit", "name"),
     [
-        pytest.param(
-            hazard, detection, float(off_within.removesuffix(" ms")) / 1e3, name, id=name,
-            marks=[] if FAULTS[name].quick else pytest.mark.acceptance,
-        )
+        pytest.param(hazard, detection, float(off_within.removesuffix(" ms")) / 1e3, name, id=name,
+                     marks=[] if FAULTS[name].quick else pytest.mark.acceptance)  # fmt: skip
         for hazard, detection, _, off_within, cell in rows("Each fault") for name in [cell[1:-1]]
     ],
 )  # fmt: skip

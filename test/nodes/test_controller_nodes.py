@@ -16,10 +16,8 @@ COMPOSITE_RIG = share_directory() / "config" / "composite_rig.yaml"
 # Few readings: the test has to keep up with them. However long a loaded machine keeps the
 # controller waiting, simulated time waits for its commands, and the test for both. At a hundred
 # times real time, not at ten, a busy machine's readings reach the controller in bunches.
-FAST = {
-    "speed": 10.0, "rate__power": 20.0, "rate__temperature": 40.0, "rate__mechanics": 40.0,
-    "lockstep_patience": 60.0,
-}  # fmt: skip
+FAST = {"speed": 10.0, "rate__power": 20.0, "rate__temperature": 40.0, "rate__mechanics": 40.0,
+        "lockstep_patience": 60.0}  # fmt: skip
 LONG = 300.0
 FROM_A_TOPIC = {
     # Its temperatures are what the test says, whatever is commanded.

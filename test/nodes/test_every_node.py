@@ -2,6 +2,7 @@
 
 import gc
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from sma_bench.nodes.start import node_class
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.bench_client import BenchClient
 from sma_bench.ros.dashboard import listening_node
-from sma_bench.ros.node import OneThreadExecutor, layout_fault, voltage_command
+from sma_bench.ros.node import OneThreadExecutor, end_of_ros, layout_fault, voltage_command
 
 # Made by rclpy before a node's parameters can be.
 ROS_OWN = ("/parameter_events", "/rosout", "/clock")
@@ -56,6 +57,29 @@ def make(ros_domain, tmp_path, monkeypatch):
     gc.collect()  # a node that was refused has its name until it is no more
 
 
+def test_a_process_leaves_ros_when_the_end_of_its_nodes_has_been_read(ros_domain):
+    # A peer that reads it after DDS's participant has gone keeps the node in its graph for ever.
+    own, seen = rclpy.Context(), [set()]
+    rclpy.init(args=[], context=own)
+    peer = rclpy.create_node("peer", context=own)
+
+    def leave():
+        with end_of_ros():
+            node.destroy_node()
+
+    rclpy.init(args=[])
+    node, ending = rclpy.create_node("node"), threading.Thread(target=leave)
+    while "node" in seen[-1] or "_leaving" in seen[-1] or ending.ident is None:
+        if "node" in seen[-1] and ending.ident is None:
+            ending.start()
+        time.sleep(0.01)
+        seen.append(set(peer.get_node_names()))
+    ending.join()
+    assert seen[-6:] == [{"peer", "_leaving"}] * 5 + [{"peer"}]
+    peer.destroy_node()
+    rclpy.shutdown(context=own)
+
+
 def assert_overridable(node, best_effort=""):
     """QoS of every topic can be overridden, and that of one is."""
     for kind, endpoints in (("publisher", node.publishers), ("subscription", node.subscriptions)):
@@ -72,10 +96,8 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
     executor = OneThreadExecutor()
     marker, progress = "experiment/marker", "experiment/progress"
     for name in NODE_TABLES:
-        node = nodes[name] = make(
-            name, "--params-file", str(COMPOSITE), *FILLED,
-            "-p", QOS.format(f"{progress}.publisher"),
-        )  # fmt: skip
+        node = nodes[name] = make(name, "--params-file", str(COMPOSITE), *FILLED, "-p",
+                                  QOS.format(f"{progress}.publisher"))  # fmt: skip
         executor.add_node(node)
         # A best-effort commander is heard.
         drives = name in ("simulator", "serial_bridge")

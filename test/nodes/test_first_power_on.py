@@ -51,15 +51,13 @@ class Reader(Commander):
         name, *values = action.split()
         electrics = self.hardware.uno.electrics
         number = float(values[0]) if values and name not in ("end", "kill") else math.inf
-        hands = {
-            "supply": lambda: setattr(electrics, "supply", number),
-            "limit": lambda: setattr(electrics, "supply_limit", number),
-            "resistance": lambda: electrics.resistance.__setitem__(0, number),
-            "disconnected": lambda: electrics.resistance.__setitem__(0, number),
-            "injected": lambda: electrics.offset.__setitem__(0, OFFSET + GAIN * number),
-            "plug": self.hardware.port.plug, "unplug": self.hardware.port.unplug,
-            "camera": lambda: setattr(self, "fever", 0.0),
-        }
+        hands = {"supply": lambda: setattr(electrics, "supply", number),
+                 "limit": lambda: setattr(electrics, "supply_limit", number),
+                 "resistance": lambda: electrics.resistance.__setitem__(0, number),
+                 "disconnected": lambda: electrics.resistance.__setitem__(0, number),
+                 "injected": lambda: electrics.offset.__setitem__(0, OFFSET + GAIN * number),
+                 "plug": self.hardware.port.plug, "unplug": self.hardware.port.unplug,
+                 "camera": lambda: setattr(self, "fever", 0.0)}  # fmt: skip
         if name in hands:
             self.hardware.do(hands[name])
             if name == "plug":
@@ -77,11 +75,9 @@ class Reader(Commander):
 
     def run(self, command, expected):
         words = shlex.split(command.replace("/dev/serial/by-id/YOUR_UNO", str(self.port)))
-        programs = {
-            "./bench run": self._run_node, "./bench call": self._call,
-            "./bench calibrate": self._calibrate, "ros2 topic pub": self._publish,
-            "ros2 topic echo": self._echo,
-        }
+        programs = {"./bench run": self._run_node, "./bench call": self._call,
+                    "./bench calibrate": self._calibrate, "ros2 topic pub": self._publish,
+                    "ros2 topic echo": self._echo}  # fmt: skip
         name = next(name for name in programs if command.startswith(name))
         programs[name](words[len(name.split()) :], expected)
 

@@ -25,10 +25,8 @@ DRIVEN = {
     "bench__temperature_tolerance": 500.0, "bench__voltage_tolerance": 10.0,
 }  # fmt: skip
 FROM_A_TOPIC = DRIVEN | {"reference": "''"}
-REFERENCES = {
-    "temperature_controller": (Float64MultiArray, [40.0] * 4),
-    "deflection_controller": (Float64, -0.02),
-}
+REFERENCES = {"temperature_controller": (Float64MultiArray, [40.0] * 4),
+              "deflection_controller": (Float64, -0.02)}  # fmt: skip
 CONTRACT = "bench.channels", "bench.maximum_voltage", "wire.resistance", "load.kind"
 NUMBERS = math.nan, math.inf, -math.inf, 1e306, -1e306
 STAMPS = (-(2**31), 0), (2**31 - 1, 2**32 - 1)

@@ -53,10 +53,8 @@ def test_request_is_answered_published_and_saved_and_the_next_one_is_refused_mea
     write_record(tmp_path / "stairs", list(made.signals.values()))
     results, states = bench.hear("identification/result", "identification/state")
     out, identify = tmp_path / "out", "identification/identify"
-    node = bench.start(
-        "identification", options=a_robot, record_root=tmp_path, output_directory=out,
-        output_root=tmp_path,
-    )  # fmt: skip
+    node = bench.start("identification", options=a_robot, record_root=tmp_path,
+                       output_directory=out, output_root=tmp_path)  # fmt: skip
 
     def set_parameter(name, value):
         return bench.set_parameter("identification", name, value).successful

@@ -116,10 +116,8 @@ def test_arguments_reach_the_nodes_and_a_camera_takes_the_place_of_true_temperat
 ):
     for variable in USERS_VARIABLES:
         monkeypatch.delenv(variable, raising=False)
-    actions = built(
-        "wire_bench", protocol="ramp", speed="10", output="20261121", autostart="True",
-        namespace="lab", twin="true",
-    )  # fmt: skip
+    actions = built("wire_bench", protocol="ramp", speed="10", output="20261121", autostart="True",
+                    namespace="lab", twin="true")  # fmt: skip
     assert own(actions, "simulator") == {"speed": 10.0}
     assert own(actions, "experiment") == {
         "protocol": "ramp", "autostart": True, "use_sim_time": True, "require_recorder": True

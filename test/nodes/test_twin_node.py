@@ -22,10 +22,10 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
     bench, tmp_path
 ):
     """The twin's verdicts are those of test/twin; here, what its topics and parameters say."""
-    energies, measured, predicted, residuals, currents, tips, joints = bench.hear(
+    energies, measured, predicted, residuals, currents, tips, joints, low, high = bench.hear(
         "twin/energy/thermal", "front_1/temperature", "twin/front_1/temperature",
         "twin/residual/front_1/temperature", "twin/back_1/power", "twin/joint_states",
-        "joint_states",
+        "joint_states", "twin/low/front_1/temperature", "twin/high/front_1/temperature",
     )  # fmt: skip
 
     def status(part):
@@ -89,7 +89,11 @@ def test_a_hidden_effect_is_a_gap_that_grew_in_its_stage_until_the_twin_knows_of
 
     before = value("thermal", "gap_over_noise")
     assert bench.set_parameter("twin", EFFECT, HIDDEN[EFFECT]).successful
+    assert not low and bench.set_parameter("twin", "band", 0.9).successful
     drive(14.0)
+    limits = [{seconds_of(m): m.temperature for m in some} for some in (low, predicted, high)]
+    shared = set(limits[0]).intersection(*limits[1:])
+    assert len(shared) > 10 and all(a[t] < b[t] < c[t] for t in shared for a, b, c in [limits])
     gap = status("gap")
     assert (gap.level, gap.message) == (DiagnosticStatus.OK, "no gap beyond the noise")
     assert value("thermal", "gap_over_noise") < 0.2 * before

@@ -217,12 +217,10 @@ def test_an_interrupted_or_killed_setup_never_takes_a_good_environment(good: Any
         assert good.missing(["runtime", "package"]) == ["runtime"]
 
 
-UNUSABLE = {
-    "is Python 3.9": "echo 3.9",
-    "does not run": "echo 'pyenv: python3.12: command not found' >&2; exit 127",
-    "has no module venv": "exit 1",
-    "apt install python3.12-venv": "echo 3.12; exit 1",
-}
+UNUSABLE = {"is Python 3.9": "echo 3.9",
+            "does not run": "echo 'pyenv: python3.12: command not found' >&2; exit 127",
+            "has no module venv": "exit 1",
+            "apt install python3.12-venv": "echo 3.12; exit 1"}  # fmt: skip
 
 
 @pytest.mark.parametrize("reason", [*UNUSABLE, "there is units", "cannot set up"])

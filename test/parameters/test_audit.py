@@ -12,12 +12,11 @@ from sma_bench.parameters.audit import audit
 
 PAPER = Parameters.defaults().replace({"wire.thermal_expansion_factor": 23.91e6})
 H, CP = "wire.heat_transfer_coefficient", "wire.specific_heat"
-SOUND = Parameters.defaults().replace({
-    "wire.mass": 6450.0 * math.pi * 0.3e-3**2 / 4 * 0.2,
-    "wire.surface_area": math.pi * 0.3e-3 * 0.2, H: 68.0, CP: 450.0,
-    "wire.martensite_start_temperature": 330.0, "wire.martensite_finish_temperature": 318.0,
-    "bench.maximum_voltage": 8.0,
-})  # fmt: skip
+SOUND = Parameters.defaults().replace({"wire.mass": 6450.0 * math.pi * 0.3e-3**2 / 4 * 0.2,
+                                       "wire.surface_area": math.pi * 0.3e-3 * 0.2, H: 68.0,
+                                       CP: 450.0, "wire.martensite_start_temperature": 330.0,
+                                       "wire.martensite_finish_temperature": 318.0,
+                                       "bench.maximum_voltage": 8.0})  # fmt: skip
 FORCE = {"load.kind": "force", "load.force": 1.0}
 AUDITED = yaml.safe_load(Path(__file__).with_name("audited.yaml").read_text())
 

@@ -13,25 +13,19 @@ from scipy.integrate import solve_ivp
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
 
-FOUR = {
-    "bench.channels": ("front_1", "front_2", "back_1", "back_2"),
-    "bench.channel_sides": ("front", "front", "back", "back"),
-}
+FOUR = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+        "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 INFLUENCES = ("wire.stress_influence_austenite", "wire.stress_influence_martensite")
 WIRE = Parameters.of_paper()
 # Two wires a side that bend a composite by a few centimetres.
-COMPOSITE = WIRE.replace({
-    **FOUR, **dict(zip(INFLUENCES, (7.3e6, 8.0e6), strict=True)),
-    "composite.deflection_per_strain": 1.0,
-    "composite.stress_per_deflection_front": 5.0e9, "composite.stress_per_deflection_back": 4.0e9,
-})  # fmt: skip
+COMPOSITE = WIRE.replace({**FOUR, **dict(zip(INFLUENCES, (7.3e6, 8.0e6), strict=True)),
+                          "composite.deflection_per_strain": 1.0,
+                          "composite.stress_per_deflection_front": 5.0e9,
+                          "composite.stress_per_deflection_back": 4.0e9})  # fmt: skip
 SWITCHES = [p for p in TABLE if p.name.startswith("effect.") and p.default == 0.0]
-SECONDARY = {
-    "effect.matrix_thermal_mass.inner_share": 0.3,
-    "effect.transition_drift.cycles": 1.0,
-    "effect.viscoelastic_matrix.time_constant": 4.0,
-    "effect.opposing_wires.detwinning_stress": 60e6,
-}
+SECONDARY = {"effect.matrix_thermal_mass.inner_share": 0.3, "effect.transition_drift.cycles": 1.0,
+             "effect.viscoelastic_matrix.time_constant": 4.0,
+             "effect.opposing_wires.detwinning_stress": 60e6}  # fmt: skip
 
 
 def on_sides(parameters, sides):

@@ -137,10 +137,9 @@ np.save(sys.argv[1], np.hstack([run.temperature, run.martensite_fraction, run.st
 
 def test_without_numba_every_effect_gives_the_same_and_that_is_said_once(tmp_path, pytestconfig):
     file, here = tmp_path / "plain.npy", pytestconfig.rootpath / "test" / "physics"
-    plain = subprocess.run(
-        [sys.executable, "-c", WITHOUT_NUMBA, str(file), str(here)],
-        check=True, cwd=pytestconfig.rootpath, timeout=300, capture_output=True, text=True,
-    )  # fmt: skip
+    plain = subprocess.run([sys.executable, "-c", WITHOUT_NUMBA, str(file), str(here)], check=True,
+                           cwd=pytestconfig.rootpath, timeout=300, capture_output=True,
+                           text=True)  # fmt: skip
     assert plain.stdout.strip() == "1"
     rig = all_on(on_sides(Parameters.of_paper(), ("front", "back", "front")))
     time, voltage = pulses(0.1, 10.0)

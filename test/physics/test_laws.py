@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from effect_references import COMPOSITE, WIRE, pulses, refined
 from scipy.integrate import solve_ivp
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 
 from sma_bench.control import DeflectionController
 from sma_bench.errors import InputError
@@ -13,6 +13,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import LAWS, TRANSITIONS
 from sma_bench.physics import Boundary, initial_state, material, simulate
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.laws import normal
 
 pytest.importorskip("numba", reason="many simulations: slow without numba")
 
@@ -20,10 +21,9 @@ AMBIENT = 296.15
 # A wire of 0.5 mm as catalogues have it, wide hysteresis and unequal ranges.
 GRADE = dict(zip(TRANSITIONS.values(), (345.0, 363.0, 338.0, 312.0), strict=True))
 C_A, C_M = 7.3e6, 9.0e6
-STOCK = WIRE.replace({
-    **GRADE, "wire.stress_influence_austenite": C_A, "wire.stress_influence_martensite": C_M,
-    "wire.hysteresis_spread": 0.25,
-})  # fmt: skip
+STOCK = WIRE.replace({**GRADE, "wire.stress_influence_austenite": C_A,
+                      "wire.stress_influence_martensite": C_M,
+                      "wire.hysteresis_spread": 0.25})  # fmt: skip
 SIGNALS = ("temperature", "martensite_fraction", "stress", "bending", "deflection_reading")
 OHM, HEAT = WIRE["wire.resistance"], by_hand.Heat(WIRE)
 
@@ -47,6 +47,20 @@ def led(rig, turns, sigma=0.0, step=0.05):
 
 
 # --- The branches.
+
+
+def test_cold_ends_are_late_and_close_their_loops():
+    wire = of_law(STOCK, "normal").replace({"wire.length": 0.2})
+    kelvin, middle = led(wire, (420.0, 330.0, 420.0))
+    _, xi = led(wire.replace({"wire.end_length": 0.004}), (420.0, 330.0, 420.0))
+    centres, halves, deviation = normal.groups(wire)
+    piece, hot = 2.0 * 0.004 / 0.2, kelvin[: np.argmax(kelvin) + 1]
+    ends = [AMBIENT + warmth * (hot - AMBIENT) for warmth in (0.25, 0.6, 0.9)]
+    left = sum(ndtr((np.mean(centres) + np.mean(halves) - end) / deviation) for end in ends)
+    assert xi[: hot.size] == pytest.approx((1.0 - 3.0 * piece) * middle[: hot.size] + piece * left)
+    assert xi[-1] == pytest.approx(xi[hot.size - 1]) and xi[-1] > piece
+    with pytest.raises(InputError, match="end_length"):
+        of_law(wire, "cosine").replace({"wire.end_length": 0.004})
 
 
 @pytest.mark.parametrize("sigma", [0.0, 120e6])

@@ -82,10 +82,8 @@ def test_a_stiff_solver_that_knows_only_the_contract_agrees_on_a_wire_with_a_loa
     assert found.martensite_fraction.min() < 0.6
 
 
-BEAM = {
-    "composite.deflection_per_strain": LENGTH,
-    "composite.stress_per_deflection_front": 1500.0 / SECTION,
-}
+BEAM = {"composite.deflection_per_strain": LENGTH,
+        "composite.stress_per_deflection_front": 1500.0 / SECTION}  # fmt: skip
 STILL = WIRE.replace({"wire.thermal_expansion_factor": 0.0})  # the cold wire would pull as it warms
 STIFFEST = BY_NAME["load.stiffness"].high
 WEIGHT, SOFT = loaded("force", force=9.0), loaded("spring", stiffness=1e-4, preload=9.0)

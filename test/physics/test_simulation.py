@@ -42,21 +42,16 @@ def random_voltage(seed, samples, wires, period):
 
 
 # Where Newton's steps converge slowly: ended at steps of 1e-7 they leave an error of 2.5e-9.
-STIFF = {
-    **alloy((321.4393121396765, 14.0, 325.75, 3.0), (13573015.0, 13710709.0)),
-    "composite.stress_per_deflection_front": 25977424783.0,
-    "composite.stress_per_deflection_back": 0.6 * 25977424783.0,
-    "wire.thermal_expansion_factor": 0.0,
-}
+STIFF = {**alloy((321.4393121396765, 14.0, 325.75, 3.0), (13573015.0, 13710709.0)),
+         "composite.stress_per_deflection_front": 25977424783.0,
+         "composite.stress_per_deflection_back": 0.6 * 25977424783.0,
+         "wire.thermal_expansion_factor": 0.0}  # fmt: skip
 
 
 @settings(deadline=None, max_examples=60)
 @example(STIFF, 1988, 0.005)
-@given(
-    st.one_of(rigs, st.just(SECOND_CYCLE)),
-    st.integers(0, 2**32 - 1),
-    st.sampled_from([0.005, 0.05, 0.5]),
-)
+@given(st.one_of(rigs, st.just(SECOND_CYCLE)), st.integers(0, 2**32 - 1),
+       st.sampled_from([0.005, 0.05, 0.5]))  # fmt: skip
 def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, period):
     rig = COMPOSITE.replace(numbers)
     time, voltage = random_voltage(seed, 120, 4, period)

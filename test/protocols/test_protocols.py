@@ -161,11 +161,9 @@ def test_isobaric_hangs_a_wire_under_the_papers_force_unless_the_bench_has_a_loa
 
 
 def test_steps_say_what_force_the_frame_comes_to():
-    steps = [
-        {"kind": "rest", "name": "pull", "duration": 10.0, "force": 20.0},
-        {"kind": "rest", "name": "wait", "duration": 5.0},
-        {"kind": "rest", "name": "release", "duration": 5.0, "force": 0.0},
-    ]
+    steps = [{"kind": "rest", "name": "pull", "duration": 10.0, "force": 20.0},
+             {"kind": "rest", "name": "wait", "duration": 5.0},
+             {"kind": "rest", "name": "release", "duration": 5.0, "force": 0.0}]  # fmt: skip
     document = {"steps": steps, "load": "force"}
     pulled = parse_protocol(document, WIRE)
     assert pulled.step_at(5.0) == "pull to 20 N"

@@ -105,11 +105,8 @@ def decoded(blobs, kind):
 
 
 @settings(max_examples=100, deadline=None)
-@given(
-    blobs=st.lists(st.binary(max_size=80), max_size=6),
-    kind=st.sampled_from(sorted(bag.FIELDS)),
-    prefix=st.sampled_from([b"", b"\0\0\0\0", b"\0\1\0\0"]),
-)
+@given(blobs=st.lists(st.binary(max_size=80), max_size=6), kind=st.sampled_from(sorted(bag.FIELDS)),
+       prefix=st.sampled_from([b"", b"\0\0\0\0", b"\0\1\0\0"]))  # fmt: skip
 def test_random_bytes_are_decoded_or_left_out(blobs, kind, prefix):
     blobs = [prefix + blob for blob in blobs]
     rows = [row for batch in decoded(blobs, kind) for row in batch.rows.tolist()]

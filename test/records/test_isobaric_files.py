@@ -138,10 +138,8 @@ def test_cycles_are_paired_noise_makes_none_and_loading_is_left_out(write):
 
 
 @settings(max_examples=30, deadline=None)
-@given(
-    turns=st.lists(st.floats(30.0, 100.0), min_size=2, max_size=6),
-    noise=st.floats(0.0, 0.5),
-)
+@given(turns=st.lists(st.floats(30.0, 100.0), min_size=2, max_size=6),
+       noise=st.floats(0.0, 0.5))  # fmt: skip
 def test_branches_run_their_way_and_cover_what_they_say(turns, noise):
     ends = [20.0, *(120.0 + turn if i % 2 == 0 else 20.0 for i, turn in enumerate(turns))]
     t = np.concatenate([np.linspace(a, b, 50) for a, b in zip(ends[:-1], ends[1:], strict=True)])

@@ -16,12 +16,10 @@ from sma_bench.records import Record, Signal, read_record
 from sma_bench.records.bag_writer import BagWriter, write_record
 from sma_bench.records.contract import TEMPERATURE
 
-NAMES = {
-    "wire.voltage": ("V", np.float32), "wire.current": ("A", np.float32),
-    "wire.temperature": ("K", float), "ambient.temperature": ("K", float),
-    "front.range": ("m", np.float32), "deflection": ("m", float), "elongation": ("m", float),
-    "force": ("N", float),
-}  # fmt: skip
+NAMES = {"wire.voltage": ("V", np.float32), "wire.current": ("A", np.float32),
+         "wire.temperature": ("K", float), "ambient.temperature": ("K", float),
+         "front.range": ("m", np.float32), "deflection": ("m", float), "elongation": ("m", float),
+         "force": ("N", float)}  # fmt: skip
 CLOCK = np.arange(50) * 0.02
 RAMP = Signal("wire.voltage", "V", CLOCK, 1 + CLOCK)
 

@@ -10,10 +10,9 @@ from examination.check import soak
 from sma_bench.hardware.safety import CELSIUS_ZERO
 
 WORLD = soak.draw_world(np.random.default_rng(0))
-SOUND = replace(
-    WORLD, room=CELSIUS_ZERO + 5.0, draught=0.0, age=(1.2,) * 4, austenite=0.0, noise=4.0,
-    slow=False, sag=0.1, dip=0.08, camera=True, errors=(0.01, 0.02, -0.02, 0.05, -2.0),
-)  # fmt: skip
+SOUND = replace(WORLD, room=CELSIUS_ZERO + 5.0, draught=0.0, age=(1.2,) * 4, austenite=0.0,
+                noise=4.0, slow=False, sag=0.1, dip=0.08, camera=True,
+                errors=(0.01, 0.02, -0.02, 0.05, -2.0))  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "seconds", "unsound", "said"), [

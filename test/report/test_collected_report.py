@@ -20,10 +20,8 @@ from sma_bench.report.drawing import script
 from sma_bench.report.page import digest
 
 EVIL = "<script>alert(1)</script> & $\\frac{$"
-PICTURES = {
-    *("input_1_signals_over_time", "input_2_agreement", "input_2_correlation"),
-    "input_3_candidates",
-}
+PICTURES = {*("input_1_signals_over_time", "input_2_agreement", "input_2_correlation"),
+            "input_3_candidates"}  # fmt: skip
 
 
 def text_of(page):

@@ -134,11 +134,8 @@ def test_the_composites_figures_show_rests_the_ideal_and_what_the_paper_saw(pict
 def test_a_diagram_a_joint_fit_and_a_moving_bench_are_drawn_too(tmp_path):
     isobaric = specimens.papers_records("isobaric", PAPER)
     bent = planted_record(tmp_path / "bag", quantities=("deflection",))
-    experiments = (
-        identify_isobaric(isobaric, PAPER),
-        fit_constitutive(isobaric[:3], PAPER),
-        identify_moving_bench([bent], believed()),
-    )
+    experiments = (identify_isobaric(isobaric, PAPER), fit_constitutive(isobaric[:3], PAPER),
+                   identify_moving_bench([bent], believed()))  # fmt: skip
     upfr, diagram, joint, moving = (p for e in experiments for p in experiment_pictures(e))
     assert (upfr.name, diagram.name) == ("figure_08_upfr", "stress_temperature")
     assert "(9) to (11)" in joint.caption and "deflection" in moving.figure.axes[0].get_ylabel()

@@ -41,11 +41,10 @@ def test_nodes_are_bound_to_this_machine_and_none_waits_for_shared_memory():
         assert TRANSPORTS not in processes.discovery_variables(network, own)
 
 
-@pytest.mark.parametrize("user", [
-    {}, {RANGE: ""}, {RANGE: "LOCALHOST"}, {RANGE: "OFF"}, {RANGE: "SUBNETT"},
-    {"ROS_LOCALHOST_ONLY": "1"}, {"ROS_STATIC_PEERS": "10.0.0.1"},
-    {"ROS_LOCALHOST_ONLY": "1", RANGE: "SUBNET"},
-])  # fmt: skip
+@pytest.mark.parametrize("user", [{}, {RANGE: ""}, {RANGE: "LOCALHOST"}, {RANGE: "OFF"},
+                                  {RANGE: "SUBNETT"}, {"ROS_LOCALHOST_ONLY": "1"},
+                                  {"ROS_STATIC_PEERS": "10.0.0.1"},
+                                  {"ROS_LOCALHOST_ONLY": "1", RANGE: "SUBNET"}])  # fmt: skip
 def test_only_a_word_that_asks_for_the_network_opens_it(user):
     environment = chosen(user)
     for found in (environment, chosen(environment)):  # and a child of it

@@ -22,9 +22,8 @@ def test_the_policy_has_every_node_and_topic_and_nobody_may_do_everything() -> N
     wanted = {"recorder": {"subscribe": set(policy.CONTRACT)}}
     assert policy.missing_rules(wanted, allowed) == {}
     commanders = {node for node, rules in allowed.items() if "voltage_command" in rules["publish"]}
-    assert commanders == {
-        "experiment", "temperature_controller", "deflection_controller", policy.DASHBOARD,
-    }  # fmt: skip
+    assert commanders == {"experiment", "temperature_controller", "deflection_controller",
+                          policy.DASHBOARD}  # fmt: skip
     rules = [rule for kinds in allowed.values() for names in kinds.values() for rule in names]
     assert not [rule for rule in rules if not rule.replace("*", "").strip("/~")]
     # A rule that is missing is found.

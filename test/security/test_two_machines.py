@@ -16,10 +16,8 @@ from sma_bench.ros.processes import RANGE, USERS_VARIABLES
 ROOT = Path(__file__).resolve().parents[2]
 BENCH, STRANGER = "10.77.16.1", "10.77.16.2"
 # Every way of a user to say that nodes are for this machine only, or nothing at all.
-BOUND = {
-    "default": {}, "range": {RANGE: "LOCALHOST"}, "only": {"ROS_LOCALHOST_ONLY": "1"},
-    "peers": {"ROS_STATIC_PEERS": STRANGER},
-}  # fmt: skip
+BOUND = {"default": {}, "range": {RANGE: "LOCALHOST"}, "only": {"ROS_LOCALHOST_ONLY": "1"},
+         "peers": {"ROS_STATIC_PEERS": STRANGER}}  # fmt: skip
 OPEN = {"open": {RANGE: "SUBNET"}}
 NODE = [sys.executable, "-m", "sma_bench.nodes.start", "experiment"]
 PATIENCE = 90.0
@@ -81,10 +79,8 @@ def two_machines():
 def started(command, variables=None, cwd=ROOT, log=subprocess.DEVNULL):
     """A program without a word about discovery but `variables`; ROS's log is its stderr."""
     clean = {name: value for name, value in os.environ.items() if name not in USERS_VARIABLES}
-    return subprocess.Popen(
-        command, env={**clean, "PYTHONPATH": str(ROOT), **(variables or {})},
-        stdout=subprocess.PIPE, stderr=log, text=True, cwd=cwd,
-    )  # fmt: skip
+    return subprocess.Popen(command, env={**clean, "PYTHONPATH": str(ROOT), **(variables or {})},
+                            stdout=subprocess.PIPE, stderr=log, text=True, cwd=cwd)  # fmt: skip
 
 
 def inside(namespace, command, variables=None, own_memory=False):

@@ -5,14 +5,10 @@ from functools import cache
 from pathlib import Path
 
 FILE = Path(__file__).parents[2] / "config" / "json_topics.json"
-_TYPES = {
-    "object": dict, "array": list, "string": str, "boolean": bool, "null": type(None),
-    "integer": int, "number": (int, float),
-}  # fmt: skip
-_KNOWN = {
-    "$ref", "additionalProperties", "anyOf", "description", "enum", "items", "maxItems", "maximum",
-    "minItems", "minimum", "properties", "required", "type",
-}  # fmt: skip
+_TYPES = {"object": dict, "array": list, "string": str, "boolean": bool, "null": type(None),
+          "integer": int, "number": (int, float)}  # fmt: skip
+_KNOWN = {"$ref", "additionalProperties", "anyOf", "description", "enum", "items", "maxItems",
+          "maximum", "minItems", "minimum", "properties", "required", "type"}  # fmt: skip
 
 
 @cache

@@ -60,7 +60,5 @@ def dictionary_text(target):
 def unfolding_tables(folder):
     """One of each."""
     texts = b"<si><t>" + TEXT + b"</t></si>"
-    return [
-        shared_texts(folder / "often.xlsx", ROWS, texts), shared_array(folder / "often.h5"),
-        dictionary_text(folder / "often.parquet"),
-    ]  # fmt: skip
+    return [shared_texts(folder / "often.xlsx", ROWS, texts), shared_array(folder / "often.h5"),
+            dictionary_text(folder / "often.parquet")]  # fmt: skip

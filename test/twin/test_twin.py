@@ -143,10 +143,9 @@ def test_a_bench_that_does_as_believed_is_never_called_a_gap(
         assert [stream.twin.counts[name] for name in names] == [200, 600, 0]
 
 
-@pytest.mark.parametrize(("load", "supply"), [
-    ("force", {"bench.drive": "duty"}), ("spring", {"bench.lead_resistance": 0.3}),
-    ("antagonist", {}),
-])  # fmt: skip
+@pytest.mark.parametrize(("load", "supply"), [("force", {"bench.drive": "duty"}),
+                                              ("spring", {"bench.lead_resistance": 0.3}),
+                                              ("antagonist", {})])  # fmt: skip
 def test_wires_with_a_load_are_quiet_until_they_do_otherwise(load, supply):
     rig = BENCH if load == "antagonist" else BENCH.replace(ONE_WIRE)
     belief = rig.replace({"load.kind": load, **LOADS[load], **supply})
@@ -292,3 +291,28 @@ def test_rates_and_patience_may_change_while_it_runs():
 def test_a_twin_is_not_told_in_time_what_a_testing_machine_does():
     with pytest.raises(InputError, match="twin: load.kind is displacement, expected a load"):
         Stream(CLAMPED, CLAMPED.replace({"load.kind": "displacement"}))
+
+
+def test_the_limits_hold_a_bench_that_is_off_by_what_is_uncertain():
+    unsure = {"wire.resistance": 0.02, "wire.heat_transfer_coefficient": 12.0,
+              "wire.maximum_recoverable_strain": 0.0015}  # fmt: skip
+    truth = BENCH.replace({name: BENCH[name] + std for name, std in unsure.items()})
+    streams = [Stream(truth, BENCH.replace({}, unsure)), Stream(truth, truth)]
+    for stream, share in zip(streams, (0.9, 0.0), strict=True):
+        stream.twin.tune(SETTINGS | {"band": share})
+        stream.run(40.0)
+    told, true = (stream.predictions for stream in streams)
+    first = next(k for k, one in enumerate(told) if one.off) + 100
+    for quantity in ("current", "temperature", "mechanics"):
+        predicted, there, off = (
+            np.array([getattr(one, quantity) for one in some])
+            for some in (told[first:], true[first:], [one.off for one in told[first:]])
+        )
+        miss = np.abs(there - predicted)
+        assert np.mean(miss <= off) > 0.8 and np.max(miss) > 0.2 * np.max(off) > 0.0
+    assert not any(one.off for one in true)
+    sure = dict.fromkeys(BENCH.given_uncertainty, 0.0)
+    streams[0].twin.change(BENCH.replace({}, sure))  # no band, and why
+    assert "uncertainty" in streams[0].twin.no_band
+    streams[0].run(1.0)
+    assert told[-1].off is None

@@ -291,9 +291,7 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     grains = grains_at_rest(wires, len(rig.classes.weight))
     run(rig, inputs, field, grains, pull_at_rest(rig.beam), at_rest, scratch, values, tip, sides)
     values = values[:, :, :driven]
-    return Outcome(
-        time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE], values[:, SURFACE],
-        values[:, MARTENSITE], values[:, STRESS],
-        deflection=tip if world.load in ("beam", "antagonist") else -tip,
-        side_deflection=sides, ambient=inputs.ambient,
-    )  # fmt: skip
+    return Outcome(time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE],
+                   values[:, SURFACE], values[:, MARTENSITE], values[:, STRESS],
+                   deflection=tip if world.load in ("beam", "antagonist") else -tip,
+                   side_deflection=sides, ambient=inputs.ambient)  # fmt: skip

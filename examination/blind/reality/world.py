@@ -34,10 +34,8 @@ class Feature:
 
 def _read() -> tuple[Feature, ...]:
     by_stage = yaml.safe_load(Path(__file__).with_name("features.yaml").read_text())
-    return tuple(
-        Feature(name=name, stage=stage, **numbers)
-        for stage, features in by_stage.items() for name, numbers in features.items()
-    )  # fmt: skip
+    return tuple(Feature(name=name, stage=stage, **numbers) for stage,
+                 features in by_stage.items() for name, numbers in features.items())  # fmt: skip
 
 
 FEATURES = _read()

@@ -20,6 +20,10 @@ of half widths (r: `wire.hysteresis_spread`) that asks of centres
 which is possible for r b between |D_A - D_M|/2 and (D_A + D_M)/2. z_j = 1.1 (-2 ... 2), w_j so that
 the moments of z up to the fifth are the normal distribution's; no half width is below 0.
 `effect.partial_transformation` is refused beside it: it has inner loops of its own.
+
+The clamps keep the ends of a wire cold (`wire.end_length` L, about sqrt(k d/4h)): at x from a clamp
+it is 1 - exp(-x/L) as warm above the room as in the middle. Each end is three pieces of length L
+with one play each, of the mean half width, at 0.25, 0.6 and 0.9 of the rise.
 """
 
 import math
@@ -32,15 +36,16 @@ from scipy.special import ndtr, ndtri
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing, inlined
-from sma_bench.parameters.parameters import BRANCH, hysteresis
+from sma_bench.parameters.parameters import BRANCH, hysteresis, wire_length
 from sma_bench.physics import columns as at
 
 UNDONE = 0.025  # share where the transformation is said to end
-PLAYS = at.PLAYS
 _AWAY = 1.1 * np.arange(-2.0, 3.0)  # z_j
 # w_j: 1, 1 and 3 are a normal distribution's moments of order 0, 2 and 4.
 _OUTER, _INNER = np.linalg.solve([_AWAY[:2] ** 2, _AWAY[:2] ** 4], [0.5, 1.5]).tolist()
 SHARES = (_OUTER, _INNER, 1.0 - 2.0 * (_OUTER + _INNER), _INNER, _OUTER)
+_WARM = (0.25, 0.6, 0.9)  # ends: of the rise over the room
+_MOST_COLD = 0.5  # of a wire's length, that its ends can be
 _SQRT_2, _SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 _FAR = 7.0  # deviations, beyond which nothing (1e-12) is left to transform
 _NARROWEST = 0.01  # K, of s
@@ -78,6 +83,19 @@ def groups(parameters: Mapping[str, Any]) -> tuple[Array, Array, float]:
     return centre + slope * away, np.maximum(mean + away, 0.0), within
 
 
+def plays(parameters: Mapping[str, Any]) -> tuple[Array, float]:
+    """(4, p) centres, half widths [K], shares of the wire and warmth (1: of its middle) of all
+    plays, those of cold ends last; and the deviation s [K]."""
+    centres, halves, deviation = groups(parameters)
+    middle = np.array([centres, halves, SHARES, np.ones(len(SHARES))])
+    if parameters["wire.end_length"] == 0.0:
+        return middle, deviation
+    end = min(2.0 * parameters["wire.end_length"] / wire_length(parameters), _MOST_COLD / 3.0)
+    middle[2] *= 1.0 - 3.0 * end
+    ends = [[np.mean(centres), np.mean(halves), end, warmth] for warmth in _WARM]
+    return np.hstack([middle, np.transpose(ends)]), deviation
+
+
 @inlined
 def cumulative(x):
     """Phi(x) and exp(-x^2/2), within 7 deviations: Hart 1968 as West 2005 has it, to 1e-15. One
@@ -94,9 +112,12 @@ def cumulative(x):
 
 
 @inlined
-def pushed(wires, i, j, hot, cold):
-    """Where T - sigma/C_A = `hot` and T - sigma/C_M = `cold` [K] push play j of wire i; 1 if by
-    heating, -1 if by cooling, 0 if it stays."""
+def pushed(wires, i, j, hot, cold, rise):
+    """Where T - sigma/C_A = `hot` and T - sigma/C_M = `cold` [K], `rise` over the room, push play j
+    of wire i; 1 if by heating, -1 if by cooling, 0 if it stays."""
+    colder = (1.0 - wires[i, at.WARMTH + j]) * rise
+    hot -= colder
+    cold -= colder
     half, play = wires[i, at.HALF_WIDTHS + j], wires[i, at.PLAY + j]
     if hot - half >= play:
         return hot - half, 1.0
@@ -116,49 +137,55 @@ def _hot_and_cold(wires, i, temperature, stress):
 def fraction(wires, i, temperature, stress):
     """xi of wire i, d xi/dT and d xi/d sigma."""
     hot, cold = _hot_and_cold(wires, i, temperature, stress)
-    austenite, by_hot, by_cold = 0.0, 0.0, 0.0
+    rise = temperature - wires[i, at.AMBIENT]
+    austenite, by_temperature, by_hot, by_cold = 0.0, 0.0, 0.0, 0.0
     for j in range(int(wires[i, at.GROUPS])):  # no constant, for a loop that is not unrolled
-        play, way = pushed(wires, i, j, hot, cold)
+        play, way = pushed(wires, i, j, hot, cold, rise)
         away = (play - wires[i, at.CENTRES + j]) * wires[i, at.SHARPNESS]
         if away > _FAR:
-            austenite += SHARES[j]
+            austenite += wires[i, at.SHARES + j]
         elif away > -_FAR:
             share, density = cumulative(away)
-            austenite += SHARES[j] * share
-            slope = SHARES[j] * density
+            austenite += wires[i, at.SHARES + j] * share
+            slope = wires[i, at.SHARES + j] * density
             if way > 0.0:
                 by_hot += slope
             elif way < 0.0:
                 by_cold += slope
-    by_hot *= wires[i, at.SHARPNESS] / _SQRT_2_PI
-    by_cold *= wires[i, at.SHARPNESS] / _SQRT_2_PI
+            if way != 0.0:
+                by_temperature += slope * wires[i, at.WARMTH + j]
+    scale = wires[i, at.SHARPNESS] / _SQRT_2_PI
     by_stress = by_hot * wires[i, at.AUSTENITE_SHIFT] + by_cold * wires[i, at.MARTENSITE_SHIFT]
-    return 1.0 - austenite, -(by_hot + by_cold), by_stress
+    return 1.0 - austenite, -by_temperature * scale, by_stress * scale
 
 
 @borrowing
 def push(wires, i):
     """After a step: the plays of wire i as they have been pushed."""
     hot, cold = _hot_and_cold(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
+    rise = wires[i, at.TEMPERATURE] - wires[i, at.AMBIENT]
     for j in range(int(wires[i, at.GROUPS])):
-        wires[i, at.PLAY + j] = pushed(wires, i, j, hot, cold)[0]
+        wires[i, at.PLAY + j] = pushed(wires, i, j, hot, cold, rise)[0]
 
 
 def begin(row: Array) -> None:
     """Set the plays of a wire's row that has no history of this law: all at one level, so far as
     temperature and stress let them, the one that gives its fraction; the nearest where none
     does."""
-    centres = row[at.CENTRES : at.CENTRES + PLAYS]
-    halves = row[at.HALF_WIDTHS : at.HALF_WIDTHS + PLAYS]
+    count = int(row[at.GROUPS])
+    centres, halves, shares, warmth = (
+        row[first : first + count] for first in (at.CENTRES, at.HALF_WIDTHS, at.SHARES, at.WARMTH)
+    )
     moved = row[at.TEMPERATURE] - row[at.AUSTENITE_FINISH] + row[at.AUSTENITE_FINISH_FRESH]
+    moved = moved - (1.0 - warmth) * (row[at.TEMPERATURE] - row[at.AMBIENT])
     least = moved - row[at.STRESS] * row[at.AUSTENITE_SHIFT] - halves
     most = moved - row[at.STRESS] * row[at.MARTENSITE_SHIFT] + halves
     low, high = float(least.min()), float(most.max())
     for _ in range(_HALVINGS):
         level = 0.5 * (low + high)
-        plays = np.maximum(least, np.minimum(level, most))
-        if 1.0 - ndtr((plays - centres) * row[at.SHARPNESS]) @ SHARES > row[at.FRACTION]:
+        levels = np.maximum(least, np.minimum(level, most))
+        if 1.0 - ndtr((levels - centres) * row[at.SHARPNESS]) @ shares > row[at.FRACTION]:
             low = level
         else:
             high = level
-    row[at.PLAY : at.PLAY + PLAYS] = np.maximum(least, np.minimum(high, most))
+    row[at.PLAY : at.PLAY + count] = np.maximum(least, np.minimum(high, most))

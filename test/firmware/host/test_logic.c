@@ -725,6 +725,16 @@ TEST(an_offset_that_came_just_before_the_arming_is_one_either_way)
         fake_run_ms(200);
         CHECK(safety_now()->state == ARMED);
     }
+    fake_start(1);
+    fake_run_ms(200);
+    fake_set_current(0, 512 - 3); /* 0.15 A, and then noise of a step beside it */
+    fake_run_ms(35);
+    arm();
+    for (int k = 0; k < 100; k++) {
+        fake_set_current(0, (uint16_t)(512 - 3 - (k & 1)));
+        fake_run_ms(2);
+    }
+    CHECK(safety_now()->state == ARMED);
 }
 
 TEST(what_flowed_until_the_disarming_is_no_offset)

@@ -145,10 +145,8 @@ class EmulatedUno:
 HERE = Path(__file__).resolve().parent
 _INCLUDE = Path("/usr/include")
 _PROGRAMS = {"avr-gcc": "gcc-avr", "avr-size": "binutils-avr", "make": "make", "cc": "gcc"}
-_HEADERS = {
-    "simavr/sim_avr.h": "libsimavr-dev", "libelf.h": "libelf-dev",
-    "../lib/avr/include/avr/io.h": "avr-libc",
-}  # fmt: skip
+_HEADERS = {"simavr/sim_avr.h": "libsimavr-dev", "libelf.h": "libelf-dev",
+            "../lib/avr/include/avr/io.h": "avr-libc"}  # fmt: skip
 
 
 def missing_tools() -> str:
