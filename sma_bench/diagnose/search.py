@@ -38,9 +38,11 @@ _STANDS_STILL = 0.05  # of the motion that is read
 _DRAWN, _STARTED = 60, 2  # benches that are tried where the believed one stands still
 _LOST = 5.0  # nats below recalibration: the fit may have gone astray
 _FIRST = 2  # effects, the most promising
+_MOST_FORMS = 4  # beyond the usual ones that are fitted
 # What a start promises is off by factors of three; where the lead is beyond ten promises and this
 # many nats more, an effect gets no fit.
 _PROMISES, _BEYOND = 10.0, 30.0
+_WORTH_A_FORM = 2.0  # nats that a start promises
 _STUCK = 5.0  # nats that show a fit had not arrived
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
 _WORTH_PAIRING = 8.0  # nats of a single
@@ -63,6 +65,8 @@ _SHAPES = {
     "effect.transition_drift.cycles": (1.0, 6.0),
     "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
 }
+# The same as shares of the longest record and of the largest current.
+_INSTANTS, _KNEES = (0.05, 0.25, 0.5, 0.75), (0.35, 0.65, 0.85)
 
 Progress = Callable[[str], None]
 _evidence = attrgetter("evidence")
@@ -145,6 +149,9 @@ def search(
             lambda name: fit(problem, baseline.with_effects([name]), begun[name].x, far=True),
             [(name,) for name in ranked[:_MOST_FROM_BELIEF]],
         ))  # fmt: skip
+
+    progress("other forms")
+    keep(_other_forms(baseline, recalibrated, singles))
 
     progress("the best again, carefully")
     gains = {name: f.evidence - recalibrated.evidence for name, f in singles.items()}
@@ -245,7 +252,7 @@ def _singles(
         )
 
     def off(name: str) -> Fit:
-        x = start_off(recalibrated, baseline.with_effects([name]), name)
+        x = start_off(recalibrated, baseline.with_effects([name]))
         return fit_from(name, x, 0, recalibrated.predicted)
 
     def single(name: str) -> Fit:
@@ -268,6 +275,21 @@ def _singles(
     )
     fits |= zip(others, rest, strict=True)
     return {name: fits[name] for name in names}
+
+
+def _other_forms(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> list[Fit]:
+    """Fits of the most promising among the less usual forms of the effects."""
+    remainder = Remainder(recalibrated)
+    kinds = [
+        baseline.with_effects([name], {name: form})
+        for name in singles for form in tuple(EFFECTS[name].forms or ())[1:]
+    ]
+    begun = in_threads(find_start, [(remainder, kind, *kind.effects) for kind in kinds])
+    ranked = sorted(zip(kinds, begun, strict=True), key=lambda both: -both[1].gain)
+    worth = [(kind, start.x) for kind, start in ranked[:_MOST_FORMS] if start.gain > _WORTH_A_FORM]
+    return in_threads(
+        lambda kind, x: fit(recalibrated.problem, kind, x, frozen=recalibrated.derivatives), worth
+    )
 
 
 def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tuple[Fit, bool]:
@@ -319,14 +341,15 @@ def _pairs(
 
     def with_partners(alone: Fit) -> list[Fit]:
         (name,) = alone.unknowns.effects
+        forms = {one: found.unknowns.forms[0] for one, found in singles.items()}
         remainder, frozen = Remainder(alone), alone.derivatives[:, : baseline.baseline]
 
         def promise(partner: str) -> float:
-            unknowns = baseline.with_effects([name, partner])
+            unknowns = baseline.with_effects([name, partner], forms)
             return find_start(remainder, unknowns, partner, quick=True).gain
 
         def pair(partner: str) -> Fit:
-            unknowns = baseline.with_effects([name, partner])
+            unknowns = baseline.with_effects([name, partner], forms)
             start = find_start(remainder, unknowns, partner)
             return fit(alone.problem, unknowns, start.x, rounds=2, frozen=frozen)
 
@@ -382,16 +405,28 @@ class Remainder:
         return share * pull - 0.5 * share**2 * power, share
 
 
+def _of_records(problem: Problem) -> dict[str, tuple[float, ...]]:
+    """As _SHAPES, of numbers whose range is that of the records."""
+    longest = max(float(np.ptp(obs.grid)) for obs in problem.observations)
+    shapes = {"effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS)}
+    amperes = [np.max(np.abs(s.value)) for obs in problem.observations for s in obs.signals
+               if s.quantity == "current"]
+    if amperes:
+        shapes["effect.supply_drop.knee"] = tuple(float(max(amperes)) * p for p in _KNEES)
+    return shapes
+
+
 def find_start(remainder: Remainder, unknowns: Unknowns, name: str, quick: bool = False) -> Start:
     """Best of the tried sizes of one effect, added to a fit. `remainder`: of the fit without this
     effect; `unknowns`: with this effect's numbers last; `quick`: every shape at its default."""
     fitted, effect, bounds = remainder.fitted, EFFECTS[name], unknowns.bounds()
-    first = len(unknowns.names) - len(effect.parameters)
-    switches = [first + k for k, p in enumerate(effect.parameters) if p in effect.switches]
+    own = effect.numbers(unknowns.forms[-1])
+    first = len(unknowns.names) - len(own)
+    switches = [first + k for k, p in enumerate(own) if p in effect.switches]
 
     # One switch at a time, every shape.
-    numbers = [number_of_effect(p) for p in effect.parameters]
-    known = {} if quick else _SHAPES
+    numbers = [number_of_effect(p) for p in own]
+    known = {} if quick else _SHAPES | _of_records(fitted.problem)
     shapes = [
         [0.0] if first + k in switches else
         [number.x_of(value) for value in known.get(number.name, (number.mean,))]
@@ -405,7 +440,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str, quick: bool 
             x[k] = sign * size
             trials.append(np.clip(x, *bounds))
 
-    best = Start(start_off(fitted, unknowns, name), 0.0)
+    best = Start(start_off(fitted, unknowns), 0.0)
     changes = remainder.changes([unknowns.parameters(x) for x in trials])
     for x, change in zip(trials, np.ascontiguousarray(changes.T), strict=True):
         gain, share = remainder.gain(change)
@@ -416,7 +451,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str, quick: bool 
     return best
 
 
-def start_off(fitted: Fit, unknowns: Unknowns, name: str) -> Array:
-    """Where a fit without this effect ended, the effect added but off."""
-    off = np.zeros(len(EFFECTS[name].parameters))
+def start_off(fitted: Fit, unknowns: Unknowns) -> Array:
+    """Where a fit without the last of these effects ended, that one added but off."""
+    off = np.zeros(len(EFFECTS[unknowns.effects[-1]].numbers(unknowns.forms[-1])))
     return np.clip(np.concatenate([fitted.x, off]), *unknowns.bounds())

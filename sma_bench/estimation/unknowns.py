@@ -180,7 +180,8 @@ class Unknowns:
     Attributes:
         base: all the other parameters.
         items: in this order; bench: how many are the bench's own; baseline: with the shapes, how
-            many every candidate has; effects: names, in the order of the numbers.
+            many every candidate has; effects: names, in the order of the numbers; forms: of each of
+            these, the usual one being "".
         transitions: of the temperatures among the items, which are moved together: each has the
             deviation of its own in its item, but is no function of its own x.
     """
@@ -190,6 +191,7 @@ class Unknowns:
     bench: int
     baseline: int
     effects: tuple[str, ...] = ()
+    forms: tuple[str, ...] = ()
     transitions: Transitions | None = None
 
     @property
@@ -330,11 +332,13 @@ class Unknowns:
             x[self.names.index("wire.transition_spread")] = spread
         return x
 
-    def with_effects(self, names: Iterable[str]) -> "Unknowns":
-        """The same baseline with the numbers of these effects."""
-        effects = tuple(names)
-        numbers = (number_of_effect(p) for name in effects for p in EFFECTS[name].parameters)
-        return replace(self, items=(*self.items[: self.baseline], *numbers), effects=effects)
+    def with_effects(self, names: Iterable[str], forms: Mapping[str, str] = {}) -> "Unknowns":
+        """The same baseline with the numbers of these effects, each in its form in `forms`, or the
+        usual one."""
+        effects = {name: forms.get(name, "") for name in names}
+        numbers = (number_of_effect(p) for n, form in effects.items() for p in EFFECTS[n].numbers(form))
+        items = (*self.items[: self.baseline], *numbers)
+        return replace(self, items=items, effects=(*effects,), forms=(*effects.values(),))
 
 
 def unknowns_of_records(

@@ -156,6 +156,8 @@ class Effect:
     # columns of the core that are 1 where it is on: the step takes the longer way there
     marks: tuple[str, ...] = ()
     row: Literal["wire", "side"] = "wire"  # what its columns are of
+    # equations that it may have, each with the numbers that it takes; the first is the usual one
+    forms: Mapping[str, tuple[str, ...]] | None = None
     # number to the column that holds it, where the core reads it as it is
     columns: Mapping[str, str] | None = None
     # Further columns of that row: what a bench is; what one step hands to the next, 0 at the start;
@@ -181,6 +183,13 @@ class Effect:
     def switches(self) -> tuple[Parameter, ...]:
         """Numbers of which any one switches it on: those whose default is 0."""
         return tuple(p for p in self.parameters if p.default == 0.0)
+
+    def numbers(self, form: str = "") -> tuple[Parameter, ...]:
+        """Those of one of its forms, of the usual one if not said. KeyError: it has no such form."""
+        if not self.forms:
+            return self.parameters
+        own = self.forms[form or next(iter(self.forms))]
+        return tuple(map(self.named, own))
 
     def is_on(self, parameters: Mapping[str, object]) -> bool:
         """Whether these parameters switch it on."""

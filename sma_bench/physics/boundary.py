@@ -65,12 +65,13 @@ class Boundary:
             return cls(contraction=0.0, lever=-wire_length(parameters))
         if kind == "beam":  # sum sigma_i = beta delta, delta = alpha e (eqs. 22, 23), each side
             alpha, front, back = bending_coefficients(parameters)
-            ratio = parameters["effect.side_asymmetry.ratio"]
-            betas = {"front": front * (1.0 + ratio), "back": back * (1.0 - ratio)}
-            names = side_names(parameters)
+            ratio, lever = (parameters[f"effect.side_asymmetry.{n}"] for n in ("ratio", "lever"))
+            names, betas = side_names(parameters), {"front": front, "back": back}
+            longer = {name: 1.0 + SIDE_SIGNS[name] * lever for name in names}
+            stiffer = {name: (1.0 + SIDE_SIGNS[name] * ratio) * longer[name] for name in names}
             return cls(
-                stiffness=tuple(betas[name] * alpha for name in names),
-                lever=tuple(SIDE_SIGNS[name] * alpha for name in names),
+                stiffness=tuple(betas[n] * stiffer[n] * (alpha * longer[n]) for n in names),
+                lever=tuple(SIDE_SIGNS[n] * alpha * longer[n] for n in names),
             )
         section, length = channel_section(parameters), wire_length(parameters)
         preload, held = parameters["load.preload"], parameters["load.force"]

@@ -33,17 +33,17 @@ from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.ambient_drift import air_temperature
-from sma_bench.physics.effects.matrix_thermal_mass import warm_together
+from sma_bench.physics.effects.matrix_thermal_mass import look_beside, warm_together
 from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, resist, yield_sign
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
 from sma_bench.physics.effects.residual_strain import passes_most
-from sma_bench.physics.effects.side_heat_coupling import look_across
+from sma_bench.physics.effects.side_heat_coupling import in_plume, look_across
 from sma_bench.physics.effects.slack import contact
 from sma_bench.physics.effects.supply_drop import power
 from sma_bench.physics.effects.temperature_dependent_convection import loss
-from sma_bench.physics.effects.temperature_lag import follow
+from sma_bench.physics.effects.temperature_lag import read
 from sma_bench.physics.effects.temperature_underfill import spot_temperature
-from sma_bench.physics.effects.transition_drift import shift_transition
+from sma_bench.physics.effects.transition_drift import drifts, shift_transition
 from sma_bench.physics.effects.viscoelastic_matrix import relax, relaxing
 from sma_bench.physics.kinetics import NORMAL, close_loops, fraction, reverse
 from sma_bench.physics.laws.normal import push
@@ -88,17 +88,19 @@ after_step = of_effects("after_step", both_of)
 @borrowing
 def heat_balance(wires, i, voltage, step):
     """Steady temperature [K] of wire i with its surroundings held; sets its decay and lag."""
-    air = air_temperature(wires, i)
+    air = in_plume(wires, i, air_temperature(wires, i))
     heating = power(wires, i, voltage, resistance(wires, i))
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
+        look_beside(wires, i, wires[i, at.OPPOSITE_MATRIX], step)
         surface = wires[i, at.MATRIX_RISE] + wires[i, at.AMBIENT]
         return warm_together(wires, i, heating, loss(wires, i, surface - air), air, step)
     conductance = loss(wires, i, wires[i, at.TEMPERATURE] - air)
-    total = conductance + wires[i, at.ACROSS]
+    look_beside(wires, i, wires[i, at.OPPOSITE], step)
+    total = conductance + wires[i, at.BESIDE]
     exponent = -step * total / wires[i, at.CAPACITY]
     wires[i, at.DECAY] = math.exp(exponent)
     wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
-    return (heating + conductance * air + wires[i, at.ACROSS] * wires[i, at.OPPOSITE]) / total
+    return (heating + conductance * air + wires[i, at.BESIDE] * wires[i, at.BESIDE_TEMPERATURE]) / total
 
 
 @borrowing
@@ -181,28 +183,27 @@ def finish_side(sides, side):
 
 
 @borrowing
-def finish_wire(wires, i, fraction_before, step):
+def finish_wire(wires, sides, i, fraction_before, step):
     """Silicone, cycles and reading of wire i after a step."""
     if wires[i, at.RETURN_POINT] != 0.0:
         close_loops(wires, i)
     after_step(wires, i, fraction_before, step)
     if wires[i, at.READ_OTHERWISE] > 0.0:
-        seen = see(wires, i)
-        wires[i, at.READING] = follow(
-            wires[i, at.READING], wires[i, at.SEEN], seen, step, wires[i, at.READING_LAG]
-        )
-        wires[i, at.SEEN] = seen
+        wires[i, at.READING] = read(wires, i, see(wires, sides, i), step)
     else:
         wires[i, at.READING] = wires[i, at.TEMPERATURE]
 
 
 @borrowing
-def see(wires, i):
+def see(wires, sides, i):
     """Temperature [K] of the spot on wire i, its background included."""
+    bent = sides[0, at.BENDING]
+    if sides.shape[0] > 1 and sides[0, at.COUPLED] == 0.0:
+        bent -= sides[1, at.BENDING]
     background = air_temperature(wires, i)
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
         background = wires[i, at.MATRIX_RISE] + wires[i, at.AMBIENT]
-    return spot_temperature(wires, i, background)
+    return spot_temperature(wires, i, background, bent)
 
 
 # --- The step that all wires and sides share.
@@ -428,15 +429,16 @@ def settle(wires, sides, step):
         temperature, stress, _, _ = constitutive(wires, i, contraction, xi)
         before = wires[i, at.FRACTION]
         wires[i, at.TEMPERATURE], wires[i, at.STRESS] = temperature, stress
-        wires[i, at.CHANGE] = xi - before
+        wires[i, at.CHANGE], wires[i, at.STEP] = xi - before, before
         wires[i, at.FRACTION] = xi
         wires[i, at.CLOCK] += step
         if wires[i, at.LAW] == NORMAL:
             push(wires, i)
-        if wires[i, at.EVOLVES] > 0.0:
-            finish_wire(wires, i, before, step)
-        else:
+        if wires[i, at.EVOLVES] == 0.0:
             wires[i, at.READING] = temperature
+    for i in range(wires.shape[0]):  # these look at all wires
+        if wires[i, at.EVOLVES] > 0.0:
+            finish_wire(wires, sides, i, wires[i, at.STEP], step)
 
 
 @borrowing
@@ -456,7 +458,7 @@ def run(time, voltage, wires, sides, history, strain):
     Args:
         time: (n,) s; voltage: (n, w) V held from each sample to the next.
         wires, sides: of the bench, advanced in place; a TREND of 0 starts a history.
-        history: (4, n, w) temperature, fraction, stress, reading; strain: (2, n, s) contraction,
+        history: (5, n, w) temperature, fraction, stress, reading, warmth of the mount; strain: (2, n, s) contraction,
             and the part that bends; written, but for a MOVED contraction, which is read.
     """
     effects = False
@@ -464,7 +466,7 @@ def run(time, voltage, wires, sides, history, strain):
         effects = effects or wires[i, at.HEATED_OTHERWISE] > 0.0
         if wires[i, at.TREND] == 0.0:
             reverse(wires, i, 1.0)
-        elif wires[i, at.FINAL_SHIFT] != 0.0:
+        elif drifts(wires, i):
             shift_transition(wires, i)
     for side in range(sides.shape[0]):
         effects = effects or sides[side, at.PULLS_OTHERWISE] > 0.0
@@ -490,6 +492,7 @@ def run(time, voltage, wires, sides, history, strain):
             history[1, k, i] = wires[i, at.FRACTION]
             history[2, k, i] = wires[i, at.STRESS]
             history[3, k, i] = wires[i, at.READING]
+            history[4, k, i] = wires[i, at.MOUNT]
         for side in range(sides.shape[0]):
             strain[0, k, side] = sides[side, at.CONTRACTION]
             strain[1, k, side] = sides[side, at.BENDING]

@@ -137,6 +137,7 @@ _NUMBERS: dict[str, list[tuple[int, str]]] = {
     ],
     "side": [],
 }
+_READ = [at.READING, at.SEEN, at.FAST, at.SLOW, at.EXPOSED, at.EXPOSED_TWICE]
 # (column, number that switches it on, whether it is an effect of this kind of row)
 _MARKS: dict[str, list[tuple[int, str, bool]]] = {"wire": [], "side": []}
 for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
@@ -172,6 +173,8 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     row[at.CURRENT_DRIVEN] = p["bench.drive"] == "current"
     leads = p["bench.lead_resistance"] + p["effect.supply_drop.resistance"]
     row[at.SUPPLY_RESISTANCE] = p["wire.count"] * leads
+    row[at.OVERLOAD] *= p["wire.count"]
+    row[at.KNEE] /= p["wire.count"]
     row[at.TIME_CONSTANT], row[at.LOSS] = time_constant(p), heat_loss(p)
     row[at.LATENT_RISE] = p["effect.latent_heat.heat"] / p["wire.specific_heat"]
     row[at.CAPACITY] = p["wire.mass"] * p["wire.specific_heat"]
@@ -249,10 +252,9 @@ class Kernel:
             sides[:, at.PASSIVE_FRACTION] = 1.0
             for column in (at.CONTRACTION, at.BENDING, at.RELAXED):
                 sides[:, column] = state.contraction
-            for column in (at.TEMPERATURE, at.READING, at.SEEN):
-                wires[:, column] = state.temperature
+            wires[:, at.TEMPERATURE] = wires[:, at.READING] = state.temperature
             for i in np.flatnonzero(wires[:, at.READ_OTHERWISE]):
-                wires[i, [at.READING, at.SEEN]] = core.see(wires, i)
+                wires[i, _READ] = core.see(wires, sides, i)
         if self.parameters["wire.law"] == "normal":
             for i in np.flatnonzero(wires[:, at.PLAY] == 0.0):
                 normal.begin(wires[i])
@@ -268,10 +270,10 @@ class Kernel:
         self, time: Array, voltage: Array, memory: tuple[Array, Array],
         contraction: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Advance `memory` in place; history (4, n, w) and strain (2, n, s) as of core.run. Sides
+        """Advance `memory` in place; history (5, n, w) and strain (2, n, s) as of core.run. Sides
         that are held stay where they are, or go through `contraction` (n,) from sample 1 on."""
         wires, sides = memory
-        history = np.empty((4, time.size, self.wires))
+        history = np.empty((5, time.size, self.wires))
         strain = np.empty((2, time.size, len(sides)))
         if self.boundary.contraction is not None:
             sides[:, at.PRESCRIBED], wires[:, at.STRETCHED] = 1.0, 0.0

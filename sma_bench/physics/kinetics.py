@@ -12,7 +12,7 @@ from sma_bench.physics.effects.partial_transformation import (
     remember_turn,
     towards_turn,
 )
-from sma_bench.physics.effects.transition_drift import shift_transition
+from sma_bench.physics.effects.transition_drift import drifts, shift_transition
 from sma_bench.physics.laws import cosine, exponential, logistic, normal
 from sma_bench.physics.material import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
 
@@ -156,7 +156,7 @@ def fraction(wires, i, temperature, stress):
 @borrowing
 def reverse(wires, i, trend):
     """Make the present state of wire i the state of the last reversal."""
-    if wires[i, at.FINAL_SHIFT] != 0.0:
+    if drifts(wires, i):
         wires[i, at.TURNED_CYCLES] = wires[i, at.CYCLES]
         shift_transition(wires, i)
     of_f, of_g = positions(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])

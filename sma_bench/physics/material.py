@@ -127,18 +127,28 @@ def current(
     """
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
     count, effect = parameters["wire.count"], "effect.phase_dependent_resistance."
-    change = parameters[effect + "austenite_change"]
+    change, hump = parameters[effect + "austenite_change"], parameters[effect + "hump"]
     growth = parameters[effect + "temperature_coefficient"]
+    of_martensite = parameters[effect + "martensite_coefficient"]
     shape = np.broadcast_shapes(kelvin.shape, xi.shape)
     resistance = np.full(shape, parameters["wire.resistance"])
     if parameters["bench.drive"] == "current":
         return np.asarray(count * volts / resistance)
-    if change != 0.0 or growth != 0.0:
+    if change or growth or hump or of_martensite:
         rise = kelvin - parameters["environment.ambient_temperature"]
-        of_heat = np.maximum(1.0 + growth * rise, LEAST)
-        resistance = resistance * (1.0 + change * (1.0 - xi)) * of_heat
+        of_phase = 1.0 + change * (1.0 - xi)
+        if hump != 0.0:
+            of_phase = np.maximum(of_phase + 4.0 * hump * xi * (1.0 - xi), LEAST)
+        of_heat = np.maximum(1.0 + (growth + of_martensite * xi) * rise, LEAST)
+        resistance = resistance * of_phase * of_heat
     leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
-    return np.asarray(count * volts / (resistance + count * leads))
+    resists = resistance + count * leads
+    found = count * volts / resists
+    if overload := count * parameters["effect.supply_drop.overload"]:
+        knee = parameters["effect.supply_drop.knee"]
+        beyond = (count * volts + overload * knee) / (resists + overload)
+        found = np.where(found > knee, beyond, found)
+    return np.asarray(found)
 
 
 def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:

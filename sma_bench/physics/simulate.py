@@ -34,6 +34,7 @@ class Readings:
         bending: (..., s), what of it bends the beam: all of it, unless the wires hang (slack).
         temperature_reading: (..., w) K, what a sensor reads: the temperature, unless effects of the
             sensor are on.
+        mount: (..., w) K, by which each wire has warmed the mount of the deflection's sensor.
         clock: s since the bench's start (drifts count from it).
     """
 
@@ -45,6 +46,7 @@ class Readings:
     contraction: Array
     bending: Array
     temperature_reading: Array
+    mount: Array
     clock: ClassVar[Any]
 
     @property
@@ -57,7 +59,7 @@ class Readings:
     def deflection_reading(self) -> Any:
         """(...) m, what a sensor reads: the deflection, unless its zero drifts."""
         drifts = EFFECTS["deflection_drift"].is_on(self.parameters)
-        return self.deflection + (zero(self.parameters, self.clock) if drifts else 0.0)
+        return self.deflection + (zero(self.parameters, self.clock, self.mount) if drifts else 0.0)
 
     @property
     def elongation(self) -> Array:
@@ -216,11 +218,11 @@ class Bench(Readings):
         started = float(self.clock)
         moved = None if elongation is None else self._contraction(elongation, seconds.size)
         history, strain = self._kernel.run(seconds, volts, self._memory, moved)
-        temperature, fraction, stress, reading = history
+        temperature, fraction, stress, reading, mount = history
         contraction, bending = strain
         return Simulation(
             self.parameters, self.boundary, temperature, fraction, stress, contraction, bending,
-            reading, seconds, volts, self._settle(), started,
+            reading, mount, seconds, volts, self._settle(), started,
         )
 
     def pull_against(self, boundary: Boundary) -> None:
@@ -245,7 +247,7 @@ class Bench(Readings):
         super().__init__(
             self._kernel.parameters, self._kernel.boundary, now.temperature,
             now.martensite_fraction, now.stress, now.contraction, sides[:, at.BENDING].copy(),
-            wires[:, at.READING].copy(),
+            wires[:, at.READING].copy(), wires[:, at.MOUNT].copy(),
         )
         self.clock = now.clock  # type: ignore[misc]
         return now
@@ -293,7 +295,7 @@ class TemperatureDriven:
         volts = np.sqrt(np.maximum(kelvin - self._ambient, 0.0))
         held = np.vstack([volts, volts[-1:]])
         history, strain = self._kernel.run(seconds, held, self._memory)
-        drift = zero(self._parameters, clock + seconds[1:] - seconds[0])
+        drift = zero(self._parameters, clock + seconds[1:] - seconds[0], history[4, 1:])
         levers = self._kernel.boundary.levers(self._parameters)
         return strain[1, 1:] @ levers + drift, history[2, 1:] * channel_section(self._parameters)
 

@@ -31,7 +31,7 @@ RIGS = {
     "spring": loaded("spring", stiffness=1500.0, preload=4.0, force=2.0),
     "antagonist": loaded("antagonist", rig=WIRE.replace(PAIR), stiffness=400.0, preload=6.0),
 }
-NO_DRIFT = {"effect.deflection_drift.rate": 0.0, "effect.deflection_drift.bend": 0.0}  # of a sensor
+NO_DRIFT = {p.name: 0.0 for p in EFFECTS["deflection_drift"].switches}  # of a sensor
 LENGTH, SECTION = wire_length(WIRE), channel_section(WIRE)
 COLD = SECTION * WIRE["wire.martensite_modulus"] / LENGTH  # N/m
 TIME = np.arange(4001) * 0.02

@@ -2,6 +2,10 @@
 
     m c_p dT/dt = ... - G (T - E),    C_e dE/dt = G (T - E) - G_a (E - T_inf) [- G_c (E - E_other)]
 
+A clamp beside the way to the air takes heat too, off the wire or, where there is any, the silicone:
+
+    ... - G_k (T - K),    C_k dK/dt = G_k (T - K)
+
 G and G_a in series are the paper's h A_c, so that steady temperatures stay. `inner_share` is the
 share of 1/(h A_c) that is 1/G. With heat coupling between the sides, the silicone carries it; an h
 that depends on temperature acts on G_a. Source: two-node model of a wire in an elastomer, solved
@@ -21,15 +25,42 @@ EFFECT = Effect(
                "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5),
      Parameter("inner_share", "1", 0.5,
                "Share of the resistance from wire to air that lies between wire and silicone.",
-               "assumed: half", 0.02, 0.98, uncertainty=0.2)),
+               "assumed: half", 0.02, 0.98, uncertainty=0.2),
+     Parameter("clamp_capacity", "J/K", 0.0, "C_k, heat capacity of a clamp; 0 is off.",
+               "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5),
+     Parameter("clamp_conductance", "W/K", 5e-3, "G_k, between wire and clamp.",
+               "assumed: of the order of h A_c", 1e-5, 1.0, uncertainty=5e-3)),
     shows="fast part and slow part in every heating and cooling; rests too short for the slow part "
     "leave the wire warm",
     loads=("beam",), marks=("HEATED_OTHERWISE", "EVOLVES"),
-    columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE"},
-    state=("MATRIX_RISE",), scratch=("OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),
+    forms={"matrix": ("heat_capacity", "inner_share"),
+           "clamp": ("clamp_capacity", "clamp_conductance")},
+    columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE",
+             "clamp_capacity": "CLAMP_CAPACITY", "clamp_conductance": "CLAMP_CONDUCTANCE"},
+    state=("MATRIX_RISE", "CLAMP_RISE"),
+    scratch=("BESIDE", "BESIDE_TEMPERATURE", "OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),
 )
 
 _LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be out of range
+
+
+@borrowing
+def warmed(wires, i, step):
+    """Share of the way to a held temperature that the clamp goes in a step."""
+    return -math.expm1(-step * wires[i, at.CLAMP_CONDUCTANCE] / wires[i, at.CLAMP_CAPACITY])
+
+
+@borrowing
+def look_beside(wires, i, opposite, step):
+    """Note what wire i gives heat to beside the air: the side `opposite` [K], and its clamp; as one
+    conductance and temperature, held over a step. The clamp's is its mean over the step."""
+    across, clamp = wires[i, at.ACROSS], 0.0
+    if wires[i, at.CLAMP_CAPACITY] > 0.0:
+        clamp = wires[i, at.CLAMP_CAPACITY] * warmed(wires, i, step) / step
+    wires[i, at.BESIDE], wires[i, at.BESIDE_TEMPERATURE] = across + clamp, opposite
+    if clamp > 0.0:
+        warm = across * opposite + clamp * (wires[i, at.AMBIENT] + wires[i, at.CLAMP_RISE])
+        wires[i, at.BESIDE_TEMPERATURE] = warm / (across + clamp)
 
 
 @borrowing
@@ -38,9 +69,9 @@ def warm_together(wires, i, heating, loss, air, step):
 
     The wire's temperature [K] is returned, its decay set to 0; `loss` is h A_c at the surface.
     """
-    share, across = wires[i, at.MATRIX_INNER_SHARE], wires[i, at.ACROSS]
+    share, across = wires[i, at.MATRIX_INNER_SHARE], wires[i, at.BESIDE]
     inner, outer = wires[i, at.LOSS] / share, loss / (1.0 - share)
-    opposite = wires[i, at.OPPOSITE_MATRIX]
+    opposite = wires[i, at.BESIDE_TEMPERATURE]
     steady_matrix = (heating + outer * air + across * opposite) / (outer + across)
     steady_wire = steady_matrix + heating / inner
     wire = wires[i, at.TEMPERATURE] - steady_wire
@@ -71,7 +102,12 @@ def warm_together(wires, i, heating, loss, air, step):
 
 @borrowing
 def after_step(wires, i, fraction_before, step):
-    """Warm the silicone of wire i."""
+    """Warm the silicone and the clamp of wire i."""
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
         lag = wires[i, at.MATRIX_LAG] * (wires[i, at.FRACTION] - fraction_before)
         wires[i, at.MATRIX_RISE] = wires[i, at.MATRIX_START] + lag
+    if wires[i, at.CLAMP_CAPACITY] > 0.0:
+        inside = wires[i, at.TEMPERATURE] - wires[i, at.AMBIENT]
+        if wires[i, at.MATRIX_CAPACITY] > 0.0:
+            inside = wires[i, at.MATRIX_RISE]
+        wires[i, at.CLAMP_RISE] += warmed(wires, i, step) * (inside - wires[i, at.CLAMP_RISE])

@@ -1,4 +1,4 @@
-"""The passive side's wires are stretched by the bending, resist it, and detwin.
+"""The passive side's wires are stretched by the bending, resist it, and detwin; or they rub.
 
 A wire feels its own side's bending u and the share k of the other's: e = u - k u_o. The side o,
 without contraction of its own, is pulled along until its wires' force F balances its beam:
@@ -9,7 +9,8 @@ without contraction of its own, is pulled along until its wires' force F balance
 
 Beyond sigma_d the martensite gives way along a plateau that rises by H: p follows, and stays as a
 stretch until that side is heated, which recovers it: p falls with xi_j.
-Source: balance of both sides; plasticity with linear kinematic hardening, H of NiTi from Brinson
+Wires that only rub in their channels hold the sum of stresses back by +- sigma_f, as a slider does.
+Source: balance of both sides; Coulomb's friction; plasticity with linear kinematic hardening, H of NiTi from Brinson
 (1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067.
 """
 
@@ -26,11 +27,15 @@ EFFECT = Effect(
                "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2),
      Parameter("detwinning_stress", "Pa", 100e6,
                "Stress at which the passive martensite gives way.", "assumed: 50 to 200 MPa", 1e6,
-               1e9, uncertainty=60e6)),
+               1e9, uncertainty=60e6),
+     Parameter("channel_friction", "Pa", 0.0, "sigma_f of wires that rub in channels; 0 is off.",
+               "assumed: a few percent of a pull", 0.0, 100e6, uncertainty=3e6)),
     shows="less deflection than one side alone would give, a rest deflection after large strokes, "
     "and a larger stroke of the other side when it is heated next",
     acts_on=("deflection",), loads=("beam",), marks=("PULLS_OTHERWISE",), row="side",
-    columns={"engagement": "ENGAGEMENT", "detwinning_stress": "DETWINNING_STRESS"},
+    forms={"stretched": ("engagement", "detwinning_stress"), "rubbing": ("channel_friction",)},
+    columns={"engagement": "ENGAGEMENT", "detwinning_stress": "DETWINNING_STRESS",
+             "channel_friction": "FRICTION"},
     state=("DETWINNED", "YIELDING", "PASSIVE_FRACTION", "PASSIVE_BENDING"),
     scratch=("PASSIVE_MODULUS", "PASSIVE_LIMIT", "PASSIVE_HARDENING"),
 )

@@ -1,9 +1,11 @@
 """Heat through the matrix from one side's wires to the other's.
 
     m c_p dT_i/dt = ... - G (T_i - T_j),    T_j: mean of the wires opposite
+    T_inf,i = T_inf + p (T_j - T_inf)       in the plume of the others
 
-Where one side has more wires than the other, they share the G of the fewer.
-Source: conduction between parallel wires in a slab; G' of 0.15 to 0.24 W/(m K) at 2 to 10 mm.
+Where one side has more wires than the other, they share the G of the fewer. The plume reaches the
+back where p is above 0, the front below.
+Source: free convection off a wire below; conduction between parallel wires in a slab; G' of 0.15 to 0.24 W/(m K) at 2 to 10 mm.
 """
 
 from sma_bench.compiled import borrowing
@@ -14,10 +16,14 @@ EFFECT = Effect(
     "thermal",
     (Parameter("conductance", "W/K", 0.0,
                "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
-               "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01),),
+               "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01),
+     Parameter("plume", "1", 0.0,
+               "Share of a side's warmth that the air around the other has; to the back above 0, to "
+               "the front below; 0 is off.", "assumed: to a half", -0.9, 0.9, uncertainty=0.15)),
     shows="a wire without voltage warms while the other side is driven; the driven one stays "
     "cooler",
-    loads=("beam",), marks=("HEATED_OTHERWISE",), columns={"conductance": "ACROSS"},
+    loads=("beam",), marks=("HEATED_OTHERWISE",), forms={"conduction": ("conductance",), "plume": ("plume",)},
+    columns={"conductance": "ACROSS", "plume": "PLUME"},
     scratch=("OPPOSITE",),
 )
 
@@ -35,3 +41,23 @@ def look_across(wires):
         if count > 0:
             wires[i, at.OPPOSITE] = wire / count
             wires[i, at.OPPOSITE_MATRIX] = matrix / count
+
+
+@borrowing
+def opposite_temperature(wires, i, alone):
+    """Mean temperature [K] of the wires opposite of wire i; `alone` where there are none."""
+    sum_of, count = 0.0, 0
+    for j in range(wires.shape[0]):
+        if wires[j, at.SIDE] != wires[i, at.SIDE]:
+            sum_of += wires[j, at.TEMPERATURE]
+            count += 1
+    return sum_of / count if count > 0 else alone
+
+
+@borrowing
+def in_plume(wires, i, air):
+    """Temperature [K] of the air around wire i, which the wires opposite warm."""
+    plume = wires[i, at.PLUME] if wires[i, at.SIDE] > 0.0 else -wires[i, at.PLUME]
+    if plume <= 0.0:
+        return air
+    return air + plume * (opposite_temperature(wires, i, air) - air)

@@ -1,23 +1,36 @@
 """A temperature reading that lags.
 
-    dT_read/dt = (T - T_read)/tau
+    T_read = (1 - s) L(tau) T + s L(tau_s) T,    L(tau): dT_L/dt = (T - T_L)/tau
 
-Source: first-order sensor; averaging in a camera looks the same at a bench's rates.
+Source: first-order sensor; a slow share s, where a junction is warmed by its leads and its glue too
+(Moffat 1988). With an exposure t_e the reading goes through L(t_e/6) three times more, which has
+mean delay and width of an average over t_e.
 """
 
 import math
 
 from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
+from sma_bench.physics import columns as at
 
 EFFECT = Effect(
     "sensor",
     (Parameter("time_constant", "s", 0.0, "Time constant of the temperature reading; 0 is off.",
-               "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5),),
+               "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5),
+     Parameter("slow_share", "1", 0.0, "Share of the reading that follows slowly; 0 is off.",
+               "assumed: to a half", 0.0, 0.9, uncertainty=0.15),
+     Parameter("slow_time", "s", 5.0, "Time constant of that share.", "assumed: seconds", 0.05,
+               200.0, uncertainty=5.0),
+     Parameter("exposure", "s", 0.0, "Time over which a camera averages; 0 is off.",
+               "assumed: to 1 s", 0.0, 20.0, uncertainty=0.5)),
     shows="readings round off and follow late, heating and cooling alike; the deflection is on "
     "time",
     acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),
-    columns={"time_constant": "READING_LAG"}, state=("SEEN",),
+    forms={"first_order": ("time_constant",),
+           "slow_share": ("time_constant", "slow_share", "slow_time"), "exposure": ("exposure",)},
+    columns={"time_constant": "READING_LAG", "slow_share": "SLOW_SHARE", "slow_time": "SLOW_TIME",
+             "exposure": "EXPOSURE"},
+    state=("SEEN", "FAST", "SLOW", "EXPOSED", "EXPOSED_TWICE"),
 )
 
 
@@ -29,3 +42,24 @@ def follow(reading, before, now, step, lag):
     decay = math.exp(-step / lag)
     slope = (now - before) / step
     return now - slope * lag + (reading - before + slope * lag) * decay
+
+
+@borrowing
+def read(wires, i, seen, step):
+    """Reading of wire i after a step at whose end its spot has the temperature `seen` [K]."""
+    before, fast_before = wires[i, at.SEEN], wires[i, at.FAST]
+    fast = follow(fast_before, before, seen, step, wires[i, at.READING_LAG])
+    wires[i, at.FAST], reading, before = fast, fast, fast_before
+    if wires[i, at.SLOW_SHARE] > 0.0:
+        slow = follow(wires[i, at.SLOW], wires[i, at.SEEN], seen, step, wires[i, at.SLOW_TIME])
+        before += wires[i, at.SLOW_SHARE] * (wires[i, at.SLOW] - before)
+        reading += wires[i, at.SLOW_SHARE] * (slow - fast)
+        wires[i, at.SLOW] = slow
+    wires[i, at.SEEN] = seen
+    if wires[i, at.EXPOSURE] > 0.0:
+        lag = wires[i, at.EXPOSURE] / 6.0
+        for k in (at.EXPOSED, at.EXPOSED_TWICE, at.READING):
+            own = wires[i, k]
+            wires[i, k] = follow(own, before, reading, step, lag)
+            before, reading = own, wires[i, k]
+    return reading

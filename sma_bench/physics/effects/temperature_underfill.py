@@ -1,31 +1,47 @@
 """An infrared spot larger than the wire sees the background too.
 
-    T_read^n = (1 - m) T^n + m T_background^n,    n = 4.5
+    T_read^n = (1 - m - o) T^n + m T_background^n + o T_opposite^n,    m = m_0 + w |e|, n = 4.5
 
-The background is the air's temperature or, with thermal mass of the matrix, the silicone's.
+The background is the air's temperature or, with thermal mass of the matrix, the silicone's. w: a
+spot that the wire leaves as the beam bends (e: contraction that bends it); o: wires opposite that
+lie in the spot.
 Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K.
 """
 
 from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
+from sma_bench.physics.effects.side_heat_coupling import opposite_temperature
 
 EFFECT = Effect(
     "sensor",
     (Parameter("missing", "1", 0.0,
                "Share of the infrared spot that sees the background instead of the wire; 0 is off.",
-               "assumed: wire as thin as a pixel, up to 0.6", 0.0, 0.9, uncertainty=0.2),),
+               "assumed: wire as thin as a pixel, up to 0.6", 0.0, 0.9, uncertainty=0.2),
+     Parameter("walking", "1", 0.0,
+               "Share of the spot that the wire has left at a contraction of 1 %; 0 is off.",
+               "assumed: up to 0.5", 0.0, 2.0, uncertainty=0.15),
+     Parameter("opposite", "1", 0.0,
+               "Share of the spot that sees the wires of the other side; 0 is off.",
+               "assumed: up to 0.5", 0.0, 0.9, uncertainty=0.2)),
     shows="all excess temperatures read low by one factor; the deflection knows nothing of it",
     acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),
-    columns={"missing": "MISSING_SPOT"},
+    forms={"beside": ("missing",), "walking": ("walking",), "opposite": ("opposite",)},
+    columns={"missing": "MISSING_SPOT", "walking": "WALKING_SPOT", "opposite": "OPPOSITE_SPOT"},
 )
 
 _EXPONENT = 4.5
+_PER_CENT = 0.01
+_MOST = 0.95  # of a spot
 
 
 @borrowing
-def spot_temperature(wires, i, background):
-    """What a spot on wire i reads [K]."""
+def spot_temperature(wires, i, background, bent):
+    """What a spot on wire i reads [K] where the beam is bent by the contraction `bent`."""
     missing = wires[i, at.MISSING_SPOT]
-    wire = wires[i, at.TEMPERATURE] / background
-    return background * ((1.0 - missing) * wire**_EXPONENT + missing) ** (1.0 / _EXPONENT)
+    missing = min(missing + wires[i, at.WALKING_SPOT] * abs(bent) / _PER_CENT, _MOST)
+    across = min(wires[i, at.OPPOSITE_SPOT], _MOST - missing)
+    seen = (1.0 - missing - across) * (wires[i, at.TEMPERATURE] / background) ** _EXPONENT + missing
+    if across > 0.0:
+        seen += across * (opposite_temperature(wires, i, background) / background) ** _EXPONENT
+    return background * seen ** (1.0 / _EXPONENT)
