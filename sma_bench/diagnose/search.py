@@ -425,10 +425,10 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str, quick: bool 
     switches = [first + k for k, p in enumerate(own) if p in effect.switches]
 
     # One switch at a time, every shape.
-    numbers = [number_of_effect(p) for p in own]
+    numbers, off = [number_of_effect(p) for p in own], start_off(fitted, unknowns)
     known = {} if quick else _SHAPES | _of_records(fitted.problem)
     shapes = [
-        [0.0] if first + k in switches else
+        [off[first + k]] if first + k in switches else
         [number.x_of(value) for value in known.get(number.name, (number.mean,))]
         for k, number in enumerate(numbers)
     ]
@@ -437,21 +437,23 @@ def find_start(remainder: Remainder, unknowns: Unknowns, name: str, quick: bool 
         signs = (1.0, -1.0) if numbers[k - first].low < 0.0 else (1.0,)
         for shape, size, sign in product(product(*shapes), _SIZES, signs):
             x = np.concatenate([fitted.x, shape])
-            x[k] = sign * size
+            x[k] += sign * size
             trials.append(np.clip(x, *bounds))
 
-    best = Start(start_off(fitted, unknowns), 0.0)
+    best = Start(off, 0.0)
     changes = remainder.changes([unknowns.parameters(x) for x in trials])
     for x, change in zip(trials, np.ascontiguousarray(changes.T), strict=True):
         gain, share = remainder.gain(change)
         if gain > best.gain:
             there = x.copy()
-            there[switches] *= share
+            there[switches] = off[switches] + share * (x - off)[switches]
             best = Start(np.clip(there, *bounds), gain)
     return best
 
 
 def start_off(fitted: Fit, unknowns: Unknowns) -> Array:
-    """Where a fit without the last of these effects ended, that one added but off."""
-    off = np.zeros(len(EFFECTS[unknowns.effects[-1]].numbers(unknowns.forms[-1])))
+    """Where a fit without the last of these effects ended, that one added but off, or with what its
+    kinetics have of it already."""
+    items = unknowns.items[len(fitted.x) :]
+    off = [item.x_of(fitted.parameters[item.name]) for item in items]
     return np.clip(np.concatenate([fitted.x, off]), *unknowns.bounds())

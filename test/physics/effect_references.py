@@ -103,7 +103,7 @@ def refined(time, voltage, parts):
 
 
 class Heat:
-    """Two nodes a wire below its transformation (xi = 1): the wire and the silicone around it."""
+    """Three nodes a wire below its transformation (xi = 1): wire, silicone around it, clamp."""
 
     def __init__(self, parameters):
         p = self.p = parameters
@@ -114,14 +114,20 @@ class Heat:
         across = np.not_equal.outer(side, side).astype(float)
         most = max(np.sum(side == "front"), np.sum(side == "back"))
         self.pair = across * p["effect.side_heat_coupling.conductance"] / most
+        plume = p["effect.side_heat_coupling.plume"]
+        warmed = (side == ("back" if plume > 0.0 else "front"))[:, np.newaxis]
+        self.plume = abs(plume) * warmed * across / across.sum(axis=1, keepdims=True).clip(1.0)
 
     def effect(self, name):
         return float(self.p[f"effect.{name}"])
 
     def rate(self, t, y, volt):
-        wire, silicone = np.split(y, 2)
+        wire, silicone, clamp = np.split(y, 3)
         drift = self.effect("ambient_drift.rate") + self.effect("ambient_drift.bend") * t
-        air = self.ambient + drift * t
+        since = max(t - self.effect("ambient_drift.instant"), 0.0)
+        gust = exp(-since / self.effect("ambient_drift.fading")) - exp(-since / 2.0)
+        air = self.ambient + drift * t + self.effect("ambient_drift.gust") * gust
+        air = air + self.plume @ (wire - air)
         slope = self.effect("phase_dependent_resistance.temperature_coefficient")
         ohm = self.p["wire.resistance"] * (1 + slope * (wire - self.ambient))
         heating = ohm * (volt / (ohm + self.effect("supply_drop.resistance"))) ** 2
@@ -130,17 +136,21 @@ class Heat:
         rise = self.effect("temperature_dependent_convection.rise")
         loss = self.loss * (1 + rise * (surface - air))
         exchanged = self.pair.sum(axis=1) * surface - self.pair @ surface
+        held = self.effect("matrix_thermal_mass.clamp_capacity")
+        taken = bool(held) * self.effect("matrix_thermal_mass.clamp_conductance") * (surface - clamp)
+        exchanged, d_clamp = exchanged + taken, taken / (held or 1.0)
         if not capacity:
             d_wire = (heating - loss * (wire - air) - exchanged) / self.capacity
-            return np.concatenate([d_wire, np.zeros_like(d_wire)])
+            return np.concatenate([d_wire, np.zeros_like(d_wire), d_clamp])
         share = self.effect("matrix_thermal_mass.inner_share")
         inward = self.loss / share * (wire - silicone)
         outward = loss / (1 - share) * (silicone - air) + exchanged
-        return np.concatenate([(heating - inward) / self.capacity, (inward - outward) / capacity])
+        d_wire, d_silicone = (heating - inward) / self.capacity, (inward - outward) / capacity
+        return np.concatenate([d_wire, d_silicone, d_clamp])
 
     def solve(self, time, voltage):
         """(n, w) K of the wires, from rest."""
-        y = np.full(2 * voltage.shape[1], self.ambient)
+        y = np.full(3 * voltage.shape[1], self.ambient)
         rows = [y]
         for k in range(len(time) - 1):
             exact = {"method": "LSODA", "rtol": 1e-10, "atol": 1e-9}

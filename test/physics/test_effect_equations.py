@@ -4,6 +4,7 @@ import effect_references as by_hand
 import numpy as np
 import pytest
 from effect_references import COMPOSITE, WIRE, pulses, refined
+from scipy.integrate import trapezoid
 
 from sma_bench.parameters import Parameters
 from sma_bench.physics import Boundary, initial_state, material, simulate
@@ -58,12 +59,13 @@ def test_an_effect_is_what_other_parameters_or_volts_would_do(numbers):
 
 
 def test_current_and_heat_follow_the_resistance_of_phase_and_temperature():
-    changes = "phase_dependent_resistance: austenite_change=0.2 temperature_coefficient=3e-4"
-    rig = effect(COMPOSITE, changes)
+    changes = "austenite_change=0.2 temperature_coefficient=3e-4 hump=0.1 martensite_coefficient=1e-3"
+    rig = effect(COMPOSITE, f"phase_dependent_resistance: {changes}")
     time, voltage = refined(*pulses(0.02, 8.0), 40)
     run = simulate(rig, time, voltage)
-    ohm = 2.6987 * (1 + 0.2 * (1 - run.martensite_fraction))
-    ohm *= 1 + 3e-4 * (run.temperature - AMBIENT)
+    xi = run.martensite_fraction
+    ohm = 2.6987 * (1 + 0.2 * (1 - xi) + 0.4 * xi * (1 - xi))
+    ohm *= 1 + (3e-4 + 1e-3 * xi) * (run.temperature - AMBIENT)
     assert np.ptp(run.martensite_fraction) > 0.9
     assert run.current == pytest.approx(voltage / ohm, rel=1e-13)
     heat = by_hand.Heat(rig)
@@ -72,6 +74,16 @@ def test_current_and_heat_follow_the_resistance_of_phase_and_temperature():
     held = (voltage[:-1] ** 2 - voltage[1:] ** 2) / ohm[1:]
     given = 0.5 * np.diff(time)[:, np.newaxis] * (power[:-1] + power[1:] + held)
     assert np.abs(np.cumsum(given - taken, axis=0)).max() < 1e-3 * np.abs(np.cumsum(taken)).max()
+
+
+def test_a_supply_gives_way_beyond_its_current_and_heats_with_what_is_left():
+    time, voltage = pulses(0.05)
+    rig = effect(COMPOSITE, "supply_drop: overload=0.5 knee=1.4")
+    left = np.minimum(voltage, 2.6987 * (voltage + 0.5 * 1.4) / (2.6987 + 0.5))
+    run, plain = simulate(rig, time, voltage), simulate(COMPOSITE, time, left)
+    assert np.any(left < voltage) and np.any((left == voltage) & (voltage > 0.0))
+    assert run.temperature == pytest.approx(plain.temperature, rel=1e-12)
+    assert run.current == pytest.approx(plain.current, rel=1e-12)
 
 
 def test_wire_and_silicone_are_exact_at_any_step():
@@ -89,7 +101,8 @@ def test_all_that_changes_the_heat_at_once_converges_to_the_equations(sides, mat
     rig = effect(
         COMPOSITE.replace({"bench.channel_sides": tuple(whole[s] for s in sides)}),
         f"matrix_thermal_mass: heat_capacity={matrix} inner_share=0.4, "
-        "side_heat_coupling: conductance=0.05, ambient_drift: rate=0.02 bend=1e-3, "
+        "side_heat_coupling: conductance=0.05 plume=-0.2, ambient_drift: rate=0.02 bend=1e-3 "
+        "gust=5 instant=2 fading=6, matrix_thermal_mass: clamp_capacity=0.1 clamp_conductance=0.03, "
         "temperature_dependent_convection: rise=4e-3, supply_drop: resistance=0.2, "
         "phase_dependent_resistance: temperature_coefficient=2e-3",
     )
@@ -211,12 +224,14 @@ def test_return_points_follow_nested_loops(memory):
 
 
 def test_transitions_shift_by_the_cycles_done():
-    rig = effect(WIRE, "transition_drift: shift=8.0 cycles=2.0 plastic_strain=2e-3")
+    numbers = "shift=8.0 cycles=2.0 plastic_strain=2e-3 martensite_shift=-3.0"
+    rig = effect(WIRE, f"transition_drift: {numbers}")
     run, ends = driven(rig, 0, 7, 0, 7, 0, 7, 0)
     assert len(ends) == 7
     for n, (first, last) in enumerate(zip(ends[:-1], ends[1:], strict=True)):
         part = slice(first, last + 1)
-        unshifted = run.temperature[part, 0] - 8.0 * by_hand.done(n / 2, 2.0)
+        shift = 5.0 if n % 2 else 8.0
+        unshifted = run.temperature[part, 0] - shift * by_hand.done(n / 2, 2.0)
         curve = material.cooled_fraction if n % 2 else material.heated_fraction
         expected = curve(unshifted, 0.0, rig)
         assert run.martensite_fraction[part, 0] == pytest.approx(expected, abs=1e-9)
@@ -305,6 +320,26 @@ def test_beyond_the_detwinning_stress_passive_wires_yield_and_stay_stretched(ste
     assert stretch.max() > 1e-3
 
 
+def test_wires_that_rub_hold_their_side_back_by_as_much_against_each_motion():
+    run = simulate(effect(COMPOSITE, "opposing_wires: channel_friction=4e6"), *pulses(0.05))
+    pulled, stiffness = sides(run)
+    excess, motion = (pulled - stiffness * run.contraction)[1:], np.diff(run.contraction, axis=0)
+    moves = np.abs(motion) > 1e-9
+    assert np.abs(excess).max() < 4e6 + 100.0
+    assert excess[moves] == pytest.approx(4e6 * np.sign(motion[moves]), abs=100.0)
+    assert min(np.sum(motion[moves] > 0.0), np.sum(motion[moves] < 0.0), np.sum(~moves)) > 20
+
+
+@pytest.mark.parametrize("length", [0.2, -0.3])
+def test_wires_nearer_to_the_middle_bend_more_and_meet_more_stiffness(length):
+    run = simulate(effect(COMPOSITE, f"side_asymmetry: lever={length}"), *pulses(0.05))
+    pulled, _ = sides(run)
+    longer = 1.0 + length * np.array([1.0, -1.0])
+    stiffness = np.array([5e9, 4e9]) * longer**2
+    assert np.abs(pulled - stiffness * run.bending).max() < 10.0
+    assert run.deflection == pytest.approx(run.bending @ (longer * [1.0, -1.0]), abs=1e-12)
+
+
 @pytest.mark.parametrize("step", [0.005, 0.1])
 def test_slack_is_a_dead_zone_of_exactly_its_strain(step):
     slack = 4e-3
@@ -339,6 +374,37 @@ def test_a_spot_beyond_the_wire_mixes_radiances_from_the_first_sample():
     assert np.array_equal(run.deflection, simulate(plain, time, voltage, initial=warm).deflection)
 
 
+def test_a_spot_walks_off_a_wire_that_bends_and_sees_those_opposite():
+    rig = effect(COMPOSITE, "temperature_underfill: missing=0.1 walking=0.1 opposite=0.2")
+    run = simulate(rig, *pulses(0.05))
+    missing = 0.1 + 0.1 * np.abs(run.bending[:, :1] - run.bending[:, 1:]) / 0.01
+    mean = run.temperature.reshape(-1, 2, 2).mean(axis=2)[:, [1, 1, 0, 0]]
+    radiance = (0.8 - missing) * run.temperature**4.5 + missing * AMBIENT**4.5 + 0.2 * mean**4.5
+    assert np.ptp(missing) > 0.1
+    assert run.temperature_reading == pytest.approx(radiance ** (1 / 4.5), rel=1e-12)
+
+
+def test_a_reading_has_a_slow_share_and_is_late_by_half_an_exposure():
+    time = np.arange(0.0, 30.0, 0.01)
+    volts = np.full((time.size, 4), 4.0)
+    fast, slow = (
+        simulate(effect(COMPOSITE, f"temperature_lag: time_constant={t}"), time, volts)
+        for t in (0.3, 2.0)
+    )
+    numbers = "time_constant=0.3 slow_share=0.4 slow_time=2.0"
+    mixed = simulate(effect(COMPOSITE, f"temperature_lag: {numbers}"), time, volts)
+    expected = 0.6 * fast.temperature_reading + 0.4 * slow.temperature_reading
+    assert mixed.temperature_reading == pytest.approx(expected, rel=1e-12)
+    # An average over a time: as late, and its step response as wide, in the mean.
+    exposed = simulate(effect(COMPOSITE, "temperature_lag: exposure=0.6"), time, volts)
+    behind = (exposed.temperature - exposed.temperature_reading)[:, 0]
+    rise = exposed.temperature[-1, 0] - AMBIENT
+    tau = by_hand.Heat(COMPOSITE).capacity / by_hand.Heat(COMPOSITE).loss
+    assert trapezoid(behind, time) / rise == pytest.approx(0.3, rel=0.01)
+    moment = trapezoid(behind * time, time) / rise
+    assert moment == pytest.approx(0.3 * tau + 0.3**2 / 2 + 0.6**2 / 24, rel=0.01)
+
+
 def test_a_lagging_sensor_follows_the_exact_response():
     rig = effect(COMPOSITE, "temperature_lag: time_constant=0.5")
     tau = 0.091e-3 * 343.2 / (403.26 * 395.84e-6)
@@ -354,10 +420,15 @@ def test_a_lagging_sensor_follows_the_exact_response():
 
 
 def test_the_zero_of_the_deflection_drifts_by_itself():
-    rig = effect(COMPOSITE, "deflection_drift: rate=1e-5 bend=-2e-7")
+    numbers = "rate=1e-5 bend=-2e-7 warm_up=3e-4 warm_up_time=5 by_heat=2e-6 mount_time=4"
+    rig = effect(COMPOSITE, f"deflection_drift: {numbers}")
     time, voltage = pulses(0.05)
     run, paper = simulate(rig, time, voltage), simulate(COMPOSITE, time, voltage)
     assert np.array_equal(run.deflection, paper.deflection)
     drift = run.deflection_reading - run.deflection
-    assert drift == pytest.approx(1e-5 * time - 2e-7 * time**2, abs=1e-15)
+    mount, kept = np.zeros(len(time)), np.exp(-0.05 / 4)
+    for k, rise in enumerate(run.temperature.mean(axis=1)[1:] - AMBIENT):
+        mount[k + 1] = kept * mount[k] + (1.0 - kept) * rise
+    expected = 1e-5 * time - 2e-7 * time**2 + 3e-4 * (1.0 - np.exp(-time / 5)) + 2e-6 * mount
+    assert drift == pytest.approx(expected, abs=1e-15)
     assert np.array_equal(run.temperature_reading, paper.temperature)
