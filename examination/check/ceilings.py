@@ -191,7 +191,7 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
         without, both = alone.evidence, found.pairs.get((min(effects), max(effects)))
         if both is None:
             unknowns = found.recalibrated.unknowns.with_effects([first, second])
-            start = find_start(Remainder(alone), unknowns, second)
+            start = find_start(Remainder(alone), unknowns)
             both = fit(found.problem, unknowns, start.x)
         best = both
 

@@ -75,7 +75,7 @@ def claims_of(case: Case) -> list[Claim]:
     starts = [baseline.start(spread) for spread in _STARTS]
     recalibrated, _ = recalibrate(Problem.of(seen), case.nominal, baseline, starts)
     unknowns = baseline.with_effects([effect])
-    start = find_start(Remainder(recalibrated), unknowns, effect)
+    start = find_start(Remainder(recalibrated), unknowns)
     first = fit(recalibrated.problem, unknowns, start.x, rounds=2, frozen=recalibrated.derivatives)
     about = first.problem.with_nuisances(first.parameters)
     found = fit(about, unknowns, first.x, rounds=2)

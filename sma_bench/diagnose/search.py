@@ -63,10 +63,12 @@ _SHAPES = {
     "effect.matrix_thermal_mass.inner_share": (0.25, 0.5, 0.8),
     "effect.viscoelastic_matrix.time_constant": (4.0, 20.0, 90.0),
     "effect.transition_drift.cycles": (1.0, 6.0),
+    "effect.matrix_thermal_mass.clamp_time": (8.0, 40.0),
+    "effect.ambient_drift.fading": (30.0, 150.0),
     "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
 }
 # The same as shares of the longest record and of the largest current.
-_INSTANTS, _KNEES = (0.05, 0.25, 0.5, 0.75), (0.35, 0.65, 0.85)
+_INSTANTS, _KNEES = (0.001, 0.25, 0.5, 0.75), (0.35, 0.65, 0.85)
 
 Progress = Callable[[str], None]
 _evidence = attrgetter("evidence")
@@ -127,7 +129,11 @@ def search(
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
     held = held_back(doubted)
     names = [name for name in possible_effects(parameters, quantities) if name not in held]
-    singles = _singles(baseline, recalibrated, names, progress)
+    kinds = [
+        baseline.with_effects([name], {name: form})
+        for name in names for form in ("", *tuple(EFFECTS[name].forms or ())[1:])
+    ]
+    singles = _singles(kinds, recalibrated, progress)
 
     def keep(fits: Iterable[Fit]) -> None:
         for found in fits:
@@ -137,21 +143,16 @@ def search(
     recalibrated, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("recalibration was stuck: once more")
-        singles = _singles(baseline, recalibrated, names, progress)
+        singles = _singles(kinds, recalibrated, progress)
     if np.max(np.abs(recalibrated.x[: baseline.bench])) > _SURPRISING:
         # From surprising parameters the way back to those believed can be long and winding, so the
         # most promising effects are fitted from these.
         progress("effects instead of surprising parameters")
         believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
-        begun = _starts(baseline, believed, names)
-        ranked = sorted(begun, key=lambda name: begun[name].gain, reverse=True)
         keep(in_threads(
-            lambda name: fit(problem, baseline.with_effects([name]), begun[name].x, far=True),
-            [(name,) for name in ranked[:_MOST_FROM_BELIEF]],
+            lambda kind, start: fit(problem, kind, start.x, far=True),
+            _starts(kinds, believed)[:_MOST_FROM_BELIEF],
         ))  # fmt: skip
-
-    progress("other forms")
-    keep(_other_forms(baseline, recalibrated, singles))
 
     progress("the best again, carefully")
     gains = {name: f.evidence - recalibrated.evidence for name, f in singles.items()}
@@ -164,7 +165,7 @@ def search(
     better, stuck = _again(baseline, recalibrated, singles)
     if stuck:
         progress("recalibration was stuck: once more")
-        keep(_singles(baseline, better, names, progress).values())
+        keep(_singles(kinds, better, progress).values())
     recalibrated = better
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
@@ -225,71 +226,59 @@ def _where_it_moves(
     return [drawn[k] for k in np.argsort(missed)[:_STARTED]]
 
 
-def _starts(baseline: Unknowns, fitted: Fit, names: Sequence[str]) -> dict[str, Start]:
-    """Of every effect, added to a fit of the baseline."""
+def _starts(kinds: Sequence[Unknowns], fitted: Fit) -> list[tuple[Unknowns, Start]]:
+    """Of every effect and form, added to a fit of the baseline; the most promising first."""
     remainder = Remainder(fitted)
-    found = in_threads(
-        lambda name: find_start(remainder, baseline.with_effects([name]), name),
-        [(name,) for name in names],
-    )
-    return dict(zip(names, found, strict=True))
+    begun = in_threads(find_start, [(remainder, kind) for kind in kinds])
+    return sorted(zip(kinds, begun, strict=True), key=lambda both: -both[1].gain)
 
 
 def _singles(
-    baseline: Unknowns, recalibrated: Fit, names: Sequence[str], progress: Progress
+    kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress
 ) -> dict[str, Fit]:
     """Every effect, begun where recalibration ended: the most promising first, beside which others
-    may be hopeless."""
-    if not names:
+    may be hopeless. Of the forms that are not the usual one the most promising few are fitted."""
+    if not kinds:
         return {}
-    progress(names[0])
-    begun = _starts(baseline, recalibrated, names)
+    progress(kinds[0].effects[0])
+    begun = _starts(kinds, recalibrated)
 
-    def fit_from(name: str, x: Array, rounds: int = 2, predicted: Array | None = None) -> Fit:
+    def fit_from(
+        kind: Unknowns, x: Array, rounds: int = 2, predicted: Array | None = None
+    ) -> Fit:
         return fit(
-            recalibrated.problem, baseline.with_effects([name]), x, rounds=rounds,
-            frozen=recalibrated.derivatives, predicted=predicted,
+            recalibrated.problem, kind, x, rounds=rounds, frozen=recalibrated.derivatives,
+            predicted=predicted,
         )
 
-    def off(name: str) -> Fit:
-        x = start_off(recalibrated, baseline.with_effects([name]))
-        return fit_from(name, x, 0, recalibrated.predicted)
+    def off(kind: Unknowns) -> Fit:
+        return fit_from(kind, start_off(recalibrated, kind), 0, recalibrated.predicted)
 
-    def single(name: str) -> Fit:
-        progress(name)
-        found = fit_from(name, begun[name].x)
-        if found.evidence >= recalibrated.evidence - _LOST:
+    def single(kind: Unknowns, start: Start) -> Fit:
+        progress(kind.effects[0])
+        found = fit_from(kind, start.x)
+        if found.evidence >= recalibrated.evidence - _LOST or kind.forms[0]:
             return found
-        without = off(name)
+        without = off(kind)
         if found.evidence >= without.evidence:
             return found
-        return max(found, without, fit_from(name, without.x), key=_evidence)
+        return max(found, without, fit_from(kind, without.x), key=_evidence)
 
-    ranked = sorted(names, key=lambda name: begun[name].gain, reverse=True)
-    first, others = ranked[:_FIRST], ranked[_FIRST:]
-    fits = dict(zip(first, in_threads(single, [(name,) for name in first]), strict=True))
-    lead = max(f.evidence - recalibrated.evidence for f in fits.values())
-    hopeless = {n for n in others if _PROMISES * begun[n].gain < lead - _BEYOND}
-    rest = in_threads(
-        lambda name: (off if name in hopeless else single)(name), [(name,) for name in others]
-    )
-    fits |= zip(others, rest, strict=True)
-    return {name: fits[name] for name in names}
-
-
-def _other_forms(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> list[Fit]:
-    """Fits of the most promising among the less usual forms of the effects."""
-    remainder = Remainder(recalibrated)
-    kinds = [
-        baseline.with_effects([name], {name: form})
-        for name in singles for form in tuple(EFFECTS[name].forms or ())[1:]
-    ]
-    begun = in_threads(find_start, [(remainder, kind, *kind.effects) for kind in kinds])
-    ranked = sorted(zip(kinds, begun, strict=True), key=lambda both: -both[1].gain)
-    worth = [(kind, start.x) for kind, start in ranked[:_MOST_FORMS] if start.gain > _WORTH_A_FORM]
-    return in_threads(
-        lambda kind, x: fit(recalibrated.problem, kind, x, frozen=recalibrated.derivatives), worth
-    )
+    worth = [both for both in begun if both[0].forms[0] and both[1].gain > _WORTH_A_FORM]
+    worth = [both for both in begun if not both[0].forms[0] or both in worth[:_MOST_FORMS]]
+    found = in_threads(single, worth[:_FIRST])
+    lead = max(f.evidence - recalibrated.evidence for f in found)
+    hopeful = [_PROMISES * start.gain >= lead - _BEYOND for _, start in worth]
+    found += in_threads(
+        lambda kind, start, hope: single(kind, start) if hope else off(kind),
+        [(*both, hope) for both, hope in zip(worth[_FIRST:], hopeful[_FIRST:], strict=True)
+         if hope or not both[0].forms[0]],
+    )  # fmt: skip
+    fits: dict[str, Fit] = {}
+    for one in found:
+        (name,) = one.unknowns.effects
+        fits[name] = max(fits.get(name, one), one, key=_evidence)
+    return {name: fits[name] for name in dict.fromkeys(k.effects[0] for k in kinds)}
 
 
 def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tuple[Fit, bool]:
@@ -346,11 +335,11 @@ def _pairs(
 
         def promise(partner: str) -> float:
             unknowns = baseline.with_effects([name, partner], forms)
-            return find_start(remainder, unknowns, partner, quick=True).gain
+            return find_start(remainder, unknowns, quick=True).gain
 
         def pair(partner: str) -> Fit:
             unknowns = baseline.with_effects([name, partner], forms)
-            start = find_start(remainder, unknowns, partner)
+            start = find_start(remainder, unknowns)
             return fit(alone.problem, unknowns, start.x, rounds=2, frozen=frozen)
 
         partners = [partner for partner in singles if partner != name]
@@ -416,10 +405,10 @@ def _of_records(problem: Problem) -> dict[str, tuple[float, ...]]:
     return shapes
 
 
-def find_start(remainder: Remainder, unknowns: Unknowns, name: str, quick: bool = False) -> Start:
-    """Best of the tried sizes of one effect, added to a fit. `remainder`: of the fit without this
-    effect; `unknowns`: with this effect's numbers last; `quick`: every shape at its default."""
-    fitted, effect, bounds = remainder.fitted, EFFECTS[name], unknowns.bounds()
+def find_start(remainder: Remainder, unknowns: Unknowns, quick: bool = False) -> Start:
+    """Best of the tried sizes of the last effect, added to a fit. `remainder`: of the fit without
+    this effect; `unknowns`: with its numbers last; `quick`: every shape at its default."""
+    fitted, bounds, effect = remainder.fitted, unknowns.bounds(), EFFECTS[unknowns.effects[-1]]
     own = effect.numbers(unknowns.forms[-1])
     first = len(unknowns.names) - len(own)
     switches = [first + k for k, p in enumerate(own) if p in effect.switches]

@@ -26,7 +26,7 @@ SWITCHES = [p for p in TABLE if p.name.startswith("effect.") and p.default == 0.
 SECONDARY = {"effect.matrix_thermal_mass.inner_share": 0.3, "effect.transition_drift.cycles": 1.0,
              "effect.viscoelastic_matrix.time_constant": 4.0, "effect.supply_drop.knee": 1.4,
              "effect.ambient_drift.instant": 3.0, "effect.ambient_drift.fading": 8.0,
-             "effect.matrix_thermal_mass.clamp_conductance": 0.02,
+             "effect.matrix_thermal_mass.clamp_time": 4.0,
              "effect.opposing_wires.detwinning_stress": 60e6}  # fmt: skip
 
 
@@ -136,9 +136,8 @@ class Heat:
         rise = self.effect("temperature_dependent_convection.rise")
         loss = self.loss * (1 + rise * (surface - air))
         exchanged = self.pair.sum(axis=1) * surface - self.pair @ surface
-        held = self.effect("matrix_thermal_mass.clamp_capacity")
-        taken = bool(held) * self.effect("matrix_thermal_mass.clamp_conductance") * (surface - clamp)
-        exchanged, d_clamp = exchanged + taken, taken / (held or 1.0)
+        exchanged = exchanged + self.effect("matrix_thermal_mass.clamp_conductance") * (surface - clamp)
+        d_clamp = (surface - clamp) / self.effect("matrix_thermal_mass.clamp_time")
         if not capacity:
             d_wire = (heating - loss * (wire - air) - exchanged) / self.capacity
             return np.concatenate([d_wire, np.zeros_like(d_wire), d_clamp])

@@ -102,7 +102,7 @@ def test_all_that_changes_the_heat_at_once_converges_to_the_equations(sides, mat
         COMPOSITE.replace({"bench.channel_sides": tuple(whole[s] for s in sides)}),
         f"matrix_thermal_mass: heat_capacity={matrix} inner_share=0.4, "
         "side_heat_coupling: conductance=0.05 plume=-0.2, ambient_drift: rate=0.02 bend=1e-3 "
-        "gust=5 instant=2 fading=6, matrix_thermal_mass: clamp_capacity=0.1 clamp_conductance=0.03, "
+        "gust=5 instant=2 fading=6, matrix_thermal_mass: clamp_conductance=0.03 clamp_time=3, "
         "temperature_dependent_convection: rise=4e-3, supply_drop: resistance=0.2, "
         "phase_dependent_resistance: temperature_coefficient=2e-3",
     )

@@ -23,7 +23,7 @@ EFFECT = Effect(
      Parameter("gust", "K", 0.0, "What an event does to the air; 0 is off.",
                "assumed: a door, to 10 K", -30.0, 30.0, uncertainty=2.0),
      Parameter("instant", "s", 60.0, "When it comes, by the clock of every record.",
-               "assumed: within the first minutes", 0.1, 1e5, uncertainty=60.0),
+               "assumed: within the first minutes", 0.1, 1e5, uncertainty=180.0),
      Parameter("fading", "s", 60.0, "Time in which it fades.", "assumed: a minute", 4.0, 1e5,
                uncertainty=60.0)),
     shows="all wires' temperatures drift alike, at rest too; transformations come at a little less "

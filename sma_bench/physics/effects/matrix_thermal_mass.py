@@ -4,7 +4,7 @@
 
 A clamp beside the way to the air takes heat too, off the wire or, where there is any, the silicone:
 
-    ... - G_k (T - K),    C_k dK/dt = G_k (T - K)
+    ... - G_k (T - K),    t_k dK/dt = T - K
 
 G and G_a in series are the paper's h A_c, so that steady temperatures stay. `inner_share` is the
 share of 1/(h A_c) that is 1/G. With heat coupling between the sides, the silicone carries it; an h
@@ -26,17 +26,17 @@ EFFECT = Effect(
      Parameter("inner_share", "1", 0.5,
                "Share of the resistance from wire to air that lies between wire and silicone.",
                "assumed: half", 0.02, 0.98, uncertainty=0.2),
-     Parameter("clamp_capacity", "J/K", 0.0, "C_k, heat capacity of a clamp; 0 is off.",
-               "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5),
-     Parameter("clamp_conductance", "W/K", 5e-3, "G_k, between wire and clamp.",
-               "assumed: of the order of h A_c", 1e-5, 1.0, uncertainty=5e-3)),
+     Parameter("clamp_conductance", "W/K", 0.0, "G_k, between a wire and its clamp; 0 is off.",
+               "assumed: a fraction of h A_c", 0.0, 1.0, uncertainty=0.01),
+     Parameter("clamp_time", "s", 20.0, "Time in which the clamp warms with the wire.",
+               "assumed: seconds to minutes", 0.1, 1e4, uncertainty=20.0)),
     shows="fast part and slow part in every heating and cooling; rests too short for the slow part "
     "leave the wire warm",
     loads=("beam",), marks=("HEATED_OTHERWISE", "EVOLVES"),
     forms={"matrix": ("heat_capacity", "inner_share"),
-           "clamp": ("clamp_capacity", "clamp_conductance")},
+           "clamp": ("clamp_conductance", "clamp_time")},
     columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE",
-             "clamp_capacity": "CLAMP_CAPACITY", "clamp_conductance": "CLAMP_CONDUCTANCE"},
+             "clamp_conductance": "CLAMP_CONDUCTANCE", "clamp_time": "CLAMP_TIME"},
     state=("MATRIX_RISE", "CLAMP_RISE"),
     scratch=("BESIDE", "BESIDE_TEMPERATURE", "OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),
 )
@@ -47,18 +47,18 @@ _LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be 
 @borrowing
 def warmed(wires, i, step):
     """Share of the way to a held temperature that the clamp goes in a step."""
-    return -math.expm1(-step * wires[i, at.CLAMP_CONDUCTANCE] / wires[i, at.CLAMP_CAPACITY])
+    return -math.expm1(-step / wires[i, at.CLAMP_TIME])
 
 
 @borrowing
 def look_beside(wires, i, opposite, step):
     """Note what wire i gives heat to beside the air: the side `opposite` [K], and its clamp; as one
     conductance and temperature, held over a step. The clamp's is its mean over the step."""
-    across, clamp = wires[i, at.ACROSS], 0.0
-    if wires[i, at.CLAMP_CAPACITY] > 0.0:
-        clamp = wires[i, at.CLAMP_CAPACITY] * warmed(wires, i, step) / step
-    wires[i, at.BESIDE], wires[i, at.BESIDE_TEMPERATURE] = across + clamp, opposite
+    across, clamp = wires[i, at.ACROSS], wires[i, at.CLAMP_CONDUCTANCE]
+    wires[i, at.BESIDE], wires[i, at.BESIDE_TEMPERATURE] = across, opposite
     if clamp > 0.0:
+        clamp *= warmed(wires, i, step) * wires[i, at.CLAMP_TIME] / step
+        wires[i, at.BESIDE] = across + clamp
         warm = across * opposite + clamp * (wires[i, at.AMBIENT] + wires[i, at.CLAMP_RISE])
         wires[i, at.BESIDE_TEMPERATURE] = warm / (across + clamp)
 
@@ -106,7 +106,7 @@ def after_step(wires, i, fraction_before, step):
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
         lag = wires[i, at.MATRIX_LAG] * (wires[i, at.FRACTION] - fraction_before)
         wires[i, at.MATRIX_RISE] = wires[i, at.MATRIX_START] + lag
-    if wires[i, at.CLAMP_CAPACITY] > 0.0:
+    if wires[i, at.CLAMP_CONDUCTANCE] > 0.0:
         inside = wires[i, at.TEMPERATURE] - wires[i, at.AMBIENT]
         if wires[i, at.MATRIX_CAPACITY] > 0.0:
             inside = wires[i, at.MATRIX_RISE]
