@@ -336,8 +336,8 @@ class Unknowns:
         """The same baseline with the numbers of these effects, each in its form in `forms`, or the
         usual one."""
         effects = {name: forms.get(name, "") for name in names}
-        numbers = (number_of_effect(p) for n, form in effects.items() for p in EFFECTS[n].numbers(form))
-        items = (*self.items[: self.baseline], *numbers)
+        numbers = [p for name, form in effects.items() for p in EFFECTS[name].numbers(form)]
+        items = (*self.items[: self.baseline], *map(number_of_effect, numbers))
         return replace(self, items=items, effects=(*effects,), forms=(*effects.values(),))
 
 

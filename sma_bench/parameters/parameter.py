@@ -185,7 +185,7 @@ class Effect:
         return tuple(p for p in self.parameters if p.default == 0.0)
 
     def numbers(self, form: str = "") -> tuple[Parameter, ...]:
-        """Those of one of its forms, of the usual one if not said. KeyError: it has no such form."""
+        """Those of one of its forms, by default the usual one. KeyError: it has no such form."""
         if not self.forms:
             return self.parameters
         own = self.forms[form or next(iter(self.forms))]

@@ -100,7 +100,8 @@ def heat_balance(wires, i, voltage, step):
     exponent = -step * total / wires[i, at.CAPACITY]
     wires[i, at.DECAY] = math.exp(exponent)
     wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
-    return (heating + conductance * air + wires[i, at.BESIDE] * wires[i, at.BESIDE_TEMPERATURE]) / total
+    beside = wires[i, at.BESIDE] * wires[i, at.BESIDE_TEMPERATURE]
+    return (heating + conductance * air + beside) / total
 
 
 @borrowing
@@ -458,8 +459,9 @@ def run(time, voltage, wires, sides, history, strain):
     Args:
         time: (n,) s; voltage: (n, w) V held from each sample to the next.
         wires, sides: of the bench, advanced in place; a TREND of 0 starts a history.
-        history: (5, n, w) temperature, fraction, stress, reading, warmth of the mount; strain: (2, n, s) contraction,
-            and the part that bends; written, but for a MOVED contraction, which is read.
+        history: (5, n, w) temperature, fraction, stress, reading, warmth of the mount;
+        strain: (2, n, s) contraction, and the part that bends; written, but for a MOVED
+            contraction, which is read.
     """
     effects = False
     for i in range(wires.shape[0]):

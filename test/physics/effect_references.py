@@ -136,8 +136,9 @@ class Heat:
         rise = self.effect("temperature_dependent_convection.rise")
         loss = self.loss * (1 + rise * (surface - air))
         exchanged = self.pair.sum(axis=1) * surface - self.pair @ surface
-        exchanged = exchanged + self.effect("matrix_thermal_mass.clamp_conductance") * (surface - clamp)
-        d_clamp = (surface - clamp) / self.effect("matrix_thermal_mass.clamp_time")
+        above = surface - clamp
+        exchanged = exchanged + self.effect("matrix_thermal_mass.clamp_conductance") * above
+        d_clamp = above / self.effect("matrix_thermal_mass.clamp_time")
         if not capacity:
             d_wire = (heating - loss * (wire - air) - exchanged) / self.capacity
             return np.concatenate([d_wire, np.zeros_like(d_wire), d_clamp])

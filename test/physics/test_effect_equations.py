@@ -59,7 +59,8 @@ def test_an_effect_is_what_other_parameters_or_volts_would_do(numbers):
 
 
 def test_current_and_heat_follow_the_resistance_of_phase_and_temperature():
-    changes = "austenite_change=0.2 temperature_coefficient=3e-4 hump=0.1 martensite_coefficient=1e-3"
+    by_phase, by_heat = "austenite_change=0.2 hump=0.1", "temperature_coefficient=3e-4"
+    changes = f"{by_phase} {by_heat} martensite_coefficient=1e-3"
     rig = effect(COMPOSITE, f"phase_dependent_resistance: {changes}")
     time, voltage = refined(*pulses(0.02, 8.0), 40)
     run = simulate(rig, time, voltage)

@@ -28,7 +28,8 @@ EFFECT = Effect(
                uncertainty=60.0)),
     shows="all wires' temperatures drift alike, at rest too; transformations come at a little less "
     "power",
-    marks=("HEATED_OTHERWISE",), forms={"steady": ("rate", "bend"), "gust": ("gust", "instant", "fading")},
+    marks=("HEATED_OTHERWISE",),
+    forms={"steady": ("rate", "bend"), "gust": ("gust", "instant", "fading")},
     columns={"rate": "AMBIENT_RATE", "bend": "AMBIENT_BEND", "gust": "GUST",
              "instant": "GUST_INSTANT", "fading": "GUST_FADING"},
 )

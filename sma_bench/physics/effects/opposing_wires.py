@@ -10,8 +10,8 @@ without contraction of its own, is pulled along until its wires' force F balance
 Beyond sigma_d the martensite gives way along a plateau that rises by H: p follows, and stays as a
 stretch until that side is heated, which recovers it: p falls with xi_j.
 Wires that only rub in their channels hold the sum of stresses back by +- sigma_f, as a slider does.
-Source: balance of both sides; Coulomb's friction; plasticity with linear kinematic hardening, H of NiTi from Brinson
-(1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067.
+Source: balance of both sides; Coulomb's friction; plasticity with linear kinematic hardening, H of
+NiTi from Brinson (1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067.
 """
 
 from sma_bench.compiled import borrowing

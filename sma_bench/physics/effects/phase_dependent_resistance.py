@@ -3,7 +3,8 @@
     R(xi, T) = R [1 + a (1 - xi) + 4 w xi (1 - xi)] [1 + (b + b_M xi) (T - T_inf)]
 
 R is the martensite's at ambient temperature; the brackets stay above 0. w: an intermediate phase
-(R-phase); b_M: martensite's own rise. Source: mixture rule of the phases' resistivities (Ikuta 1990; Furst and Seelecke 2012); the
+(R-phase); b_M: martensite's own rise.
+Source: mixture rule of the phases' resistivities (Ikuta 1990; Furst and Seelecke 2012); the
 strain's part of the geometry is within a.
 """
 

@@ -5,7 +5,8 @@
 
 Where one side has more wires than the other, they share the G of the fewer. The plume reaches the
 back where p is above 0, the front below.
-Source: free convection off a wire below; conduction between parallel wires in a slab; G' of 0.15 to 0.24 W/(m K) at 2 to 10 mm.
+Source: conduction between parallel wires in a slab, G' of 0.15 to 0.24 W/(m K) at 2 to 10 mm; free
+convection off a wire below.
 """
 
 from sma_bench.compiled import borrowing
@@ -18,11 +19,12 @@ EFFECT = Effect(
                "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
                "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01),
      Parameter("plume", "1", 0.0,
-               "Share of a side's warmth that the air around the other has; to the back above 0, to "
-               "the front below; 0 is off.", "assumed: to a half", -0.9, 0.9, uncertainty=0.15)),
+               "Share of a side's warmth that the air around the other has: the back above 0, the "
+               "front below; 0 is off.", "assumed: to a half", -0.9, 0.9, uncertainty=0.15)),
     shows="a wire without voltage warms while the other side is driven; the driven one stays "
     "cooler",
-    loads=("beam",), marks=("HEATED_OTHERWISE",), forms={"conduction": ("conductance",), "plume": ("plume",)},
+    loads=("beam",), marks=("HEATED_OTHERWISE",),
+    forms={"conduction": ("conductance",), "plume": ("plume",)},
     columns={"conductance": "ACROSS", "plume": "PLUME"},
     scratch=("OPPOSITE",),
 )
