@@ -38,7 +38,7 @@ from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, 
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
 from sma_bench.physics.effects.residual_strain import passes_most
 from sma_bench.physics.effects.side_heat_coupling import in_plume, look_across
-from sma_bench.physics.effects.slack import contact
+from sma_bench.physics.effects.slack import contact, gone_astray, pulls, straight_on
 from sma_bench.physics.effects.supply_drop import power
 from sma_bench.physics.effects.temperature_dependent_convection import loss
 from sma_bench.physics.effects.temperature_lag import read
@@ -109,7 +109,7 @@ def prepare_side(wires, sides, side, step):
     """What a side pulls against in the step to come, in the regime that it was last in."""
     sides[side, at.MATRIX_STIFFNESS] = sides[side, at.OWN_STIFFNESS]
     sides[side, at.MATRIX_LOAD] = sides[side, at.OWN_LOAD]
-    if sides[side, at.RELAXATION] > 0.0:
+    if sides[side, at.RELAXATION] + sides[side, at.SPREAD_RELAXATION] > 0.0:
         relaxing(sides, side, step)
         sides[side, at.MATRIX_STIFFNESS] += sides[side, at.RELAXING_STIFFNESS]
         sides[side, at.MATRIX_LOAD] += sides[side, at.RELAXING_LOAD]
@@ -127,23 +127,22 @@ def set_regime(sides, side):
         stiffness += passive_stiffness
         load -= passive_load
     sides[side, at.BEAM_STIFFNESS], sides[side, at.BEAM_LOAD] = stiffness, load
-    if sides[side, at.SLACK] > 0.0:
-        if sides[side, at.TAUT] == 0.0:
-            stiffness, load = 0.0, 0.0
-        elif sides[side, at.TAUT] > 0.0:
-            load -= stiffness * sides[side, at.SLACK]
+    if sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] == 0.0:
+        stiffness, load = 0.0, 0.0
+    elif sides[side, at.SLACK] + sides[side, at.SOFT_SLACK] > 0.0:
+        straight_on(sides, side)
+        slope = sides[side, at.PULLED_SLOPE]
+        load += stiffness * (sides[side, at.PULLED_TO] - slope * sides[side, at.PULLED_FROM])
+        stiffness *= slope
     sides[side, at.STIFFNESS], sides[side, at.LOAD] = stiffness, load
 
 
 @borrowing
 def bending(sides, side):
     """Bending of a side's beam at its present contraction and regime."""
-    if sides[side, at.SLACK] > 0.0:
-        if sides[side, at.TAUT] == 0.0:
-            return -sides[side, at.BEAM_LOAD] / sides[side, at.BEAM_STIFFNESS]
-        if sides[side, at.TAUT] > 0.0:
-            return sides[side, at.CONTRACTION] - sides[side, at.SLACK]
-    return sides[side, at.CONTRACTION]
+    if sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] == 0.0:
+        return -sides[side, at.BEAM_LOAD] / sides[side, at.BEAM_STIFFNESS]
+    return pulls(sides, side, sides[side, at.CONTRACTION])[0]
 
 
 @borrowing
@@ -168,18 +167,21 @@ def change_regime(wires, sides, side):
             sides[side, at.TAUT] = taut
             set_regime(sides, side)
             return True
+    if gone_astray(sides, side):
+        set_regime(sides, side)
+        return True
     return False
 
 
 @borrowing
-def finish_side(sides, side):
+def finish_side(sides, side, step):
     """Bending of a side after a step, and what relaxes and detwins with it."""
     bent = bending(sides, side)
     if sides[side, at.ENGAGEMENT] > 0.0:
         sides[side, at.PASSIVE_BENDING] = give_way(sides, side, bent)
         bent += sides[side, at.ENGAGEMENT] * sides[side, at.PASSIVE_BENDING]
-    if sides[side, at.RELAXATION] > 0.0:
-        relax(sides, side, bent)
+    if sides[side, at.RELAXATION] + sides[side, at.SPREAD_RELAXATION] > 0.0:
+        relax(sides, side, bent, step)
     sides[side, at.BENDING] = bent - sides[side, at.PASSIVE_BENDING]
 
 
@@ -422,7 +424,7 @@ def settle(wires, sides, step):
     """Write the solved step into the state of the wires and sides."""
     for side in range(sides.shape[0]):
         if sides[side, at.PULLS_OTHERWISE] > 0.0:
-            finish_side(sides, side)
+            finish_side(sides, side, step)
         else:
             sides[side, at.BENDING] = sides[side, at.CONTRACTION]
     for i in range(wires.shape[0]):

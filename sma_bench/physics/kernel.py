@@ -218,7 +218,8 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     for mark, switch, own in _MARKS["side"]:
         if parameters[switch] != 0.0:
             sides[bends if own else slice(None), mark] = 1.0
-    sides[load > 0.0, at.SLACK] = 0.0  # the load draws the wires straight
+    # The load draws the wires straight.
+    sides[np.ix_(load > 0.0, [at.SLACK, at.SOFT_SLACK])] = 0.0
     return sides
 
 
@@ -250,7 +251,7 @@ class Kernel:
             wires[:, at.FRACTION], wires[:, at.STRESS] = state.martensite_fraction, state.stress
             wires[:, at.MOST_AUSTENITE] = 1.0 - state.martensite_fraction
             sides[:, at.PASSIVE_FRACTION] = 1.0
-            for column in (at.CONTRACTION, at.BENDING, at.RELAXED):
+            for column in (at.CONTRACTION, at.BENDING, *range(at.RELAXED, at.RELAXED + 3)):
                 sides[:, column] = state.contraction
             wires[:, at.TEMPERATURE] = wires[:, at.READING] = state.temperature
             for i in np.flatnonzero(wires[:, at.READ_OTHERWISE]):

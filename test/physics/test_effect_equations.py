@@ -273,14 +273,17 @@ def test_residual_strain_is_exact_in_every_sample_and_none_of_the_first_heating(
 
 
 def test_the_matrix_of_a_driven_side_follows_the_standard_linear_solid():
-    rig = effect(COMPOSITE, "viscoelastic_matrix: relaxation=0.3 time_constant=2.0")
-    run = simulate(rig, *refined(*pulses(0.02), 5))
+    numbers = "relaxation=0.3 time_constant=2.0 spread_relaxation=0.2"
+    run = simulate(effect(COMPOSITE, f"viscoelastic_matrix: {numbers}"), *refined(*pulses(0.02), 5))
     pulled, stiffness = sides(run)
-    lagging = np.zeros_like(run.bending)
-    for k, step in enumerate(np.diff(run.time)):  # trapezoids: dq/dt = (e - q)/tau
-        towards = run.bending[k] + run.bending[k + 1]
-        lagging[k + 1] = (lagging[k] * (4.0 - step) + step * towards) / (4.0 + step)
-    expected = stiffness * (run.bending + 0.3 * (run.bending - lagging))
+    expected = stiffness * run.bending
+    for share, tau in ((0.3, 2.0), (0.1, 0.25), (0.1, 16.0)):
+        lagging = np.zeros_like(run.bending)
+        for k, step in enumerate(np.diff(run.time)):  # trapezoids: dq/dt = (e - q)/tau
+            towards = run.bending[k] + run.bending[k + 1]
+            rest = lagging[k] * (2.0 * tau - step)
+            lagging[k + 1] = (rest + step * towards) / (2.0 * tau + step)
+        expected = expected + share * stiffness * (run.bending - lagging)
     assert pulled == pytest.approx(expected, abs=2e-5 * np.abs(expected).max())
 
 
@@ -357,6 +360,20 @@ def test_slack_is_a_dead_zone_of_exactly_its_strain(step):
     assert (e - b)[pushing] == pytest.approx(0.0, abs=1e-12)
     assert np.all((e >= -1e-12) & (e <= slack + 1e-12) | ~hanging)
     assert np.abs(pulled[hanging]).max() < 10.0
+
+
+@pytest.mark.parametrize("step", [0.005, 0.1])
+@pytest.mark.parametrize("hard", [0.0, 2e-3])
+def test_slack_is_taken_up_little_by_little(step, hard):
+    run = simulate(effect(COMPOSITE, f"slack: soft_strain=3e-3 strain={hard}"), *pulses(step))
+    pulled, stiffness = sides(run)
+    beyond, b = run.contraction - hard, run.bending
+    assert pulled == pytest.approx(stiffness * b, abs=50.0)
+    expected = np.where(beyond < 6e-3, np.square(beyond) / 12e-3, beyond - 3e-3)
+    pulls = b > 1e-9
+    assert b[pulls] == pytest.approx(expected[pulls], abs=1e-8)
+    assert min(np.sum(beyond[pulls] < 6e-3), np.sum(beyond[pulls] > 6e-3)) > 5
+    assert np.all(beyond[~pulls] < 2e-5)
 
 
 # --- sensors

@@ -3,23 +3,66 @@
     e - b = s where the wires are taut, 0 where they push (longer than at rest), and between the two
     they hang: no stress, the beam bends by itself (b: contraction that bends the beam)
 
+Or they become taut little by little: of the contraction y beyond s
+
+    b = y^2/(4 q) up to 2 q, y - q beyond
+
 Wires that a spring's preload or a weight draws straight at rest have none.
-Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire.
+Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire; fibres of a
+strand, or stretches of a sleeve, that come straight evenly over 0 to 2 q (Lanir 1983).
 """
 
 from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
+ASTRAY = 1e-9  # of contraction
+
 EFFECT = Effect(
     "mechanical",
     (Parameter("strain", "1", 0.0, "Contraction that a wire takes up before it pulls; 0 is off.",
-               "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3),),
+               "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3),
+     Parameter("soft_strain", "1", 0.0,
+               "q, contraction that is taken up little by little; 0 is off.", "assumed: to 1 %", 0.0,
+               0.03, uncertainty=3e-3)),
     shows="deflection starts late and stops early in every stroke; small strokes are missing "
     "altogether",
     acts_on=("deflection",), loads=("beam", "spring"), marks=("PULLS_OTHERWISE",), row="side",
-    columns={"strain": "SLACK"}, state=("TAUT",),
+    forms={"hard": ("strain",), "soft": ("soft_strain",)},
+    columns={"strain": "SLACK", "soft_strain": "SOFT_SLACK"}, state=("TAUT",),
+    scratch=("PULLED_FROM", "PULLED_TO", "PULLED_SLOPE"),
 )
+
+
+@borrowing
+def pulls(sides, side, contraction):
+    """Bending of a side whose wires do not hang, and its slope along their contraction."""
+    taut = sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] > 0.0
+    beyond = contraction - sides[side, at.SLACK] if taut else contraction
+    soft = sides[side, at.SOFT_SLACK]
+    if soft <= 0.0 or beyond <= 0.0:
+        return beyond, 1.0
+    if beyond >= 2.0 * soft:
+        return beyond - soft, 1.0
+    return beyond * beyond / (4.0 * soft), beyond / (2.0 * soft)
+
+
+@borrowing
+def straight_on(sides, side):
+    """Note bending and slope where the wires are, along which a solution goes straight on."""
+    here = sides[side, at.CONTRACTION]
+    sides[side, at.PULLED_TO], sides[side, at.PULLED_SLOPE] = pulls(sides, side, here)
+    sides[side, at.PULLED_FROM] = here
+
+
+@borrowing
+def gone_astray(sides, side):
+    """After a solution: whether the line that it went along is not the wires' any more."""
+    if sides[side, at.SOFT_SLACK] <= 0.0:
+        return False
+    here = sides[side, at.CONTRACTION]
+    went = sides[side, at.PULLED_SLOPE] * (here - sides[side, at.PULLED_FROM])
+    return abs(sides[side, at.PULLED_TO] + went - pulls(sides, side, here)[0]) > ASTRAY
 
 
 @borrowing
