@@ -57,6 +57,7 @@ _INSTEAD = {
 
 # Prior deviations of the number that switches an effect on: large ones say little about small ones.
 _SIZES = (0.012, 0.06, 0.3, 1.5)
+_SIZES_OF_FORMS = (0.06, 0.6)  # beyond the usual ones
 _STRETCH = (0.3, 2.0)  # of a tried size that is still believed
 # Numbers that shape an effect are tried over their range; the others start at their default.
 _SHAPES = {
@@ -144,7 +145,7 @@ def search(
     if stuck:
         progress("recalibration was stuck: once more")
         singles = _singles(kinds, recalibrated, progress)
-    if np.max(np.abs(recalibrated.x[: baseline.bench])) > _SURPRISING:
+    if _surprises(recalibrated):
         # From surprising parameters the way back to those believed can be long and winding, so the
         # most promising effects are fitted from these.
         progress("effects instead of surprising parameters")
@@ -226,6 +227,10 @@ def _where_it_moves(
     return [drawn[k] for k in np.argsort(missed)[:_STARTED]]
 
 
+def _surprises(fitted: Fit) -> bool:
+    return bool(np.max(np.abs(fitted.x[: fitted.unknowns.bench]), initial=0.0) > _SURPRISING)
+
+
 def _starts(kinds: Sequence[Unknowns], fitted: Fit) -> list[tuple[Unknowns, Start]]:
     """Of every effect and form, added to a fit of the baseline; the most promising first."""
     remainder = Remainder(fitted)
@@ -266,9 +271,11 @@ def _singles(
 
     worth = [both for both in begun if both[0].forms[0] and both[1].gain > _WORTH_A_FORM]
     worth = [both for both in begun if not both[0].forms[0] or both in worth[:_MOST_FORMS]]
+    # Where numbers went further than anyone believes, a straight line from there says little.
+    beyond = _BEYOND if not _surprises(recalibrated) else np.inf
     found = in_threads(single, worth[:_FIRST])
     lead = max(f.evidence - recalibrated.evidence for f in found)
-    hopeful = [_PROMISES * start.gain >= lead - _BEYOND for _, start in worth]
+    hopeful = [_PROMISES * start.gain >= lead - beyond for _, start in worth]
     found += in_threads(
         lambda kind, start, hope: single(kind, start) if hope else off(kind),
         [(*both, hope) for both, hope in zip(worth[_FIRST:], hopeful[_FIRST:], strict=True)
@@ -421,10 +428,10 @@ def find_start(remainder: Remainder, unknowns: Unknowns, quick: bool = False) ->
         [number.x_of(value) for value in known.get(number.name, (number.mean,))]
         for k, number in enumerate(numbers)
     ]
-    trials = []
+    trials, sizes = [], _SIZES_OF_FORMS if unknowns.forms[-1] else _SIZES
     for k in switches:
         signs = (1.0, -1.0) if numbers[k - first].low < 0.0 else (1.0,)
-        for shape, size, sign in product(product(*shapes), _SIZES, signs):
+        for shape, size, sign in product(product(*shapes), sizes, signs):
             x = np.concatenate([fitted.x, shape])
             x[k] += sign * size
             trials.append(np.clip(x, *bounds))

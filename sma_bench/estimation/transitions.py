@@ -36,6 +36,17 @@ _WIDEST = (5.0, 2.0, 2.0)  # of those of the half width and of the two ranges
 _TINY = 1e-4  # prior deviations, of a difference
 
 
+def _covariance(mean: Array) -> Array:
+    """(4, 4) K2, by which the temperatures of wires differ about those of one."""
+    coordinates = _COORDINATES @ mean
+    scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
+    scale[0] = _SPREADS[0]
+    if tuple(mean.tolist()) == FIELD_TEMPERATURES:
+        scale[1] = _FIELD_HALF_WIDTH * coordinates[1]
+    root = _TEMPERATURES * scale @ _ALIKE
+    return np.asarray(root @ root.T)
+
+
 @dataclass(frozen=True, eq=False)
 class Transitions:
     """The transition temperatures that are not exact, moved so that their order holds wherever a
@@ -46,7 +57,7 @@ class Transitions:
     of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
     and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is stated of the
     four is the prior of these; of the others it is that of wires of the field, given what is
-    stated.
+    stated, and so is their mean.
 
     Attributes:
         mean: (4,) K, as believed; moving: (m,) which of them; turn: (m, m) K, the root of the
@@ -62,13 +73,14 @@ class Transitions:
         """As believed; a temperature whose deviation is 0 is exact."""
         mean = np.array([parameters[name] for name in TEMPERATURES])
         stated = np.array([name in parameters.given for name in TEMPERATURES])
-        coordinates = _COORDINATES @ mean
-        scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
-        scale[0] = _SPREADS[0]
-        if tuple(mean.tolist()) == FIELD_TEMPERATURES:
-            scale[1] = _FIELD_HALF_WIDTH * coordinates[1]
-        root = _TEMPERATURES * scale @ _ALIKE
-        covariance = root @ root.T
+        if stated.any() and not stated.all():  # the others are where such wires have them
+            field = np.array(FIELD_TEMPERATURES)
+            alike = _covariance(field)[:, stated]
+            typical = field + alike @ np.linalg.solve(alike[stated], (mean - field)[stated])
+            likely = np.where(stated, mean, typical)
+            if np.all((_COORDINATES @ likely)[1:] > NARROWEST):
+                mean = likely
+        covariance = _covariance(mean)
         if stated.any():
             std = np.array([parameters.std(n) for n in np.array(TEMPERATURES)[stated]])
             own = np.diag(np.minimum(std, HIGHEST - LOWEST) ** 2)
