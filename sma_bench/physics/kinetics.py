@@ -12,6 +12,7 @@ from sma_bench.physics.effects.partial_transformation import (
     remember_turn,
     towards_turn,
 )
+from sma_bench.physics.effects.transformation_law import mixed
 from sma_bench.physics.effects.transition_drift import drifts, shift_transition
 from sma_bench.physics.laws import cosine, exponential, logistic, normal
 from sma_bench.physics.material import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
@@ -35,6 +36,8 @@ def cosine_ramp(wires, i, position, spread):
         of_normal, normal_slope = normal_ramp(position, spread)
         share += tail * (of_normal - share)
         slope += tail * (normal_slope - slope)
+    if wires[i, at.LOGISTIC_SHARE] + wires[i, at.EXPONENTIAL_SHARE] > 0.0:
+        return mixed(wires, i, position, share, slope)
     return share, slope
 
 

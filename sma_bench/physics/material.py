@@ -29,7 +29,9 @@ from scipy.special import ndtr
 
 from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics.effects.phase_dependent_resistance import LEAST
+from sma_bench.physics.effects.transformation_law import mixture
 from sma_bench.physics.laws import law_of
 
 # Of `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
@@ -82,6 +84,8 @@ def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array
         least = ndtr(-NORMAL_REACH)
         shares = ndtr(np.clip(deviations, -NORMAL_REACH, NORMAL_REACH))
         share = share + tail * (np.asarray((shares - least) / (1.0 - 2.0 * least)) - share)
+    if EFFECTS["transformation_law"].is_on(parameters):
+        share = mixture(position, share, parameters)
     return share
 
 

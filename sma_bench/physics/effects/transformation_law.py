@@ -1,0 +1,59 @@
+"""Another law of the phase than the baseline's cosine.
+
+    f = (1 - l - e) f_cosine + l f_logistic + e f_exponential
+
+and likewise g: shares of the grains that follow the logistic law, soft at both ends, or Tanaka's
+exponential, which starts sharply and fades out, each with the mean and the deviation that the
+cosine's temperatures have. Source: Ikuta et al. 1991; Tanaka 1986. Normal tails are
+`wire.transition_tail`, and inner loops `partial_transformation`.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sma_bench.arrays import Array
+from sma_bench.compiled import borrowing
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import Effect, Parameter
+from sma_bench.physics import columns as at
+from sma_bench.physics.laws import exponential, logistic
+
+EFFECT = Effect(
+    "transformation",
+    (Parameter("logistic", "1", 0.0, "Share of the logistic law; 0 is off.",
+               "assumed: soft ends of polycrystals", 0.0, 1.0, uncertainty=0.5),
+     Parameter("exponential", "1", 0.0, "Share of the exponential law; 0 is off.",
+               "assumed: sharp starts", 0.0, 1.0, uncertainty=0.5)),
+    shows="transformations begin or end more sharply or more softly than a cosine, on every stroke "
+    "alike",
+    acts_on=("deflection",), laws=("cosine",),
+    forms={"logistic": ("logistic",), "exponential": ("exponential",)},
+    columns={"logistic": "LOGISTIC_SHARE", "exponential": "EXPONENTIAL_SHARE"},
+)
+
+# Deviation of the grains' places over a range of 1, by the cosine and by both laws.
+_COSINE = math.sqrt(0.25 - 2.0 / math.pi**2)
+_WIDER = math.pi / (math.sqrt(3.0) * logistic.STEEPNESS) / _COSINE
+_LATER, _LONGER = 1.0 - 1.0 / exponential.RATE, 1.0 / (exponential.RATE * _COSINE)
+
+
+@borrowing
+def mixed(wires, i, position, share, slope):
+    """Ramp of wire i and its slope where the cosine's are `share` and `slope`."""
+    soft, sharp = wires[i, at.LOGISTIC_SHARE], wires[i, at.EXPONENTIAL_SHARE]
+    of_soft, soft_slope = logistic.ramp(0.5 + (position - 0.5) * _WIDER)
+    of_sharp, sharp_slope = exponential.ramp(_LATER + (position - 0.5) * _LONGER)
+    mix = share + soft * (of_soft - share) + sharp * (of_sharp - share)
+    by_mix = slope + soft * (soft_slope * _WIDER - slope) + sharp * (sharp_slope * _LONGER - slope)
+    return mix, by_mix
+
+
+def mixture(position: ArrayLike, share: Array, parameters: Parameters) -> Array:
+    """The same of arrays."""
+    away = np.asarray(position, float) - 0.5
+    soft, sharp = (parameters[f"effect.transformation_law.{n}"] for n in EFFECT.forms or ())
+    of_soft = logistic.share(0.5 + away * _WIDER)
+    of_sharp = exponential.share(_LATER + away * _LONGER)
+    return np.asarray(share + soft * (of_soft - share) + sharp * (of_sharp - share))
