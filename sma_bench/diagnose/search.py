@@ -17,6 +17,7 @@ from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.unknowns import (
+    LAW_EFFECT,
     Unknowns,
     has_friction,
     number_of_effect,
@@ -120,7 +121,7 @@ def search(
             effects where the drive's are, are held back.
     """
     quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
-    baseline = unknowns_of_records(parameters, quantities)
+    baseline = unknowns_of_records(parameters, quantities, other_laws=True)
     progress("recalibration")
     fresh = Problem.of(observations)
     tries = [*starts(baseline, 0), *_where_it_moves(fresh, baseline, parameters)]
@@ -200,6 +201,7 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     # Where the motion is imposed, the force shows what else shows in the motion.
     quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
     known |= {"slack"} if has_friction(parameters) else set()  # the core refuses the two together
+    known.add(LAW_EFFECT)  # in every candidate
     return [
         name for name, effect in EFFECTS.items()
         if name not in known and load in effect.loads and law in effect.laws

@@ -62,6 +62,7 @@ LOADS = {
     "antagonist": ("load.stiffness", "load.preload", "load.force", "load.friction"),
 }
 FRICTION = "load.friction"
+LAW_EFFECT = "transformation_law"
 # A load frame shows strains and stresses by the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
 SPREAD, END = "wire.hysteresis_spread", "wire.end_length"
@@ -72,6 +73,8 @@ SHAPES = {
     "wire.transition_tail": (0.3, 0.0, 1.0),
     "effect.partial_transformation.memory": (0.08, -0.2, 0.2),
 }
+# Other laws than the cosine: grains that follow them, a nuisance where they are few.
+OTHER_LAWS = {f"effect.{LAW_EFFECT}.{law}": (0.3, 0.0, 1.0) for law in EFFECTS[LAW_EFFECT].forms or ()}
 # Beside a load motion shows the kinetics themselves: grains decide how flat an inner loop starts,
 # between the contract's rule and the full loop's.
 LOADED_SHAPES = {"effect.partial_transformation.memory": (0.4, -0.1, 1.0)}
@@ -344,6 +347,7 @@ class Unknowns:
 def unknowns_of_records(
     parameters: Parameters, quantities: Sequence[str], *, load_frame: bool = False,
     own_load: bool = True, sides_apart: bool = False, unmodelled: bool = False,
+    other_laws: bool = False,
 ) -> Unknowns:
     """Everything of the baseline that records of these quantities can depend on.
 
@@ -354,6 +358,7 @@ def unknowns_of_records(
         sides_apart: front and back are two numbers even where they are believed alike.
         unmodelled: of wires with a load, what the paper's model leaves out of every one; what of
             it is believed in is unknown in any case.
+        other_laws: grains may follow other laws than the cosine.
     """
 
     def of_table(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
@@ -364,6 +369,7 @@ def unknowns_of_records(
         own = tuple(name for name in own if name != FRICTION)
     load_frame |= load_kind(parameters) == "displacement"
     names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
+    shapes |= OTHER_LAWS if other_laws else {}
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         if own:
@@ -466,7 +472,7 @@ def unknowns_of(
     extra = []
     for name, (std, low, high) in shapes.items():
         # Other laws are as smooth as they are, and one has inner loops by itself.
-        without = (*SHAPES,) if base["wire.law"] == "normal" else SMOOTHER
+        without = (*(SHAPES if base["wire.law"] == "normal" else SMOOTHER), *OTHER_LAWS)
         if base["wire.law"] != "cosine" and name in without:
             continue
         mean = float(base[name])
