@@ -11,7 +11,7 @@ followed up 52 of these. None comes from elsewhere.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import cast
 
@@ -26,6 +26,7 @@ from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
+from sma_bench.estimation.unknowns import LAW_EFFECT, OTHER_LAWS
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 
@@ -67,6 +68,7 @@ UNSEEN = -1.45
 NAMED = 0.6  # probability from which what is at work is named
 REMARK = 0.1  # share of the gap below which a partner is a remark beside the main cause
 WORTH_SAYING = 0.02  # probability
+LAW_SHOWS = 2.0  # of the noise: less of another law is what every bench has
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +191,42 @@ def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
     return tuple(sorted(found, key=lambda c: (-c.probability, c.name)))
 
 
+def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The same, another law of the phase named where it shows: it is free in every candidate, as
+    real kinetics are never quite a cosine. Alone it is a cause in recalibration's place; beside an
+    effect a second one, or a remark."""
+    found = []
+    for one in candidates:
+        if one.fit is None or one.probability < WORTH_SAYING or one.name == NO_GAP:
+            found.append(one)
+            continue
+        gap, gain, numbers = law_of(one.fit)
+        share = gap / max(one.gap_over_noise, gap, 1e-3)
+        shows = gap >= LAW_SHOWS and gain > THRESHOLD
+        if shows and one.name == RECALIBRATION:
+            stage = EFFECTS[LAW_EFFECT].stage
+            one = replace(one, name=LAW_EFFECT, stage=stage, parameters=numbers,
+                          gap_over_noise=gap, log_evidence=gain)  # fmt: skip
+        elif shows and len(one.effects) == 1 and share >= REMARK:
+            name = JOIN.join(sorted((*one.effects, LAW_EFFECT)))
+            one = replace(one, name=name, parameters={**one.parameters, **numbers})
+        elif shows:
+            one = replace(one, beside={**one.beside, LAW_EFFECT: share})
+        found.append(one)
+    return tuple(found)
+
+
+def law_of(fitted: Fit) -> tuple[float, float, dict[str, Estimate]]:
+    """What another law does in a fit, in noise; nats that a straight line promises it; shares."""
+    items = fitted.unknowns.items  # a law that is believed in is no cause
+    places = [k for k, item in enumerate(items) if item.name in OTHER_LAWS and item.mean == 0.0]
+    if not places or not np.any(fitted.unknowns.values(fitted.x)[places]):
+        return 0.0, 0.0, {}
+    x, covariance = fitted.x[places], fitted.covariance[np.ix_(places, places)]
+    numbers = {n: e for n, e in estimates(fitted, fitted.errors).items() if n in OTHER_LAWS}
+    return own_gap(fitted, (LAW_EFFECT,)), 0.5 * float(x @ np.linalg.solve(covariance, x)), numbers
+
+
 def estimates(fitted: Fit, stds: Array) -> dict[str, Estimate]:
     """All numbers of a fit with these errors (k,)."""
     values = fitted.unknowns.values(fitted.x).tolist()
@@ -280,7 +318,7 @@ def _unsteady(fitted: Fit) -> float:
 def named(candidates: Sequence[Candidate], weights: Weights) -> tuple[str, ...]:
     """Effects that are at work, whatever else is: what gains most by itself first."""
     found = [name for name, p in inclusion(candidates).items() if p >= NAMED]
-    return tuple(sorted(found, key=lambda name: -weights.gains[name]))
+    return tuple(sorted(found, key=lambda name: -weights.gains.get(name, 0.0)))
 
 
 def verdict_of(candidates: Sequence[Candidate]) -> Verdict:

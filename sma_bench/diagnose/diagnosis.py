@@ -120,7 +120,8 @@ def diagnose(
     # The verdict, and the most probable model that can be simulated.
     found = search(observations, parameters, progress, doubted)
     weights = decision.weigh(found)
-    candidates = decision.decide(found, weights)
+    weighed = decision.decide(found, weights)
+    candidates = decision.with_law(weighed)
     verdict = decision.verdict_of(candidates)
     cause = decision.named(candidates, weights) if verdict == "effect" else ()
     model = next(c.fit for c in candidates if c.fit is not None and set(cause) <= set(c.effects))
@@ -143,7 +144,7 @@ def diagnose(
         progress("the next experiment")
         try:
             following = next_experiment(
-                verdict, candidates, found, weights, observations, parameters
+                decision.verdict_of(weighed), weighed, found, weights, observations, parameters
             )
             if verdict == "ambiguous" and not (following and following.settles):
                 text = (
@@ -173,8 +174,8 @@ def diagnose(
                 noise[b.signal.name].drift_in(left[b.rows]) for b in recalibrated.problem.blocks
             ])  # fmt: skip
         cells = locate(model.problem, missing if missing.any() else left)
-    elif model.unknowns.effects:
-        cells = locate(model.problem, contribution(model, model.unknowns.effects))
+    elif acting := cause or model.unknowns.effects:
+        cells = locate(model.problem, contribution(model, acting))
     else:
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
     top = cells[0]

@@ -100,6 +100,8 @@ class Search:
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""
+        if name == LAW_EFFECT:  # which recalibration has too
+            return 0.0
         return self.singles[name].evidence - self.recalibrated.evidence
 
     @property

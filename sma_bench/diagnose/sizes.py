@@ -50,7 +50,7 @@ def contribution(fitted: Fit, names: Iterable[str]) -> Array:
             noise = problem.noise["deflection"]
             added[block.rows] += noise.drift_in(fitted.left[block.rows])
     known = fitted.unknowns.names
-    beside = [known.index(p) for n in chosen if (p := EFFECTS[n].beside) in known]
+    beside = [known.index(p) for n in chosen for p in EFFECTS[n].beside if p in known]
     if beside:
         columns = fitted.derivatives[:, beside]
         white = problem.whiten(columns)

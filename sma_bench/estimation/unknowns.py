@@ -74,7 +74,7 @@ SHAPES = {
     "effect.partial_transformation.memory": (0.08, -0.2, 0.2),
 }
 # Other laws than the cosine: grains that follow them, a nuisance where they are few.
-OTHER_LAWS = {f"effect.{LAW_EFFECT}.{law}": (0.3, 0.0, 1.0) for law in EFFECTS[LAW_EFFECT].forms or ()}
+OTHER_LAWS = {p.name: (0.3, 0.0, 1.0) for p in EFFECTS[LAW_EFFECT].parameters}
 # Beside a load motion shows the kinetics themselves: grains decide how flat an inner loop starts,
 # between the contract's rule and the full loop's.
 LOADED_SHAPES = {"effect.partial_transformation.memory": (0.4, -0.1, 1.0)}

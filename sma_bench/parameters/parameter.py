@@ -165,9 +165,9 @@ class Effect:
     constants: tuple[str, ...] = ()
     state: tuple[str, ...] = ()
     scratch: tuple[str, ...] = ()
-    # parameter whose value depends on where the effect is counted from: what a multiple of it would
-    # do as well is no part of what the effect does
-    beside: str = ""
+    # parameters whose values depend on where the effect is counted from: what multiples of them
+    # would do as well is no part of what the effect does
+    beside: tuple[str, ...] = ()
     # number to the parameter that it enters the model with, as a product: no record of the bench
     # tells one from the other, so what is unknown of it is in the number's error
     times: Mapping[str, str] | None = None

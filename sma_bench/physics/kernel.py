@@ -219,7 +219,8 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
         if parameters[switch] != 0.0:
             sides[bends if own else slice(None), mark] = 1.0
     # The load draws the wires straight.
-    sides[np.ix_(load > 0.0, [at.SLACK, at.SOFT_SLACK])] = 0.0
+    for column in (at.SLACK, at.SOFT_SLACK):
+        sides[load > 0.0, column] = 0.0
     return sides
 
 

@@ -23,8 +23,8 @@ EFFECT = Effect(
     (Parameter("strain", "1", 0.0, "Contraction that a wire takes up before it pulls; 0 is off.",
                "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3),
      Parameter("soft_strain", "1", 0.0,
-               "q, contraction that is taken up little by little; 0 is off.", "assumed: to 1 %", 0.0,
-               0.03, uncertainty=3e-3)),
+               "q, contraction that is taken up little by little; 0 is off.",
+               "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3)),
     shows="deflection starts late and stops early in every stroke; small strokes are missing "
     "altogether",
     acts_on=("deflection",), loads=("beam", "spring"), marks=("PULLS_OTHERWISE",), row="side",

@@ -19,7 +19,7 @@ EFFECT = Effect(
     shows="steady temperatures fall short of V^2 when hot; cooling is faster when hot than when "
     "warm",
     marks=("HEATED_OTHERWISE",), columns={"rise": "CONVECTION_RISE"},
-    beside="wire.heat_transfer_coefficient",  # h at T_inf; a mean h would do nothing in the mean
+    beside=("wire.heat_transfer_coefficient",),  # h at T_inf; a mean h would do nothing in the mean
 )
 
 _LEAST = 0.05

@@ -30,6 +30,8 @@ EFFECT = Effect(
     "alike",
     acts_on=("deflection",), laws=("cosine",),
     forms={"logistic": ("logistic",), "exponential": ("exponential",)},
+    beside=("wire.austenite_start_temperature", "wire.austenite_finish_temperature",
+            "wire.martensite_start_temperature", "wire.martensite_finish_temperature"),
     columns={"logistic": "LOGISTIC_SHARE", "exponential": "EXPONENTIAL_SHARE"},
 )
 
