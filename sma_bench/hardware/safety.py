@@ -153,11 +153,13 @@ class Freshness(Watchdog):
         super().__init__(timeout)
         self._subject, self._stamp = subject, math.nan
 
-    def seen(self, stamp: float, now: float) -> None:
-        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared)."""
-        if stamp != self._stamp:
+    def seen(self, stamp: float, now: float) -> bool:
+        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared); whether it
+        is a new one."""
+        if is_new := stamp != self._stamp:
             self._stamp = stamp
             self.feed(now)
+        return is_new
 
     def fault(self, now: float) -> str:
         """Why the reading cannot be trusted at `now` s, or ""."""
