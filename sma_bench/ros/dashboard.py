@@ -5,6 +5,7 @@ Topics, services and parameters are looked for below a namespace, again and agai
 
 import math
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -16,7 +17,6 @@ from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
 from rclpy.exceptions import InvalidNamespaceException
-from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
 from rclpy.validate_namespace import validate_namespace
 from std_msgs.msg import Float64MultiArray, String
@@ -29,6 +29,7 @@ from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
 from sma_bench.records.contract import BATTERY_STATE, JOINT_SIGNALS, MULTI_ARRAY, STRING, place_of
 from sma_bench.ros import node as ros
+from sma_bench.ros.bench_client import NodeCalls
 
 _LOOK_EVERY, _ASK_EVERY, _SPIN, _PATIENCE = 0.5, 2.0, 0.05, 5.0  # s
 _ASKED = ["bench.channels", *LIMITS]  # which only nodes with limits of the bench know
@@ -57,6 +58,7 @@ class DashboardNode(ros.OverridableNode):
         self._inside = self.get_namespace().rstrip("/") + "/"
         self._listened: set[str] = set()
         self._callable: dict[tuple[str, str], Client] = {}  # by service and node
+        self._calls = NodeCalls(self, lambda: time.sleep(_SPIN))
         self._reported: dict[str, dict[str, float]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
@@ -95,15 +97,7 @@ class DashboardNode(ros.OverridableNode):
         if kind not in self._works() or not records:
             why = "no records given" if kind in self._works() else f"no node here does {kind}"
             raise InputError(why)
-        chosen = RosParameter("record", value=records).to_parameter_msg()
-        request, is_set = SetParameters.Request(parameters=[chosen]), threading.Event()
-        setting = self._callable["set_parameters", _WORK[kind]].call_async(request)
-        setting.add_done_callback(lambda _: is_set.set())
-        if not is_set.wait(_PATIENCE):
-            raise InputError("the node does not answer")
-        result = setting.result().results[0]
-        if not result.successful:
-            raise InputError(shown(result.reason))
+        self._calls.set_parameters(_WORK[kind], {"record": records}, _PATIENCE)
 
         def worked(response: rclpy.Future) -> None:
             result = response.result()
@@ -144,7 +138,7 @@ class DashboardNode(ros.OverridableNode):
             # The recorder's stop ends the record, and drives nothing.
             new = (what, node) not in self._callable and node not in (self.get_name(), _RECORDER)
             if wanted and new and len(self._callable) < _MOST_CLIENTS:
-                self._callable[what, node] = self.create_client(kind, service)
+                self._callable[what, node] = self._calls.know(f"{node}/{what}", kind)
         # Of which nodes nothing more will come: their last words stay latched here.
         there = [t for t in self._listened if t.endswith("/state") and self.count_publishers(t)]
         nodes = {t.removeprefix(self._inside).rpartition("/")[0] for t in there}
