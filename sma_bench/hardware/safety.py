@@ -445,13 +445,13 @@ class Guard:
         self.wanted = [f"{channel}/{kind}" for channel in self._wires for kind in feedback]
         known = [f"{channel}/{kind}" for channel in self._wires for kind in _FEEDBACK]
         self._fresh = {name: Freshness(name, timeout) for name in (*self.wanted, *known)}
-        self._found: dict[str, str] = {}
-        self._recording = self.flowing = ""
+        self._found = {"recorder": ""}
+        self.flowing = ""
         """`flowing`: what flows though every output is off, "" for nothing"""
 
     def recorder(self, failure: str) -> None:
         """Note why the recorder failed (a full disk), "" when it records or nobody minds."""
-        self._recording = f"recording failed: {failure}" if failure else ""
+        self.found("recorder", f"recording failed: {failure}" if failure else "")
 
     def found(self, subject: str, reason: str) -> None:
         """Note what is wrong with a subject, "" for nothing."""
@@ -503,5 +503,4 @@ class Guard:
     def fault(self, now: float) -> str:
         """First reason not to drive the wires at `now` s, or ""."""
         stale = (self._fresh[name].fault(now) for name in self.wanted)
-        reasons = (self._recording, *self._found.values(), *stale)
-        return next((reason for reason in reasons if reason), "")
+        return next(filter(None, (*self._found.values(), *stale)), "")

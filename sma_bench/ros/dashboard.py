@@ -16,9 +16,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rcl_interfaces.msg import ParameterType, ParameterValue
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
-from rclpy.exceptions import InvalidNamespaceException
 from rclpy.qos import QoSProfile
-from rclpy.validate_namespace import validate_namespace
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -265,11 +263,6 @@ def listening_node(
 ) -> Iterator[DashboardNode]:
     """A node that listens in a thread of its own; `on_failure` is called there if it dies. Raises
     InputError: no such namespace can be, or ROS refuses its arguments."""
-    try:
-        validate_namespace(namespace)
-    except InvalidNamespaceException as error:
-        reason = str(error).splitlines()[0].removesuffix(":")
-        raise InputError(f"dashboard: namespace {namespace!r}: {reason}") from None
     ros.start_ros(ros_arguments)
     node, ended = DashboardNode(namespace, state), threading.Event()
 

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidNamespaceException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation as rcl
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -100,8 +100,8 @@ class OverridableNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         try:
             super().__init__(name, cli_args=self.own_arguments, **options)
-        except (rcl.RCLError, rcl.UnknownROSArgsError) as error:
-            raise InputError(" ".join(str(error).split())) from None
+        except (rcl.RCLError, rcl.UnknownROSArgsError, InvalidNamespaceException) as error:
+            raise InputError(" ".join(str(error).rstrip("^ ").split())) from None
         self._ros_is_ready = True
 
     def create_publisher(self, *what: Any, newest: bool = False, **options: Any) -> Publisher:
