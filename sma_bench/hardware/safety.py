@@ -18,11 +18,12 @@ from sma_bench.parameters import Parameters
 CELSIUS_ZERO = 273.15
 CURRENT_FLOOR = 0.1
 """A; offset and noise of a board's current sensor"""
+MOST_CURRENT_AT_REST = 0.15  # A that a board's sensor may say while nothing is driven
 LEAST_VOLTAGE = 1.0
 """V; below it the current sensor's noise says nothing about a resistance"""
 _LEAST_TOLERANCE = 0.2  # of the voltage's tolerance: what is left of it at 0 V
 FLOWING = "flowing"
-_FEEDBACK = ("power", "temperature")
+FEEDBACK = ("power", "temperature")
 Lasting = dict[str, tuple[float, int]]
 _COMMANDS = 10  # a reading may belong to any of the last commands
 _SENT = 1000  # volts kept between two readings, at most
@@ -183,8 +184,7 @@ class CommandGate:
         self._watchdog = Watchdog(limits.command_timeout)
         self._zeroed = Watchdog(limits.command_timeout)
         self._zero = self._outputs = (0.0,) * channels
-        self._live = False
-        self._commander = ""
+        self._commander: str | None = None  # while it is not silent
         self.accepted = self.rejected = self.timeouts = 0
         self.last_rejection = ""
 
@@ -201,12 +201,12 @@ class CommandGate:
                 return self.refuse(f"voltage_command has {value}, expected finite volts")
             if not 0.0 <= value <= highest:
                 return self.refuse(f"voltage_command has {value:g} V, expected 0 to {highest:g} V")
-        if self._live and sender != self._commander and not self._watchdog.expired(now):
+        if self._commander not in (None, sender) and not self._watchdog.expired(now):
             if any(values):
                 return self.refuse(f"{_named(sender)}: {self.commander} commands already")
             self._zeroed.feed(now)
         else:
-            self._commander, self._live = sender, True
+            self._commander = sender
             self._watchdog.feed(now)
             self._outputs = tuple(float(value) for value in values)
         self.accepted += 1
@@ -214,7 +214,7 @@ class CommandGate:
 
     @property
     def commander(self) -> str:
-        return _named(self._commander) if self._live else ""
+        return "" if self._commander is None else _named(self._commander)
 
     def refuse(self, reason: str) -> str:
         """Count a command that cannot be obeyed now; the reason."""
@@ -224,11 +224,11 @@ class CommandGate:
 
     def clear(self) -> None:
         """Outputs to 0 V until the next command."""
-        self._live, self._outputs = False, self._zero
+        self._commander, self._outputs = None, self._zero
 
     def outputs(self, now: float) -> tuple[float, ...]:
         """Volts of every channel at `now` s."""
-        if self._live and self._watchdog.expired(now):
+        if self._commander is not None and self._watchdog.expired(now):
             self.clear()
             self.timeouts += 1
         return self._outputs if self._zeroed.expired(now) else self._zero
@@ -291,7 +291,9 @@ class Wire:
         expected = heating if math.isnan(volt) else volt
         if volt >= LEAST_VOLTAGE:
             expected = limits.measured_voltage(volt, ampere)
-        if self._pulsed(limits):
+        most = max(self.sent, default=0.0)
+        if most - min(self.sent, default=0.0) > limits.allowed_deviation(most):
+            # They differ by more than a reading may: then no one reading says what they heat.
             mean = math.sqrt(fmean(limits.reading(sent) ** 2 for sent in self.sent))
             expected = limits.measured_voltage(mean, self._share * mean / limits.circuit)
         while len(self.sent) > 1:  # the last one holds on
@@ -303,12 +305,6 @@ class Wire:
         rests = max(heating, self._heating) < _RESTS and not any(self.commands)
         self._rested = self._rested + elapsed if rests else 0.0
         self._heating, self._powered = heating, stamp
-
-    def _pulsed(self, limits: Limits) -> bool:
-        """Whether the volts sent since the last reading differ by more than a reading may: then no
-        one reading says what they heat."""
-        most = max(self.sent, default=0.0)
-        return most - min(self.sent, default=0.0) > limits.allowed_deviation(most)
 
     def believed(self, limits: Limits) -> list[float]:
         """Volts and amperes for the model: what is beyond the limits is a fault by itself; one such
@@ -443,7 +439,7 @@ class Guard:
         self._wires = {channel: Wire(channel) for channel in channels}
         self._boards: dict[str, Lasting] = {side: {} for side in ("front", "back")}
         self.wanted = [f"{channel}/{kind}" for channel in self._wires for kind in feedback]
-        known = [f"{channel}/{kind}" for channel in self._wires for kind in _FEEDBACK]
+        known = [f"{channel}/{kind}" for channel in self._wires for kind in FEEDBACK]
         self._fresh = {name: Freshness(name, timeout) for name in (*self.wanted, *known)}
         self._found = {"recorder": ""}
         self.flowing = ""

@@ -18,7 +18,7 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
-from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
+from sma_bench.hardware.safety import CELSIUS_ZERO, FEEDBACK, Guard, Limits
 from sma_bench.live.recording import BRIDGE, RECORDER, Readiness, recorder_failure
 from sma_bench.live.run import ABORTED, IDLE, ClosedLoop, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
@@ -27,7 +27,6 @@ from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, Quantity
 from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
-_FEEDBACK = ("power", "temperature")
 _WATCH_EVERY = 0.05  # s
 # Wall seconds for which readings of a simulation may stay away: a loaded machine may pause it, and
 # nothing is heated meanwhile.
@@ -44,8 +43,8 @@ class ExperimentNode(BenchNode):
         super().__init__(self.called)
         settings, channels = self.settings, self.parameters["bench.channels"]
         for kind in settings["feedback"]:
-            if kind not in _FEEDBACK:
-                raise InputError(f"feedback: {kind!r}, expected {' or '.join(_FEEDBACK)}")
+            if kind not in FEEDBACK:
+                raise InputError(f"feedback: {kind!r}, expected {' or '.join(FEEDBACK)}")
         self._bench_clock, patience = self.get_clock(), _SIMULATION_PAUSE
         if not self.simulated:
             be_punctual(DRIVER)

@@ -9,6 +9,7 @@ from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
+from sma_bench.border import claimed
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.live.virtual_bench import REAL_TIME, STANDS, GroupReading, Lockstep, VirtualBench
@@ -37,7 +38,7 @@ class Simulator(BenchNode):
         if self._fast:
             # Two times on one topic would spoil the records of both benches without a word.
             try:
-                self.claim(self.resolve_topic_name(_CLOCK))
+                self.claims.append(claimed(self.resolve_topic_name(_CLOCK)))
             except InputError as error:
                 reason = f"{error}; above real time each bench needs its own domain"
                 raise InputError(reason) from None

@@ -198,9 +198,9 @@ class BenchTopics:
 
 
 def message_class(kind: str) -> Any:
-    """Of a type's name, `std_msgs/msg/String`."""
-    package, _, name = kind.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
+    """Of a type's name, `std_msgs/msg/String`; a service's, too."""
+    package, room, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.{room}"), name)
 
 
 def stamp_of(message: Any) -> int:
