@@ -22,9 +22,8 @@ def run(args: SimpleNamespace) -> int:
     node, slash, service = args.service.strip("/").rpartition("/")
     if not slash:
         raise InputError(f"call: {args.service!r}, expected NODE/SERVICE, e.g. experiment/start")
-    for name in (args.namespace, args.service):
-        if not _NAME.fullmatch(name):
-            raise InputError(f"call: {name!r} is no ROS name, expected letters, digits, _ and /")
+    if not _NAME.fullmatch(args.service):
+        raise InputError(f"call: {args.service!r} is no ROS name, expected letters, digits, _, /")
     if args.patience is not None and not 0.0 < args.patience < math.inf:
         raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
     settings = dict(options.named_value(text) for text in args.settings)

@@ -42,9 +42,7 @@ async def _serve(args: SimpleNamespace) -> int:
         loop.add_signal_handler(number, finish)
     namespace = options.namespace_of(args.namespace)
     with listening_node(
-        namespace,
-        LiveState(),
-        lambda error: loop.call_soon_threadsafe(finish, error),
+        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error),
         options.ros_arguments(args),
     ) as node:
         namespace = node.get_namespace()  # ROS's arguments may name another

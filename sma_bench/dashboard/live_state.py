@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 from sma_bench.border import A_LIST, AN_OBJECT, read_fields, shown
 from sma_bench.errors import InputError
+from sma_bench.hardware.safety import CELSIUS_ZERO, Freshness
 from sma_bench.results import in_unit, with_error
 
 SPAN = 60.0  # s that a trace remembers
@@ -53,7 +54,6 @@ class Trace:
         return self._count, list(self._closed)[-missing:] if missing > 0 else []
 
 
-CELSIUS_ZERO = 273.15
 _BEYOND = 1e9  # which no scale of a plot has room for
 
 
@@ -120,7 +120,7 @@ class LiveState:
         self.clock = clock
         self._lock = threading.Lock()
         self._traces: dict[tuple[str, str, str], Trace] = {}
-        self._stamps: dict[tuple[str, str, str], float] = {}
+        self._fresh: dict[tuple[str, str, str], Freshness] = {}
         self._panels: dict[str, Any] = {}
         self._voltages: dict[str, WireVoltage] = {}
         self._stopped: dict[str, float] = {}
@@ -130,28 +130,25 @@ class LiveState:
         stamp: float | None = None,
     ) -> None:
         """Take a reading in SI units; `kind` is measured, a command or a prediction. `stamp`: s of
-        its source's clock, 0 where it sets none; the same one again is no reading: a driver that
-        hangs repeats its last. None: when it comes."""
+        its source's clock, 0 where it sets none, which confirms no stop; the same one again is no
+        reading: a driver that hangs repeats its last. None: when it comes."""
         key, value = (quantity, place, kind), float(value)
         with self._lock:
             if key not in self._traces and len(self._traces) >= _MOST_SIGNALS:
                 return
             now = self.clock()
-            if stamp is None:
-                stamp = now
-            elif stamp and stamp == self._stamps.get(key):
-                if quantity == "voltage" and kind == MEASURED:
-                    self._voltages[place] = self._voltages[place]._replace(said=now)
-                return
-            self._stamps[key] = stamp
-            self._traces.setdefault(key, Trace()).add(now, value)
+            fresh = self._fresh.setdefault(key, Freshness(place, SPAN))
+            if is_new := fresh.seen(stamp or math.nan, now):  # without one each is new
+                self._traces.setdefault(key, Trace()).add(now, value)
             if (quantity, kind) != ("voltage", MEASURED):
                 return
-            before = self._voltages.get(place)
+            if (before := self._voltages.get(place)) and not is_new:
+                self._voltages[place] = before._replace(said=now)
+                return
             off_since = min(now, before.off_since if before else now)
             is_off = abs(value) <= NO_VOLTAGE
             self._voltages[place] = WireVoltage(
-                value, now, off_since if is_off else math.inf, stamp, now
+                value, now, off_since if is_off else math.inf, now if stamp is None else stamp, now
             )
             if not is_off and place in self._stopped and not self._panels.get("again"):
                 self._panels["again"] = {

@@ -23,10 +23,14 @@ from sma_bench.estimation.solver import (
 )
 from sma_bench.estimation.unknowns import Unknowns, as_in_the_field, unknowns_of_records
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.progress import Report, part, silent
 
 # How probable a law is before any record: real wires have inner loops and soft ends.
-PRIOR = {"normal": 0.72, "logistic": 0.14, "cosine": 0.1, "exponential": 0.04}
+PRIOR = {
+    "normal": 0.72, "logistic": 0.14, "cosine": 0.1, "exponential": 0.04, "brinson": 0.1,
+    "extended": 0.1,
+}  # fmt: skip
 _TEMPERED = 0.25
 _DIFFERENT = 0.7  # probability that the runs of a bench differ, before any
 _STARTS, _SEED = 2, 17
@@ -58,13 +62,17 @@ def weigh_laws(
     report: Report = silent,
 ) -> tuple[LawFit, ...]:
     """The laws that the wire may follow, the most probable first: the one that a file states, else
-    all. An h that is not stated is that of free convection.
+    all; those of which the load decides the strain only where a number of theirs is stated. An h
+    that is not stated is that of free convection.
 
     Raises:
         InputError: no law goes with what is stated, or leads to a fit.
     """
     stated = "wire.law" in parameters.given
-    laws = [parameters["wire.law"]] if stated else list(PRIOR)
+    laws = [parameters["wire.law"]] if stated else [
+        law for law in PRIOR
+        if law not in ORIENTING or parameters.given.intersection(ORIENTING[law])
+    ]  # fmt: skip
     if not parameters.given & {"wire.convection", "wire.heat_transfer_coefficient"}:
         parameters = parameters.assuming({"wire.convection": "free"}, {})
     problem = Problem.of([one.zeroed() for one in observations])

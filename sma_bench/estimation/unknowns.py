@@ -30,6 +30,7 @@ from sma_bench.parameters.parameter import (
 from sma_bench.parameters.parameters import (
     BRANCH,
     LOAD_NEEDS,
+    ORIENTING,
     SMOOTHER,
     load_kind,
     nearest_spread,
@@ -78,6 +79,11 @@ OTHER_LAWS = {p.name: (0.3, 0.0, 1.0) for p in EFFECTS[LAW_EFFECT].parameters}
 # Beside a load motion shows the kinetics themselves: grains decide how flat an inner loop starts,
 # between the contract's rule and the full loop's.
 LOADED_SHAPES = {"effect.partial_transformation.memory": (0.4, -0.1, 1.0)}
+# Of a law's options, of which only who states one has it; its first number switches it on.
+OPTIONAL = (
+    ("wire.transition_skew",),
+    ("wire.r_phase_strain", "wire.r_phase_temperature", "wire.r_phase_range"),
+)
 # What every wire in air or under a load has and the paper's model leaves out: in a fit to motion it
 # would pass for other numbers, and predict other drives wrongly. Priors are the table's.
 UNMODELLED = (
@@ -98,6 +104,7 @@ FIELD = {
     "effect.latent_heat.heat": (15e3, 6e3),
     "effect.phase_dependent_resistance.austenite_change": (-0.13, 0.09),
 }
+_RESIDUAL = "effect.residual_strain.share"  # which laws have that let the load decide the strain
 _RISE = "effect.temperature_dependent_convection.rise"  # which free convection has already
 _FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # share that is unknown; what a room adds to still air
 _WIDEST_SPREAD = 1.5  # of its hystereses
@@ -372,12 +379,18 @@ def unknowns_of_records(
     shapes |= OTHER_LAWS if other_laws else {}
     if "deflection" in quantities or load_frame:
         names += MATERIAL
+        shapes |= of_table(ORIENTING.get(parameters["wire.law"], ()))
+        shapes |= of_table(
+            n for main, *others in OPTIONAL for n in (main, *others)
+            if parameters[main] != 0.0 or parameters.given_uncertainty.get(main, 0.0) > 0.0
+        )
         if own:
             shapes |= LOADED_SHAPES if unmodelled else {}
             free = parameters["wire.convection"] == "free"
             shapes |= of_table(
                 n for n in UNMODELLED
                 if parameters[n] != 0.0 or (unmodelled and not (free and n == _RISE))
+                if not (n == _RESIDUAL and parameters["wire.law"] in ORIENTING)
             )
             if parameters["wire.law"] == "normal":
                 shapes[SPREAD] = (parameters.std(SPREAD), 0.02, 2.0)

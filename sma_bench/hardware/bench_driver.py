@@ -11,23 +11,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import NamedTuple, TypeVar
 
-from sma_bench.hardware.bench_sensors import (
-    MOST_CURRENT_AT_REST,
-    SIDES,
-    BenchReading,
-    BenchSensors,
-    SharedWatch,
-)
-from sma_bench.hardware.safety import CommandGate, Guard, Limits
+from sma_bench.hardware import serial_messages as messages
+from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors, SharedWatch
+from sma_bench.hardware.safety import MOST_CURRENT_AT_REST, CommandGate, Guard, Limits
 from sma_bench.hardware.serial_link import LateAnswer, LinkError, LinkStatus, SerialLink
-from sma_bench.hardware.serial_messages import (
-    STOP_CAUSE,
-    TIMEOUT_CAUSE,
-    TURN,
-    DeviceIdentity,
-    DeviceState,
-    Telemetry,
-)
 
 REFRESH = 0.02
 """s between commands to the device, whose own timeout is ten times that"""
@@ -107,7 +94,7 @@ class BenchDriver:
         status = self._link.status
         if not status.connected:
             return ""
-        by_device = status.cause_text if status.state == DeviceState.STILL_FLOWING else ""
+        by_device = status.cause_text if status.state == messages.DeviceState.STILL_FLOWING else ""
         return self._guard.flowing or by_device
 
     @property
@@ -281,7 +268,7 @@ class BenchDriver:
         if not status.stopped:
             return False, f"the device does not stop within {_STOP_WITHIN:g} s"
         self._link.reset()
-        return status.cause == STOP_CAUSE, f"stopped by its {status.cause_text}"
+        return status.cause == messages.STOP_CAUSE, f"stopped by its {status.cause_text}"
 
     def _after(self, seconds: float) -> LinkStatus:
         """The device's state so many s of its own clock from here, or once it has stopped. Raises
@@ -290,10 +277,10 @@ class BenchDriver:
         before = self._link.status.newest
         for _ in range(round(_PATIENCE / _LOOK_EVERY)):
             status, passed = self._link.status, 0.0
-            if status.stopped and status.cause == TIMEOUT_CAUSE:
+            if status.stopped and status.cause == messages.TIMEOUT_CAUSE:
                 raise LateAnswer(f"stopped by its {status.cause_text}")
             if before and status.newest:
-                passed = 1e-6 * ((status.newest.time_us - before.time_us) % TURN)
+                passed = 1e-6 * ((status.newest.time_us - before.time_us) % messages.TURN)
             if status.stopped or passed > seconds:
                 return status
             self._pause(_LOOK_EVERY)
@@ -301,7 +288,7 @@ class BenchDriver:
 
     # --- What happens
 
-    def take(self, telemetry: Telemetry, now: float) -> BenchReading:
+    def take(self, telemetry: messages.Telemetry, now: float) -> BenchReading:
         """Note telemetry; what it says about the bench."""
         self._supply_reading = telemetry.supply
         if not self.enabled and not any(telemetry.duty):
@@ -343,7 +330,7 @@ class BenchDriver:
         return status.fault or another or self._guard.fault(now)
 
 
-def device_limits(limits: Limits, device: DeviceIdentity, supply: float) -> list[int]:
+def device_limits(limits: Limits, device: messages.DeviceIdentity, supply: float) -> list[int]:
     """What the device is to allow this rig: the numbers of its command C. Its own limits are
     ceilings. The heat that it allows is what holds a wire of the model a tenth in volts above its
     highest temperature, forgotten as fast as that wire cools."""

@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
+from sma_bench.hardware.safety import MOST_CURRENT_AT_REST
 from sma_bench.hardware.serial_messages import CHANNELS, Telemetry
 
 SIDES = ("front", "back")  # of the device's boards, and of its range sensors
 _PER_SIDE = CHANNELS // len(SIDES)
-MOST_CURRENT_AT_REST = 0.15  # A that a board's sensor may say while nothing is driven
 _RECENT = 0.05  # of the mean at rest, a reading
 _LEAST_DUTY = 1e-3  # below it a converter's step of mean current is amplified more than 30 times
 # Of a shared current sensor: s between two readings whose difference is what a step of the voltage

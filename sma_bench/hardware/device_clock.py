@@ -2,7 +2,6 @@
 
 import math
 from collections import deque
-from itertools import pairwise
 
 import numpy as np
 
@@ -93,21 +92,15 @@ def _keep(points: _Points, device: float, host: float) -> None:
 
 def _line_below(points: _Points, reference: float) -> tuple[float, float]:
     """Host time at device time `reference`, and the drift, of the line below all points that comes
-    closest to them in the mean: the edge of their lower convex hull (Andrew 1979) over the mean."""
+    closest to them in the mean: the edge of their lower convex hull there."""
     device, host = np.array(points).T
     x, late = device - reference, host - device
-    corners: list[tuple[float, float]] = []
-    for right, high in zip(x.tolist(), late.tolist(), strict=True):
-        while len(corners) > 1:
-            (x0, y0), (x1, y1) = corners[-2:]
-            if (y1 - y0) * (right - x0) < (high - y0) * (x1 - x0):
-                break
-            corners.pop()
-        corners.append((right, high))
-    drift, middle = 0.0, float(x.mean())
-    for (x0, y0), (x1, y1) in pairwise(corners):
-        drift = (y1 - y0) / (x1 - x0)
-        if x1 >= middle:
+    left, right, drift, middle = 0, len(points) - 1, 0.0, x.mean()
+    for _ in range(right):  # each line is lower in the middle than the one before
+        drift = float((late[right] - late[left]) / (x[right] - x[left]))
+        lowest = int((late - drift * x).argmin())
+        if lowest in (left, right):
             break
+        left, right = (lowest, right) if x[lowest] < middle else (left, lowest)
     drift = min(max(drift, -_MOST_DRIFT), _MOST_DRIFT)
     return reference + float((late - drift * x).min()), drift

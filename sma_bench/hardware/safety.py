@@ -18,11 +18,12 @@ from sma_bench.parameters import Parameters
 CELSIUS_ZERO = 273.15
 CURRENT_FLOOR = 0.1
 """A; offset and noise of a board's current sensor"""
+MOST_CURRENT_AT_REST = 0.15  # A that a board's sensor may say while nothing is driven
 LEAST_VOLTAGE = 1.0
 """V; below it the current sensor's noise says nothing about a resistance"""
 _LEAST_TOLERANCE = 0.2  # of the voltage's tolerance: what is left of it at 0 V
 FLOWING = "flowing"
-_FEEDBACK = ("power", "temperature")
+FEEDBACK = ("power", "temperature")
 Lasting = dict[str, tuple[float, int]]
 _COMMANDS = 10  # a reading may belong to any of the last commands
 _SENT = 1000  # volts kept between two readings, at most
@@ -153,11 +154,13 @@ class Freshness(Watchdog):
         super().__init__(timeout)
         self._subject, self._stamp = subject, math.nan
 
-    def seen(self, stamp: float, now: float) -> None:
-        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared)."""
-        if stamp != self._stamp:
+    def seen(self, stamp: float, now: float) -> bool:
+        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared); whether it
+        is a new one."""
+        if is_new := stamp != self._stamp:
             self._stamp = stamp
             self.feed(now)
+        return is_new
 
     def fault(self, now: float) -> str:
         """Why the reading cannot be trusted at `now` s, or ""."""
@@ -181,8 +184,7 @@ class CommandGate:
         self._watchdog = Watchdog(limits.command_timeout)
         self._zeroed = Watchdog(limits.command_timeout)
         self._zero = self._outputs = (0.0,) * channels
-        self._live = False
-        self._commander = ""
+        self._commander: str | None = None  # while it is not silent
         self.accepted = self.rejected = self.timeouts = 0
         self.last_rejection = ""
 
@@ -199,12 +201,12 @@ class CommandGate:
                 return self.refuse(f"voltage_command has {value}, expected finite volts")
             if not 0.0 <= value <= highest:
                 return self.refuse(f"voltage_command has {value:g} V, expected 0 to {highest:g} V")
-        if self._live and sender != self._commander and not self._watchdog.expired(now):
+        if self._commander not in (None, sender) and not self._watchdog.expired(now):
             if any(values):
                 return self.refuse(f"{_named(sender)}: {self.commander} commands already")
             self._zeroed.feed(now)
         else:
-            self._commander, self._live = sender, True
+            self._commander = sender
             self._watchdog.feed(now)
             self._outputs = tuple(float(value) for value in values)
         self.accepted += 1
@@ -212,7 +214,7 @@ class CommandGate:
 
     @property
     def commander(self) -> str:
-        return _named(self._commander) if self._live else ""
+        return "" if self._commander is None else _named(self._commander)
 
     def refuse(self, reason: str) -> str:
         """Count a command that cannot be obeyed now; the reason."""
@@ -222,11 +224,11 @@ class CommandGate:
 
     def clear(self) -> None:
         """Outputs to 0 V until the next command."""
-        self._live, self._outputs = False, self._zero
+        self._commander, self._outputs = None, self._zero
 
     def outputs(self, now: float) -> tuple[float, ...]:
         """Volts of every channel at `now` s."""
-        if self._live and self._watchdog.expired(now):
+        if self._commander is not None and self._watchdog.expired(now):
             self.clear()
             self.timeouts += 1
         return self._outputs if self._zeroed.expired(now) else self._zero
@@ -289,7 +291,9 @@ class Wire:
         expected = heating if math.isnan(volt) else volt
         if volt >= LEAST_VOLTAGE:
             expected = limits.measured_voltage(volt, ampere)
-        if self._pulsed(limits):
+        most = max(self.sent, default=0.0)
+        if most - min(self.sent, default=0.0) > limits.allowed_deviation(most):
+            # They differ by more than a reading may: then no one reading says what they heat.
             mean = math.sqrt(fmean(limits.reading(sent) ** 2 for sent in self.sent))
             expected = limits.measured_voltage(mean, self._share * mean / limits.circuit)
         while len(self.sent) > 1:  # the last one holds on
@@ -301,12 +305,6 @@ class Wire:
         rests = max(heating, self._heating) < _RESTS and not any(self.commands)
         self._rested = self._rested + elapsed if rests else 0.0
         self._heating, self._powered = heating, stamp
-
-    def _pulsed(self, limits: Limits) -> bool:
-        """Whether the volts sent since the last reading differ by more than a reading may: then no
-        one reading says what they heat."""
-        most = max(self.sent, default=0.0)
-        return most - min(self.sent, default=0.0) > limits.allowed_deviation(most)
 
     def believed(self, limits: Limits) -> list[float]:
         """Volts and amperes for the model: what is beyond the limits is a fault by itself; one such
@@ -441,15 +439,15 @@ class Guard:
         self._wires = {channel: Wire(channel) for channel in channels}
         self._boards: dict[str, Lasting] = {side: {} for side in ("front", "back")}
         self.wanted = [f"{channel}/{kind}" for channel in self._wires for kind in feedback]
-        known = [f"{channel}/{kind}" for channel in self._wires for kind in _FEEDBACK]
+        known = [f"{channel}/{kind}" for channel in self._wires for kind in FEEDBACK]
         self._fresh = {name: Freshness(name, timeout) for name in (*self.wanted, *known)}
-        self._found: dict[str, str] = {}
-        self._recording = self.flowing = ""
+        self._found = {"recorder": ""}
+        self.flowing = ""
         """`flowing`: what flows though every output is off, "" for nothing"""
 
     def recorder(self, failure: str) -> None:
         """Note why the recorder failed (a full disk), "" when it records or nobody minds."""
-        self._recording = f"recording failed: {failure}" if failure else ""
+        self.found("recorder", f"recording failed: {failure}" if failure else "")
 
     def found(self, subject: str, reason: str) -> None:
         """Note what is wrong with a subject, "" for nothing."""
@@ -501,5 +499,4 @@ class Guard:
     def fault(self, now: float) -> str:
         """First reason not to drive the wires at `now` s, or ""."""
         stale = (self._fresh[name].fault(now) for name in self.wanted)
-        reasons = (self._recording, *self._found.values(), *stale)
-        return next((reason for reason in reasons if reason), "")
+        return next(filter(None, (*self._found.values(), *stale)), "")

@@ -113,12 +113,12 @@ def wire_gauges(parameters: Parameters, settings: Mapping[str, Any]) -> list[Wir
 
 # --- The report, once a second
 
-OK, WARN, ERROR = "ok", "warn", "error"
+OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 
 
 class Report(NamedTuple):
     name: str
-    level: str
+    level: int
     message: str
     values: dict[str, str]
 

@@ -9,7 +9,8 @@ incomplete loops. That is the law "contract". The law "extended" replaces what r
 material does not obey:
 
 - eps_L becomes H(sigma) = H_min + (H_sat - H_min)(1 - exp(-k sigma)), the current transformation
-  strain of Lagoudas (Shape memory alloys, 2008, ch. 3) without its critical stress;
+  strain of Lagoudas (Shape memory alloys, 2008, ch. 3) without its critical stress, as `wire.law`
+  extended has it (physics/laws/extended.py) with r = H_min/H_sat and sigma_o = 1/k;
 - A_s, A_f, M_s, M_f each have a slope of their own against stress, and each direction a bend,
   T = T_0 + slope sigma + bend sigma^2: by Clausius and Clapeyron dT/dsigma goes with the
   transformation strain, which is no constant;
@@ -43,6 +44,7 @@ from sma_bench.identify.result import Correlation, Experiment, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION
+from sma_bench.physics.laws.extended import grown
 from sma_bench.progress import Report, part, silent
 from sma_bench.records.instruments import STRONGEST, Branch, Cycle, IsobaricRecord
 
@@ -226,7 +228,9 @@ def fit_constitutive(
 
 def _grown(p: Mapping[str, float], s: float) -> float:
     """Transformation strain at the stress s, in units of the reference."""
-    return p["H_min"] + p["dH"] * (1.0 - math.exp(-p["k"] * s)) if "k" in p else p["eps_L"]
+    if "k" not in p:
+        return p["eps_L"]
+    return p["H_min"] + p["dH"] * float(grown(s, 0.0, 1.0 / p["k"]))
 
 
 def _slopes(law: Law, ends: Sequence[str]) -> list[str]:

@@ -15,7 +15,7 @@ from sma_bench.hardware.safety import Freshness, Guard
 from sma_bench.live.recording import Readiness
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import TUNING
-from sma_bench.protocols import TEMPERATURE, Protocol, Quantity, Segment, Waiting, load_protocol
+from sma_bench.protocols import TIP, Protocol, Quantity, Segment, Waiting, load_protocol
 
 IDLE, RUNNING, DONE, ABORTED = "idle", "running", "done", "aborted"
 # s that a start waits for a recorder's discovery of all topics and for readings in time; of their
@@ -28,7 +28,9 @@ _BEYOND = 1e4  # K or m: no reading, and one of them would leave a controller's 
 
 
 class OpenLoop:
-    """The voltages of a protocol."""
+    """The voltages of a protocol; `needs`: quantities without whose readings it does not drive."""
+
+    needs: Sequence[str] = ()
 
     def plan(self, settings: dict[str, Any], parameters: Parameters) -> Protocol:
         """What the next run follows; InputError: it cannot be followed."""
@@ -41,9 +43,8 @@ class OpenLoop:
         """Volts of every channel at `elapsed` s of the run."""
         return protocol.voltage(elapsed).tolist()
 
-    def fault(self, now: float) -> str:
-        """Why it cannot be followed now, or ""."""
-        return ""
+    def heard(self, quantity: str, channel: str, value: float) -> None:
+        """A reading: temperature [K] of a channel, deflection [m]."""
 
 
 class ClosedLoop(OpenLoop):
@@ -52,16 +53,16 @@ class ClosedLoop(OpenLoop):
 
     def __init__(
         self, quantity: Quantity, settings: dict[str, Any], parameters: Parameters,
-        follow: Callable[[Sequence[float]], None], freshness: Freshness | None = None,
+        follow: Callable[[Sequence[float]], None],
     ) -> None:
-        """`follow` hears each level that is wanted; without fresh readings, where there is a
-        `freshness`, it does not drive."""
+        """`follow` hears each level that is wanted."""
         # Controllers load the linear model, which an experiment with volts does without.
         from sma_bench.control import DeflectionController, TemperatureController
 
-        if quantity is TEMPERATURE and "temperature" not in settings["feedback"]:
+        if not (quantity.tip or "temperature" in settings["feedback"]):
             raise InputError("feedback: temperature control cannot do without temperature")
-        self._quantity, self._follow, self._freshness = quantity, follow, freshness
+        self._quantity, self._follow = quantity, follow
+        self.needs = ("deflection",) if quantity.tip else ()
         self._controller: Any = DeflectionController if quantity.tip else TemperatureController
         self._period = 1.0 / settings["command_rate"]
         self._asked: Sequence[float] | None = None
@@ -101,9 +102,6 @@ class ClosedLoop(OpenLoop):
             volts = self._law.step(wanted, readings, period)
         return list(volts.tolist())
 
-    def fault(self, now: float) -> str:
-        return self._freshness.fault(now) if self._freshness else ""
-
     def ask(
         self, levels: Sequence[float], followed: Protocol | None, parameters: Parameters
     ) -> str:
@@ -115,13 +113,10 @@ class ClosedLoop(OpenLoop):
             self._asked = levels
         return fault
 
-    def measured(self, name: str, value: float, stamp: float, now: float) -> None:
-        """A channel's temperature, or the tip's position, acquired at `stamp` s; a gap (the
-        camera's shutter) is bridged by the last one until that is stale."""
-        if abs(value) < _BEYOND:
-            self._readings[name] = value
-            if self._freshness:
-                self._freshness.seen(stamp, now)
+    def heard(self, quantity: str, channel: str, value: float) -> None:
+        """A gap (the camera's shutter) is bridged by the last reading until that is stale."""
+        if (quantity == "deflection") == self._quantity.tip:
+            self._readings[channel or TIP] = value
 
 
 @dataclass(frozen=True)
@@ -167,7 +162,9 @@ class Run:
         self._begin = self._progress_due = self._passed_over = self._time = 0.0
         self._started: float | None = None
         self._waiting: Waiting | None = None
-        self._readings: dict[str, Freshness] = {}
+        self._readings = {
+            name: Freshness(f"joint_states ({name})", feedback_timeout) for name in loop.needs
+        }
         self.state = self.said = IDLE
         self.protocol: Protocol | None = None
         self.step = ""
@@ -177,9 +174,10 @@ class Run:
         return self.state == RUNNING
 
     def heard(self, quantity: str, channel: str, value: float, stamp: float, now: float) -> None:
-        """A reading that a step may wait for: temperature [K] of a channel, deflection [m]."""
-        if not math.isfinite(value):
+        """A reading: temperature [K] of a channel, deflection [m]."""
+        if not abs(value) < _BEYOND:
             return
+        self._loop.heard(quantity, channel, value)
         name = " ".join(part for part in (quantity, channel) if part)
         fresh = self._readings.setdefault(name, Freshness(name, self._feedback_timeout))
         fresh.seen(stamp, now)
@@ -190,7 +188,8 @@ class Run:
         """Why the wires must not be driven now, or ""."""
         waiting = self._waiting if self.running else None
         missing = self._missing(waiting.protocol, now) if waiting else ""
-        return self._guard.fault(now) or self._loop.fault(now) or missing
+        needed = (self._readings[name].fault(now) for name in self._loop.needs)
+        return self._guard.fault(now) or next(filter(None, needed), "") or missing
 
     def obstacle(self, now: float) -> str:
         """What keeps the next run from starting, or ""."""

@@ -9,13 +9,7 @@ from typing import Any, ClassVar
 
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import (
-    FloatingPointRange,
-    IntegerRange,
-    ParameterDescriptor,
-    ParameterType,
-    SetParametersResult,
-)
+from rcl_interfaces import msg as rcl
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
@@ -53,10 +47,10 @@ class BenchNode(OverridableNode):
     def __init__(self, name: str) -> None:
         super().__init__(name)
         self.failure: InputError | None = None
-        self._claims = [claimed(self.get_fully_qualified_name())]
+        self.claims = [claimed(self.get_fully_qualified_name())]
         # Another clock in the middle of a run would spoil every stamp.
-        self.set_descriptor("use_sim_time", ParameterDescriptor(
-            name="use_sim_time", type=ParameterType.PARAMETER_BOOL, read_only=True,
+        self.set_descriptor("use_sim_time", rcl.ParameterDescriptor(
+            name="use_sim_time", type=rcl.ParameterType.PARAMETER_BOOL, read_only=True,
             description="Time is that of /clock.",
         ))
         self.simulated: bool = self.get_parameter("use_sim_time").value
@@ -83,16 +77,16 @@ class BenchNode(OverridableNode):
                 self._contract[own] = Parameter(own, p.unit, std or 0.0, about, "table", 0.0, 1e15)
         for p in (*self._contract.values(), *self._own.values()):
             unit = f" [{p.unit}]" if p.unit else ""
-            descriptor = ParameterDescriptor(
+            descriptor = rcl.ParameterDescriptor(
                 description=f"{p.description}{unit} Source: {p.provenance}.",
                 read_only=self.frozen or p.read_only,
             )
             if p.low is not None and p.high is not None:
                 ends = {"from_value": p.low, "to_value": p.high}
                 if p.kind == "integer":
-                    descriptor.integer_range = [IntegerRange(**ends)]
+                    descriptor.integer_range = [rcl.IntegerRange(**ends)]
                 else:
-                    descriptor.floating_point_range = [FloatingPointRange(**ends)]
+                    descriptor.floating_point_range = [rcl.FloatingPointRange(**ends)]
             value = list(p.default) if isinstance(p.default, tuple) else p.default
             try:
                 self.declare_parameter(p.name, value, descriptor)
@@ -145,10 +139,6 @@ class BenchNode(OverridableNode):
 
         for name, act in acts.items():
             self.create_service(Trigger, f"~/{name}", partial(answered, act))
-
-    def claim(self, what: str) -> None:
-        """Be the only one of machine and ROS domain that has it. Raises InputError: it is not."""
-        self._claims.append(claimed(what))
 
     def fail(self, error: InputError) -> None:
         """End the node after this callback, with the error's line and status 2: raised in it,
@@ -203,12 +193,14 @@ class BenchNode(OverridableNode):
 
     def destroy_node(self) -> None:
         super().destroy_node()
-        for claim in self._claims:
+        for claim in self.claims:
             claim.close()
 
     # --- changes of parameters -----------------------------------------------------------------
 
-    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+    def set_parameters_atomically(
+        self, parameter_list: list[RosParameter]
+    ) -> rcl.SetParametersResult:
         """As rclpy; but, that what `ros2 param dump` wrote may be loaded, what stays is no change,
         read-only or not, and 8e-06, of which that command makes a text, is a number."""
         changes = []
@@ -219,7 +211,7 @@ class BenchNode(OverridableNode):
                     p = RosParameter(p.name, value=float(p.value))
             if str(_plain(p.value)) != str(_plain(before)):
                 changes.append(p)
-        unchanged = SetParametersResult(successful=True)
+        unchanged = rcl.SetParametersResult(successful=True)
         return super().set_parameters_atomically(changes) if changes else unchanged
 
     def _load(self, *_: Any) -> None:
@@ -239,7 +231,7 @@ class BenchNode(OverridableNode):
         }
         return settings, Parameters(given)
 
-    def _check_change(self, changes: list[RosParameter]) -> SetParametersResult:
+    def _check_change(self, changes: list[RosParameter]) -> rcl.SetParametersResult:
         known = self._own.keys() | self._contract.keys()
         changed = {change.name: change.value for change in changes if change.name in known}
         try:
@@ -250,8 +242,8 @@ class BenchNode(OverridableNode):
             if self._own.keys() & changed.keys():
                 self.check_settings(settings)
         except InputError as error:
-            return SetParametersResult(successful=False, reason=shown(str(error)))
-        return SetParametersResult(successful=True)
+            return rcl.SetParametersResult(successful=False, reason=shown(str(error)))
+        return rcl.SetParametersResult(successful=True)
 
 
 def _plain(value: Any) -> Any:

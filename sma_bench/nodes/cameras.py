@@ -17,11 +17,6 @@ from sma_bench.hardware.thermal_image import ENCODING, SyntheticCamera, decode_f
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
 from sma_bench.ros.node import READINGS, BenchTopics, message_class, seconds_of, stamp_of
 
-_LEVELS = {
-    thermal_camera.OK: DiagnosticStatus.OK,
-    thermal_camera.WARN: DiagnosticStatus.WARN,
-    thermal_camera.ERROR: DiagnosticStatus.ERROR,
-}
 _FLAG_OPEN = 0
 
 
@@ -98,7 +93,7 @@ class IrCamera(BenchNode):
 
     def health(self) -> list[DiagnosticStatus]:
         return [
-            self.status(r.name, _LEVELS[r.level], r.message, r.values, "infrared camera")
+            self.status(r.name, bytes([r.level]), r.message, r.values, "infrared camera")
             for r in self._report.reports(time.monotonic())
         ]
 

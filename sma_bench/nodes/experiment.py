@@ -18,16 +18,15 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
-from sma_bench.hardware.safety import CELSIUS_ZERO, Freshness, Guard, Limits
+from sma_bench.hardware.safety import CELSIUS_ZERO, FEEDBACK, Guard, Limits
 from sma_bench.live.recording import BRIDGE, RECORDER, Readiness, recorder_failure
 from sma_bench.live.run import ABORTED, IDLE, ClosedLoop, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
 from sma_bench.physics.boundary import moves_tip
-from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, is_path
+from sma_bench.protocols import DEFLECTION, TEMPERATURE, TIP, Protocol, Quantity, is_path
 from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
-_FEEDBACK = ("power", "temperature")
 _WATCH_EVERY = 0.05  # s
 # Wall seconds for which readings of a simulation may stay away: a loaded machine may pause it, and
 # nothing is heated meanwhile.
@@ -38,12 +37,14 @@ _STEADY = 2.0  # s; whoever starts several benches keeps the readings of one for
 class ExperimentNode(BenchNode):
     """One protocol at a time; a controller, driving under the same rules, has another `loop`."""
 
-    def __init__(self, name: str = "experiment") -> None:
-        super().__init__(name)
+    called = "experiment"
+
+    def __init__(self) -> None:
+        super().__init__(self.called)
         settings, channels = self.settings, self.parameters["bench.channels"]
         for kind in settings["feedback"]:
-            if kind not in _FEEDBACK:
-                raise InputError(f"feedback: {kind!r}, expected {' or '.join(_FEEDBACK)}")
+            if kind not in FEEDBACK:
+                raise InputError(f"feedback: {kind!r}, expected {' or '.join(FEEDBACK)}")
         self._bench_clock, patience = self.get_clock(), _SIMULATION_PAUSE
         if not self.simulated:
             be_punctual(DRIVER)
@@ -143,11 +144,8 @@ class ExperimentNode(BenchNode):
     def on_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._joint)
         if position is not None:
-            self.measured(position, ros.seconds_of(message), time.monotonic())
-
-    def measured(self, deflection: float, stamp: float, now: float) -> None:
-        """A deflection or elongation in m, acquired at `stamp` s."""
-        self._run.heard("deflection", "", deflection, stamp, now)
+            stamp = ros.seconds_of(message)
+            self._run.heard("deflection", "", position, stamp, time.monotonic())
 
     def _tick(self) -> None:
         """One command for each moment of the bench. A simulated clock that leaps twice before the
@@ -196,15 +194,19 @@ class Controller(ExperimentNode):
     """`~/setpoint` says what is followed, `~/reference` asks for something else: one number a
     channel, or a single one, in SI units less `zero`."""
 
+    quantity: Quantity
     kind: type[Float64 | Float64MultiArray]
     zero = 0.0
     _loop: ClosedLoop
 
-    def __init__(self, name: str) -> None:
-        super().__init__(name)
+    def __init__(self) -> None:
+        super().__init__()
         self._setpoint = self.create_publisher(self.kind, "~/setpoint", ros.READINGS)
         # Asked for once, where readings come again: none may be lost.
         self.create_subscription(self.kind, "~/reference", self.on_reference, QoSProfile(depth=10))
+
+    def loop(self) -> ClosedLoop:
+        return ClosedLoop(self.quantity, self.settings, self.parameters, self.follow)
 
     def follow(self, levels: Sequence[float]) -> None:
         """Publish the setpoint, SI."""
@@ -223,34 +225,12 @@ class Controller(ExperimentNode):
 class TemperatureControllerNode(Controller):
     """Holds wires at temperatures (E8): one PI a wire; degrees Celsius on the topics."""
 
+    called, quantity = "temperature_controller", TEMPERATURE
     kind, zero = Float64MultiArray, CELSIUS_ZERO
-
-    def __init__(self) -> None:
-        super().__init__("temperature_controller")
-
-    def loop(self) -> ClosedLoop:
-        return ClosedLoop(TEMPERATURE, self.settings, self.parameters, self.follow)
-
-    def on_temperature(self, channel: str, message: Temperature) -> None:
-        super().on_temperature(channel, message)
-        kelvin = message.temperature + CELSIUS_ZERO
-        self._loop.measured(channel, kelvin, ros.seconds_of(message), time.monotonic())
 
 
 class DeflectionControllerNode(Controller):
     """Moves a bench as wanted: the position in joint_states to voltage_command. Without fresh
     deflections it does not drive, as without fresh readings of the wires."""
 
-    kind = Float64
-
-    def __init__(self) -> None:
-        super().__init__("deflection_controller")
-
-    def loop(self) -> ClosedLoop:
-        joint = TIP if moves_tip(self.parameters) else "wire"
-        freshness = Freshness(f"joint_states {joint}", self._feedback_timeout)
-        return ClosedLoop(DEFLECTION, self.settings, self.parameters, self.follow, freshness)
-
-    def measured(self, deflection: float, stamp: float, now: float) -> None:
-        super().measured(deflection, stamp, now)
-        self._loop.measured(TIP, deflection, stamp, now)
+    called, quantity, kind = "deflection_controller", DEFLECTION, Float64

@@ -123,12 +123,11 @@ class Recorder(BenchNode):
             if topic in self._recording.topics or not self._recording.add(topic, kind):
                 continue
             # The most that every present publisher of the topic offers.
-            offered = [info.qos_profile for info in self.get_publishers_info_by_topic(topic)]
-            qos = QoSProfile(depth=_IMAGE_DEPTH if kind == IMAGE else _DEPTH)
-            if any(q.reliability != ReliabilityPolicy.RELIABLE for q in offered):
-                qos.reliability = ReliabilityPolicy.BEST_EFFORT
-            if all(q.durability == DurabilityPolicy.TRANSIENT_LOCAL for q in offered):
-                qos.durability = DurabilityPolicy.TRANSIENT_LOCAL
+            qos = QoSProfile(
+                depth=_IMAGE_DEPTH if kind == IMAGE else _DEPTH,
+                reliability=ReliabilityPolicy.BEST_AVAILABLE,
+                durability=DurabilityPolicy.BEST_AVAILABLE,
+            )
             heard = partial(self._write, topic)
             self.create_subscription(message_class(kind), topic, heard, qos, raw=True)
             self.get_logger().info(f"recording {topic}")

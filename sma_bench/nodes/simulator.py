@@ -9,10 +9,11 @@ from rclpy.subscription import Subscription
 from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Float64MultiArray
 
+from sma_bench.border import claimed
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.live.virtual_bench import REAL_TIME, STANDS, GroupReading, Lockstep, VirtualBench
-from sma_bench.nodes.base import BenchNode
+from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.ros.node import COMMAND, NANOSECONDS, READINGS, BenchTopics, Commanders
 
@@ -37,7 +38,7 @@ class Simulator(BenchNode):
         if self._fast:
             # Two times on one topic would spoil the records of both benches without a word.
             try:
-                self.claim(self.resolve_topic_name(_CLOCK))
+                self.claims.append(claimed(self.resolve_topic_name(_CLOCK)))
             except InputError as error:
                 reason = f"{error}; above real time each bench needs its own domain"
                 raise InputError(reason) from None
@@ -48,6 +49,8 @@ class Simulator(BenchNode):
         self._slice = round(slice_length * NANOSECONDS)
         self._now, self._epoch, self._begun = 0, time.time_ns(), 0  # ns, since the start, of that
         self._bench = VirtualBench(self.parameters, self.settings)
+        if not self._fast:  # what it stands in for is never late
+            be_punctual(BRIDGE)
         channels, composite = self._bench.channels, self._bench.composite
         self._topics = BenchTopics(
             self, channels, (*channels, "ambient"), ("front", "back") if composite else (),

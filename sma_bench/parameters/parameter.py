@@ -135,7 +135,7 @@ EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
 
 Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
 LOAD_KINDS = ("clamped", "displacement", "force", "spring", "antagonist", "beam")
-LAWS = ("cosine", "exponential", "logistic", "normal")
+LAWS = ("cosine", "exponential", "logistic", "normal", "brinson", "extended")
 CHOICES = {  # of texts; "" is what `parameters.load_kind` finds by the channels
     "load.kind": ("", *LOAD_KINDS), "bench.drive": ("voltage", "duty", "current"),
     "wire.law": LAWS, "wire.convection": ("constant", "free"),

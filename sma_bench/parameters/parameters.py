@@ -27,6 +27,12 @@ ORDERED = (
     ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
     ("wire.martensite_finish_temperature", "wire.martensite_start_temperature"),
 )
+# Laws of which the load decides the strain: from which stress on, or how much without; how fast.
+ORIENTING = {
+    "brinson": ("wire.detwinning_start_stress", "wire.detwinning_stress_range"),
+    "extended": ("wire.least_strain_share", "wire.orientation_stress"),
+}
+OF_NORMAL = ("wire.end_length", "wire.transition_skew")  # 0 with any other law
 SMOOTHER = ("wire.transition_spread", "wire.transition_tail")  # of the cosine law
 LOAD_NEEDS = {"spring": ("load.stiffness",)}
 
@@ -153,9 +159,10 @@ class Parameters(Mapping[str, Value]):
                 return f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
         if self["wire.law"] != "cosine" and (fault := self._fault_of_law()):
             return fault
-        if self["wire.end_length"] > 0.0 and self["wire.law"] != "normal":
-            value = f"wire.end_length is {self['wire.end_length']:g} m"
-            return f"{value} with wire.law {self['wire.law']}, expected 0, or law normal"
+        for name in OF_NORMAL if self["wire.law"] != "normal" else ():
+            if self[name] != 0.0:
+                value = f"{name} is {self[name]:g}{' m' * (BY_NAME[name].unit == 'm')}"
+                return f"{value} with wire.law {self['wire.law']}, expected 0, or law normal"
         kind, used = load_kind(self), len(set(sides))
         for name in LOAD_NEEDS.get(kind, ()):
             if self[name] <= 0.0:

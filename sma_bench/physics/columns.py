@@ -20,6 +20,10 @@ _WIRE = {
         "AUSTENITE_SPREAD", "MARTENSITE_SPREAD", "TAIL",  # of the ramps, which run from 0 to 1
         "LAW", "GROUPS", "SHARPNESS",  # its number; of laws/normal.py number, 1/s and of each play
         *["CENTRES"] * PLAYS, *["HALF_WIDTHS"] * PLAYS, *["SHARES"] * PLAYS, *["WARMTH"] * PLAYS,
+        "SKEW",  # of the centres' distribution
+        # of orientation.py: D by stress, the moduli and expansion that a step may change
+        "ORIENTS_FROM", "ORIENTS_WITHIN", "MISMATCH", "AUSTENITE_STIFF", "MARTENSITE_STIFF",
+        "EXPANDS", "R_STRAIN", "R_END", "R_RANGE",  # r_phase.py: strain, K, K
         "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
         "CONVECTION", "CONVECTION_EXPONENT", "RADIATION",  # of free convection, W/K, 1, W/K4
         "CURRENT_DRIVEN", "PRESTRETCH",  # by a current source; strain at which it is mounted
@@ -28,10 +32,11 @@ _WIRE = {
     "state": (
         "TEMPERATURE", "FRACTION", "STRESS", "TREND", "CHANGE", "PHASE_REVERSED", "OWN_REVERSED",
         "OTHER_REVERSED", "OTHER_POSITION_REVERSED", "CLOCK", "READING", "RETREAT",
-        *["PLAY"] * PLAYS,
+        *["PLAY"] * PLAYS, "ORIENTED", "STRESS_BEFORE",
     ),
     # temperature = START + LAG xi; OFFSET is strain beyond the contract's
-    "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET", "STRETCHED"),
+    "scratch": ("DECAY", "LAG", "START", "GUESS", "STEP", "COUPLING", "OFFSET", "STRETCHED",
+                "FOLLOWS", "BEGUN", "DETWINS"),
 }
 _SIDE = {
     # sum of stresses = LOAD + STIFFNESS e, or e is PRESCRIBED; if COUPLED, the sum less that

@@ -32,6 +32,7 @@ from importlib import import_module
 from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics import columns as at
+from sma_bench.physics import orientation, r_phase
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.matrix_thermal_mass import look_beside, warm_together
 from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, resist, yield_sign
@@ -190,6 +191,8 @@ def finish_wire(wires, sides, i, fraction_before, step):
     """Silicone, cycles and reading of wire i after a step."""
     if wires[i, at.RETURN_POINT] != 0.0:
         close_loops(wires, i)
+    if wires[i, at.LAW] >= orientation.FIRST:
+        orientation.after_step(wires, i)
     after_step(wires, i, fraction_before, step)
     if wires[i, at.READ_OTHERWISE] > 0.0:
         wires[i, at.READING] = read(wires, i, see(wires, sides, i), step)
@@ -369,6 +372,10 @@ def heat(wires, voltage, k, step):
         wires[i, at.START] -= wires[i, at.LAG] * wires[i, at.FRACTION]
         if wires[i, at.EVOLVES] > 0.0:
             wires[i, at.OFFSET] = wires[i, at.PRESTRETCH] + added_strain(wires, i)
+            if wires[i, at.LAW] >= orientation.FIRST:
+                wires[i, at.OFFSET] += orientation.orient(wires, i)
+            if wires[i, at.R_STRAIN] != 0.0:
+                wires[i, at.OFFSET] -= r_phase.strain(wires, i)
 
 
 @borrowing

@@ -10,11 +10,12 @@ from sma_bench.compiled import warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECTS
+from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
-from sma_bench.physics import core, material
+from sma_bench.physics import core, material, orientation
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
 from sma_bench.physics.convection import note_free
-from sma_bench.physics.laws import law_of, normal, number_of
+from sma_bench.physics.laws import extended, law_of, normal, number_of
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
 # --- The state of a bench between two samples, and the state it starts from.
@@ -83,6 +84,7 @@ def _balanced(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bounda
     """The state with the contraction at which stresses and boundary agree."""
     side, sides = side_of_channels(parameters), len(side_names(parameters))
     prestretch = boundary.stretch_of_wires(parameters)
+    parameters = orientation.as_oriented(parameters, float(prestretch.mean()))
     if boundary.contraction is not None:
         contraction = per_side("contraction", boundary.contraction, sides)
     else:
@@ -134,6 +136,12 @@ _NUMBERS: dict[str, list[tuple[int, str]]] = {
         (at.RECOVERABLE_STRAIN, "wire.maximum_recoverable_strain"),
         (at.FULL_STRAIN, "wire.maximum_recoverable_strain"),
         (at.EXPANSION, "wire.thermal_expansion_factor"),
+        (at.AUSTENITE_STIFF, "wire.austenite_modulus"),
+        (at.MARTENSITE_STIFF, "wire.martensite_modulus"),
+        (at.EXPANDS, "wire.thermal_expansion_factor"),
+        (at.SKEW, "wire.transition_skew"),
+        (at.R_STRAIN, "wire.r_phase_strain"),
+        (at.R_RANGE, "wire.r_phase_range"),
     ],
     "side": [],
 }
@@ -150,7 +158,7 @@ for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
 
 
 def wire_rows(p: Parameters, boundary: Boundary) -> Array:
-    """(w, WIRE_COLUMNS) constants of every wire; states are 0."""
+    """(w, WIRE_COLUMNS) constants of every wire; states are 0, but for what a load orients."""
     side = side_of_channels(p)
     row = np.zeros(at.WIRE_COLUMNS)
     for column, number in _NUMBERS["wire"]:
@@ -167,6 +175,12 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
         ):
             row[first : first + count] = numbers
         row[at.GROUPS], row[at.SHARPNESS] = count, 1.0 / deviation
+    elif p["wire.law"] in ORIENTING:
+        row[at.ORIENTS_FROM], row[at.ORIENTS_WITHIN] = (p[n] for n in ORIENTING[p["wire.law"]])
+        row[at.MISMATCH], row[at.EVOLVES] = extended.mismatch(p), 1.0
+    if p["wire.r_phase_strain"] != 0.0:
+        row[at.EVOLVES] = 1.0
+        row[at.R_END] = p["wire.r_phase_temperature"] + 0.5 * p["wire.r_phase_range"]
     if p["wire.convection"] == "free":
         note_free(row, p)
     row[at.HEATING] = 1.0 / (heated_resistance(p) * heat_loss(p))
@@ -191,6 +205,8 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
         row[shift] = max(1.0 / p[f"wire.stress_influence_{phase}"] + added, 0.0)
     wires = np.tile(row, (side.size, 1))
     wires[:, at.SIDE], wires[:, at.PRESTRETCH] = side, boundary.stretch_of_wires(p)
+    wires[:, at.ORIENTED] = orientation.at_rest(p, wires[:, at.PRESTRETCH])
+    wires[:, at.PRESTRETCH] -= row[at.FULL_STRAIN] * (1.0 - wires[:, at.ORIENTED])
     # Between unequal numbers of wires: what one side gives, the other gets.
     if row[at.ACROSS]:
         own = np.bincount(side)[side]
@@ -250,6 +266,7 @@ class Kernel:
             wires[:, at.WIRE_STATE :], sides[:, at.SIDE_STATE :] = state.memory
         else:
             wires[:, at.FRACTION], wires[:, at.STRESS] = state.martensite_fraction, state.stress
+            wires[:, at.ORIENTED] *= state.martensite_fraction
             wires[:, at.MOST_AUSTENITE] = 1.0 - state.martensite_fraction
             sides[:, at.PASSIVE_FRACTION] = 1.0
             for column in (at.CONTRACTION, at.BENDING, *range(at.RELAXED, at.RELAXED + 3)):

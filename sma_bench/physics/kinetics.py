@@ -14,10 +14,10 @@ from sma_bench.physics.effects.partial_transformation import (
 )
 from sma_bench.physics.effects.transformation_law import mixed
 from sma_bench.physics.effects.transition_drift import drifts, shift_transition
-from sma_bench.physics.laws import cosine, exponential, logistic, normal
+from sma_bench.physics.laws import brinson, cosine, exponential, extended, logistic, normal
 from sma_bench.physics.material import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
 
-EXPONENTIAL, LOGISTIC, NORMAL = (LAWS.index(n) for n in ("exponential", "logistic", "normal"))
+_, EXPONENTIAL, LOGISTIC, NORMAL, BRINSON, EXTENDED = range(len(LAWS))
 SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
 
@@ -66,19 +66,37 @@ def any_ramp(wires, i, position, spread):
         return logistic.ramp(position)
     if law == NORMAL:
         return normal.ramp(position)
+    if law == EXTENDED:
+        return extended.ramp(position)
     return cosine_ramp(wires, i, position, spread)
 
 
 @inlined
-def positions(wires, i, temperature, stress):
-    """Where T, sigma lie on the ramps f and g."""
-    of_f = wires[i, at.AUSTENITE_FINISH] - temperature + stress * wires[i, at.AUSTENITE_SHIFT]
-    of_g = temperature - stress * wires[i, at.MARTENSITE_SHIFT] - wires[i, at.MARTENSITE_FINISH]
+def itself(wires, i, stress):
+    """Stress that shifts the range of heating, its slope, the same of cooling: all of it."""
+    return stress, 1.0, stress, 1.0
+
+
+@borrowing
+def any_shifting(wires, i, stress):
+    """As `itself`, by wire i's law, whichever it is."""
+    if wires[i, at.LAW] == BRINSON:
+        return brinson.shifting(wires, i, stress)
+    if wires[i, at.LAW] == EXTENDED:
+        return extended.shifting(wires, i, stress)
+    return stress, 1.0, stress, 1.0
+
+
+@inlined
+def positions(wires, i, temperature, on_f, on_g):
+    """Where T lies on the ramps f and g, by the stresses that shift these."""
+    of_f = wires[i, at.AUSTENITE_FINISH] - temperature + on_f * wires[i, at.AUSTENITE_SHIFT]
+    of_g = temperature - on_g * wires[i, at.MARTENSITE_SHIFT] - wires[i, at.MARTENSITE_FINISH]
     return of_f * wires[i, at.AUSTENITE_SLOPE], of_g * wires[i, at.MARTENSITE_SLOPE]
 
 
-def rule_of(ramp):
-    """The rule of material.py for a law's ramp."""
+def rule_of(ramp, shifting):
+    """The rule of material.py for a law's ramp, and the stresses by which its ranges shift."""
 
     @inlined
     def phase_left(wires, i, own, other, own_spread, other_spread):
@@ -118,7 +136,8 @@ def rule_of(ramp):
     @inlined
     def by_rule(wires, i, temperature, stress):
         """xi of wire i by the rule of material.py, d xi/dT and d xi/d sigma."""
-        of_f, of_g = positions(wires, i, temperature, stress)
+        on_f, f_slope, on_g, g_slope = shifting(wires, i, stress)
+        of_f, of_g = positions(wires, i, temperature, on_f, on_g)
         f_spread, g_spread = wires[i, at.AUSTENITE_SPREAD], wires[i, at.MARTENSITE_SPREAD]
         # One call, as all this is compiled into every loop that solves for xi.
         rising = wires[i, at.TREND] > 0.0
@@ -130,13 +149,14 @@ def rule_of(ramp):
             xi, by_f, by_g = 1.0 - xi, -by_g, -by_f
         by_f *= wires[i, at.AUSTENITE_SLOPE]
         by_g *= wires[i, at.MARTENSITE_SLOPE]
-        by_stress = by_f * wires[i, at.AUSTENITE_SHIFT] - by_g * wires[i, at.MARTENSITE_SHIFT]
+        by_stress = by_f * wires[i, at.AUSTENITE_SHIFT] * f_slope
+        by_stress -= by_g * wires[i, at.MARTENSITE_SHIFT] * g_slope
         return xi, by_g - by_f, by_stress
 
     return by_rule
 
 
-by_cosine, by_any_ramp = rule_of(cosine_ramp), rule_of(any_ramp)
+by_cosine, by_any_ramp = rule_of(cosine_ramp, itself), rule_of(any_ramp, any_shifting)
 
 
 @borrowing
@@ -156,13 +176,20 @@ def fraction(wires, i, temperature, stress):
     return by_cosine(wires, i, temperature, stress)
 
 
+@inlined
+def present_positions(wires, i):
+    """Where wire i lies on its ramps."""
+    on_f, _, on_g, _ = any_shifting(wires, i, wires[i, at.STRESS])
+    return positions(wires, i, wires[i, at.TEMPERATURE], on_f, on_g)
+
+
 @borrowing
 def reverse(wires, i, trend):
     """Make the present state of wire i the state of the last reversal."""
     if drifts(wires, i):
         wires[i, at.TURNED_CYCLES] = wires[i, at.CYCLES]
         shift_transition(wires, i)
-    of_f, of_g = positions(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
+    of_f, of_g = present_positions(wires, i)
     f = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
     g = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
     rising = trend > 0.0
@@ -179,7 +206,7 @@ def reverse(wires, i, trend):
 @borrowing
 def close_loops(wires, i):
     """After a step: forget the loops that wire i has run out of."""
-    of_f, of_g = positions(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
+    of_f, of_g = present_positions(wires, i)
     if wires[i, at.TREND] > 0.0:
         share = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
     else:

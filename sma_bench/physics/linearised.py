@@ -28,12 +28,14 @@ from sma_bench.physics import material
 from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names, side_of_channels
 from sma_bench.physics.effects import active_effects
 from sma_bench.physics.kernel import State, initial_state
-from sma_bench.physics.laws import law_of
+from sma_bench.physics.laws import law_of, shifting_stress
+from sma_bench.physics.orientation import as_oriented
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 Branch = Literal["heating", "cooling"]
 
-BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "load.friction")  # eqs. (4), (10), (11)
+# Beyond eqs. (4), (10), (11).
+BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "wire.r_phase_strain", "load.friction")
 _AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
 # Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
 _RANGES: dict[Branch, tuple[str, str, str]] = {
@@ -87,7 +89,8 @@ class SideModel:
             load += float(np.sum(material.stress(kelvin, xi, -stretch, parameters)))
             lever *= 2.0  # both sides move
         wires = int((side_of_channels(parameters) == number).sum())
-        return cls(parameters, wires, stiffness, load, lever, prestretch)
+        own = as_oriented(parameters, prestretch)
+        return cls(own, wires, stiffness, load, lever, prestretch)
 
     def wire_stress(self, contraction: float) -> float:
         """sigma [Pa] of one wire that the boundary asks for at a contraction."""
@@ -111,7 +114,8 @@ class SideModel:
         """T [K] and xi at a contraction along a branch; the end of the transformation beyond it,
         and before it what the thermal stress alone does."""
         start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
-        shift, heating = self.wire_stress(contraction) / influence, branch == "heating"
+        heating, stress = branch == "heating", self.wire_stress(contraction)
+        shift = shifting_stress(stress, self.parameters)[0 if heating else 1] / influence
         position = law_of(self.parameters).position
 
         # The stress of a wire at each fraction, at the temperature that it has there.

@@ -32,7 +32,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics.effects.phase_dependent_resistance import LEAST
 from sma_bench.physics.effects.transformation_law import mixture
-from sma_bench.physics.laws import law_of
+from sma_bench.physics.laws import law_of, shifting_stress
 
 # Of `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
 # normal distribution of the same deviation is cut off, in deviations.
@@ -47,7 +47,7 @@ def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parame
     (10) between; of another `wire.law` as its file has it."""
     start = parameters["wire.austenite_start_temperature"]
     finish = parameters["wire.austenite_finish_temperature"]
-    shift = np.asarray(stress, float) / parameters["wire.stress_influence_austenite"]
+    shift = shifting_stress(stress, parameters)[0] / parameters["wire.stress_influence_austenite"]
     below = finish - np.asarray(temperature, float) + shift
     return _smooth_ramp(below, finish - start, parameters)
 
@@ -56,7 +56,7 @@ def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Param
     """g(T [K], sigma [Pa]): 0 below M_f + sigma/C_M, 1 above M_s + sigma/C_M, 1 less eq. (11)."""
     start = parameters["wire.martensite_start_temperature"]
     finish = parameters["wire.martensite_finish_temperature"]
-    shift = np.asarray(stress, float) / parameters["wire.stress_influence_martensite"]
+    shift = shifting_stress(stress, parameters)[1] / parameters["wire.stress_influence_martensite"]
     above = np.asarray(temperature, float) - shift - finish
     return _smooth_ramp(above, start - finish, parameters)
 

@@ -104,7 +104,7 @@ class NodeCalls:
         answer = self._call(f"{node}/set_parameters", SetParameters, request, timeout)
         for name, result in zip(values, answer.results, strict=True):
             if not result.successful:
-                raise InputError(f"{node}: {name}: {result.reason}")
+                raise InputError(f"{node}: {name}: {shown(result.reason)}")
 
     def _call(self, service: str, kind: Any, request: Any, timeout: float) -> Any:
         client = self.know(service, kind)

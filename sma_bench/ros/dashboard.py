@@ -5,20 +5,18 @@ Topics, services and parameters are looked for below a namespace, again and agai
 
 import math
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterType, ParameterValue
-from rcl_interfaces.srv import GetParameters, SetParameters
+from rcl_interfaces.srv import GetParameters
 from rclpy.client import Client
-from rclpy.exceptions import InvalidNamespaceException
-from rclpy.parameter import Parameter as RosParameter
 from rclpy.qos import QoSProfile
-from rclpy.validate_namespace import validate_namespace
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
@@ -29,18 +27,17 @@ from sma_bench.errors import InputError
 from sma_bench.live.recording import recorder_state
 from sma_bench.records.contract import BATTERY_STATE, JOINT_SIGNALS, MULTI_ARRAY, STRING, place_of
 from sma_bench.ros import node as ros
+from sma_bench.ros.bench_client import NodeCalls
 
 _LOOK_EVERY, _ASK_EVERY, _SPIN, _PATIENCE = 0.5, 2.0, 0.05, 5.0  # s
 _ASKED = ["bench.channels", *LIMITS]  # which only nodes with limits of the bench know
-_LEVELS = {
-    DiagnosticStatus.OK: "ok", DiagnosticStatus.WARN: "warning",
-    DiagnosticStatus.ERROR: "error", DiagnosticStatus.STALE: "stale",
-}
+_LEVELS = "ok", "warning", "error", "stale"  # of a DiagnosticStatus, from 0
 _RECORDER = "recorder"
 _WORK = {"identify": "identification", "diagnose": "diagnosis"}
 _SERVICES = {
-    "stop": Trigger, "get_parameters": GetParameters, "set_parameters": SetParameters,
-    **dict.fromkeys(_WORK, Trigger),
+    **dict.fromkeys(("stop", *_WORK), "std_srvs/srv/Trigger"),
+    "get_parameters": "rcl_interfaces/srv/GetParameters",
+    "set_parameters": "rcl_interfaces/srv/SetParameters",
 }
 _READINGS = ("power", "temperature", "range", "joint_states")
 _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMBER_OR_NULL}
@@ -57,6 +54,7 @@ class DashboardNode(ros.OverridableNode):
         self._inside = self.get_namespace().rstrip("/") + "/"
         self._listened: set[str] = set()
         self._callable: dict[tuple[str, str], Client] = {}  # by service and node
+        self._calls = NodeCalls(self, lambda: time.sleep(_SPIN))
         self._reported: dict[str, dict[str, float]] = {}
         self._channels: tuple[str, ...] = ()
         self._commanded = 0
@@ -95,15 +93,7 @@ class DashboardNode(ros.OverridableNode):
         if kind not in self._works() or not records:
             why = "no records given" if kind in self._works() else f"no node here does {kind}"
             raise InputError(why)
-        chosen = RosParameter("record", value=records).to_parameter_msg()
-        request, is_set = SetParameters.Request(parameters=[chosen]), threading.Event()
-        setting = self._callable["set_parameters", _WORK[kind]].call_async(request)
-        setting.add_done_callback(lambda _: is_set.set())
-        if not is_set.wait(_PATIENCE):
-            raise InputError("the node does not answer")
-        result = setting.result().results[0]
-        if not result.successful:
-            raise InputError(shown(result.reason))
+        self._calls.set_parameters(_WORK[kind], {"record": records}, _PATIENCE)
 
         def worked(response: rclpy.Future) -> None:
             result = response.result()
@@ -137,14 +127,15 @@ class DashboardNode(ros.OverridableNode):
                 elsewhere.add(place.namespace)
         for service, types in self.get_service_names_and_types():
             node, _, what = service.removeprefix(self._inside).rpartition("/")
-            kind = _SERVICES.get(what)
-            if not service.startswith(self._inside) or kind is None or not _is_of(kind, types):
+            kind = _SERVICES.get(what, "")
+            if not service.startswith(self._inside) or kind not in types:
                 continue
             wanted = node in _WORK.values() or what in ("stop", "get_parameters")
             # The recorder's stop ends the record, and drives nothing.
             new = (what, node) not in self._callable and node not in (self.get_name(), _RECORDER)
             if wanted and new and len(self._callable) < _MOST_CLIENTS:
-                self._callable[what, node] = self.create_client(kind, service)
+                client = self._calls.know(f"{node}/{what}", ros.message_class(kind))
+                self._callable[what, node] = client
         # Of which nodes nothing more will come: their last words stay latched here.
         there = [t for t in self._listened if t.endswith("/state") and self.count_publishers(t)]
         nodes = {t.removeprefix(self._inside).rpartition("/")[0] for t in there}
@@ -252,16 +243,10 @@ class DashboardNode(ros.OverridableNode):
         heard, own = self.state.clock(), {}
         for status in message.status:
             if status.name.startswith(self._inside):
-                level = _LEVELS.get(status.level, "error")
+                level = dict(enumerate(_LEVELS)).get(status.level[0], "error")
                 said = {"level": level, "message": shown(status.message), "heard": heard}
                 own[shown(status.name.removeprefix(self._inside))] = said
         self.state.merge("diagnostics", own)
-
-
-def _is_of(kind: type, types: list[str]) -> bool:
-    """Whether a topic or service of these types has this one."""
-    package, room = kind.__module__.split(".")[:2]
-    return f"{package}/{room}/{kind.__name__}" in types
 
 
 @contextmanager
@@ -271,11 +256,6 @@ def listening_node(
 ) -> Iterator[DashboardNode]:
     """A node that listens in a thread of its own; `on_failure` is called there if it dies. Raises
     InputError: no such namespace can be, or ROS refuses its arguments."""
-    try:
-        validate_namespace(namespace)
-    except InvalidNamespaceException as error:
-        reason = str(error).splitlines()[0].removesuffix(":")
-        raise InputError(f"dashboard: namespace {namespace!r}: {reason}") from None
     ros.start_ros(ros_arguments)
     node, ended = DashboardNode(namespace, state), threading.Event()
 

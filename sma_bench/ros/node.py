@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import rclpy
-from rclpy.exceptions import ParameterException
+from rclpy.exceptions import InvalidNamespaceException, ParameterException
 from rclpy.impl.implementation_singleton import rclpy_implementation as rcl
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -100,8 +100,8 @@ class OverridableNode(Node):
     def __init__(self, name: str, **options: Any) -> None:
         try:
             super().__init__(name, cli_args=self.own_arguments, **options)
-        except (rcl.RCLError, rcl.UnknownROSArgsError) as error:
-            raise InputError(" ".join(str(error).split())) from None
+        except (rcl.RCLError, rcl.UnknownROSArgsError, InvalidNamespaceException) as error:
+            raise InputError(" ".join(str(error).rstrip("^ ").split())) from None
         self._ros_is_ready = True
 
     def create_publisher(self, *what: Any, newest: bool = False, **options: Any) -> Publisher:
@@ -198,9 +198,9 @@ class BenchTopics:
 
 
 def message_class(kind: str) -> Any:
-    """Of a type's name, `std_msgs/msg/String`."""
-    package, _, name = kind.split("/")
-    return getattr(importlib.import_module(f"{package}.msg"), name)
+    """Of a type's name, `std_msgs/msg/String`; a service's, too."""
+    package, room, name = kind.split("/")
+    return getattr(importlib.import_module(f"{package}.{room}"), name)
 
 
 def stamp_of(message: Any) -> int:

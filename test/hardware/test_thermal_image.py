@@ -8,7 +8,7 @@ import thermal_scene
 
 from sma_bench.errors import InputError
 from sma_bench.hardware import thermal_image
-from sma_bench.hardware.thermal_camera import CameraReport, FrameJudge, wire_gauges
+from sma_bench.hardware.thermal_camera import ERROR, OK, WARN, CameraReport, FrameJudge, wire_gauges
 from sma_bench.hardware.thermal_image import Surface, SyntheticCamera, SyntheticWire
 from sma_bench.hardware.thermal_wire import WireReading
 from sma_bench.parameters import Parameters
@@ -149,12 +149,12 @@ def reporting(frames, reading=GOOD):
 def test_a_running_camera_gives_its_rates_and_its_silence_is_an_error_that_grows():
     report, end = reporting(80)
     camera, wire = report.reports(end)
-    assert (camera.level, camera.message) == ("ok", "running")
+    assert (camera.level, camera.message) == (OK, "running")
     assert camera.values["frame_rate"] == "80.0" == wire.values["reading_rate"]
     assert camera.values["latency_mean_s"] == "0.0040"
     assert wire.message == "80.0 degC +- 0.8" and wire.values["standard_deviation_K"] == "0.80"
     camera, wire = report.reports(end + 1.0)
-    assert camera.level == wire.level == "error" and camera.values["frame_rate"] == "0.0"
+    assert camera.level == wire.level == ERROR and camera.values["frame_rate"] == "0.0"
     assert camera.message == "no frame for 1.0 s" and wire.message == "no good frames"
     said = [r.message for r in reporting(0)[0].reports(102.0)]
     assert said == ["no frame for 2.0 s since the start", "no frame yet"]
@@ -165,16 +165,16 @@ def test_held_frames_and_wires_are_counted_and_an_error_once_all_are_held():
     report.arrived(end)
     report.held("shutter: the flag covers the detector")
     camera, _ = report.reports(end)
-    assert camera.level == "warn" and "1 of 9 frames held: shutter" in camera.message
+    assert camera.level == WARN and "1 of 9 frames held: shutter" in camera.message
     for k in range(40):
         report.arrived(end + k / 80.0)
         report.held("frozen: frame equal to the one before")
     camera, wire = report.reports(end + 0.5)
-    assert camera.level == wire.level == "error" and camera.message.startswith("frozen: ")
+    assert camera.level == wire.level == ERROR and camera.message.startswith("frozen: ")
     assert camera.values["held_frozen"] == "40" and camera.values["held_shutter"] == "1"
     report, end = reporting(8, UNSEEN)
     camera, wire = report.reports(end)
-    assert (camera.level, wire.level, wire.message) == ("ok", "error", UNSEEN.reason)
+    assert (camera.level, wire.level, wire.message) == (OK, ERROR, UNSEEN.reason)
     assert wire.values["held_readings"] == "8" and wire.values["reading_rate"] == "0.0"
 
 

@@ -63,17 +63,29 @@ def test_cold_ends_are_late_and_close_their_loops():
         of_law(wire, "cosine").replace({"wire.end_length": 0.004})
 
 
+def shifting(law, sigma):
+    """Stresses [Pa] by which the ranges of heating and of cooling shift."""
+    if law == "brinson":
+        return sigma, max(sigma - 100e6, 0.0)
+    if law == "extended":
+        softer = 1.0 / 22.8e9 - 1.0 / 55.4e9
+        return (sigma * (1.0 - np.exp(-sigma / 50e6) + softer * sigma / 0.044 / 2.0),) * 2
+    return sigma, sigma
+
+
 @pytest.mark.parametrize("sigma", [0.0, 120e6])
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_has_the_same_four_temperatures_shifted_by_stress(law, sigma):
     kelvin, xi = led(of_law(STOCK, law), (420.0, 297.0), sigma)
     top = int(np.argmax(kelvin))
     a_s, a_f, m_s, m_f = GRADE.values()
+    hot, cold = shifting(law, sigma)
     found = [
-        np.interp([a_s + sigma / C_A, a_f + sigma / C_A], kelvin[:top], xi[:top]),
-        np.interp([m_s + sigma / C_M, m_f + sigma / C_M], kelvin[:top:-1], xi[:top:-1]),
+        np.interp([a_s + hot / C_A, a_f + hot / C_A], kelvin[:top], xi[:top]),
+        np.interp([m_s + cold / C_M, m_f + cold / C_M], kelvin[:top:-1], xi[:top:-1]),
     ]
-    ends = {"cosine": (1.0, 0.0), "exponential": (1.0, 0.025)}.get(law, (0.975, 0.025))
+    sharp = dict.fromkeys(("cosine", "brinson", "extended"), (1.0, 0.0))
+    ends = (sharp | {"exponential": (1.0, 0.025)}).get(law, (0.975, 0.025))
     assert found[0] == pytest.approx(ends, abs=2e-3)
     assert found[1] == pytest.approx([1.0 - end for end in ends], abs=2e-3)
     # The formulas that identification and controllers use are these branches.
@@ -120,8 +132,9 @@ def grains(count, seed):
     return drawn[:, 0] + drawn[:, 1], drawn[:, 0] - drawn[:, 1]
 
 
-def five_groups(count):
-    """Thresholds [K] of grains in the five groups of laws/normal.py."""
+def five_groups(count, skew=0.0):
+    """Thresholds [K] of grains in the five groups of laws/normal.py; centres that are skewed are of
+    two halves of a normal distribution about one peak."""
     heated, cooled = [], []
     rest = np.sqrt((UP**2 + DOWN**2) / 2 - SPREAD**2 - TOGETHER**2 / SPREAD**2)
     z = 1.1 * np.arange(-2, 3)
@@ -129,7 +142,12 @@ def five_groups(count):
     for share, half in zip(shares, HALF + SPREAD * z, strict=True):
         centre = 339.5 + TOGETHER / SPREAD**2 * (half - HALF)
         n = round(count * share)
-        within = centre + rest * ndtri((np.arange(n) + 0.5) / n)
+        drawn, below = (np.arange(n) + 0.5) / n, (1.0 - skew) / 2.0
+        z = np.where(
+            drawn < below, (1.0 - skew) * ndtri(0.5 * np.minimum(drawn / below, 1.0)),
+            (1.0 + skew) * ndtri(0.5 + 0.5 * np.maximum(drawn - below, 0.0) / (1.0 - below)),
+        )  # fmt: skip
+        within = centre + rest * (z - np.mean(z)) / np.std(z)
         heated.append(within + half)
         cooled.append(within - half)
     return np.concatenate(heated), np.concatenate(cooled)
@@ -154,6 +172,85 @@ def test_plays_of_the_normal_law_are_grains_that_switch_one_by_one():
     # Five groups stand for a continuous distribution.
     off = xi - switched(kelvin, kelvin, *grains(40_000, 1))
     assert np.sqrt(np.mean(off**2)) < 0.015 and np.abs(off).max() < 0.06
+
+
+@pytest.mark.parametrize("skew", [-0.4, 0.5])
+def test_skewed_grains_keep_the_four_temperatures_and_are_more_on_one_side(skew):
+    rig = of_law(STOCK, "normal").replace({"wire.transition_skew": skew})
+    kelvin, xi = led(rig, LOOPS, step=0.2)
+    # The same grains, moved so that the points of 2.5 and 97.5 % stay.
+    heated, cooled = five_groups(20_000, skew)
+    moved = np.quantile(heated, [0.025, 0.975]) - (345.0, 363.0)
+    moved = np.mean([moved, np.quantile(cooled, [0.975, 0.025]) - (338.0, 312.0)])
+    assert 0.5 < moved / (skew * 2.0) < 1.5
+    expected = switched(kelvin, kelvin, heated - moved, cooled - moved)
+    assert xi == pytest.approx(expected, abs=0.012)  # 0.15 K
+    for ends in (np.quantile(heated, [0.025, 0.975]), np.quantile(cooled, [0.975, 0.025])):
+        top = ends - moved - ((345.0, 363.0) if ends[1] > ends[0] else (338.0, 312.0))
+        assert np.abs(top).max() < 0.5
+    with pytest.raises(InputError, match="transition_skew"):
+        of_law(STOCK, "logistic").replace({"wire.transition_skew": skew})
+
+
+# --- Martensite whose strain the load decides.
+
+
+def oriented(law, sigma):
+    """Share of martensite formed at this stress [Pa] that has a strain, by the default numbers."""
+    if law == "extended":
+        return 1.0 - np.exp(-sigma / 50e6)
+    return np.sin(0.5 * np.pi * np.clip((sigma - 100e6) / 70e6, 0.0, 1.0)) ** 2
+
+
+@pytest.mark.parametrize("law", ["brinson", "extended"])
+def test_the_load_decides_what_strain_martensite_has(law):
+    rig, strain = of_law(STOCK, law), STOCK["wire.maximum_recoverable_strain"]
+    for sigma in (40e6, 130e6, 250e6):
+        time, held = np.arange(0.0, 60.0, 0.05), Boundary.held_stress(sigma)
+        volts = np.where(time % 20.0 < 8.0, 6.8, 0.0)
+        run = simulate(rig, time, volts, boundary=held)
+        xi, e = run.martensite_fraction[:, 0], run.contraction[:, 0]
+        assert xi.min() == 0.0 and xi[-1] == xi[0] == 1.0
+        # It was stretched before it was mounted, and keeps what this stress does not give back.
+        assert e[-1] - e[0] == pytest.approx(strain * (1.0 - oriented(law, sigma)), abs=1e-6)
+        # A wire that bears it at rest was oriented by it: every stroke is alike.
+        newton = sigma * np.pi * 0.25 * STOCK["wire.diameter"] ** 2
+        borne = simulate(rig.replace({"load.kind": "force", "load.force": newton}), time, volts)
+        assert borne.contraction[-1, 0] == pytest.approx(borne.contraction[0, 0], abs=1e-6)
+        off = borne.martensite_fraction == 0.0
+        warm = STOCK["wire.thermal_expansion_factor"] * (borne.temperature[off] - AMBIENT)
+        elastic = (sigma - warm) / 55.4e9 - sigma / 22.8e9
+        stroke = strain * oriented(law, sigma) - elastic
+        assert borne.contraction[off.ravel(), 0] == pytest.approx(stroke, abs=1e-6)
+
+
+def test_stress_detwins_cold_martensite_and_what_is_detwinned_stays_so():
+    rig = of_law(STOCK, "brinson").replace({"load.kind": "displacement", "wire.length": 0.2})
+    strain, time = STOCK["wire.maximum_recoverable_strain"], np.arange(0.0, 60.0, 0.02)
+    # Heated and cooled free of stress, then stretched, let go by a tenth and stretched again.
+    way = np.interp(time, [0, 5, 20, 40, 44, 48, 58], np.array([0, -1, -1, 0, -0.05, 0, 0.05]))
+    volts = np.where(time < 10.0, 6.8, 0.0)
+    run = simulate(rig, time, volts, elongation=0.2 * strain * way)
+    cold, sigma = time > 20.0, run.stress[:, 0]
+    assert np.all(run.martensite_fraction[cold] == 1.0) and np.abs(sigma[time < 20.0][-1]) < 1e6
+    most = np.maximum.accumulate(np.where(cold, sigma, 0.0))
+    shares = oriented("brinson", most[cold])
+    expected = 22.8e9 * strain * (1.0 + way[cold] - shares)
+    assert sigma[cold] == pytest.approx(expected, abs=2e6)
+    assert 0.5 < shares[-1] < 1.0 and np.ptp(sigma[(time > 40.0) & (time < 44.0)]) > 40e6
+
+
+def test_r_phase_lengthens_a_cooling_wire_before_martensite_does():
+    numbers = {"strain": 0.005, "temperature": 345.0, "range": 8.0}
+    rig = STOCK.replace({f"wire.r_phase_{name}": value for name, value in numbers.items()})
+    time, held = np.arange(0.0, 8.0, 0.005), Boundary.held_stress(64e6)
+    volts = np.where(time < 2.0, 6.8, 0.0)
+    run, without = (simulate(one, time, volts, boundary=held) for one in (rig, STOCK))
+    kelvin, xi = run.temperature[:, 0], run.martensite_fraction[:, 0]
+    share = np.cos(0.5 * np.pi * np.clip((kelvin - 64e6 / 16e6 - 341.0) / 8.0, 0.0, 1.0)) ** 2
+    longer = without.contraction[:, 0] - run.contraction[:, 0]
+    assert longer[1:] == pytest.approx(0.005 * share[1:] * (1.0 - xi[:-1]), abs=1e-9)
+    assert longer.max() > 0.003 and longer[-1] == 0.0
 
 
 def test_grains_of_a_clamped_wire_switch_at_its_own_stress():
@@ -237,14 +334,16 @@ def test_every_effect_works_under_every_law_or_the_pair_is_refused_by_name(law):
             halves = np.concatenate([getattr(first, n)[:-1], getattr(second, n)])
             assert np.array_equal(halves, getattr(run, n)), (effect.name, n)
     refused = [e.name for e in EFFECTS.values() if law not in e.laws]
-    of_cosine = ["transformation_law"] if law != "cosine" else []
-    assert refused == (["partial_transformation"] if law == "normal" else []) + of_cosine
+    own = {"normal": ["partial_transformation"], "brinson": ["residual_strain"]}
+    of_law = (own | {"extended": own["brinson"]}).get(law, [])
+    assert sorted(refused) == sorted(of_law + ["transformation_law"] * (law != "cosine"))
 
 
 @pytest.mark.parametrize("law", LAWS)
 def test_a_bench_of_any_law_is_led_to_a_deflection(law):
     rig = of_law(Parameters.of_paper().replace({
         "load.kind": "force", "load.force": 3.0, **GRADE, "wire.hysteresis_spread": 0.25,
+        "wire.detwinning_start_stress": 5e6,
     }), law)  # fmt: skip
     control = DeflectionController(rig, 0.02, feedback=False)
     wanted = -2.5e-3

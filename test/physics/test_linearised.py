@@ -17,7 +17,8 @@ from sma_bench.physics.material import time_constant
 
 WIRE = Parameters.of_paper()
 COMPOSITE = WIRE.replace(FOUR)
-GIVEN = ("composite.deflection_per", "composite.stress_per", "wire.end_length", *SMOOTHER)
+GIVEN = ("composite.deflection_per", "composite.stress_per", *SMOOTHER,
+         "wire.end_length", "wire.transition_skew", "wire.least", "wire.r_phase")  # fmt: skip
 DRAWN = ("wire.", "env", "comp")
 UNCERTAIN = [p.name for p in TABLE if p.uncertainty and p.name.startswith(DRAWN)]
 UNCERTAIN = [name for name in UNCERTAIN if not name.startswith(GIVEN)]

@@ -41,7 +41,8 @@ EFFECT = Effect(
                "opened.", "assumed: between the two", 0.0, 1.0, uncertainty=0.4)),
     shows="full loops fit, partial ones do not: deflection lingers or runs ahead after a turn "
     "inside the loop",
-    acts_on=("deflection",), laws=("cosine", "exponential", "logistic"), marks=("EVOLVES",),
+    acts_on=("deflection",), laws=("cosine", "exponential", "logistic", "brinson", "extended"),
+    marks=("EVOLVES",),
     columns={"memory": "MEMORY", "return_point": "RETURN_POINT"},
     state=(
         "TURNS",

@@ -3,7 +3,8 @@
     strain of eq. (9) becomes eps_L [(1 - r)(1 - xi) + r max over the past of (1 - xi)]
 
 The first heating is the paper's; after it, r of the strain stays at rest. Source: two-way memory
-and incomplete reorientation (detwinning) of the martensite under too small a load.
+and incomplete reorientation (detwinning) of the martensite under too small a load. Laws of which
+that load decides the strain (brinson, extended) have it by themselves: it is refused beside them.
 """
 
 from sma_bench.compiled import borrowing
@@ -16,7 +17,8 @@ EFFECT = Effect(
                "Share of the strain recovered so far that stays when the wire cools; 0 is off.",
                "assumed: 1 to 30 % of the stroke", -0.2, 0.8, uncertainty=0.1),),
     shows="after the first drive the deflection does not return to zero at rest, and stays there",
-    acts_on=("deflection",), marks=("EVOLVES", "PULLS_OTHERWISE"),
+    acts_on=("deflection",), laws=("cosine", "exponential", "logistic", "normal"),
+    marks=("EVOLVES", "PULLS_OTHERWISE"),
     columns={"share": "RESIDUAL_SHARE"}, constants=("FULL_STRAIN",), state=("MOST_AUSTENITE",),
 )
 
@@ -44,6 +46,7 @@ def passes_most(wires, i):
     """After a solution: let the strain follow xi if wire i is now at its most; whether it did."""
     most = wires[i, at.MOST_AUSTENITE]
     follows = wires[i, at.RECOVERABLE_STRAIN] == wires[i, at.FULL_STRAIN]
+    follows = follows or wires[i, at.RESIDUAL_SHARE] == 0.0
     if follows or wires[i, at.TREND] < 0.0 or 1.0 - wires[i, at.GUESS] <= most:
         return False
     wires[i, at.RECOVERABLE_STRAIN] = wires[i, at.FULL_STRAIN]

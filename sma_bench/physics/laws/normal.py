@@ -21,6 +21,14 @@ which is possible for r b between |D_A - D_M|/2 and (D_A + D_M)/2. z_j = 1.1 (-2
 the moments of z up to the fifth are the normal distribution's; no half width is below 0.
 `effect.partial_transformation` is refused beside it: it has inner loops of its own.
 
+With `wire.transition_skew` a the centres of a group are distributed by two halves of a normal
+distribution, of deviations (1 - a) s' below and (1 + a) s' above their peak (Fechner 1897): for Phi
+
+    (1 - a) Phi[z/(1 - a)] below,   (1 + a) Phi[z/(1 + a)] - a above,   z = (p_j - c_j)/s'
+
+Their variance stays s^2; peaks are moved so that the four temperatures are still where 2.5 and
+97.5 % are done, to half a percent (Cornish and Fisher 1938). `ramp` and `share` leave a out.
+
 The clamps keep the ends of a wire cold (`wire.end_length` L, about sqrt(k d/4h)): at x from a clamp
 it is 1 - exp(-x/L) as warm above the room as in the middle. Each end is three pieces of length L
 with one play each, of the mean half width, at 0.25, 0.6 and 0.9 of the rise.
@@ -49,6 +57,9 @@ _MOST_COLD = 0.5  # of a wire's length, that its ends can be
 _SQRT_2, _SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
 _FAR = 7.0  # deviations, beyond which nothing (1e-12) is left to transform
 _NARROWEST = 0.01  # K, of s
+_OFF = 2.0 * math.sqrt(2.0 / math.pi)  # mean of two halves, s' a away from their peak
+_WIDER = 3.0 - 8.0 / math.pi  # (s/s')^2 - 1 over a^2
+_POINTS = ((0.5 * BRANCH) ** 2 - 1.0) / 6.0  # deviations that a skewness of 1 moves both points by
 _LEAST = 1e-6  # of a share, or of its rest, whose position is asked for
 _HALVINGS = 60
 
@@ -71,7 +82,7 @@ def position(share: float) -> float:
 
 
 def groups(parameters: Mapping[str, Any]) -> tuple[Array, Array, float]:
-    """(PLAYS,) centres c_j and half widths b_j, and the deviation s, all in K."""
+    """(PLAYS,) centres c_j (their peaks) and half widths b_j, and the deviation s', all in K."""
     heating, cooling, mean = hysteresis(parameters)
     names = ("austenite_start", "austenite_finish", "martensite_start", "martensite_finish")
     centre = sum(parameters[f"wire.{name}_temperature"] for name in names) / 4.0
@@ -80,7 +91,13 @@ def groups(parameters: Mapping[str, Any]) -> tuple[Array, Array, float]:
     slope = together / deviation**2 if deviation > 0.0 else 0.0
     variance = (heating**2 + cooling**2) / 2.0 - deviation**2 - slope * together
     away, within = deviation * _AWAY, math.sqrt(max(variance, _NARROWEST**2))
-    return centre + slope * away, np.maximum(mean + away, 0.0), within
+    skew, halves = parameters["wire.transition_skew"], np.maximum(mean + away, 0.0)
+    if skew == 0.0:
+        return centre + slope * away, halves, within
+    scale = within / math.sqrt(1.0 + _WIDER * skew**2)
+    third = _OFF * skew * scale**3 * (1.0 + (16.0 / math.pi - 5.0) * skew**2)  # central moment
+    centre -= _OFF * skew * scale + _POINTS * third / (0.5 * (heating**2 + cooling**2))
+    return centre + slope * away, halves, scale
 
 
 def plays(parameters: Mapping[str, Any]) -> tuple[Array, float]:
@@ -111,6 +128,18 @@ def cumulative(x):
     return (1.0 - tail if x > 0.0 else tail), density
 
 
+@borrowing
+def skewed(wires, i, away):
+    """Share of a group's grains at `away` deviations from the peak of their centres, and
+    exp(-x^2/2) as its density has it."""
+    skew = wires[i, at.SKEW]
+    if away > 0.0:
+        share, density = cumulative(away / (1.0 + skew))
+        return (1.0 + skew) * share - skew, density
+    share, density = cumulative(away / (1.0 - skew))
+    return (1.0 - skew) * share, density
+
+
 @inlined
 def pushed(wires, i, j, hot, cold, rise):
     """Where T - sigma/C_A = `hot` and T - sigma/C_M = `cold` [K], `rise` over the room, push play j
@@ -139,13 +168,14 @@ def fraction(wires, i, temperature, stress):
     hot, cold = _hot_and_cold(wires, i, temperature, stress)
     rise = temperature - wires[i, at.AMBIENT]
     austenite, by_temperature, by_hot, by_cold = 0.0, 0.0, 0.0, 0.0
+    straight = wires[i, at.SKEW] == 0.0
     for j in range(int(wires[i, at.GROUPS])):  # no constant, for a loop that is not unrolled
         play, way = pushed(wires, i, j, hot, cold, rise)
         away = (play - wires[i, at.CENTRES + j]) * wires[i, at.SHARPNESS]
         if away > _FAR:
             austenite += wires[i, at.SHARES + j]
         elif away > -_FAR:
-            share, density = cumulative(away)
+            share, density = cumulative(away) if straight else skewed(wires, i, away)
             austenite += wires[i, at.SHARES + j] * share
             slope = wires[i, at.SHARES + j] * density
             if way > 0.0:
@@ -184,7 +214,10 @@ def begin(row: Array) -> None:
     for _ in range(_HALVINGS):
         level = 0.5 * (low + high)
         levels = np.maximum(least, np.minimum(level, most))
-        if 1.0 - ndtr((levels - centres) * row[at.SHARPNESS]) @ shares > row[at.FRACTION]:
+        away = (levels - centres) * row[at.SHARPNESS]
+        skew = np.where(away > 0.0, row[at.SKEW], -row[at.SKEW])
+        done = (1.0 + skew) * ndtr(away / (1.0 + skew)) - np.where(away > 0.0, skew, 0.0)
+        if 1.0 - done @ shares > row[at.FRACTION]:
             low = level
         else:
             high = level

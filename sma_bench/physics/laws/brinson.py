@@ -1,0 +1,57 @@
+"""Brinson's law: the load decides which part of martensite is stress-induced and has a strain.
+
+The fraction follows the contract's cosines, on heating shifted by sigma/C_A, on cooling only by
+what lies above sigma_s (`wire.detwinning_start_stress`), max(sigma - sigma_s, 0)/C_M. It is the sum
+of a stress-induced part (detwinned), which alone has the strain eps_L, and a temperature-induced
+one (twinned). Of martensite that forms at sigma the share
+
+    D = sin^2[pi/2 (sigma - sigma_s)/(sigma_f - sigma_s)]      0 below sigma_s, 1 above sigma_f
+
+is stress-induced; where D grows beyond what the martensite that is there has of it, that detwins as
+well, and stays so. On heating both parts vanish in proportion (orientation.py).
+
+Source: Brinson 1993. Two things are simpler than hers: above M_s a wire at held stress transforms
+over M_s - M_f, not over (sigma_f - sigma_s)/C_M; and a stress that was there before detwins
+nothing more. Parameters: sigma_s, and sigma_f - sigma_s (`wire.detwinning_stress_range`).
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sma_bench.arrays import Array
+from sma_bench.compiled import inlined
+from sma_bench.parameters.parameters import ORIENTING
+from sma_bench.physics import columns as at
+from sma_bench.physics.laws.cosine import UNDONE as UNDONE
+from sma_bench.physics.laws.cosine import position as position
+from sma_bench.physics.laws.cosine import ramp
+from sma_bench.physics.laws.cosine import share as share
+
+FROM, WITHIN = ORIENTING["brinson"]
+
+
+@inlined
+def shifting(wires, i, stress):
+    """Stress [Pa] that shifts the range of heating, its slope; the same of cooling."""
+    above = stress - wires[i, at.ORIENTS_FROM]
+    return (stress, 1.0, above, 1.0) if above > 0.0 else (stress, 1.0, 0.0, 0.0)
+
+
+@inlined
+def orients(wires, i, stress):
+    """D of a wire, and its slope [1/Pa]."""
+    oriented, slope = ramp((stress - wires[i, at.ORIENTS_FROM]) / wires[i, at.ORIENTS_WITHIN])
+    return oriented, slope / wires[i, at.ORIENTS_WITHIN]
+
+
+def shifting_stress(stress: ArrayLike, p: Mapping[str, Any]) -> tuple[Array, Array]:
+    """As `shifting`, of arrays, without slopes."""
+    return np.asarray(stress, float), np.maximum(np.asarray(stress, float) - p[FROM], 0.0)
+
+
+def oriented(stress: ArrayLike, p: Mapping[str, Any]) -> Array:
+    """As `orients`, of arrays."""
+    return share((np.asarray(stress, float) - p[FROM]) / p[WITHIN])

@@ -1,0 +1,99 @@
+"""The law of Lagoudas and others: a strain that grows with stress, smooth kinetics, and moduli that
+differ.
+
+With H(sigma) the strain of martensite that forms at sigma, eps_L its largest,
+
+    H/eps_L = r + (1 - r) [1 - exp(-sigma/sigma_o)]
+    share   = [1 + y sqrt(2 - y^2)]/2,   y = 2 position - 1
+
+and both ranges shift by s/C_A, s/C_M, where by Clausius and Clapeyron
+
+    s = sigma H/eps_L + sigma^2 (1/E_M - 1/E_A)/(2 eps_L)
+
+What has formed keeps its strain; on heating it vanishes with the fraction (orientation.py).
+
+Source: Lagoudas, Hartl et al. 2012, whose hardening with the exponents n = 1/2 gives the share; the
+current strain H is E9's too (identify/constitutive.py), which also finds bends of each range and
+martensite that fades. Parameters: r (`wire.least_strain_share`: 0 untrained, 1 fully trained) and
+sigma_o (`wire.orientation_stress`).
+"""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from sma_bench.arrays import Array
+from sma_bench.compiled import inlined
+from sma_bench.parameters.parameters import ORIENTING
+from sma_bench.physics import columns as at
+
+UNDONE = 0.0  # share where the transformation is said to end
+FROM, WITHIN = ORIENTING["extended"]
+
+
+@inlined
+def ramp(position):
+    """Share and slope."""
+    y = 2.0 * position - 1.0
+    if y <= -1.0:
+        return 0.0, 0.0
+    if y >= 1.0:
+        return 1.0, 0.0
+    root = math.sqrt(2.0 - y * y)
+    return 0.5 * (1.0 + y * root), 2.0 * (1.0 - y * y) / root
+
+
+@inlined
+def orients(wires, i, stress):
+    """H/eps_L of a wire, and its slope [1/Pa]; without stress and under pressure r."""
+    least = wires[i, at.ORIENTS_FROM]
+    if stress <= 0.0:
+        return least, 0.0
+    left = (1.0 - least) * math.exp(-stress / wires[i, at.ORIENTS_WITHIN])
+    return 1.0 - left, left / wires[i, at.ORIENTS_WITHIN]
+
+
+@inlined
+def shifting(wires, i, stress):
+    """Stress s [Pa] that shifts the range of heating, its slope; the same of cooling."""
+    strain, slope = orients(wires, i, stress)
+    bend = wires[i, at.MISMATCH] * max(stress, 0.0)
+    s, by_stress = (strain + 0.5 * bend) * stress, strain + slope * stress + bend
+    return s, by_stress, s, by_stress
+
+
+def share(position: ArrayLike) -> Array:
+    """As `ramp`, of arrays."""
+    y = np.clip(2.0 * np.asarray(position, float) - 1.0, -1.0, 1.0)
+    return np.asarray(0.5 * (1.0 + y * np.sqrt(2.0 - np.square(y))))
+
+
+def position(share: float) -> float:
+    """Inverse of `ramp`."""
+    return 0.5 + math.sin(math.asin(math.sqrt(share)) - 0.25 * math.pi) / math.sqrt(2.0)
+
+
+def grown(stress: ArrayLike, least: float, within: float) -> Array:
+    """H/eps_L at a stress, r and sigma_o in one unit."""
+    return 1.0 - (1.0 - least) * np.exp(-np.maximum(stress, 0.0) / within)
+
+
+def oriented(stress: ArrayLike, p: Mapping[str, Any]) -> Array:
+    """As `orients`, of arrays."""
+    return grown(stress, p[FROM], p[WITHIN])
+
+
+def mismatch(p: Mapping[str, Any]) -> float:
+    """What softer martensite adds to the slope of s, 1/Pa."""
+    softer = 1.0 / p["wire.martensite_modulus"] - 1.0 / p["wire.austenite_modulus"]
+    return float(max(softer, 0.0) / p["wire.maximum_recoverable_strain"])
+
+
+def shifting_stress(stress: ArrayLike, p: Mapping[str, Any]) -> tuple[Array, Array]:
+    """As `shifting`, of arrays, without slopes."""
+    sigma = np.asarray(stress, float)
+    s = (oriented(sigma, p) + 0.5 * mismatch(p) * np.maximum(sigma, 0.0)) * sigma
+    return s, s
