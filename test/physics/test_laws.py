@@ -335,8 +335,8 @@ def test_every_effect_works_under_every_law_or_the_pair_is_refused_by_name(law):
             assert np.array_equal(halves, getattr(run, n)), (effect.name, n)
     refused = [e.name for e in EFFECTS.values() if law not in e.laws]
     own = {"normal": ["partial_transformation"], "brinson": ["residual_strain"]}
-    of_law = (own | {"extended": own["brinson"]}).get(law, [])
-    assert sorted(refused) == sorted(of_law + ["transformation_law"] * (law != "cosine"))
+    refusing = (own | {"extended": own["brinson"]}).get(law, [])
+    assert sorted(refused) == sorted(refusing + ["transformation_law"] * (law != "cosine"))
 
 
 @pytest.mark.parametrize("law", LAWS)
