@@ -107,7 +107,7 @@ class Investigation:
         self.given += [path for path in paths if path not in self.given]
         self._keep()
         if not begun:
-            names = sorted(parameters.given)
+            names = sorted(parameters.given) or None  # else none would be no parameter file
             write_parameters(self.folder / BELIEVED, parameters, "As believed.", names)
 
     @property

@@ -69,7 +69,9 @@ def test_a_simulated_run_ends_at_zero_volts_when_a_wire_gets_too_hot():
     assert set(run._volts) == {0.0}
 
 
-def test_a_folder_of_other_things_stays_as_it_is(lab, tmp_path, capsys):
+def test_a_folder_is_begun_with_nothing_stated_and_one_of_other_things_stays(lab, tmp_path, capsys):
+    assert main(["investigate", "--folder", str(tmp_path / "new")]) == 0
+    assert "next: growing_triangles_1" in capsys.readouterr().out
     (tmp_path / "gap").mkdir()
     (tmp_path / "gap" / "improved.yaml").write_text("mine")
     assert investigate(lab, "--folder", str(tmp_path / "gap")) == 2
@@ -91,11 +93,9 @@ CHAPTER = {"records": 1, "minutes": 0.0, "verdict": "ambiguous", "cause": [], "p
         "why": "", "protocol": [], "separates": ["a"], "minutes": "1"}}]},
 ])  # fmt: skip
 def test_a_story_that_someone_has_crafted_is_one_line(lab, tmp_path, capsys, story):
-    folder = tmp_path / "gap"
-    folder.mkdir()
-    (folder / "believed.yaml").write_text((lab / "lab.yaml").read_text())
-    (folder / "investigation.json").write_text(json.dumps(story))
-    assert investigate(lab, "--folder", str(folder)) == 2
+    (tmp_path / "believed.yaml").write_text((lab / "lab.yaml").read_text())
+    (tmp_path / "investigation.json").write_text(json.dumps(story))
+    assert investigate(lab, "--folder", str(tmp_path)) == 2
     said = capsys.readouterr().err
     assert "investigation.json: damaged: " in said and said.count("\n") == 1
 
