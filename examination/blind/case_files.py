@@ -27,7 +27,8 @@ _EFFECTS_OF = {
     "electrical": "phase_dependent_resistance supply_drop",
     "thermal": "latent_heat temperature_dependent_convection matrix_thermal_mass "
     "side_heat_coupling ambient_drift",
-    "transformation": "partial_transformation transition_drift stress_dependent_transition",
+    "transformation": "partial_transformation transformation_law transition_drift "
+    "stress_dependent_transition",
     "mechanical": "residual_strain viscoelastic_matrix opposing_wires side_asymmetry slack",
     "sensor": "temperature_underfill temperature_lag deflection_drift",
 }

@@ -36,12 +36,13 @@ _WIDEST = (5.0, 2.0, 2.0)  # of those of the half width and of the two ranges
 _TINY = 1e-4  # prior deviations, of a difference
 
 
-def _covariance(mean: Array) -> Array:
-    """(4, 4) K2, by which the temperatures of wires differ about those of one."""
+def _covariance(mean: Array, as_usual: bool) -> Array:
+    """(4, 4) K2, by which the temperatures of wires differ about those of one; `as_usual`: with a
+    hysteresis as most of them have."""
     coordinates = _COORDINATES @ mean
     scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
     scale[0] = _SPREADS[0]
-    if tuple(mean.tolist()) == FIELD_TEMPERATURES:
+    if as_usual:
         scale[1] = _FIELD_HALF_WIDTH * coordinates[1]
     root = _TEMPERATURES * scale @ _ALIKE
     return np.asarray(root @ root.T)
@@ -73,14 +74,15 @@ class Transitions:
         """As believed; a temperature whose deviation is 0 is exact."""
         mean = np.array([parameters[name] for name in TEMPERATURES])
         stated = np.array([name in parameters.given for name in TEMPERATURES])
+        as_usual = tuple(mean.tolist()) == FIELD_TEMPERATURES
         if stated.any() and not stated.all():  # the others are where such wires have them
             field = np.array(FIELD_TEMPERATURES)
-            alike = _covariance(field)[:, stated]
+            alike = _covariance(field, True)[:, stated]
             typical = field + alike @ np.linalg.solve(alike[stated], (mean - field)[stated])
             likely = np.where(stated, mean, typical)
-            if np.all((_COORDINATES @ likely)[1:] > NARROWEST):
-                mean = likely
-        covariance = _covariance(mean)
+            as_usual = bool(np.all((_COORDINATES @ likely)[1:] > NARROWEST))
+            mean = likely if as_usual else mean
+        covariance = _covariance(mean, as_usual)
         if stated.any():
             std = np.array([parameters.std(n) for n in np.array(TEMPERATURES)[stated]])
             own = np.diag(np.minimum(std, HIGHEST - LOWEST) ** 2)

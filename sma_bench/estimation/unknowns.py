@@ -453,9 +453,10 @@ def unknowns_of(
     derived = dict(zip(BENDING, bending_coefficients(parameters), strict=True))
     together = Transitions.of(parameters) if TEMPERATURES[0] in names else None
     stds = together.stds if together else {}
+    likely = dict(zip(TEMPERATURES, together.mean.tolist(), strict=True)) if together else {}
     found = {}
     for name in names:
-        mean = derived.get(name, parameters[name])
+        mean = derived.get(name, likely.get(name, parameters[name]))
         std = stds.get(name, 0.0) if name in TEMPERATURES else parameters.std(name)
         if name in derived and name not in parameters.given_uncertainty and not parameters[name]:
             std = max(std, _DERIVED_STD * mean)

@@ -12,7 +12,7 @@ from planted import LOADS
 from sma_bench.control import PI, DeflectionController, Gains, Heating, TemperatureController
 from sma_bench.control import OutputLimits as Limits
 from sma_bench.errors import InputError
-from sma_bench.live.run import ClosedLoop
+from sma_bench.live.run import ClosedLoop, Run
 from sma_bench.parameters import TABLE, Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
@@ -360,9 +360,11 @@ def test_one_reading_that_no_bench_has_changes_nothing(quantity, node):
     for loop, odd in zip(loops, ((), (math.nan, math.inf, 1e306, -1e306)), strict=True):
         protocol = loop.plan(settings, COMPOSITE)
         assert loop.ask(wanted, protocol, COMPOSITE) == ""
+        run = Run(None, loop, None, None, 4)
         for k in range(40):
             for name in quantity.targets(COMPOSITE):
+                heard = ("deflection", "") if quantity.tip else ("temperature", name)
                 for value in (now, *(odd if k == 20 else ())):
-                    loop.measured(name, value, PERIOD * k, PERIOD * k)
+                    run.heard(*heard, value, PERIOD * k, PERIOD * k)
             commanded.append(loop.volts(protocol, PERIOD * k))
     assert commanded[:40] == commanded[40:] and max(commanded[-1]) > 1.0
