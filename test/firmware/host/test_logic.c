@@ -530,6 +530,21 @@ TEST(lost_supply_stops)
     CHECK(answers(arming(fake_nonce()), "N A 9"));
 }
 
+TEST(nothing_arms_in_the_first_tenth_of_a_second_and_what_is_refused_is_counted)
+{
+    fake_start(1);
+    safety_init();
+    safety_supply_range(0, UINT16_MAX);
+    CHECK(answers("S", " rejected=0 "));
+    fake_run_ms(90);
+    say("?");
+    fake_run_ms(1);
+    CHECK(answers(arming(fake_nonce()), "N A 9"));
+    CHECK(answers("S", " rejected=1 "));
+    fake_run_ms(20);
+    arm();
+}
+
 TEST(sagging_supply_stops_at_the_duty_limit)
 {
     start_driving();
