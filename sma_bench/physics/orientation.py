@@ -6,12 +6,10 @@ Of the fraction xi the part xi_S has the strain eps_L, the rest none:
     d xi_S = xi_S/xi d xi             what vanishes
     xi_S/xi >= D(sigma)               Brinson's: what is there detwins as the stress grows
 
-Within a step xi_S is taken as straight in xi, and in sigma where it detwins, about where the step
-began, so that the core solves what it solves of every wire, with other moduli and strains.
-
-At rest a wire that bears a weight, a spring or an antagonist is as that stress has oriented it; one
-that is clamped or bends a beam was stretched before it was mounted: xi_S = xi = 1, as the contract
-has it.
+Within a step xi_S is straight in xi, and in sigma where it detwins, about where the step began: the
+core solves what it solves of every wire, with other moduli and strains. At rest a wire that bears a
+weight, a spring or an antagonist is as that stress has oriented it; one that is clamped or bends a
+beam was stretched before it was mounted: xi_S = xi = 1, as the contract has it.
 """
 
 import numpy as np
@@ -57,8 +55,7 @@ def orient(wires, i):
     grows = is_brinson and stress > wires[i, at.STRESS_BEFORE] and new > old - _EQUAL
     jump, compliance = (xi * (new - old), full * xi * slope) if grows else (0.0, 0.0)
     wires[i, at.STRESS_BEFORE] = stress
-    wires[i, at.FOLLOWS] = follows
-    wires[i, at.BEGUN] = xi * (old - follows) + jump
+    wires[i, at.FOLLOWS], wires[i, at.BEGUN] = follows, xi * (old - follows) + jump
     wires[i, at.DETWINS] = xi * slope if grows else 0.0
 
     # sigma = E [... - q (sigma - sigma_0)] + ..., solved for sigma.

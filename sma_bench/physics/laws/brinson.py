@@ -10,9 +10,9 @@ one (twinned). Of martensite that forms at sigma the share
 is stress-induced; where D grows beyond what the martensite that is there has of it, that detwins as
 well, and stays so. On heating both parts vanish in proportion (orientation.py).
 
-Source: Brinson 1993. Two things are simpler than hers: above M_s a wire at held stress transforms
-over M_s - M_f, not over (sigma_f - sigma_s)/C_M; and a stress that was there before detwins
-nothing more. Parameters: sigma_s, and sigma_f - sigma_s (`wire.detwinning_stress_range`).
+Source: Brinson 1993. Simpler than hers: above M_s a wire at held stress transforms over M_s - M_f,
+not over (sigma_f - sigma_s)/C_M; a stress that was there before detwins nothing more. Parameters:
+sigma_s, and sigma_f - sigma_s (`wire.detwinning_stress_range`).
 """
 
 from collections.abc import Mapping
