@@ -27,10 +27,8 @@ from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.progress import Report, part, silent
 
 # How probable a law is before any record: real wires have inner loops and soft ends.
-PRIOR = {
-    "normal": 0.72, "logistic": 0.14, "cosine": 0.1, "exponential": 0.04, "brinson": 0.1,
-    "extended": 0.1,
-}  # fmt: skip
+PRIOR = {"normal": 0.72, "logistic": 0.14, "cosine": 0.1, "exponential": 0.04}
+PRIOR |= dict.fromkeys(ORIENTING, 0.1)
 _TEMPERED = 0.25
 _DIFFERENT = 0.7  # probability that the runs of a bench differ, before any
 _STARTS, _SEED = 2, 17
@@ -69,10 +67,8 @@ def weigh_laws(
         InputError: no law goes with what is stated, or leads to a fit.
     """
     stated = "wire.law" in parameters.given
-    laws = [parameters["wire.law"]] if stated else [
-        law for law in PRIOR
-        if law not in ORIENTING or parameters.given.intersection(ORIENTING[law])
-    ]  # fmt: skip
+    known = [n for n in PRIOR if n not in ORIENTING or parameters.given & {*ORIENTING[n]}]
+    laws = [parameters["wire.law"]] if stated else known
     if not parameters.given & {"wire.convection", "wire.heat_transfer_coefficient"}:
         parameters = parameters.assuming({"wire.convection": "free"}, {})
     problem = Problem.of([one.zeroed() for one in observations])

@@ -103,6 +103,8 @@ FIELD = {
     "effect.residual_strain.share": (0.0, 0.03),
     "effect.latent_heat.heat": (15e3, 6e3),
     "effect.phase_dependent_resistance.austenite_change": (-0.13, 0.09),
+    "wire.detwinning_start_stress": (30e6, 20e6),  # Pa: wires that are sold to pull are trained
+    "wire.detwinning_stress_range": (60e6, 30e6),
 }
 _RESIDUAL = "effect.residual_strain.share"  # which laws have that let the load decide the strain
 _RISE = "effect.temperature_dependent_convection.rise"  # which free convection has already
@@ -415,6 +417,8 @@ def has_friction(parameters: Parameters) -> bool:
 def as_in_the_field(parameters: Parameters) -> Parameters:
     """The same with typical values for what is not stated: `FIELD`."""
     values = {n: mean for n, (mean, _) in FIELD.items() if n not in parameters.given}
+    if parameters["wire.law"] in ORIENTING:
+        values.pop(_RESIDUAL, None)
     std = {n: FIELD[n][1] for n in values}
     h = "wire.heat_transfer_coefficient"
     if parameters["wire.convection"] == "free" and h not in parameters.given:

@@ -9,8 +9,7 @@ incomplete loops. That is the law "contract". The law "extended" replaces what r
 material does not obey:
 
 - eps_L becomes H(sigma) = H_min + (H_sat - H_min)(1 - exp(-k sigma)), the current transformation
-  strain of Lagoudas (Shape memory alloys, 2008, ch. 3) without its critical stress, as `wire.law`
-  extended has it (physics/laws/extended.py) with r = H_min/H_sat and sigma_o = 1/k;
+  strain of Lagoudas (Shape memory alloys, 2008, ch. 3), as in physics/laws/extended.py;
 - A_s, A_f, M_s, M_f each have a slope of their own against stress, and each direction a bend,
   T = T_0 + slope sigma + bend sigma^2: by Clausius and Clapeyron dT/dsigma goes with the
   transformation strain, which is no constant;

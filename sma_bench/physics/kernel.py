@@ -140,8 +140,7 @@ _NUMBERS: dict[str, list[tuple[int, str]]] = {
         (at.MARTENSITE_STIFF, "wire.martensite_modulus"),
         (at.EXPANDS, "wire.thermal_expansion_factor"),
         (at.SKEW, "wire.transition_skew"),
-        (at.R_STRAIN, "wire.r_phase_strain"),
-        (at.R_RANGE, "wire.r_phase_range"),
+        (at.R_STRAIN, "wire.r_phase_strain"), (at.R_RANGE, "wire.r_phase_range"),
     ],
     "side": [],
 }

@@ -34,7 +34,6 @@ from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 Branch = Literal["heating", "cooling"]
 
-# Beyond eqs. (4), (10), (11).
 BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "wire.r_phase_strain", "load.friction")
 _AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
 # Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
@@ -89,8 +88,7 @@ class SideModel:
             load += float(np.sum(material.stress(kelvin, xi, -stretch, parameters)))
             lever *= 2.0  # both sides move
         wires = int((side_of_channels(parameters) == number).sum())
-        own = as_oriented(parameters, prestretch)
-        return cls(own, wires, stiffness, load, lever, prestretch)
+        return cls(as_oriented(parameters, prestretch), wires, stiffness, load, lever, prestretch)
 
     def wire_stress(self, contraction: float) -> float:
         """sigma [Pa] of one wire that the boundary asks for at a contraction."""

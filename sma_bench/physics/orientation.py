@@ -2,16 +2,14 @@
 
 Of the fraction xi the part xi_S has the strain eps_L, the rest none:
 
-    d xi_S = D(sigma) d xi            what forms
+    d xi_S = D(sigma) d xi            what forms; Brinson's only while xi_S/xi is not above D
     d xi_S = xi_S/xi d xi             what vanishes
     xi_S/xi >= D(sigma)               Brinson's: what is there detwins as the stress grows
 
-Within a step xi_S is taken as straight in xi, and in sigma where it detwins, about where the step
-began, so that the core solves what it solves of every wire, with other moduli and strains.
-
-At rest a wire that bears a weight, a spring or an antagonist is as that stress has oriented it; one
-that is clamped or bends a beam was stretched before it was mounted: xi_S = xi = 1, as the contract
-has it.
+Within a step xi_S is straight in xi, and in sigma where it detwins, about where the step began: the
+core solves what it solves of every wire, with other moduli and strains. At rest a wire that bears a
+weight, a spring or an antagonist is as that stress has oriented it; one that is clamped or bends a
+beam was stretched before it was mounted: xi_S = xi = 1, as the contract has it.
 """
 
 import numpy as np
@@ -26,6 +24,7 @@ from sma_bench.physics.laws import brinson, extended, law_of
 
 FIRST = min(map(LAWS.index, ORIENTING))  # number from which laws are of this kind
 BRINSON = LAWS.index("brinson")
+_ROUNDING = 1e-6  # of a share
 _EQUAL = 0.01  # share by which less than D is no detwinning that has ended
 
 
@@ -49,16 +48,20 @@ def as_oriented(p: Parameters, prestretch: float) -> Parameters:
 def orient(wires, i):
     """Before a step of wire i: its strains and moduli within it; the strain that it adds."""
     stress, xi, full = wires[i, at.STRESS], wires[i, at.FRACTION], wires[i, at.FULL_STRAIN]
-    is_brinson = wires[i, at.LAW] == BRINSON
+    is_brinson, there = wires[i, at.LAW] == BRINSON, 0.0
     law = brinson.orients(wires, i, stress) if is_brinson else extended.orients(wires, i, stress)
     new, slope = law
     old = min(wires[i, at.ORIENTED] / xi, 1.0) if xi > 0.0 else new
+    if is_brinson:  # what is there detwins as at M_s, the warmer the less
+        warm = wires[i, at.TEMPERATURE] - wires[i, at.MARTENSITE_FINISH]
+        warm = max(warm - 1.0 / wires[i, at.MARTENSITE_SLOPE], 0.0) / wires[i, at.MARTENSITE_SHIFT]
+        there, slope = brinson.orients(wires, i, stress - warm)
+        new = new if old < new + _ROUNDING else 0.0
     follows = old if wires[i, at.TREND] > 0.0 else new
-    grows = is_brinson and stress > wires[i, at.STRESS_BEFORE] and new > old - _EQUAL
-    jump, compliance = (xi * (new - old), full * xi * slope) if grows else (0.0, 0.0)
+    grows = is_brinson and stress > wires[i, at.STRESS_BEFORE] and there > old - _EQUAL
+    jump, compliance = (xi * (there - old), full * xi * slope) if grows else (0.0, 0.0)
     wires[i, at.STRESS_BEFORE] = stress
-    wires[i, at.FOLLOWS] = follows
-    wires[i, at.BEGUN] = xi * (old - follows) + jump
+    wires[i, at.FOLLOWS], wires[i, at.BEGUN] = follows, xi * (old - follows) + jump
     wires[i, at.DETWINS] = xi * slope if grows else 0.0
 
     # sigma = E [... - q (sigma - sigma_0)] + ..., solved for sigma.

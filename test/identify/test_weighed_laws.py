@@ -66,11 +66,14 @@ def test_the_report_draws_the_limits_of_another_run(weighed):
             assert np.mean((fitted > low) & (fitted < high)) > 0.9
 
 
-def test_a_stated_law_is_kept_and_others_are_not_tried():
-    truth = bench("logistic")
-    found = identify([run(truth, "triangle", 1)], bench("cosine"))
-    assert found.law.name == "cosine" and found.law.others == {}
-    assert found.parameters["wire.law"] == "cosine"
+@pytest.mark.parametrize(("law", "more"), [
+    ("cosine", {}), ("brinson", {"wire.detwinning_start_stress": 50e6}),
+])  # fmt: skip
+def test_a_stated_law_is_kept_and_others_are_not_tried(law, more):
+    truth = bench("logistic" if law == "cosine" else law, more)
+    found = identify([run(truth, "triangle", 1)], bench(law, more))
+    assert (found.law.name, found.law.others) == (law, {}) and found.parameters["wire.law"] == law
+    assert set(more) <= set(found.estimates)
 
 
 def test_runs_that_differ_are_said_to_and_widen_the_band():

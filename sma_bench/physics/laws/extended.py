@@ -12,10 +12,9 @@ and both ranges shift by s/C_A, s/C_M, where by Clausius and Clapeyron
 
 What has formed keeps its strain; on heating it vanishes with the fraction (orientation.py).
 
-Source: Lagoudas, Hartl et al. 2012, whose hardening with the exponents n = 1/2 gives the share; the
-current strain H is E9's too (identify/constitutive.py), which also finds bends of each range and
-martensite that fades. Parameters: r (`wire.least_strain_share`: 0 untrained, 1 fully trained) and
-sigma_o (`wire.orientation_stress`).
+Source: Lagoudas, Hartl et al. 2012, whose hardening with the exponents n = 1/2 gives the share; E9
+has the same H (identify/constitutive.py). Parameters: r (`wire.least_strain_share`: 0 untrained, 1
+fully trained), sigma_o (`wire.orientation_stress`).
 """
 
 import math
@@ -38,10 +37,8 @@ FROM, WITHIN = ORIENTING["extended"]
 def ramp(position):
     """Share and slope."""
     y = 2.0 * position - 1.0
-    if y <= -1.0:
-        return 0.0, 0.0
-    if y >= 1.0:
-        return 1.0, 0.0
+    if abs(y) >= 1.0:
+        return (1.0 if y > 0.0 else 0.0), 0.0
     root = math.sqrt(2.0 - y * y)
     return 0.5 * (1.0 + y * root), 2.0 * (1.0 - y * y) / root
 

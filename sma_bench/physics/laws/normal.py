@@ -21,13 +21,13 @@ which is possible for r b between |D_A - D_M|/2 and (D_A + D_M)/2. z_j = 1.1 (-2
 the moments of z up to the fifth are the normal distribution's; no half width is below 0.
 `effect.partial_transformation` is refused beside it: it has inner loops of its own.
 
-With `wire.transition_skew` a the centres of a group are distributed by two halves of a normal
-distribution, of deviations (1 - a) s' below and (1 + a) s' above their peak (Fechner 1897): for Phi
+With `wire.transition_skew` a the centres of a group are two halves of a normal distribution, of
+deviations (1 - a) s' below and (1 + a) s' above their peak (Fechner 1897): for Phi
 
     (1 - a) Phi[z/(1 - a)] below,   (1 + a) Phi[z/(1 + a)] - a above,   z = (p_j - c_j)/s'
 
-Their variance stays s^2; peaks are moved so that the four temperatures are still where 2.5 and
-97.5 % are done, to half a percent (Cornish and Fisher 1938). `ramp` and `share` leave a out.
+Their variance stays s^2, and the four temperatures to half a kelvin where 2.5 and 97.5 % are done
+(Cornish and Fisher 1938). `ramp` and `share` leave a out.
 
 The clamps keep the ends of a wire cold (`wire.end_length` L, about sqrt(k d/4h)): at x from a clamp
 it is 1 - exp(-x/L) as warm above the room as in the middle. Each end is three pieces of length L
@@ -133,11 +133,9 @@ def skewed(wires, i, away):
     """Share of a group's grains at `away` deviations from the peak of their centres, and
     exp(-x^2/2) as its density has it."""
     skew = wires[i, at.SKEW]
-    if away > 0.0:
-        share, density = cumulative(away / (1.0 + skew))
-        return (1.0 + skew) * share - skew, density
-    share, density = cumulative(away / (1.0 - skew))
-    return (1.0 - skew) * share, density
+    wide, less = (1.0 + skew, skew) if away > 0.0 else (1.0 - skew, 0.0)
+    share, density = cumulative(away / wide)
+    return wide * share - less, density
 
 
 @inlined
