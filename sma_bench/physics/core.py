@@ -34,6 +34,7 @@ from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics import columns as at
 from sma_bench.physics import orientation, r_phase
 from sma_bench.physics.effects.ambient_drift import air_temperature
+from sma_bench.physics.effects.latent_heat import latent_rise
 from sma_bench.physics.effects.matrix_thermal_mass import look_beside, warm_together
 from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, resist, yield_sign
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
@@ -100,7 +101,7 @@ def heat_balance(wires, i, voltage, step):
     total = conductance + wires[i, at.BESIDE]
     exponent = -step * total / wires[i, at.CAPACITY]
     wires[i, at.DECAY] = math.exp(exponent)
-    wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
+    wires[i, at.LAG] = latent_rise(wires, i) * math.expm1(exponent) / exponent
     beside = wires[i, at.BESIDE] * wires[i, at.BESIDE_TEMPERATURE]
     return (heating + conductance * air + beside) / total
 

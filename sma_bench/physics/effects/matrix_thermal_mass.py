@@ -17,6 +17,7 @@ import math
 from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
+from sma_bench.physics.effects.latent_heat import latent_rise
 
 EFFECT = Effect(
     "thermal",
@@ -89,8 +90,8 @@ def warm_together(wires, i, heating, loss, air, step):
     slow_mean, fast_mean = slow_change / (slow * step), fast_change / (fast * step)
     wires[i, at.DECAY] = 0.0
     wires[i, at.LAG] = -(a + fast) * slow_mean + (a + slow) * fast_mean
-    wires[i, at.LAG] *= wires[i, at.LATENT_RISE] / apart
-    wires[i, at.MATRIX_LAG] = wires[i, at.LATENT_RISE] * b * (slow_mean - fast_mean) / apart
+    wires[i, at.LAG] *= latent_rise(wires, i) / apart
+    wires[i, at.MATRIX_LAG] = latent_rise(wires, i) * b * (slow_mean - fast_mean) / apart
     # exp(A t) = [exp(slow t) (A - fast) - exp(fast t) (A - slow)] / (slow - fast)
     of_wire = slow_decay * (a * matrix - (a + fast) * wire)
     of_wire -= fast_decay * (a * matrix - (a + slow) * wire)
