@@ -23,7 +23,7 @@ from examination.blind.cases import EFFECTS
 from examination.blind.facts import Weighed
 from examination.blind.utilities import FIXED, NAMES, SIGNS, features
 from examination.pieces import print_table
-from sma_bench.diagnose.decision import JOIN
+from sma_bench.diagnose.result import JOIN
 from sma_bench.parameters.yaml_file import write_text_atomically
 
 Array = npt.NDArray[np.float64]

@@ -20,7 +20,15 @@ from scipy.special import softmax
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
-from sma_bench.diagnose.result import Explanation, Verdict, inclusion
+from sma_bench.diagnose.result import (
+    JOIN,
+    NO_GAP,
+    RECALIBRATION,
+    UNEXPLAINED,
+    Explanation,
+    Verdict,
+    inclusion,
+)
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.estimate import Estimate
@@ -30,8 +38,6 @@ from sma_bench.estimation.unknowns import LAW_EFFECT, OTHER_LAWS
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 
-RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
-JOIN = "+"
 BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
 SURPRISED = "parameters are needed that nobody believes in"
 
@@ -66,7 +72,7 @@ LARGEST_SIGN, LARGEST_BESIDE, MUCH = 6.0, -0.3, 15.0  # MUCH in nats
 # proof that only the parameters are off.
 UNSEEN = -1.45
 NAMED = 0.6  # probability from which what is at work is named
-REMARK = 0.1  # share of the gap below which a partner is a remark beside the main cause
+REMARK = 0.1  # share of the gap below which a partner is a remark, and no second cause
 WORTH_SAYING = 0.02  # probability
 LAW_SHOWS = 2.0  # of the noise: less of another law is what every bench has
 
@@ -193,7 +199,7 @@ def decide(search: Search, weights: Weights) -> tuple[Candidate, ...]:
 
 def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """The same, another law of the phase named where it shows: it is free in every candidate, as
-    real kinetics are never quite a cosine. Alone it is a cause in recalibration's place; beside an
+    real kinetics are never quite a cosine. Alone it is a cause in recalibration's place, with an
     effect a second one, or a remark."""
     found = []
     for one in candidates:

@@ -11,7 +11,9 @@ from sma_bench.findings import Finding
 from sma_bench.results import Carded, card_rows, cells, decoded, sentences
 
 Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained"]
-NO_EFFECT = ("recalibration", "no_gap", "unexplained")  # candidates without a cause
+RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
+NO_EFFECT = (RECALIBRATION, NO_GAP, UNEXPLAINED)  # candidates without a cause
+JOIN = "+"  # of two effects
 SET_MASS = 0.9  # probability that the credible candidates make together
 AT_NOISE = 1.05  # rms of the error over the noise of a sample: nothing to shrink
 WORTH = 0.05  # probability more than now that the true cause is given
@@ -85,13 +87,13 @@ class Explanation:
     parameters: dict[str, Estimate] = field(default_factory=dict)  # of its effects
     gap_over_noise: float = math.nan  # what these do
     log_evidence: float = math.nan  # nats, over recalibration
-    # effects that would do less than a tenth of what this one does beside it, with that share
+    # effects that would do less than a tenth of what this one does, with that share
     beside: dict[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[str, ...]:
         """Effects that it is made of."""
-        return () if self.name in NO_EFFECT else tuple(self.name.split("+"))
+        return () if self.name in NO_EFFECT else tuple(self.name.split(JOIN))
 
 
 def inclusion(candidates: Sequence[Explanation]) -> dict[str, float]:

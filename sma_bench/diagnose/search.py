@@ -232,6 +232,7 @@ def _where_it_moves(
 
 
 def _surprises(fitted: Fit) -> bool:
+    """Whether a number of the bench went further than anyone believes."""
     return bool(np.max(np.abs(fitted.x[: fitted.unknowns.bench]), initial=0.0) > _SURPRISING)
 
 

@@ -13,8 +13,7 @@ from matplotlib.ticker import NullLocator
 
 from sma_bench.arrays import Array
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.decision import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
-from sma_bench.diagnose.result import DiagnosisResult
+from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED, DiagnosisResult
 from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, locate, sample_noise
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, BinnedSignal

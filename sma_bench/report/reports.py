@@ -8,8 +8,7 @@ from typing import Any
 
 from sma_bench.border import read_json, read_text
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.decision import NO_GAP, UNEXPLAINED
-from sma_bench.diagnose.result import DiagnosisResult, diagnosis_from
+from sma_bench.diagnose.result import NO_GAP, UNEXPLAINED, DiagnosisResult, diagnosis_from
 from sma_bench.diagnose.sizes import sample_noise
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES

@@ -18,9 +18,8 @@ from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json, read_text
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.decision import NO_GAP, RECALIBRATION, UNEXPLAINED
 from sma_bench.diagnose.drives import FIRST
-from sma_bench.diagnose.result import diagnosis_from
+from sma_bench.diagnose.result import NO_GAP, RECALIBRATION, UNEXPLAINED, diagnosis_from
 from sma_bench.errors import InputError, errors_in
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.parameters import Parameters, read_parameters, write_parameters

@@ -2,7 +2,7 @@
 
     m c_p dT/dt = ... - G (T - E),    C_e dE/dt = G (T - E) - G_a (E - T_inf) [- G_c (E - E_other)]
 
-A clamp beside the way to the air takes heat too, off the wire or, where there is any, the silicone:
+A clamp takes heat too, off the wire or, where there is any, the silicone:
 
     ... - G_k (T - K),    t_k dK/dt = T - K
 
@@ -53,8 +53,8 @@ def warmed(wires, i, step):
 
 @borrowing
 def look_beside(wires, i, opposite, step):
-    """Note what wire i gives heat to beside the air: the side `opposite` [K], and its clamp; as one
-    conductance and temperature, held over a step. The clamp's is its mean over the step."""
+    """Note what wire i gives heat to, apart from the air: the side `opposite` [K], and its clamp; as
+    one conductance and temperature, held over a step. The clamp's is its mean over the step."""
     across, clamp = wires[i, at.ACROSS], wires[i, at.CLAMP_CONDUCTANCE]
     wires[i, at.BESIDE], wires[i, at.BESIDE_TEMPERATURE] = across, opposite
     if clamp > 0.0:

@@ -26,7 +26,7 @@ EFFECT = Effect(
                "assumed: up to 0.5", 0.0, 0.9, uncertainty=0.2)),
     shows="all excess temperatures read low by one factor; the deflection knows nothing of it",
     acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),
-    forms={"beside": ("missing",), "walking": ("walking",), "opposite": ("opposite",)},
+    forms={"background": ("missing",), "walking": ("walking",), "opposite": ("opposite",)},
     columns={"missing": "MISSING_SPOT", "walking": "WALKING_SPOT", "opposite": "OPPOSITE_SPOT"},
 )
 
