@@ -53,7 +53,7 @@ def warmed(wires, i, step):
 
 @borrowing
 def look_beside(wires, i, opposite, step):
-    """Note what wire i gives heat to, apart from the air: the side `opposite` [K], and its clamp; as
+    """Note what wire i gives heat to, apart from the air: the side `opposite` [K] and its clamp, as
     one conductance and temperature, held over a step. The clamp's is its mean over the step."""
     across, clamp = wires[i, at.ACROSS], wires[i, at.CLAMP_CONDUCTANCE]
     wires[i, at.BESIDE], wires[i, at.BESIDE_TEMPERATURE] = across, opposite
