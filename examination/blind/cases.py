@@ -19,6 +19,7 @@ from sma_bench.parameters import Parameters
 # --- Every effect as features of the reality: symptoms.yaml.
 
 LOADS = ("beam", "force", "spring", "antagonist")
+ALL_LOADS = "all"
 
 
 @dataclass(frozen=True)
@@ -192,13 +193,15 @@ def possible(symptoms: Mapping[str, Symptom], load: str) -> tuple[str, ...]:
     return tuple(name for name, symptom in symptoms.items() if load in symptom.loads)
 
 
-def deal(n: int, rng: np.random.Generator, load: str = "beam") -> list[Card]:
+def deal(
+    n: int, rng: np.random.Generator, load: str = "beam", shares: str = "shares"
+) -> list[Card]:  # fmt: skip
     """n cards in random order, every share kept as nearly as n allows.
 
     Signals and noise models are dealt within each kind, so that neither reveals the kind.
     """
     # Largest remainders; which kinds get the last cases is drawn where they are equal.
-    exact = {kind: share * n for kind, share in _DEALT["shares"].items()}
+    exact = {kind: share * n for kind, share in _DEALT[shares].items()}
     counts = {kind: int(value) for kind, value in exact.items()}
     order = sorted(exact, key=lambda kind: (counts[kind] - exact[kind], rng.random()))
     for kind in order[: n - sum(counts.values())]:
@@ -305,11 +308,22 @@ def split_of(seed: int) -> str:
 
 
 def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
+    """n cases of a load, or of all of them."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(DECK,)))
-    width = max(4, len(str(n)))
+    width, shares = max(4, len(str(n))), "shares"
+    if seed in IN_FORMS and split_of(seed) == "frozen-test":
+        shares = "shares_of_forms"
+    if load != ALL_LOADS:
+        cards = [(load, card) for card in deal(n, rng, load, shares)]
+    else:
+        counts = {one: int(part * n + 1e-9) for one, part in _DEALT["all_loads"].items()}
+        counts["beam"] += n - sum(counts.values())
+        cards = [
+            (one, card) for one, count in counts.items() for card in deal(count, rng, one, shares)
+        ]
+        cards = [cards[k] for k in rng.permutation(n)]
     return [
-        draw_case(seed, k, card, f"{k + 1:0{width}d}", load)
-        for k, card in enumerate(deal(n, rng, load))
+        draw_case(seed, k, card, f"{k + 1:0{width}d}", one) for k, (one, card) in enumerate(cards)
     ]
 
 

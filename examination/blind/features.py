@@ -1,7 +1,9 @@
 """Development cases searched once each: what the decision looks at, beside the label.
 
 Cases cover all loads, one or two records and missing signals; a third of the owners state half of
-their numbers only. What is found is kept under a hash of the library, one line a case.
+their numbers only. Half of the benches without an effect are plain: their equations are the
+baseline's, and of those where nothing is wrong half have the very numbers that are stated. What is
+found is kept under a hash of the library, one line a case.
 """
 
 import hashlib
@@ -14,13 +16,14 @@ from typing import Any
 import numpy as np
 
 from examination.blind import cases
+from examination.blind.case_files import RECALIBRATION
 from examination.blind.cases import QUANTITIES, Case
-from examination.blind.facts import weighed
-from examination.blind.make import make_label, size
+from examination.blind.make import Sized, make_label, size
 from examination.blind.rigs import RECORDS, world_of
 from examination.blind.sensors import measure
-from sma_bench.diagnose import decision
+from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.search import search
+from sma_bench.diagnose.utilities import Utilities
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.parameters import Parameters
@@ -30,9 +33,10 @@ from sma_bench.records.check import mended
 PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
 # What the numbers of a search depend on; the decision is fitted to them.
 _LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
-_NOT_ITS = ("decision.py", "diagnosis.py", "result.py", "next_experiment.py")
+_NOT_ITS = ("decision.py", "diagnosis.py", "next_experiment.py", "result.py", "utilities.py")
 _LOADS = ("beam", "beam", "force", "beam", "spring", "beam", "antagonist")  # in turn
 _UNSTATED, _LESS_SIGNALS = 1 / 3, 0.35  # of the owners; of the benches that read all
+_PLAIN, _AS_STATED = 0.5, 0.5  # of the benches without an effect; of plain ones with nothing wrong
 _STATED_ALWAYS = ("bench.", "load.", "composite.", "wire.diameter", "wire.length", "wire.count")
 _STREAM = 2_000_003  # apart from those that cases are made of
 
@@ -40,7 +44,6 @@ _STREAM = 2_000_003  # apart from those that cases are made of
 def library_hash() -> str:
     """Of all that a search depends on."""
     paths = sorted(p for room in _LIBRARY for p in (PACKAGE / room).rglob("*.py"))
-    paths.append(Path(__file__).with_name("facts.py"))
     own = hashlib.sha256()
     for path in paths:
         if path.name not in _NOT_ITS:
@@ -80,23 +83,32 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
         shown = all(known[name].in_deflection for name in card.effects)
         less = "without current", "without temperature"
         card = replace(card, signals=less[int(own.integers(2)) if shown else 0])
+    plain = card.kind in (cases.NONE, RECALIBRATION) and bool(own.random() < _PLAIN)
+    if plain:
+        card = replace(card, noise="white")
     case = cases.draw_case(seed, index, card, f"{index:04d}", load)
-    sized = size(case)
+    sized = Sized({}, {}, {}, {}, 0.0, 0.0) if plain else size(case)
     names = RECORDS[: int(own.integers(1, 3))]
     label = make_label(case, sized)
-    nominal = half_stated(case.nominal, own) if own.random() < _UNSTATED else case.nominal
+    nominal = case.nominal
+    if plain and card.kind == cases.NONE and own.random() < _AS_STATED:
+        nominal = nominal.replace({n: case.truth[n] for n in nominal.given_uncertainty})
+    if own.random() < _UNSTATED:
+        nominal = half_stated(nominal, own)
 
     records = [mended(record)[0] for record in recorded(case, sized.features, names)]
     quantities = QUANTITIES[card.signals]
     shortest = shared_bin(records, nominal)
     found = search([observe(r, nominal, shortest, quantities) for r in records], nominal)
-    weights = decision.weigh(found)
-    today = {c.name: round(c.probability, 6) for c in decision.decide(found, weights)}
+    looked_at = weighed(found)
+    utilities = Utilities(looked_at)
+    today = dict(zip(utilities.names, utilities.probabilities().round(6).tolist(), strict=True))
     wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
               "distinguishable", "load", "forms", "law_distance", "transformation_law")  # fmt: skip
     return {
         "label": {name: label[name] for name in wanted}, "today": today,
-        "records": len(names), "stated": len(nominal.given), "facts": asdict(weighed(found)),
+        "plain": plain, "records": len(names), "stated": len(nominal.given),
+        "facts": asdict(looked_at),
     }  # fmt: skip
 
 

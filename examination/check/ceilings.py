@@ -34,7 +34,6 @@ from examination.blind.rigs import COMMAND_PERIOD, Stage
 from examination.blind.score import as_markdown, handed_in, open_labels, score, side_by_side
 from examination.blind.sensors import measure
 from examination.pieces import options_of
-from sma_bench.diagnose.decision import PAIR_THRESHOLD, THRESHOLD
 from sma_bench.diagnose.drives import least_stds
 from sma_bench.diagnose.search import Remainder, find_start, search
 from sma_bench.estimation.observation import observe, shared_bin
@@ -53,6 +52,8 @@ _START_NS = 1_750_000_000 * 10**9
 
 Label = Mapping[str, Any]
 # Nats that an effect must gain to be named, by kind of case; of recalibration there is none.
+# Nats without which nothing is worth naming: of a single over recalibration, of a pair over it.
+THRESHOLD, PAIR_THRESHOLD = 5.5, 10.7
 NEEDED = {"single": THRESHOLD, "pair": PAIR_THRESHOLD, "recalibration": -np.inf}
 
 

@@ -24,7 +24,6 @@ from examination.blind.reality import World
 from examination.blind.rigs import BACK, FRONT, RECORDS, Stage, true_values
 from examination.blind.sensors import Sensors, measure
 from examination.pieces import options_of
-from sma_bench.diagnose.decision import THRESHOLD
 from sma_bench.diagnose.search import Remainder, find_start
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.residual import Problem
@@ -35,6 +34,7 @@ from sma_bench.records.record import Record
 INTERVAL = 1.645  # standard errors: 90 %
 WANTED = (0.80, 0.95)
 _QUIET = 1e-3  # of the sensors' noise
+_WORTH_NAMING = 5.5  # nats over recalibration
 _STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread, as a diagnosis begins
 
 SAME: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
@@ -119,7 +119,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     counted: list[Claim] = []
     for case in draw_cases(options.seed, options.cases):
         for c in claims_of(case) if case.card.kind == "single" else ():
-            counts = c.gain > THRESHOLD
+            counts = c.gain > _WORTH_NAMING
             counted += [c] * counts
             print(
                 f"{c.case} {c.number.removeprefix('effect.'):55s} {c.value:11.4g}"

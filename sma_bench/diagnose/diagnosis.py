@@ -9,10 +9,22 @@ from scipy.special import chdtrc
 
 from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate
+from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.next_experiment import next_experiment
-from sma_bench.diagnose.result import DiagnosisResult, Difference, LeftOver, Moved, Verdict, Where
+from sma_bench.diagnose.result import (
+    NO_GAP,
+    RECALIBRATION,
+    UNEXPLAINED,
+    DiagnosisResult,
+    Difference,
+    LeftOver,
+    Moved,
+    Verdict,
+    Where,
+)
 from sma_bench.diagnose.search import Progress, Search, held_back, search
 from sma_bench.diagnose.sizes import contribution, locate, sensors_noise, shrinkage, unknown_share
+from sma_bench.diagnose.utilities import Utilities, learnt
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
@@ -40,6 +52,20 @@ _STAGES = {
     **dict.fromkeys(TRANSITIONS.values(), "transformation"),
     "wire.stress_influence_austenite": "transformation",
     "wire.stress_influence_martensite": "transformation",
+}
+# What is left is said to be no noise from so many nats of a smooth response of free form, and so
+# many standard deviations of a signal in motion against rest, and of its largest sample.
+_FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
+_SPEAKS = 0.5  # log odds
+_SIGNS = {
+    "beyond": "a smooth response of free form is left",
+    "beyond_share": "a smooth response of free form is left",
+    "ratio": "{signal} scatters more in motion than at rest",
+    "left": "{signal} scatters more in motion than at rest",
+    "left_share": "{signal} scatters more in motion than at rest",
+    "outlier": "a single event stands out",
+    "drift": "a sensor would have to drift as none does",
+    "best_unsteady": "the best effect has another size in every stretch of the records",
 }
 _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
 
@@ -119,13 +145,13 @@ def diagnose(
 
     # The verdict, and the most probable model that can be simulated.
     found = search(observations, parameters, progress, doubted)
-    weights = decision.weigh(found)
-    weighed = decision.decide(found, weights)
-    candidates = decision.with_law(weighed)
+    utilities = Utilities(weighed(found))
+    decided = decision.decide(found, utilities)
+    candidates = decision.with_law(decided)
     verdict = decision.verdict_of(candidates)
-    cause = decision.named(candidates, weights) if verdict == "effect" else ()
+    cause = decision.named(candidates, utilities) if verdict == "effect" else ()
     model = next(c.fit for c in candidates if c.fit is not None and set(cause) <= set(c.effects))
-    recalibrated, no_gap = found.recalibrated, verdict == decision.NO_GAP
+    recalibrated, no_gap = found.recalibrated, verdict == NO_GAP
     improved = parameters if no_gap else _improved(model, parameters)
 
     progress("shrinkage on data that no fit saw")
@@ -144,7 +170,7 @@ def diagnose(
         progress("the next experiment")
         try:
             following = next_experiment(
-                decision.verdict_of(weighed), weighed, found, weights, observations, parameters
+                decision.verdict_of(decided), decided, found, utilities, observations, parameters
             )
             if verdict == "ambiguous" and not (following and following.settles):
                 text = (
@@ -164,12 +190,12 @@ def diagnose(
     # Where the gap lies: what the effects do, what no candidate explains, or what separates belief
     # and recalibration.
     stages = {} if no_gap else stages_of(candidates, found)
-    if verdict == decision.UNEXPLAINED:
+    if verdict == UNEXPLAINED:
         # A smooth response where it is sure; else all that is slower than the scatter of samples,
         # what a fit has to take for the drift of a sensor.
         left, noise = recalibrated.left, recalibrated.problem.noise
         missing = found.flexible.response
-        if found.flexible.gain <= decision.FLEXIBLE:
+        if found.flexible.gain <= _FREE_FORM:
             missing = np.concatenate([
                 noise[b.signal.name].drift_in(left[b.rows]) for b in recalibrated.problem.blocks
             ])  # fmt: skip
@@ -199,6 +225,7 @@ def diagnose(
             top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)
         ),
         shrinkage=shrinks,
+        set_mass=learnt().set_mass,
         **_facts(verdict, candidates, found, model),
         not_compared=tuple(
             q for q in QUANTITIES if q not in measured and (moves or q != "deflection")
@@ -259,8 +286,7 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
     whose parameters moved further than anyone believed; where all moved as far as believed they
     tell of no stage (six transition numbers move further than one resistance by their number
-    alone). What nothing explains has that stage, or the one of the effect that gains most; the
-    share that it keeps without any sign of it tells of none.
+    alone). What nothing explains has that stage, or the one of the effect that gains most.
     """
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved: dict[str, list[float]] = {}
@@ -270,18 +296,17 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     chances = {stage: float(chdtrc(len(xs), np.sum(np.square(xs)))) for stage, xs in moved.items()}
     least = min(chances, key=lambda stage: chances[stage])
     beyond_belief = least if chances[least] * len(moved) < _CHANCE else ""
-    benign = sum(c.probability for c in candidates if c.name in decision.BENIGN)
     shares: dict[str, float] = {}
     for candidate in candidates:
         share, stage = candidate.probability, ""
         if candidate.effects:
             stage = EFFECTS[max(candidate.effects, key=found.gain)].stage
-        elif candidate.name == decision.RECALIBRATION:
+        elif candidate.name == RECALIBRATION:
             stage = beyond_belief
-        elif candidate.name == decision.UNEXPLAINED:
+        elif candidate.name == UNEXPLAINED:
             best = EFFECTS[found.ranked[0]].stage if found.ranked else ""
-            stage, share = beyond_belief or best, share - float(np.exp(decision.UNSEEN)) * benign
-        if stage and share > 0.0:
+            stage = beyond_belief or best
+        if stage:
             shares[stage] = shares.get(stage, 0.0) + share
     ranked = sorted(shares, key=lambda stage: shares[stage], reverse=True)
     return {stage: shares[stage] for stage in ranked} or {least: 0.0}
@@ -321,9 +346,9 @@ def _facts(
     }
 
     # Where the two most probable models differ most; one that only adds to the first is no rival.
-    models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != decision.NO_GAP]
+    models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP]
     differ = None
-    if len(models) > 1 and verdict not in (decision.NO_GAP, decision.UNEXPLAINED):
+    if len(models) > 1 and verdict not in (NO_GAP, UNEXPLAINED):
         (first, one), *others = models
         own = set(first.effects)
         rivals = [(c, fit) for c, fit in others if not (own and own <= set(c.effects))]
@@ -332,22 +357,22 @@ def _facts(
         differ = Difference((first.name, rival.name), cell)
 
     # What the best model leaves, its signs that are no noise apart.
-    left, gain, by = found.left, found.flexible.gain, decision.RECALIBRATION
+    left, gain, by = found.left, found.flexible.gain, RECALIBRATION
     if unknowns.effects:
         left, gain, by = found.left_by_best, found.beyond.gain, "the best model"
     left_behind = LeftOver(
-        by, gain, left.signal, left.ratio if left.ratio > decision.LEFT_RATIO else 0.0,
-        left.outlier if left.outlier > decision.LEFT_OUTLIER else 0.0, gain > decision.FLEXIBLE,
+        by, gain, left.signal, left.ratio if left.ratio > _IN_MOTION else 0.0,
+        left.outlier if left.outlier > _EVENT else 0.0, gain > _FREE_FORM,
     )
 
-    # The sign that weighs most for a cause outside the library, unless that is out of question.
+    # What weighs most for a cause outside the library, unless that is out of question.
     sign = ""
-    unexplained = next(c for c in candidates if c.name == decision.UNEXPLAINED)
-    if unexplained.probability >= decision.WORTH_SAYING and verdict != decision.NO_GAP:
-        signs = decision.signs_of_unexplained(found)
-        sign = max(signs, key=lambda name: signs[name])
-        if signs[sign] <= 0.0:
-            sign = "no sign was found, which is no proof that there is none"
+    unexplained = next(c for c in candidates if c.name == UNEXPLAINED)
+    if unexplained.probability >= decision.WORTH_SAYING and verdict != NO_GAP:
+        most = max(_SIGNS, key=lambda name: unexplained.nats.get(name, 0.0))
+        sign = "no sign was found, which is no proof that there is none"
+        if unexplained.nats.get(most, 0.0) > _SPEAKS:
+            sign = _SIGNS[most].format(signal=found.left_by_best.signal or "what is left")
     return {
         "moved": tuple(sorted(moved, key=lambda one: -abs(one.deviations))),
         "smoother": smoother, "difference": differ, "left": left_behind, "unexplained_sign": sign,

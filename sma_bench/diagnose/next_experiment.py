@@ -24,10 +24,19 @@ from scipy.special import ndtri
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose import decision
-from sma_bench.diagnose.decision import Candidate, Weights
+from sma_bench.diagnose.decision import Candidate
 from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn, measured
-from sma_bench.diagnose.result import SET_MASS, WORTH, NextExperiment, Verdict
+from sma_bench.diagnose.result import (
+    JOIN,
+    NO_GAP,
+    RECALIBRATION,
+    UNEXPLAINED,
+    WORTH,
+    NextExperiment,
+    Verdict,
+)
 from sma_bench.diagnose.search import Search
+from sma_bench.diagnose.utilities import Utilities, learnt
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
 from sma_bench.estimation.nuisances import offsets
@@ -76,25 +85,25 @@ class Matter:
     """What is still open: the causes, what their fits leave free, and what the bench can do."""
 
     def __init__(
-        self, candidates: Sequence[Candidate], search: Search, weights: Weights,
+        self, candidates: Sequence[Candidate], search: Search, utilities: Utilities,
         observations: Sequence[Observation], parameters: Parameters,
     ) -> None:
         self.probability = {c.name: c.probability for c in candidates}
-        self.weights, self.search, self.parameters = weights, search, parameters
+        self.utilities, self.search, self.parameters = utilities, search, parameters
         possible = [
             c for c in candidates
-            if c.fit is not None and c.name != decision.NO_GAP
-            and (c.probability > _LEAST or c.name == decision.RECALIBRATION)
+            if c.fit is not None and c.name != NO_GAP
+            and (c.probability > _LEAST or c.name == RECALIBRATION)
         ]
         self.fits = {c.name: c.fit for c in possible[:_MOST_CAUSES] if c.fit is not None}
-        self.fits.setdefault(decision.RECALIBRATION, search.recalibrated)
+        self.fits.setdefault(RECALIBRATION, search.recalibrated)
         pairs = list(permutations(self.fits, 2))
-        believed = replace(weights, surprise=-decision.LARGEST_SIGN)
+        believed = Utilities(replace(utilities.found, surprise=0.0))
 
-        def given(weights: Weights, telling: Telling) -> float:
-            return prospect(weights, self.probability, dict.fromkeys(pairs, telling)).given
+        def given(utilities: Utilities, telling: Telling) -> float:
+            return prospect(utilities, self.probability, dict.fromkeys(pairs, telling)).given
 
-        self.before = given(weights, Telling(0.0, 0.0))
+        self.before = given(utilities, Telling(0.0, 0.0))
         self.most = max(given(believed, plain) for plain in _PLAIN) - self.before
         self.observation = max(observations, key=lambda o: len(o.quantities))
         self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))
@@ -109,13 +118,14 @@ class Matter:
         self, kind: str, why: str, minutes: float, tellings: Tellings, **more: Any
     ) -> NextExperiment:
         """What it would be worth, the rivals given."""
-        weights = replace(self.weights, records=self.weights.records + 1)
+        found = self.utilities.found
         if known := more.get("parameters"):  # no record, and what was measured surprises no more
-            best = self.search.best
-            moved = zip(best.unknowns.bench_names, best.x.tolist(), strict=False)
-            surprise = decision.sign_of_surprise(sum(x**2 for n, x in moved if n not in known))
-            weights = replace(self.weights, surprise=min(self.weights.surprise, surprise))
-        after = prospect(weights, self.probability, tellings)
+            fitted = self.search.recalibrated
+            moved = zip(fitted.unknowns.bench_names, fitted.x.tolist(), strict=False)
+            found = replace(found, surprise=sum(x**2 for n, x in moved if n not in known))
+        else:
+            found = replace(found, records=found.records + 1)
+        after = prospect(Utilities(found), self.probability, tellings)
         causes = tuple(dict.fromkeys(name for pair in tellings for name in pair))
         return NextExperiment(
             kind, why, causes, minutes=minutes, chance=after.named,
@@ -124,7 +134,7 @@ class Matter:
 
 
 def next_experiment(
-    verdict: Verdict, candidates: Sequence[Candidate], search: Search, weights: Weights,
+    verdict: Verdict, candidates: Sequence[Candidate], search: Search, utilities: Utilities,
     observations: Sequence[Observation], parameters: Parameters,
 ) -> NextExperiment | None:
     """The quickest of what would settle the matter nearly as often as anything. `candidates`: the
@@ -133,10 +143,10 @@ def next_experiment(
     one candidate makes up the credible set or no experiment could be worth it, and one that does
     not `settle` where none of those that the bench can do is. Raises InputError: the bench's limits
     refuse every drive."""
-    matter = Matter(candidates, search, weights, observations, parameters)
-    if verdict == decision.UNEXPLAINED:
+    matter = Matter(candidates, search, utilities, observations, parameters)
+    if verdict == UNEXPLAINED:
         return _showing(search, matter)
-    if candidates[0].probability >= SET_MASS or matter.most < WORTH:
+    if candidates[0].probability >= learnt().set_mass or matter.most < WORTH:
         return None
     options = [found for name in TESTS if (found := _test(name, matter)) is not None]
     if len(matter.fits) > 1:
@@ -191,7 +201,7 @@ def _showing(search: Search, matter: Matter) -> NextExperiment | None:
 
 def _parts(name: str) -> frozenset[str]:
     """Effects in a candidate's name."""
-    return frozenset(() if name == decision.RECALIBRATION else name.split(decision.JOIN))
+    return frozenset(() if name == RECALIBRATION else name.split(JOIN))
 
 
 def _minutes(obs: Observation) -> float:
@@ -264,7 +274,7 @@ def _driven(
     tellings = _tellings({name: planned.whiten(p) for name, p in readings.items()}, spaces)
     driven = _minutes(planned.observations[0])
     for pair, telling in tellings.items():
-        if pair[0] == decision.RECALIBRATION:  # a bench that is not quite the model
+        if pair[0] == RECALIBRATION:  # a bench that is not quite the model
             less = max(telling.evidence - _TAKEN_UP, min(telling.evidence, 0.0))
             tellings[pair] = telling._replace(evidence=less)
         # Whether a zero wanders, no model predicts: another record tells as much as one of the
@@ -272,7 +282,7 @@ def _driven(
         one, other = sorted(map(_parts, pair), key=len)
         if other - one == {DRIFT_EFFECT} and one < other:
             steady, wanders = sorted(pair, key=lambda name: len(_parts(name)))
-            gains = matter.weights.gains
+            gains = {n: f.gain for n, f in matter.utilities.found.candidates.items()}
             share = min(driven / matter.minutes, 1.0 / matter.records)
             evidence = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * share
             seen = float(np.sqrt(2.0 * evidence))  # several records tell what one hardly does
@@ -398,44 +408,43 @@ class Prospect(NamedTuple):
 
 
 def prospect(
-    weights: Weights, probability: Mapping[str, float], tellings: Mapping[tuple[str, str], Telling]
-) -> Prospect:
+    utilities: Utilities, probability: Mapping[str, float],
+    tellings: Mapping[tuple[str, str], Telling],
+) -> Prospect:  # fmt: skip
     """What the verdict would be after an experiment, whichever cause is true, as noise may fall.
 
     Args:
-        weights: as they are now, the effects' gains before the experiment.
+        utilities: as they are now, the effects' gains before the experiment.
         probability: of every candidate now.
         tellings: by (truth, rival) of the causes that were simulated; another cause stays as
             probable beside the truth as it is.
     """
     simulated = list(dict.fromkeys(name for pair in tellings for name in pair))
-    now = weights.gains
+    now = dict(zip(utilities.effects, utilities.gains.tolist(), strict=True))
     named = given = 0.0
 
-    def against(truth: str, rival: str, luck: float) -> float:
-        """Nats. An effect that is not there is told by not being seen, which takes an experiment
+    def against(truth: str, rival: str) -> Array:
+        """(l,) nats. An effect that is not there shows by not being seen, which takes an experiment
         that would show it; its freedom alone settles nothing."""
         telling = tellings[truth, rival]
-        nats = telling.evidence + luck * telling.distance
+        nats = telling.evidence + _LUCK * telling.distance
         visible = max(telling.distance, tellings[rival, truth].distance) >= VISIBLE
-        return nats if visible else min(nats, 0.0)
+        return np.asarray(nats if visible else np.minimum(nats, 0.0))
 
     for truth in simulated:
-        right = decision.BENIGN if truth == decision.RECALIBRATION else (truth,)
-        own = sum(probability[name] for name in right)
-        for luck in _LUCK:
-            lost = {r: against(truth, r, luck) for r in simulated if r != truth}
-            over = lost.get(decision.RECALIBRATION, 0.0)
-            gains = {c: now[c] + over - lost.get(c, 0.0) for c in simulated if c in now}
-            best = max([0.0, *gains.values()])
-            stretch = decision.scale_of(best) / decision.scale_of(max([0.0, *now.values()]))
-            # What was not simulated goes with the truth, as probable beside it as before.
-            gains |= {
-                c: now.get(truth, 0.0) + over - (now.get(truth, 0.0) - gain) * stretch
-                for c, gain in now.items() if c not in gains
-            }
-            after = replace(weights, gains=gains).probabilities()
-            share = sum(after[name] for name in right)
-            given += own * share / len(_LUCK)
-            named += own * (share >= decision.NAMED) / len(_LUCK)
+        right = decision.BENIGN if truth == RECALIBRATION else (truth,)
+        own = sum(probability.get(name, 0.0) for name in right)
+        lost = {r: against(truth, r) for r in simulated if r != truth}
+        over = lost.get(RECALIBRATION, np.zeros(len(_LUCK)))
+        begun = now.get(truth, 0.0)
+        # What was not simulated goes with the truth, as probable beside it as before.
+        longer = np.maximum(begun + over, 0.0) / begun if begun > 0.0 else np.ones(len(_LUCK))
+        gains = [
+            gain + over - lost.get(name, 0.0) if name in simulated else gain * longer
+            for name, gain in now.items()
+        ]
+        after = utilities.probabilities(np.column_stack(gains)) if gains else np.zeros((1, 3))
+        share = sum(after[:, utilities.names.index(name)] for name in right)
+        given += own * float(np.mean(share))
+        named += own * float(np.mean(share >= decision.NAMED))
     return Prospect(named, given)

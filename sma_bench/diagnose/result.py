@@ -14,7 +14,6 @@ Verdict = Literal["effect", "recalibration", "no_gap", "ambiguous", "unexplained
 RECALIBRATION, NO_GAP, UNEXPLAINED = "recalibration", "no_gap", "unexplained"
 NO_EFFECT = (RECALIBRATION, NO_GAP, UNEXPLAINED)  # candidates without a cause
 JOIN = "+"  # of two effects
-SET_MASS = 0.9  # probability that the credible candidates make together
 AT_NOISE = 1.05  # rms of the error over the noise of a sample: nothing to shrink
 WORTH = 0.05  # probability more than now that the true cause is given
 
@@ -89,6 +88,8 @@ class Explanation:
     log_evidence: float = math.nan  # nats, over recalibration
     # effects that would do less than a tenth of what this one does, with that share
     beside: dict[str, float] = field(default_factory=dict)
+    # what its log odds are the sum of, by what was looked at
+    nats: dict[str, float] = field(default_factory=dict)
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -173,6 +174,9 @@ class DiagnosisResult(Carded):
     # what is known of the records' readings, held back or mended for it
     record: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()  # remarks on records and parameters
+    # probability that the fewest candidates make together that held the truth in 90 % of the cases
+    # that were learnt from
+    set_mass: float = 0.9
     path: str = "diagnosis"  # of the result file
 
     @property
@@ -198,12 +202,12 @@ class DiagnosisResult(Carded):
 
     @property
     def credible(self) -> tuple[str, ...]:
-        """Names of the fewest candidates that make 90 % together."""
+        """Names of the fewest candidates that hold the truth in 90 %."""
         total, chosen = 0.0, []
         for candidate in self.candidates:
             chosen.append(candidate.name)
             total += candidate.probability
-            if total >= SET_MASS:
+            if total >= self.set_mass:
                 break
         return tuple(chosen)
 

@@ -63,6 +63,7 @@ _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 _ZERO_STD = 1e-4  # m, of where a testing machine's elongation is 0, by a careful hand
+_NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is right to less
 _MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
 _HISTORIES = (
     "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction", "bending",
@@ -571,7 +572,8 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     time, value = measured.time, measured.values
     kept, which, count = np.unique(which[full], return_inverse=True, return_counts=True)
     bins, sensor = len(kept), SENSORS[measured.quantity]
-    noise = max(sensor.least, noise_floor(value) / float(np.sqrt(np.median(count))))
+    sample = max(noise_floor(value), _NOISE_FLOOR * float(np.ptp(value)))
+    noise = max(sensor.least, sample / float(np.sqrt(np.median(count))))
     # Interpolation at the samples' times, then the mean over each bin.
     weight = 1.0 / count[which]
     if measured.quantity == "current":

@@ -8,8 +8,9 @@ import pytest
 from planted import ALL, FEW, believed, few_effects, planted_pair, planted_record
 
 from sma_bench.diagnose import diagnose
-from sma_bench.diagnose.decision import weigh
+from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.next_experiment import next_experiment
+from sma_bench.diagnose.utilities import Utilities
 from sma_bench.estimation.unknowns import LAW_EFFECT
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.protocols import parse_protocol
@@ -116,7 +117,8 @@ def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_di
     smooth = found.search.flexible
     missing = replace(smooth, gain=9.0, weights=np.ones_like(smooth.weights))
     proposed = next_experiment("unexplained", found.candidates,
-                               replace(found.search, flexible=missing), weigh(found.search),
+                               replace(found.search, flexible=missing),
+                               Utilities(weighed(found.search)),
                                found.observations, found.parameters)  # fmt: skip
     assert proposed.separates == () and "what no effect explains" in proposed.why
     assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0

@@ -6,10 +6,11 @@ from typing import Any
 import numpy as np
 
 from sma_bench.arrays import Array
-from sma_bench.diagnose.decision import effect_fits, own_gap
+from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Left, left_over
+from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import largest_gap
+from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
 
@@ -30,6 +31,7 @@ class Facts:
     own: float  # largest prior deviation of the effects' own numbers
     taken_by: dict[str, float]  # as `taken`, by quantity
     left: dict[str, float] = field(default_factory=dict)  # of Left, for the best few
+    parts: dict[str, float] = field(default_factory=dict)  # what each of the effects does, in noise
 
 
 @dataclass(frozen=True)
@@ -70,21 +72,23 @@ def weighed(search: Search) -> Weighed:
 
     before = error(recalibrated)
     ranked = sorted(fits, key=lambda name: -fits[name].evidence)[:_LOOKED_AT]
-    found = {}
-    for name, fitted in fits.items():
+
+    def facts(name: str, fitted: Fit) -> Facts:
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
         gap, now = own_gap(fitted), error(fitted)
+        parts = {e: own_gap(fitted, (e,)) for e in effects} if len(effects) > 1 else {name: gap}
         unsteady = 1.0  # a zero that wanders has no size that is the same throughout
         if effects != (DRIFT_EFFECT,):
             unsteady = float(fitted.jackknifed[first] / fitted.std[first])
-        found[name] = Facts(
-            fitted.evidence - recalibrated.evidence, gap,
-            gap if len(effects) == 1 else min(own_gap(fitted, (e,)) for e in effects),
+        return Facts(
+            fitted.evidence - recalibrated.evidence, gap, min(parts.values()),
             float(taken(now.sum(), before.sum())), unsteady, fitted.surprise, _deviation(fitted),
             float(np.max(np.abs(fitted.x[first:]))),
             dict(zip(quantities, taken(now, before).tolist(), strict=True)),
-            plain(left_over(fitted)) if name in ranked else {},
+            plain(left_over(fitted)) if name in ranked else {}, parts,
         )  # fmt: skip
+
+    found = dict(zip(fits, in_threads(facts, list(fits.items())), strict=True))
     return Weighed(
         found, largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
         recalibrated.surprise, _deviation(recalibrated),
@@ -93,6 +97,16 @@ def weighed(search: Search) -> Weighed:
         search.beyond.gap, len(search.problem.observations), len(quantities),
         len(problem.measured),
     )  # fmt: skip
+
+
+def effect_fits(search: Search) -> dict[str, Fit]:
+    """Of every single and pair, by its name."""
+    return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
+
+
+def own_gap(fitted: Fit, names: tuple[str, ...] = ()) -> float:
+    """What the effects of a candidate do, or some of them, the rest of its model as it is."""
+    return largest_gap(fitted.problem, contribution(fitted, names or fitted.unknowns.effects))
 
 
 def plain(left: Left) -> dict[str, float]:

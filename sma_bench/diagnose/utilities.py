@@ -1,0 +1,200 @@
+"""Probabilities of all explanations of a gap: a conditional logit, learnt from cases whose truth is
+known.
+
+    p(c) = (1 - l) exp(u_c) / sum of exp(u) + l/C,    u_c = sum of w_f x_cf
+
+Each of the C explanations, one or two effects, recalibration, no gap, something else, has linear
+utilities in features x of its own kind; nats go in by their logarithm, for a model's own error
+grows with the gap that it explains. Where physics demands it, weights have a sign. The lapse l is
+the share of the cases in which the records say nothing (D. McFadden, Conditional logit analysis of
+qualitative choice behavior, 1974; lapses: Wichmann and Hill, Percept. Psychophys. 63, 2001). The
+weights, with their errors, are in weights.yaml; `./bench blind learn` writes them.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import yaml
+from scipy.special import softmax
+
+from sma_bench.arrays import Array
+from sma_bench.diagnose.facts import Facts, Weighed
+from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
+
+# Feature by kind of explanation, and the sign that its weight must have, 0 for either.
+SIGNS: dict[str, dict[str, int]] = {
+    "effect": {
+        "one": 0, "gain": 1, "lead": 1, "ahead": 1, "size": 1, "own": 0, "unsteady": -1,
+        "rivals": -1, "left": -1,
+    },
+    "pair": {"two": 0, "extra": 1, "partner": 1, "partner_size": 1},
+    "recalibration": {"surprise": -1, "deviation": 0, "flexible": -1, "moved": 1},
+    "no_gap": {"one": 0, "moved": -1, "as_stated": 1, "surprise": -1},
+    "unexplained": {
+        "one": 0, "beyond": 1, "beyond_share": 1, "ratio": 1, "left": 1, "left_share": 1,
+        "outlier": 1, "drift": 1, "best_gain": 0, "best_unsteady": 1,
+    },
+}  # fmt: skip
+NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in features)
+_AT = {name: k for k, name in enumerate(NAMES)}
+_WEIGHTS = Path(__file__).with_name("weights.yaml")
+_LIBRARY = 18  # effects that were learnt from; of N each has a share of 1/N
+_NEAR, _CLOSE = 5.0, 0.1  # nats, and share of the gain, within which others are rivals
+_NOISY = 4.0  # standard deviations that the largest of many samples has by chance
+# What the model misses of a bench is the same in all records, and an effect that takes some of it
+# up gains by every one: beyond two, gains count as if half of the noise were of that kind.
+_USUAL_RECORDS = 2
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """The table of weights: value and error of each feature."""
+
+    source: str
+    library: str
+    lapse: float
+    set_mass: float  # of the fewest explanations that hold the truth in 90 % of the cases
+    weights: dict[str, tuple[float, float]]
+
+    @property
+    def values(self) -> Array:
+        """(k,) in the order of NAMES."""
+        return np.array([self.weights[name][0] for name in NAMES])
+
+
+@cache
+def learnt() -> Learnt:
+    """The package's own table."""
+    return msgspec.convert(yaml.safe_load(_WEIGHTS.read_text()), Learnt)
+
+
+class Utilities:
+    """Features of every explanation of a search, and what they come to; effects first, then the
+    three that name none."""
+
+    def __init__(self, found: Weighed) -> None:
+        self.found, facts = found, found.candidates
+        self.effects = tuple(facts)
+        self.names = (*facts, RECALIBRATION, NO_GAP, UNEXPLAINED)
+        parts = [name.split(JOIN) for name in facts]
+        singles = [k for k, one in enumerate(parts) if len(one) == 1]
+        self._singles, self._single = singles, np.array([len(one) == 1 for one in parts])
+        # (c, s): whether a single effect is part of a candidate.
+        self._part = np.array(
+            [[self.effects[k] in one for k in singles] for one in parts]
+        ).reshape(len(facts), len(singles))
+        self.gains = np.array([f.gain for f in facts.values()])
+        # Log odds by the library's size: N candidates bring N chances of a false alarm.
+        self.fixed = np.zeros(len(self.names))
+        self.fixed[: len(facts)] = -np.log(len(singles) / _LIBRARY) if singles else 0.0
+        self._unsteady = np.array([_wild(f) for f in facts.values()])
+        self._plain = np.zeros((len(self.names), len(NAMES)))
+        rows = [*map(self._of_effect, facts, facts.values()), *self._of_none()]
+        for row, own in zip(self._plain, rows, strict=True):
+            for name, value in own.items():
+                row[_AT[name]] = value
+
+    def _of_effect(self, name: str, facts: Facts) -> dict[str, float]:
+        """What does not depend on gains."""
+        row = {
+            "effect.one": 1.0, "effect.size": _small(facts.gap),
+            "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": _wild(facts),
+            "effect.left": float(_nats((facts.left or self.found.left)["size"], 0.4)),
+        }  # fmt: skip
+        if JOIN in name:
+            share = facts.partner / max(facts.gap, 1e-3)
+            row |= {"pair.two": 1.0, "pair.partner": _log(share, 0.01),
+                    "pair.partner_size": _small(facts.partner)}  # fmt: skip
+        return row
+
+    def _of_none(self) -> tuple[dict[str, float], ...]:
+        found, by = self.found, self.found.left_by_best
+        surprise = float(_nats(found.surprise, 16.0))
+        recalibration = {
+            "surprise": surprise, "deviation": _nats(found.deviation, 1.0),
+            "flexible": _nats(found.flexible), "moved": _small(found.moved),
+        }  # fmt: skip
+        no_gap = {
+            "one": 1.0, "moved": _log(found.moved, 0.1), "as_stated": _signed(found.as_stated),
+            "surprise": surprise,
+        }  # fmt: skip
+        unexplained = {
+            "one": 1.0, "beyond": _nats(found.beyond), "ratio": _nats(by["ratio"]),
+            "left": _nats(by["size"], 0.4),
+            "left_share": by["size"] / max(found.left["size"], by["size"], 0.1),
+            "outlier": _nats(by["outlier"] - _NOISY), "drift": _nats(by["drift"]),
+        }  # fmt: skip
+        rows = zip(
+            (RECALIBRATION, NO_GAP, UNEXPLAINED), (recalibration, no_gap, unexplained), strict=True
+        )
+        return tuple({f"{kind}.{n}": float(v) for n, v in row.items()} for kind, row in rows)
+
+    def features(self, gains: Array | None = None) -> Array:
+        """(m, n, k) of every explanation, where the effects gain so much (m, c) [nats]."""
+        gains = self.gains[None] if gains is None else gains
+        gains = np.where(gains > 0.0, gains * self._counted, gains)
+        x = np.repeat(self._plain[None], len(gains), axis=0)
+        if not self.effects:
+            return x
+        effect = x[:, : len(self.effects)]
+        single = gains[:, None, self._singles]
+        others = np.where(self._part, -np.inf, single)  # (m, c, s)
+        lead = gains - np.maximum(others.max(axis=2), 0.0)
+        near = gains - _NEAR - _CLOSE * np.maximum(gains, 0.0)
+        better = np.where(self._part, single, -np.inf).max(axis=2)
+        effect[:, :, _AT["effect.gain"]] = _nats(gains)
+        effect[:, :, _AT["effect.lead"]] = _signed(lead)
+        effect[:, :, _AT["effect.ahead"]] = np.clip(lead / np.maximum(gains, 4.0), -1.0, 1.0)
+        effect[:, :, _AT["effect.rivals"]] = np.log1p((others > near[:, :, None]).sum(axis=2))
+        effect[:, :, _AT["pair.extra"]] = np.where(self._single, 0.0, _signed(gains - better))
+        # What no candidate explains is judged by the best of them.
+        best, beyond, last = np.maximum(gains.max(axis=1), 0.0), self.found.beyond, x[:, -1]
+        unsteady = np.where(best > 0.0, self._unsteady[gains.argmax(axis=1)], 0.0)
+        last[:, _AT["unexplained.best_gain"]] = _nats(best)
+        last[:, _AT["unexplained.best_unsteady"]] = unsteady
+        last[:, _AT["unexplained.beyond_share"]] = beyond / (max(beyond, 0.0) + best + 4.0)
+        return x
+
+    @property
+    def _counted(self) -> float:
+        return float(np.sqrt(_USUAL_RECORDS / max(self.found.records, _USUAL_RECORDS)))
+
+    def probabilities(self, gains: Array | None = None) -> Array:
+        """(n,) of the explanations; (m, n) where the effects gain so much (m, c)."""
+        table = learnt()
+        shares = softmax(self.features(gains) @ table.values + self.fixed, axis=1)
+        shares = (1.0 - table.lapse) * shares + table.lapse / len(self.names)
+        return np.asarray(shares[0] if gains is None else shares)
+
+    def nats(self) -> dict[str, dict[str, float]]:
+        """Of every explanation the sum that its log odds are, by feature."""
+        sums = self.features()[0] * learnt().values
+        return {
+            name: {NAMES[k].partition(".")[2]: float(row[k]) for k in np.flatnonzero(row)}
+            for name, row in zip(self.names, sums, strict=True)
+        }
+
+
+def _nats(value: Array | float, scale: float = 4.0) -> Array:
+    """Logarithm of what counts beyond `scale`, in proportion below; 0 for less than nothing."""
+    return np.asarray(np.log1p(np.maximum(value, 0.0) / scale))
+
+
+def _signed(value: Array | float) -> Array:
+    return np.asarray(np.sign(value) * _nats(np.abs(value)))
+
+
+def _log(value: float, least: float) -> float:
+    return float(np.log(max(value, least)))
+
+
+def _small(gap: float) -> float:
+    """0 for what is three times the noise or more, and down with its logarithm below."""
+    return min(_log(gap / 3.0, 0.01), 0.0)
+
+
+def _wild(facts: Facts) -> float:
+    return max(_log(facts.unsteady, 1.0), 0.0)
