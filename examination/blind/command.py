@@ -140,12 +140,15 @@ def keep_features(seed: int, n: int, out: str) -> None:
 
 
 @blind.command("learn", help="Weights of the decision from stored features, cross-validated.")
-@click.argument("features", metavar="FILE...", nargs=-1, required=True)
+@click.argument("features", metavar="[FILE...]", nargs=-1)
 @click.option("--out", metavar="FILE", help="write the table of weights")
-def learn_weights(features: tuple[str, ...], out: str | None) -> None:
+@click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
+def learn_weights(features: tuple[str, ...], out: str | None, markdown: str | None) -> None:
+    from examination.blind.features import STORED
     from examination.blind.learn import learn
 
-    learn([Path(path) for path in features], Path(out) if out else None)
+    paths = [Path(path) for path in features] or [STORED]
+    learn(paths, Path(out) if out else None, Path(markdown) if markdown else None)
 
 
 @blind.command("rival", help="Answer one case as a rival does.")

@@ -2,12 +2,13 @@
 
 A ridge whose strength cross-validation chooses keeps weights that the cases do not tell near 0.
 Forms are left out in turn (of every effect its first form, its second, its third), and rigs, every
-case having its own. Today's rules answer the same left-out cases.
+case having its own. What the package answered when the features were stored stands next to it.
 """
 
 import json
+import lzma
 from collections.abc import Sequence
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,11 @@ import numpy.typing as npt
 import yaml
 from scipy.optimize import minimize
 from scipy.special import softmax
+from scipy.stats import binomtest
 
 from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
 from examination.blind.cases import EFFECTS
-from examination.pieces import print_table
+from examination.blind.score import as_markdown
 from sma_bench.diagnose.facts import Weighed
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.utilities import NAMES, SIGNS, Utilities
@@ -28,13 +30,15 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 
 Array = npt.NDArray[np.float64]
 
-RIDGES, LAPSES = (0.1, 0.3, 1.0, 3.0), (0.0, 0.1, 0.2, 0.3, 0.4)
+# Of the fit, which weighs cases less in which the records say nothing, and as stated: the smallest
+# that is as likely as any but for _AS_LIKELY.
+RIDGES, LAPSES = (0.1, 0.3, 1.0, 3.0), (0.0, 0.1, 0.2)
+STATED, _AS_LIKELY = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2), 0.02
 FOLDS = 6
 NO_EFFECT, BENIGN = (NO_GAP, RECALIBRATION, UNEXPLAINED), "benign"
 COVERAGE, NAMED, CONFIDENT, WORTH_NAMING = 0.9, 0.6, 0.8, 1.0
-# Shares that the kinds have among the benches that are asked about, as the frozen set deals them.
-SHARES = {"none": 0.37, "recalibration": 0.11, "outside": 0.11, "single": 0.30, "pair": 0.11}
 _LEAST = 1e-6  # of a probability
+_RANGES = (0.0, 0.4, 0.6, 0.7, 0.8, 0.9, 1.01)
 _SEED = 44
 _SIDED = [SIGNS[kind][name] for kind, _, name in (n.partition(".") for n in NAMES)]
 _BOUNDS = [((0.0, None), (None, None), (None, 0.0))[1 - sign] for sign in _SIDED]
@@ -100,8 +104,6 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
     x = np.vstack([case.x for case in cases]) / scale
     fixed, right = (np.concatenate([getattr(c, n) for c in cases]) for n in ("fixed", "right"))
     group = np.repeat(np.arange(len(cases)), np.diff(edges))
-    kinds = [case.label["kind"] for case in cases]
-    counts = np.array([SHARES[kind] * len(cases) / kinds.count(kind) for kind in kinds])
     by_chance = lapse * np.add.reduceat(right.astype(float), edges[:-1]) / np.diff(edges)
 
     def scores(w: Array) -> tuple[Array, Array]:
@@ -115,13 +117,13 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
 
     def loss(w: Array) -> tuple[float, Array]:
         found, slopes = scores(w)
-        value = -float(counts @ np.log(np.maximum(found, 1e-300))) + 0.5 * ridge * float(w @ w)
-        return value, ridge * w - x.T @ (counts[group] * slopes)
+        value = -float(np.sum(np.log(np.maximum(found, 1e-300)))) + 0.5 * ridge * float(w @ w)
+        return value, ridge * w - x.T @ slopes
 
     found = minimize(loss, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B", bounds=_BOUNDS,
                      options={"maxiter": 2000})  # fmt: skip
     each = np.add.reduceat(x * scores(found.x)[1][:, None], edges[:-1], axis=0)
-    information = each.T @ (counts[:, None] * each) + ridge * np.eye(len(NAMES))
+    information = each.T @ each + ridge * np.eye(len(NAMES))
     return found.x / scale, np.linalg.inv(information) / np.outer(scale, scale)
 
 
@@ -132,20 +134,20 @@ def scales(cases: Sequence[Known]) -> Array:
     return np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
 
 
-def answer(case: Known, weights: Array, lapse: float) -> Array:
-    """(c,) probabilities."""
-    return (1.0 - lapse) * softmax(case.x @ weights + case.fixed) + lapse / len(case.names)
-
-
 def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float) -> list[Array]:
-    """What weights that have not seen its fold answer to every case."""
+    """(c,) shares that weights which have not seen its fold give the explanations of every case."""
     found: list[Array] = [np.zeros(0)] * len(cases)
     for fold in np.unique(folds):
         seen = [case for case, own in zip(cases, folds, strict=True) if own != fold]
         weights = fit_weights(seen, ridge, lapse)[0]
         for k in np.flatnonzero(folds == fold).tolist():
-            found[k] = answer(cases[k], weights, lapse)
+            found[k] = softmax(cases[k].x @ weights + cases[k].fixed)
     return found
+
+
+def lapsed(shares: Sequence[Array], lapse: float) -> list[Array]:
+    """(c,) probabilities of every case."""
+    return [(1.0 - lapse) * p + lapse / len(p) for p in shares]
 
 
 def log_probability(cases: Sequence[Known], answers: Sequence[Array]) -> Array:
@@ -156,14 +158,9 @@ def log_probability(cases: Sequence[Known], answers: Sequence[Array]) -> Array:
     ])  # fmt: skip
 
 
-def mass_needed(case: Known, p: Array) -> float:
-    """Mass of the smallest set of the most probable explanations that holds the main effect."""
-    total = 0.0
-    for k in np.argsort(-p, kind="stable").tolist():
-        total += float(p[k])
-        if holds(case, k):
-            return total
-    return 1.0
+def of_truth(case: Known, p: Array) -> float:
+    """Probability of the most probable explanation that holds the main effect, or is right."""
+    return max((float(p[k]) for k in range(len(p)) if holds(case, k)), default=0.0)
 
 
 def holds(case: Known, k: int) -> bool:
@@ -187,36 +184,35 @@ def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
     return first, whole[first], sorted(effects, key=lambda name: -effects[name])
 
 
+def truths(case: Known) -> set[str]:
+    """What is right to say first."""
+    label = case.label
+    kinds = {"none": {BENIGN}, "recalibration": {BENIGN}, "outside": {UNEXPLAINED}}
+    small = label["effects"] and label["severity"] < WORTH_NAMING
+    return kinds.get(label["kind"], set(label["effects"])) | ({BENIGN} if small else set())
+
+
 def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, float]:
-    """Everything that is compared. Sets: the smallest that reach the conformal threshold, which the
-    other half of the cases gives."""
+    """Everything that is compared. Sets: all that reach the conformal threshold, which the other
+    half of the cases gives."""
     found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
     likely = np.array([share for _, share, _ in found])
     kinds = np.array([case.label["kind"] for case in cases])
-    truths = [
-        {"none": {BENIGN}, "recalibration": {BENIGN}, "outside": {UNEXPLAINED}}.get(
-            case.label["kind"], set(case.label["effects"])
-        )
-        for case in cases
-    ]  # fmt: skip
-    for truth, label in zip(truths, (case.label for case in cases), strict=True):
-        truth |= {BENIGN} if label["effects"] and label["severity"] < WORTH_NAMING else set()
-    right = np.array([first in truth for (first, *_), truth in zip(found, truths, strict=True)])
+    whole = [truths(case) for case in cases]
+    right = np.array([first in truth for (first, *_), truth in zip(found, whole, strict=True)])
     effect = np.array([first not in (BENIGN, UNEXPLAINED) for first, *_ in found])
     both = np.array([
-        set(ranked[: len(truth)]) == truth
-        for (*_, ranked), truth in zip(found, truths, strict=True)
+        set(ranked[: len(c.label["effects"])]) == set(c.label["effects"])
+        for (*_, ranked), c in zip(found, cases, strict=True)
     ])
     plain = (kinds == "single") & np.array([bool(c.label["distinguishable"]) for c in cases])
     named, confident = effect & (likely >= NAMED), likely >= CONFIDENT
-    needed = np.array([mass_needed(c, p) for c, p in zip(cases, answers, strict=True)])
+    truth = np.array([of_truth(c, p) for c, p in zip(cases, answers, strict=True)])
     halves, sizes, covered = np.arange(len(cases)) % 2, [], []
     for half in (0, 1):
-        mass = conformal(needed[halves != half])
+        least = conformal(truth[halves != half])
         for k in np.flatnonzero(halves == half).tolist():
-            order = np.argsort(-answers[k], kind="stable")
-            count = int(np.searchsorted(np.cumsum(answers[k][order]), mass - 1e-9)) + 1
-            chosen = order[:count].tolist()
+            chosen = credible(answers[k], least)
             sizes.append(len({n for j in chosen for n in cases[k].names[j].split(JOIN)}))
             covered.append(any(holds(cases[k], j) for j in chosen))
 
@@ -238,40 +234,97 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
         "of those an effect": share(~right & effect & confident),
         "90 % set: coverage": float(np.mean(covered)),
         "90 % set: size": float(np.mean(sizes)),
-        "90 % set: mass": conformal(needed),
+        "90 % set: least probability": conformal(truth),
     }  # fmt: skip
 
 
-def conformal(needed: Array) -> float:
-    """Mass that was enough in 90 % of the cases, one more reckoned as having needed all."""
-    place = int(np.ceil(COVERAGE * (len(needed) + 1))) - 1
-    return float(np.sort(needed)[min(place, len(needed) - 1)])
+def conformal(truth: Array) -> float:
+    """Probability that the truth had at least in 90 % of the cases, one more reckoned as having
+    none."""
+    place = int(np.floor((1.0 - COVERAGE) * (len(truth) + 1))) - 1
+    return float(np.sort(truth)[place]) if place >= 0 else 0.0
 
 
-def learn(paths: Sequence[Path], out: Path | None) -> None:
-    """Print today's rules beside the logit on the same left-out cases, then weights and errors;
-    write the table to `out`."""
-    lines = [json.loads(line) for path in paths for line in path.read_text().splitlines()]
+def credible(p: Array, least: float) -> list[int]:
+    """Explanations of the set: the most probable one, and all of at least that probability."""
+    return sorted({int(np.argmax(p)), *np.flatnonzero(p >= least).tolist()})
+
+
+def stored(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """Lines of files of features, packed or not."""
+    texts = [
+        lzma.open(path, "rt").read() if path.suffix == ".xz" else path.read_text() for path in paths
+    ]
+    return [json.loads(line) for text in texts for line in text.splitlines()]
+
+
+def calibration(cases: Sequence[Known], answers: Sequence[Array]) -> list[tuple[str, ...]]:
+    """A row for each range of the first choice's probability: cases, mean of what was stated, share
+    that is right with its interval, all intervals together holding in 95 %."""
+    found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
+    stated = np.array([share for _, share, _ in found])
+    right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
+    rows, level = [], 1.0 - 0.05 / (len(_RANGES) - 1)
+    for low, high in pairwise(_RANGES):
+        here = (stated >= low) & (stated < high)
+        n, hits = int(here.sum()), int(right[here].sum())
+        if n:
+            ends = binomtest(hits, n).proportion_ci(level, method="exact")
+            rows.append((f"{low:.1f} to {high:.1f}", f"{n}", f"{stated[here].mean():.2f}",
+                         f"{hits / n:.2f} ({ends.low:.2f} to {ends.high:.2f})"))  # fmt: skip
+    return rows
+
+
+def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> None:
+    """Weights from stored features, cross-validated; everything that is found is printed, and
+    written to `markdown`, the table of weights to `out`."""
+    lines = stored(paths)
     cases = [Known(line) for line in lines]
-    today = [case.today for case in cases]
+    before = [case.today for case in cases]
     forms = np.array([case.form for case in cases])
     rigs = np.random.default_rng(_SEED).permutation(len(cases)) % FOLDS
-    print(f"{len(cases)} cases; log probability with forms and with rigs left out:")
+
+    def likely(shares: Sequence[Array], lapse: float) -> float:
+        return float(np.mean(log_probability(cases, lapsed(shares, lapse))))
+
     scored = {}
     for ridge, lapse in product(RIDGES, LAPSES):
         both = [left_out(cases, folds, ridge, lapse) for folds in (forms, rigs)]
-        values = [float(np.mean(log_probability(cases, answers))) for answers in both]
-        scored[ridge, lapse] = sum(values), both
-        print(f"  ridge {ridge:4.1f}, lapse {lapse:.1f}: {values[0]:.3f}  {values[1]:.3f}")
-    best = max(scored, key=lambda key: scored[key][0])
-    by_forms, by_rigs = scored[best][1]
-    columns = [measures(cases, answers) for answers in (today, by_forms, by_rigs)]
-    head = ("measure", ">today", ">forms left out", ">rigs left out")
-    print_table(head, [(name, *(f"{c[name]:.3f}" for c in columns)) for name in columns[0]])
-    for name, answers in (("forms", by_forms), ("rigs", by_rigs)):
-        gain = log_probability(cases, answers) - log_probability(cases, today)
+        by_lapse = {stated: sum(likely(p, stated) for p in both) / 2.0 for stated in STATED}
+        scored[ridge, lapse] = max(by_lapse.values()), by_lapse, both
+    ridge, lapse = best = max(scored, key=lambda key: scored[key][0])
+    most, by_lapse, both = scored[best]
+    last = min(stated for stated, value in by_lapse.items() if value > most - _AS_LIKELY)
+    by_forms, by_rigs = (lapsed(shares, last) for shares in both)
+    answers = {"when stored": before, "forms left out": by_forms, "rigs left out": by_rigs}
+    columns = [measures(cases, own) for own in answers.values()]
+    text = [
+        f"{len(cases)} development cases (synthetic), features of library {lines[0]['library']}; "
+        f"ridge {ridge:g}, lapse {lapse:g} in the fit, {last:g} as stated.", "",
+        *as_markdown(("measure", *answers),
+                     [(name, *(f"{c[name]:.3f}" for c in columns)) for name in columns[0]]),
+        "",
+    ]  # fmt: skip
+    for name, own in list(answers.items())[1:]:
+        gain = log_probability(cases, own) - log_probability(cases, before)
         error = np.std(gain) / np.sqrt(len(cases))
-        print(f"log probability over today's, {name} left out: {np.mean(gain):+.3f} +- {error:.3f}")
+        text += [f"Log probability over that when stored, {name}: {np.mean(gain):+.3f} "
+                 f"+- {error:.3f}.", ""]  # fmt: skip
+    # How it falls with the number of cases.
+    some = np.random.default_rng(_SEED).permutation(len(cases))
+    curve = []
+    for part in (4, 2):
+        own = some[: len(cases) // part].tolist()
+        few = [left_out([cases[k] for k in own], folds[own], ridge, lapse) for folds in
+               (forms, rigs)]  # fmt: skip
+        mean = [
+            np.mean(log_probability([cases[k] for k in own], lapsed(shares, last)))
+            for shares in few
+        ]
+        curve.append((f"{len(own)}", *(f"{value:.3f}" for value in mean)))
+    curve.append((f"{len(cases)}", *(f"{likely(shares, last):.3f}" for shares in both)))
+    text += ["Learning curve, log probability of the truth:", "",
+             *as_markdown(("cases", "forms left out", "rigs left out"), curve), ""]  # fmt: skip
     # By the number of the form, the first being the one that all seeds before 2700 have.
     rows = []
     for form in np.unique(forms).tolist():
@@ -281,26 +334,30 @@ def learn(paths: Sequence[Path], out: Path | None) -> None:
         ]
         if own:
             most = np.mean([cases[k].gains_most == cases[k].main for k in own])
-            firsts = [np.mean([said(cases[k], answers[k])[0] == cases[k].main for k in own])
-                      for answers in (today, by_forms, by_rigs)]  # fmt: skip
-            rows.append((form + 1, len(own), *(f"{share:.2f}" for share in (most, *firsts))))
-    print("distinguishable singles put first, by the number of their form:")
-    print_table(("form", ">n", ">gains most", ">today", ">forms left out", ">rigs left out"), rows)
-    weights, covariance = fit_weights(cases, *best)
-    errors = np.sqrt(np.diag(covariance))
-    print_table(
-        ("weight", ">value", ">error"),
-        [(n, f"{w:.3f}", f"{e:.3f}") for n, w, e in zip(NAMES, weights, errors, strict=True)],
-    )
+            firsts = [np.mean([said(cases[k], p[k])[0] == cases[k].main for k in own])
+                      for p in answers.values()]  # fmt: skip
+            rows.append((f"{form + 1}", f"{len(own)}", *(f"{x:.2f}" for x in (most, *firsts))))
+    text += ["Distinguishable singles put first, by the number of their form:", "",
+             *as_markdown(("form", "cases", "gains most", *answers), rows), "",
+             "What is stated of the first choice, rigs left out, and the share that is right, with "
+             "intervals that hold together in 95 %:", "",
+             *as_markdown(("stated", "cases", "mean", "right"), calibration(cases, by_rigs)),
+             ""]  # fmt: skip
+    weights, covariance = fit_weights(cases, ridge, lapse)
+    table = {n: [round(float(w), 4), round(float(e), 4)] for n, w, e in
+             zip(NAMES, weights, np.sqrt(np.diag(covariance)), strict=True)}  # fmt: skip
+    text += as_markdown(("weight", "value", "error"),
+                        [(n, f"{w:.3f}", f"{e:.3f}") for n, (w, e) in table.items()])  # fmt: skip
+    print("\n".join(text))
+    if markdown is not None:
+        head = "# What the decision has learnt", "", "`./bench blind learn --markdown FILE` writes it."
+        write_text_atomically(markdown, "\n".join([*head, "", *text, ""]))
     if out is not None:
         document = {
-            "source": f"{len(cases)} development cases, ridge {best[0]:g}",
-            "lapse": best[1],
-            "library": lines[0]["library"],
-            "set_mass": round(columns[1]["90 % set: mass"], 4),
-            "weights": {n: [round(float(w), 4), round(float(e), 4)]
-                        for n, w, e in zip(NAMES, weights, errors, strict=True)},
+            "source": f"{len(cases)} development cases, ridge {ridge:g}, lapse {lapse:g}",
+            "lapse": last, "library": lines[0]["library"],
+            "least": round(columns[2]["90 % set: least probability"], 4), "weights": table,
         }  # fmt: skip
-        text = "# Weights of the decision with their errors: ./bench blind learn writes them.\n"
-        text += yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
-        write_text_atomically(out, text)
+        said_of_it = "# Weights of the decision with their errors: ./bench blind learn writes it.\n"
+        dumped = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
+        write_text_atomically(out, said_of_it + dumped)

@@ -225,7 +225,7 @@ def diagnose(
             top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)
         ),
         shrinkage=shrinks,
-        set_mass=learnt().set_mass,
+        least_credible=learnt().least,
         **_facts(verdict, candidates, found, model),
         not_compared=tuple(
             q for q in QUANTITIES if q not in measured and (moves or q != "deflection")

@@ -146,7 +146,8 @@ def next_experiment(
     matter = Matter(candidates, search, utilities, observations, parameters)
     if verdict == UNEXPLAINED:
         return _showing(search, matter)
-    if candidates[0].probability >= learnt().set_mass or matter.most < WORTH:
+    open_still = [c for c in candidates[1:] if c.probability >= learnt().least]
+    if not open_still or matter.most < WORTH:
         return None
     options = [found for name in TESTS if (found := _test(name, matter)) is not None]
     if len(matter.fits) > 1:

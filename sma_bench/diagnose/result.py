@@ -174,9 +174,9 @@ class DiagnosisResult(Carded):
     # what is known of the records' readings, held back or mended for it
     record: tuple[str, ...] = ()
     findings: tuple[Finding, ...] = ()  # remarks on records and parameters
-    # probability that the fewest candidates make together that held the truth in 90 % of the cases
-    # that were learnt from
-    set_mass: float = 0.9
+    # probability from which candidates are credible: these held the truth in 90 % of the cases that
+    # were learnt from
+    least_credible: float = 0.05
     path: str = "diagnosis"  # of the result file
 
     @property
@@ -203,13 +203,9 @@ class DiagnosisResult(Carded):
     @property
     def credible(self) -> tuple[str, ...]:
         """Names of the fewest candidates that hold the truth in 90 %."""
-        total, chosen = 0.0, []
-        for candidate in self.candidates:
-            chosen.append(candidate.name)
-            total += candidate.probability
-            if total >= self.set_mass:
-                break
-        return tuple(chosen)
+        first, *others = self.candidates
+        likely = (c.name for c in others if c.probability >= self.least_credible)
+        return (first.name, *likely)
 
     def _gap(self) -> list[dict[str, Any]]:
         """Lines of the topic `~/gap`: the gap as a whole, and one a measured quantity."""

@@ -56,7 +56,7 @@ class Learnt:
     source: str
     library: str
     lapse: float
-    set_mass: float  # of the fewest explanations that hold the truth in 90 % of the cases
+    least: float  # probability from which explanations are credible: they hold the truth in 90 %
     weights: dict[str, tuple[float, float]]
 
     @property
