@@ -303,6 +303,11 @@ class Case(Stage):
         return _stream(self.seed, self.index, purpose)
 
 
+def frozen_shares() -> dict[str, float]:
+    """Of the kinds from seed 2700 on: the benches that are asked about."""
+    return dict(_DEALT["shares_of_forms"])
+
+
 def split_of(seed: int) -> str:
     return next((name for seeds, name in SPLITS.items() if seed in seeds), OPEN)
 

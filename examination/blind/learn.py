@@ -21,7 +21,7 @@ from scipy.special import softmax
 from scipy.stats import binomtest
 
 from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
-from examination.blind.cases import EFFECTS
+from examination.blind.cases import EFFECTS, frozen_shares
 from examination.blind.score import as_markdown
 from sma_bench.diagnose.facts import Weighed
 from sma_bench.diagnose.result import JOIN
@@ -103,7 +103,7 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
     edges = np.cumsum([0, *(len(case.names) for case in cases)])
     x = np.vstack([case.x for case in cases]) / scale
     fixed, right = (np.concatenate([getattr(c, n) for c in cases]) for n in ("fixed", "right"))
-    group = np.repeat(np.arange(len(cases)), np.diff(edges))
+    group, counts = np.repeat(np.arange(len(cases)), np.diff(edges)), weights_of(cases)
     by_chance = lapse * np.add.reduceat(right.astype(float), edges[:-1]) / np.diff(edges)
 
     def scores(w: Array) -> tuple[Array, Array]:
@@ -117,14 +117,21 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
 
     def loss(w: Array) -> tuple[float, Array]:
         found, slopes = scores(w)
-        value = -float(np.sum(np.log(np.maximum(found, 1e-300)))) + 0.5 * ridge * float(w @ w)
-        return value, ridge * w - x.T @ slopes
+        value = -float(counts @ np.log(np.maximum(found, 1e-300))) + 0.5 * ridge * float(w @ w)
+        return value, ridge * w - x.T @ (counts[group] * slopes)
 
     found = minimize(loss, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B", bounds=_BOUNDS,
                      options={"maxiter": 2000})  # fmt: skip
     each = np.add.reduceat(x * scores(found.x)[1][:, None], edges[:-1], axis=0)
-    information = each.T @ each + ridge * np.eye(len(NAMES))
+    information = each.T @ (counts[:, None] * each) + ridge * np.eye(len(NAMES))
     return found.x / scale, np.linalg.inv(information) / np.outer(scale, scale)
+
+
+def weights_of(cases: Sequence[Known]) -> Array:
+    """(n,) with which cases count as often as the frozen set deals their kind."""
+    kinds, shares = [case.label["kind"] for case in cases], frozen_shares()
+    whole = sum(shares[kind] for kind in set(kinds))
+    return np.array([shares[kind] / whole * len(cases) / kinds.count(kind) for kind in kinds])
 
 
 def scales(cases: Sequence[Known]) -> Array:
@@ -216,12 +223,15 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
             sizes.append(len({n for j in chosen for n in cases[k].names[j].split(JOIN)}))
             covered.append(any(holds(cases[k], j) for j in chosen))
 
-    def share(of: npt.NDArray[np.bool_], among: npt.NDArray[np.bool_] | None = None) -> float:
-        of = of if among is None else of[among]
-        return float(np.mean(of)) if len(of) else float("nan")
+    counts = weights_of(cases)
+
+    def share(of: npt.ArrayLike, among: npt.NDArray[np.bool_] | None = None) -> float:
+        of, own = np.asarray(of), counts
+        of, own = (of, own) if among is None else (of[among], own[among])
+        return float(np.average(of, weights=own)) if len(of) else float("nan")
 
     return {
-        "log probability of the truth": float(np.mean(log_probability(cases, answers))),
+        "log probability of the truth": share(log_probability(cases, answers)),
         "first choice right": share(right),
         "of distinguishable singles": share(right, plain),
         "of these named and right": share(right & named, plain),
@@ -232,8 +242,8 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
         "an effect named of clean ones": share(named, kinds == "none"),
         "confident and wrong": share(~right & confident),
         "of those an effect": share(~right & effect & confident),
-        "90 % set: coverage": float(np.mean(covered)),
-        "90 % set: size": float(np.mean(sizes)),
+        "90 % set: coverage": share(covered),
+        "90 % set: size": share(sizes),
         "90 % set: least probability": conformal(truth),
     }  # fmt: skip
 
@@ -252,9 +262,9 @@ def credible(p: Array, least: float) -> list[int]:
 
 def stored(paths: Sequence[Path]) -> list[dict[str, Any]]:
     """Lines of files of features, packed or not."""
-    texts = [
-        lzma.open(path, "rt").read() if path.suffix == ".xz" else path.read_text() for path in paths
-    ]
+    texts = [path.read_bytes() for path in paths]
+    packed = [path.suffix == ".xz" for path in paths]
+    texts = [lzma.decompress(t) if p else t for t, p in zip(texts, packed, strict=True)]
     return [json.loads(line) for text in texts for line in text.splitlines()]
 
 
@@ -285,7 +295,8 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     rigs = np.random.default_rng(_SEED).permutation(len(cases)) % FOLDS
 
     def likely(shares: Sequence[Array], lapse: float) -> float:
-        return float(np.mean(log_probability(cases, lapsed(shares, lapse))))
+        found = log_probability(cases, lapsed(shares, lapse))
+        return float(np.average(found, weights=weights_of(cases)))
 
     scored = {}
     for ridge, lapse in product(RIDGES, LAPSES):
@@ -318,9 +329,10 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         few = [left_out([cases[k] for k in own], folds[own], ridge, lapse) for folds in
                (forms, rigs)]  # fmt: skip
         mean = [
-            np.mean(log_probability([cases[k] for k in own], lapsed(shares, last)))
+            np.average(log_probability([cases[k] for k in own], lapsed(shares, last)),
+                       weights=weights_of([cases[k] for k in own]))
             for shares in few
-        ]
+        ]  # fmt: skip
         curve.append((f"{len(own)}", *(f"{value:.3f}" for value in mean)))
     curve.append((f"{len(cases)}", *(f"{likely(shares, last):.3f}" for shares in both)))
     text += ["Learning curve, log probability of the truth:", "",
@@ -350,7 +362,7 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
                         [(n, f"{w:.3f}", f"{e:.3f}") for n, (w, e) in table.items()])  # fmt: skip
     print("\n".join(text))
     if markdown is not None:
-        head = "# What the decision has learnt", "", "`./bench blind learn --markdown FILE` writes it."
+        head = "# What the decision has learnt", "", "`./bench blind learn --markdown FILE`"
         write_text_atomically(markdown, "\n".join([*head, "", *text, ""]))
     if out is not None:
         document = {

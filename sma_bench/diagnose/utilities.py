@@ -41,7 +41,7 @@ SIGNS: dict[str, dict[str, int]] = {
 NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in features)
 _AT = {name: k for k, name in enumerate(NAMES)}
 _WEIGHTS = Path(__file__).with_name("weights.yaml")
-_LIBRARY = 18  # effects that were learnt from; of N each has a share of 1/N
+_LIBRARY = 18  # effects that were learnt from; of more each has a smaller share
 _NEAR, _CLOSE = 5.0, 0.1  # nats, and share of the gain, within which others are rivals
 _NOISY = 4.0  # standard deviations that the largest of many samples has by chance
 # What the model misses of a bench is the same in all records, and an effect that takes some of it
@@ -89,7 +89,7 @@ class Utilities:
         self.gains = np.array([f.gain for f in facts.values()])
         # Log odds by the library's size: N candidates bring N chances of a false alarm.
         self.fixed = np.zeros(len(self.names))
-        self.fixed[: len(facts)] = -np.log(len(singles) / _LIBRARY) if singles else 0.0
+        self.fixed[: len(facts)] = -np.log(max(len(singles), _LIBRARY) / _LIBRARY)
         self._unsteady = np.array([_wild(f) for f in facts.values()])
         self._plain = np.zeros((len(self.names), len(NAMES)))
         rows = [*map(self._of_effect, facts, facts.values()), *self._of_none()]
