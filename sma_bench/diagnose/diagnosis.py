@@ -1,7 +1,8 @@
 """The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,9 @@ from scipy.special import chdtrc
 from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate
 from sma_bench.diagnose.facts import weighed
+from sma_bench.diagnose.left_over import Flexible
 from sma_bench.diagnose.next_experiment import next_experiment
+from sma_bench.diagnose.process_noise import missed, process_noise
 from sma_bench.diagnose.result import (
     NO_GAP,
     RECALIBRATION,
@@ -56,7 +59,9 @@ _STAGES = {
 # What is left is said to be no noise from so many nats of a smooth response of free form, and so
 # many standard deviations of a signal in motion against rest, and of its largest sample.
 _FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
+_NO_INPUTS: Mapping[str, Flexible] = MappingProxyType({})
 _SPEAKS = 0.5  # log odds
+_WORTH_A_LOOK = 0.1  # probability that nothing of the library explains the gap
 _SIGNS = {
     "beyond": "a smooth response of free form is left",
     "beyond_share": "a smooth response of free form is left",
@@ -187,9 +192,14 @@ def diagnose(
         except InputError as error:
             remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
 
+    # At which stage something is missing, should nothing of the library explain it.
+    progress("stages")
+    likely = {c.name: c.probability for c in candidates}
+    inputs = process_noise(recalibrated) if likely[UNEXPLAINED] >= _WORTH_A_LOOK else {}
+
     # Where the gap lies: what the effects do, what no candidate explains, or what separates belief
     # and recalibration.
-    stages = {} if no_gap else stages_of(candidates, found)
+    stages = {} if no_gap else stages_of(candidates, found, inputs)
     if verdict == UNEXPLAINED:
         # A smooth response where it is sure; else all that is slower than the scatter of samples,
         # what a fit has to take for the drift of a sensor.
@@ -226,6 +236,7 @@ def diagnose(
         ),
         shrinkage=shrinks,
         least_credible=learnt().least,
+        missed=missed(recalibrated, inputs) if verdict == UNEXPLAINED and inputs else None,
         **_facts(verdict, candidates, found, model),
         not_compared=tuple(
             q for q in QUANTITIES if q not in measured and (moves or q != "deflection")
@@ -280,13 +291,17 @@ def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
     return fit(problem, model.unknowns, model.x, rounds=1, keep_noise=True)
 
 
-def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float]:
+def stages_of(
+    candidates: Sequence[Candidate], found: Search, inputs: Mapping[str, Flexible] = _NO_INPUTS
+) -> dict[str, float]:
     """Probability of each stage of the model in which a gap may arise, the most probable first.
 
     An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
     whose parameters moved further than anyone believed; where all moved as far as believed they
     tell of no stage (six transition numbers move further than one resistance by their number
-    alone). What nothing explains has that stage, or the one of the effect that gains most.
+    alone). What nothing explains has the stages at which an unknown input gains
+    something [nats], each in proportion to what its gain weighs; where none does, as recalibration,
+    or the stage of the effect that gains most.
     """
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved: dict[str, list[float]] = {}
@@ -306,6 +321,10 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
         elif candidate.name == UNEXPLAINED:
             best = EFFECTS[found.ranked[0]].stage if found.ranked else ""
             stage = beyond_belief or best
+            weights = {s: (1.0 + f.gain / 4.0) ** 2 for s, f in inputs.items() if f.gain > 0.0}
+            for one, weight in weights.items():
+                shares[one] = shares.get(one, 0.0) + share * weight / sum(weights.values())
+            stage = "" if weights else stage
         if stage:
             shares[stage] = shares.get(stage, 0.0) + share
     ranked = sorted(shares, key=lambda stage: shares[stage], reverse=True)

@@ -88,10 +88,7 @@ class Flexible:
 
 
 def flexible_residual(fitted: Fit) -> Flexible:
-    """Fit the free response to what a candidate leaves.
-
-    It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
-    """
+    """Fit the free response to what a candidate leaves."""
     made = [_features(o, o.simulate(fitted.parameters)) for o in fitted.problem.observations]
     # Records share the features of a signal that they share.
     columns: dict[Key, slice] = {}
@@ -100,8 +97,13 @@ def flexible_residual(fitted: Fit) -> Flexible:
         if key not in columns:
             columns[key] = slice(first, first + key[1])
             first += key[1]
-    features = np.vstack([_placed(some, columns) for some in made])
+    return smooth_response(fitted, np.vstack([_placed(some, columns) for some in made]), columns)
+
+
+def smooth_response(fitted: Fit, features: Array, columns: Mapping[Key, slice]) -> Flexible:
+    """What features (n, p) of independent Gaussian weights explain of what a candidate leaves."""
     own = _likelihood(fitted.problem, fitted.left)
+    # It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
     problem = replace(
         fitted.problem,
         noise={

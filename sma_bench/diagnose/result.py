@@ -140,6 +140,18 @@ class Difference:
 
 
 @dataclass(frozen=True)
+class Missed:
+    """The stage at which a smooth unknown input explains most of what no effect does, and when."""
+
+    stage: str
+    gain: float  # nats over recalibration
+    record: str
+    start: float  # s, of the shortest stretch in which most of it acts
+    stop: float
+    phase: str  # of the drive there
+
+
+@dataclass(frozen=True)
 class LeftOver:
     """What the model `by` leaves."""
 
@@ -169,6 +181,7 @@ class DiagnosisResult(Carded):
     left: LeftOver | None = None  # what the best model leaves
     # what speaks most for a cause outside the library, "" without a sign
     unexplained_sign: str = ""
+    missed: Missed | None = None  # of what nothing explains
     not_compared: tuple[str, ...] = ()  # quantities that no record holds
     next_experiment: NextExperiment | None = None
     # what is known of the records' readings, held back or mended for it

@@ -1,84 +1,91 @@
 """From signs and gains to probabilities and stages, without a fit; and what an experiment would
 settle, by the same rule."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from sma_bench.diagnose.decision import (
-    Candidate,
-    Weights,
-    named,
-    signs_of_unexplained,
-    verdict_of,
-)
+from sma_bench.diagnose.decision import Candidate, named, verdict_of
 from sma_bench.diagnose.diagnosis import stages_of
-from sma_bench.diagnose.left_over import Left
+from sma_bench.diagnose.facts import Facts, Weighed
 from sma_bench.diagnose.next_experiment import Telling, prospect
+from sma_bench.diagnose.utilities import NAMES, SIGNS, Utilities, learnt
 from sma_bench.parameters.parameter import TRANSITIONS
 
-SMOOTH = "a smooth response of free form is left"
-BELIEF = "parameters are needed that nobody believes in"
-SCATTER = "deflection scatters more in motion than at rest"
+QUIET = {"ratio": 0.5, "size": 0.0, "outlier": 3.5, "drift": 0.0}
+LOUD = {"ratio": 60.0, "size": 6.0, "outlier": 12.0, "drift": 0.0}
 
 
-def signs(gain, *, beyond=0.0, flexible=0.0, surprise=(10.0, 10.0), sizes=(0.0, 0.0), gap=5.0):
-    """Of what a search found: gain of the best, each sign before (recalibrated) and after."""
-    return signs_of_unexplained(
-        SimpleNamespace(recalibrated=SimpleNamespace(evidence=0.0, surprise=surprise[0]),
-                        best=SimpleNamespace(evidence=gain, surprise=surprise[1]),
-                        flexible=SimpleNamespace(gain=flexible),
-                        beyond=SimpleNamespace(gain=beyond, gap=gap),
-                        left=Left(9.0, "deflection", sizes[0], 3.0, 0.0),
-                        left_by_best=Left(9.0, "deflection", sizes[1], 12.0, 11.0))  # fmt: skip
-    )
+def of_effect(gain, gap=20.0, partner=None, unsteady=1.0):
+    """Of one that is plain to see, with a size that its lab would believe."""
+    return Facts(gain, gap, gap if partner is None else partner, 0.9, unsteady, 10.0, 1.0, 0.8, {})
 
 
-def test_a_sign_counts_by_the_share_of_it_that_an_effect_leaves():
-    assert signs(30.0, flexible=400.0, beyond=40.0)[SMOOTH] < -2.0
-    assert signs(30.0, flexible=400.0, beyond=300.0)[SMOOTH] > 2.0
-    assert signs(4000.0, flexible=400.0, beyond=300.0)[SMOOTH] < -2.0
-    assert signs(30.0, surprise=(900.0, 70.0))[BELIEF] < -2.0
-    assert signs(30.0, surprise=(90.0, 70.0))[BELIEF] > 0.0
-    assert signs(30.0, sizes=(5.0, 0.5))[SCATTER] < -2.0
-    assert signs(30.0, sizes=(5.0, 4.0))[SCATTER] > 0.0
-    # Smaller than the noise it says little, however sure it is.
-    assert signs(1.0, beyond=36.0, gap=0.4)[SMOOTH] < 0.0
+def utilities(gains, *, beyond=0.0, flexible=None, left=QUIET, records=2, **more):
+    """Of effects that gain so much, on a bench as its lab believes it but for them."""
+    facts = {n: f if isinstance(f, Facts) else of_effect(f) for n, f in gains.items()}
+    best = max([0.0, *(f.gain for f in facts.values())])
+    flexible = best + beyond if flexible is None else flexible
+    whole = LOUD if best + beyond > 50.0 else QUIET
+    found = Weighed(facts, 1.0, 10.0, 1.0, 5.0, whole, left, flexible, 9.0, beyond, 9.0, records,
+                    3, 4000)  # fmt: skip
+    return Utilities(replace(found, **more))
 
 
-def weights_of(gains, signs=-5.0, **options):
-    """Of effects that gain so much, each plain to see."""
-    none, three = dict.fromkeys(gains, 0.0), dict.fromkeys(gains, 3.0)
-    return Weights(gains, three, none, 5.0, signs, -5.0, **options)
+def probabilities(gains, **options):
+    own = utilities(gains, **options)
+    return dict(zip(own.names, own.probabilities().tolist(), strict=True))
 
 
-def probabilities(gains, signs=-5.0, remains=0.0, **options):
-    return weights_of(gains, signs, remains=remains, **options).probabilities()
+def test_the_table_of_weights_has_every_feature_with_an_error_and_the_sign_that_physics_demands():
+    table = learnt()
+    assert set(table.weights) == set(NAMES)
+    assert all(error > 0.0 for _, error in table.weights.values())
+    for name in NAMES:
+        kind, _, feature = name.partition(".")
+        assert table.weights[name][0] * SIGNS[kind][feature] >= 0.0, name
+    assert 0.0 < table.lapse < 0.3 and 0.0 < table.least < 0.2
 
 
-def test_an_effect_that_leaves_what_was_to_be_explained_is_not_the_cause_whatever_it_gains():
-    assert probabilities({"slack": 160.0}, 3.0, 3.0)["unexplained"] > 0.9
-    # An event beside an effect that took the rest away may be a second cause.
-    assert 0.3 < probabilities({"slack": 160.0}, 6.0, -4.0)["unexplained"] < 0.5
+def test_probabilities_sum_to_one_and_are_the_sums_of_nats_that_are_shown():
+    own = utilities({"slack": 40.0, "latent_heat": 30.0, "latent_heat+slack": 60.0})
+    shares, lapse = own.probabilities(), learnt().lapse
+    assert shares.sum() == pytest.approx(1.0)
+    sums = np.array([sum(row.values()) for row in own.nats().values()])
+    raw = (shares - lapse / len(shares)) / (1.0 - lapse)
+    assert np.diff(np.log(raw)) == pytest.approx(np.diff(sums), abs=1e-6)
 
 
 def test_the_better_of_two_is_named_and_one_that_is_nearly_as_good_stays_a_rival():
-    singles = {"slack": 600.0, "latent_heat": 9.0, "residual_strain": 5.0}
-    pairs = {"latent_heat+slack": 2000.0, "residual_strain+slack": 1900.0}
-    assert probabilities(singles | pairs)["latent_heat+slack"] > 0.9
+    assert probabilities({"slack": 600.0, "latent_heat": 9.0})["slack"] > 0.8
     close = probabilities({"latent_heat": 400.0, "opposing_wires": 392.0})
     assert close["latent_heat"] < 0.8 < sum(close[n] for n in list(close)[:2])
-    assert probabilities({"latent_heat": 400.0, "opposing_wires": 300.0})["latent_heat"] > 0.98
+    assert probabilities({"latent_heat": 400.0})["latent_heat"] > close["latent_heat"] + 0.2
+    pair = {"slack": 60.0, "latent_heat": 50.0}
+    together = {**pair, "latent_heat+slack": of_effect(700.0, partner=12.0)}
+    assert probabilities(together)["latent_heat+slack"] > 0.8
 
 
-def test_what_gains_must_do_so_with_each_record_and_everywhere():
-    def latent_heat(gain, **options):
-        return probabilities({"latent_heat": gain}, **options)["latent_heat"]
+def test_what_gains_next_to_nothing_is_no_cause_and_what_leaves_everything_is_not_the_cause():
+    faint = probabilities({"slack": 1.0, "latent_heat": 0.5})
+    assert faint["recalibration"] + faint["no_gap"] > 0.6 > 0.2 > faint["slack"]
+    left = probabilities({"slack": 30.0}, beyond=900.0, left=LOUD)
+    assert left["unexplained"] > 0.6 > left["slack"]
 
-    assert latent_heat(9.0, records=1) == latent_heat(9.0, records=2) > 0.6
-    assert latent_heat(9.0, records=4) < 0.6 < 0.9 < latent_heat(18.0, records=4)
-    assert latent_heat(18.0) > 0.9 and latent_heat(18.0, unsteady={"latent_heat": 5.0}) < 0.5
+
+def test_what_gains_must_do_so_with_each_record_and_everywhere_and_among_many_more():
+    def slack(gain, others=(), **options):
+        found = of_effect(gain, **options.pop("own", {}))
+        return probabilities({"slack": found, **dict.fromkeys(others, -3.0)}, **options)["slack"]
+
+    assert slack(20.0) == slack(20.0, records=1) > slack(20.0, records=6)
+    assert slack(20.0) > slack(20.0, own={"unsteady": 4.0})
+    assert slack(20.0) > slack(20.0, own={"gap": 0.3})
+    assert slack(20.0, [f"effect_{k}" for k in range(60)]) < slack(20.0)
+    gains = [slack(g) for g in (0.0, 5.0, 20.0, 80.0, 320.0)]
+    assert gains == sorted(gains) and gains[0] < 0.1 < 0.8 < gains[-1]
 
 
 # --- The stage of a gap.
@@ -86,17 +93,17 @@ def test_what_gains_must_do_so_with_each_record_and_everywhere():
 RESISTANCE, LOSS = "wire.resistance", "wire.heat_transfer_coefficient"
 STARTS = tuple(TRANSITIONS.values())
 STROKE = "composite.deflection_per_strain"
-NAMES = (RESISTANCE, LOSS, "wire.specific_heat", *STARTS, STROKE)
+NUMBERS = (RESISTANCE, LOSS, "wire.specific_heat", *STARTS, STROKE)
 
 
 def stages(moved, **probabilities):
     """Of candidates, where recalibration has moved parameters by so many deviations."""
-    x = np.array([*(moved.get(name, 0.0) for name in NAMES), 5.0])  # a shape, of no stage
+    x = np.array([*(moved.get(name, 0.0) for name in NUMBERS), 5.0])  # a shape, of no stage
     candidates = []
     for name, probability in probabilities.items():
         candidates.append(Candidate(name.replace("_and_", "+"), probability))
     search = SimpleNamespace(
-        recalibrated=SimpleNamespace(unknowns=SimpleNamespace(bench_names=NAMES), x=x),
+        recalibrated=SimpleNamespace(unknowns=SimpleNamespace(bench_names=NUMBERS), x=x),
         ranked=["slack", "latent_heat"],
         gain={"slack": 9.0, "latent_heat": 5.0}.get,
     )
@@ -123,13 +130,13 @@ def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief
 
 
 def test_an_effect_is_named_from_the_sum_of_what_holds_it_and_the_larger_one_first():
-    pair, weights = "latent_heat+slack", weights_of({"latent_heat": 20.0, "slack": 90.0})
+    pair, weighed = "latent_heat+slack", utilities({"latent_heat": 20.0, "slack": 90.0})
     alone = [Candidate("slack", 0.35), Candidate(pair, 0.3), Candidate("unexplained", 0.35)]
-    assert verdict_of(alone) == "effect" and named(alone, weights) == ("slack",)
+    assert verdict_of(alone) == "effect" and named(alone, weighed) == ("slack",)
     both = [Candidate(pair, 0.7), Candidate("no_gap", 0.3)]
-    assert verdict_of(both) == "effect" and named(both, weights) == ("slack", "latent_heat")
+    assert verdict_of(both) == "effect" and named(both, weighed) == ("slack", "latent_heat")
     open_still = [Candidate("slack", 0.55), Candidate("latent_heat", 0.45)]
-    assert verdict_of(open_still) == "ambiguous" and named(open_still, weights) == ()
+    assert verdict_of(open_still) == "ambiguous" and named(open_still, weighed) == ()
     benign = [Candidate("no_gap", 0.4), Candidate("recalibration", 0.35), Candidate("slack", 0.25)]
     assert verdict_of(benign) == "no_gap"
 
@@ -139,8 +146,7 @@ def test_an_effect_is_named_from_the_sum_of_what_holds_it_and_the_larger_one_fir
 
 def after(tellings, **gains):
     """Prospect of an experiment on effects that gain so much."""
-    weights = weights_of(gains)
-    return prospect(weights, weights.probabilities(), tellings)
+    return prospect(utilities(gains), probabilities(gains), tellings)
 
 
 def apart(distance, *names):
@@ -155,10 +161,10 @@ ALL = (*BOTH, "recalibration")
 def test_a_tie_of_two_is_settled_where_they_differ_and_a_rival_does_not_stay_in_the_way():
     tie = {"slack": 14.0, "residual_strain": 13.5}
     told = after(apart(8.0, *ALL), **tie)
-    assert told.named > 0.95 and told.given > 0.9
+    assert told.named > 0.95 and told.given > 0.8
     told = after(apart(8.0, *ALL) | apart(0.5, *BOTH), **tie)
     before = after(apart(0.0, *ALL), **tie)
-    assert told.named < 0.1 and told.given == pytest.approx(before.given, abs=0.1)
+    assert told.named < 0.5 and told.given < before.given + 0.3
     rival = {"slack": 14.0, "residual_strain": 3.0, "transition_drift": 14.0}
-    assert after(apart(1e3, *ALL), **rival).named < 0.1
+    assert after(apart(1e3, *ALL), **rival).named < 0.5
     assert after(apart(1e3, *ALL, "transition_drift"), **rival).named > 0.9

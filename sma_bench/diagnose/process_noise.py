@@ -1,0 +1,107 @@
+"""At which stage of the model something is missing: a smooth unknown input for each, in turn.
+
+An input of 30 knots a record is let into one stage of the model, linearised about a fit: power into
+every wire, a shift of the transition temperatures, a factor of the motion, a factor of the
+conductance that the current shows, an error of the sensors. What it gains over the fit, with the
+likeliest size, says how well a term of that stage would explain what is left (stochastic grey-box
+models point at the deficient equation likewise: N. R. Kristensen, H. Madsen, S. B. Jorgensen,
+Automatica 40, 2004). It names no cause.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from sma_bench.arrays import Array
+from sma_bench.compiled import in_threads
+from sma_bench.diagnose.left_over import Flexible, smooth_response
+from sma_bench.diagnose.result import Missed
+from sma_bench.estimation.observation import MOVED, Observation
+from sma_bench.estimation.solver import Fit
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import TRANSITIONS
+
+_KNOTS = 30
+_POWER = 0.02  # of the largest that a record has, for derivatives
+_SHIFT = 1.0  # K
+_MOST = 0.8  # of what the input does lies in the stretch that is said
+
+
+def process_noise(fitted: Fit) -> dict[str, Flexible]:
+    """What an input to each stage explains, the best stage first."""
+    made = in_threads(_inputs, [(obs, fitted.parameters) for obs in fitted.problem.observations])
+    stages = dict.fromkeys(stage for own in made for stage in own)
+
+    def found(stage: str) -> Flexible:
+        # Every record has an input of its own.
+        parts = [own.get(stage) for own in made]
+        rows = [sum(len(s.time) for s in obs.signals) for obs in fitted.problem.observations]
+        features = np.zeros((sum(rows), _KNOTS * len(made)))
+        for k, (part, n) in enumerate(zip(parts, rows, strict=True)):
+            if part is not None:
+                first = sum(rows[:k])
+                features[first : first + n, k * _KNOTS : (k + 1) * _KNOTS] = part
+        features /= max(float(np.sqrt(np.mean(fitted.problem.whiten(features) ** 2))), 1e-12)
+        return smooth_response(fitted, features, {(stage, 0): slice(0, features.shape[1])})
+
+    each = dict(zip(stages, in_threads(found, [(stage,) for stage in stages]), strict=True))
+    return dict(sorted(each.items(), key=lambda item: -item[1].gain))
+
+
+def missed(fitted: Fit, inputs: Mapping[str, Flexible]) -> Missed | None:
+    """The best of them in words; None where none gains anything."""
+    stage, best = next(iter(inputs.items()))
+    if best.gain <= 0.0:
+        return None
+    # The shortest stretch of one record that holds most of what the input does there.
+    power = fitted.problem.whiten(best.response) ** 2
+    by_record: dict[str, list[tuple[Array, Array, Observation]]] = {}
+    for block in fitted.problem.blocks:
+        own = (block.signal.time, power[block.rows], block.observation)
+        by_record.setdefault(block.observation.path, []).append(own)
+    record, parts = max(by_record.items(), key=lambda item: sum(p[1].sum() for p in item[1]))
+    time, own = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    order = np.argsort(time)
+    time, share = time[order], np.cumsum(own[order]) / max(float(own.sum()), 1e-12)
+    ends = np.minimum(np.searchsorted(share, share + _MOST), len(time) - 1)
+    lengths = np.where(share <= 1.0 - _MOST + 1e-9, time[ends] - time, np.inf)
+    first = int(np.argmin(lengths))
+    start, stop = float(time[first]), float(time[ends[first]])
+    phases, counts = np.unique(
+        parts[0][2].phase_of(np.linspace(start, stop, 50)), return_counts=True
+    )
+    return Missed(stage, best.gain, record, start, stop, str(phases[np.argmax(counts)]))
+
+
+def _inputs(obs: Observation, parameters: Parameters) -> dict[str, Array]:
+    """(rows of the record, knots) of what an input of each stage does to the readings."""
+    base = obs.simulate(parameters)
+    before = np.concatenate(obs.readings(base))
+    knots = np.linspace(obs.grid[0], obs.grid[-1], _KNOTS)
+    hats = np.column_stack([np.interp(obs.grid, knots, row) for row in np.eye(_KNOTS)])
+    times = np.concatenate([signal.time for signal in obs.signals])
+    at_bins = np.column_stack([np.interp(times, knots, row) for row in np.eye(_KNOTS)])
+
+    def only(quantities: tuple[str, ...], values: Array) -> Array:
+        chosen = [np.full(len(s.time), s.quantity in quantities) for s in obs.signals]
+        return np.where(np.concatenate(chosen), values, 0.0)[:, None] * at_bins
+
+    squares = obs.voltage**2
+    added = _POWER * float(squares.max()) * hats
+    heated = [
+        np.concatenate(obs.readings(obs.simulate(parameters, np.sqrt(squares + hat[:, None]))))
+        for hat in added.T
+    ]
+    shifted = parameters.replace({n: parameters[n] + _SHIFT for n in TRANSITIONS.values()})
+    shift = np.concatenate(obs.readings(obs.simulate(shifted))) - before
+    ambient = parameters["environment.ambient_temperature"]
+    warm = np.where(np.abs(before) > 0.0, before - ambient, 0.0)
+    offset = np.concatenate([np.full(len(s.time), s.noise) for s in obs.signals])
+    found = {
+        "thermal": np.column_stack(heated) - before[:, None],
+        "transformation": shift[:, None] * at_bins,
+        "mechanical": only(MOVED, before),
+        "electrical": only(("current",), before),
+        "sensor": only(("temperature",), warm) + only(MOVED, offset),
+    }
+    return {stage: part for stage, part in found.items() if np.any(part)}
