@@ -274,14 +274,17 @@ def calibration(cases: Sequence[Known], answers: Sequence[Array]) -> list[tuple[
     found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
     stated = np.array([share for _, share, _ in found])
     right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
-    rows, level = [], 1.0 - 0.05 / (len(_RANGES) - 1)
+    rows, level, counts = [], 1.0 - 0.05 / (len(_RANGES) - 1), weights_of(cases)
     for low, high in pairwise(_RANGES):
         here = (stated >= low) & (stated < high)
-        n, hits = int(here.sum()), int(right[here].sum())
-        if n:
-            ends = binomtest(hits, n).proportion_ci(level, method="exact")
-            rows.append((f"{low:.1f} to {high:.1f}", f"{n}", f"{stated[here].mean():.2f}",
-                         f"{hits / n:.2f} ({ends.low:.2f} to {ends.high:.2f})"))  # fmt: skip
+        if not here.any():
+            continue
+        mean, share = (float(np.average(x[here], weights=counts[here])) for x in (stated, right))
+        # So many cases of equal weight tell as much.
+        n = round(counts[here].sum() ** 2 / (counts[here] ** 2).sum())
+        ends = binomtest(round(share * n), n).proportion_ci(level, method="exact")
+        rows.append((f"{low:.1f} to {high:.1f}", f"{int(here.sum())}", f"{mean:.2f}",
+                     f"{share:.2f} ({ends.low:.2f} to {ends.high:.2f})"))  # fmt: skip
     return rows
 
 
@@ -303,8 +306,21 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         both = [left_out(cases, folds, ridge, lapse) for folds in (forms, rigs)]
         by_lapse = {stated: sum(likely(p, stated) for p in both) / 2.0 for stated in STATED}
         scored[ridge, lapse] = max(by_lapse.values()), by_lapse, both
-    ridge, lapse = best = max(scored, key=lambda key: scored[key][0])
-    most, by_lapse, both = scored[best]
+    ridge, lapse = max(scored, key=lambda key: scored[key][0])
+
+    def each(ridge: float) -> Array:
+        """(n,) log probability, the mean of both ways to leave out, with the likeliest lapse."""
+        _, by_lapse, both = scored[ridge, lapse]
+        stated = max(by_lapse, key=lambda key: by_lapse[key])
+        return np.mean([log_probability(cases, lapsed(p, stated)) for p in both], axis=0)
+
+    # The strongest ridge that is worse by no more than the error of that: it is the most careful.
+    counts, likeliest = weights_of(cases), each(ridge)
+    for other in RIDGES:
+        loss = counts * (likeliest - each(other))
+        if float(np.mean(loss)) <= float(np.std(loss)) / np.sqrt(len(cases)):
+            ridge = max(ridge, other)
+    most, by_lapse, both = scored[ridge, lapse]
     last = min(stated for stated, value in by_lapse.items() if value > most - _AS_LIKELY)
     by_forms, by_rigs = (lapsed(shares, last) for shares in both)
     answers = {"when stored": before, "forms left out": by_forms, "rigs left out": by_rigs}
@@ -317,7 +333,7 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         "",
     ]  # fmt: skip
     for name, own in list(answers.items())[1:]:
-        gain = log_probability(cases, own) - log_probability(cases, before)
+        gain = counts * (log_probability(cases, own) - log_probability(cases, before))
         error = np.std(gain) / np.sqrt(len(cases))
         text += [f"Log probability over that when stored, {name}: {np.mean(gain):+.3f} "
                  f"+- {error:.3f}.", ""]  # fmt: skip

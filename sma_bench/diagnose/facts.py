@@ -1,13 +1,12 @@
 """The numbers that a decision is made of: what every candidate gains, does and leaves."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Left, left_over
+from sma_bench.diagnose.process_noise import process_noise
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
@@ -24,12 +23,8 @@ class Facts:
     gain: float  # evidence over recalibration [nats]
     gap: float  # what it does, in the noise of a sample
     partner: float  # what the smaller of two does; of one the same
-    taken: float  # share of what recalibration leaves that it takes away, by root mean square
     unsteady: float  # scatter of its size between stretches, of what noise lets it
-    surprise: float  # squared prior deviations of the bench's parameters
-    deviation: float  # the largest of them
     own: float  # largest prior deviation of the effects' own numbers
-    taken_by: dict[str, float]  # as `taken`, by quantity
     left: dict[str, float] = field(default_factory=dict)  # of Left, for the best few
     parts: dict[str, float] = field(default_factory=dict)  # what each of the effects does, in noise
 
@@ -40,62 +35,47 @@ class Weighed:
 
     candidates: dict[str, Facts]
     moved: float  # gap between the parameters as believed and as recalibrated, in noise
-    surprise: float  # of recalibration
-    deviation: float
+    surprise: float  # of recalibration: squared prior deviations of the bench's parameters
+    deviation: float  # the largest of them
     as_stated: float  # evidence of the parameters as believed over recalibration [nats]
     left: dict[str, float]  # of Left, by recalibration
     left_by_best: dict[str, float]
     flexible: float  # nats that a smooth response gains over recalibration
-    flexible_gap: float  # what it does, in noise
     beyond: float  # over the best candidate
-    beyond_gap: float
+    # nats that a smooth input to each stage gains over recalibration, and over the best
+    inputs: dict[str, float]
+    inputs_by_best: dict[str, float]
     records: int
-    quantities: int
-    samples: int
 
 
 def weighed(search: Search) -> Weighed:
     """Everything that the decision looks at."""
-    recalibrated, problem = search.recalibrated, search.best.problem
-    fits = effect_fits(search)
-    quantities = list(dict.fromkeys(b.signal.quantity for b in problem.blocks))
-    of = np.array([quantities.index(b.signal.quantity) for b in problem.blocks])
-
-    # (q,) squared error beyond noise, whitened by the noise of the best for all.
-    def error(fitted: Fit) -> Array:
-        white = problem.whiten(fitted.left) ** 2
-        sums = np.array([np.sum(white[b.rows] - 1.0) for b in problem.blocks])
-        return np.bincount(of, sums)
-
-    def taken(now: Array, before: Array) -> Array:
-        return 1.0 - np.sqrt(np.maximum(now, 0.0) / np.maximum(before, 1.0))
-
-    before = error(recalibrated)
+    recalibrated, fits = search.recalibrated, effect_fits(search)
     ranked = sorted(fits, key=lambda name: -fits[name].evidence)[:_LOOKED_AT]
 
     def facts(name: str, fitted: Fit) -> Facts:
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
-        gap, now = own_gap(fitted), error(fitted)
+        gap = own_gap(fitted)
         parts = {e: own_gap(fitted, (e,)) for e in effects} if len(effects) > 1 else {name: gap}
         unsteady = 1.0  # a zero that wanders has no size that is the same throughout
         if effects != (DRIFT_EFFECT,):
             unsteady = float(fitted.jackknifed[first] / fitted.std[first])
         return Facts(
-            fitted.evidence - recalibrated.evidence, gap, min(parts.values()),
-            float(taken(now.sum(), before.sum())), unsteady, fitted.surprise, _deviation(fitted),
+            fitted.evidence - recalibrated.evidence, gap, min(parts.values()), unsteady,
             float(np.max(np.abs(fitted.x[first:]))),
-            dict(zip(quantities, taken(now, before).tolist(), strict=True)),
             plain(left_over(fitted)) if name in ranked else {}, parts,
         )  # fmt: skip
 
-    found = dict(zip(fits, in_threads(facts, list(fits.items())), strict=True))
+    own = recalibrated.x[: recalibrated.unknowns.bench]
     return Weighed(
-        found, largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
-        recalibrated.surprise, _deviation(recalibrated),
+        dict(zip(fits, in_threads(facts, list(fits.items())), strict=True)),
+        largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
+        recalibrated.surprise, float(np.max(np.abs(own), initial=0.0)),
         search.nominal.evidence - recalibrated.evidence, plain(search.left),
-        plain(search.left_by_best), search.flexible.gain, search.flexible.gap, search.beyond.gain,
-        search.beyond.gap, len(search.problem.observations), len(quantities),
-        len(problem.measured),
+        plain(search.left_by_best), search.flexible.gain, search.beyond.gain,
+        *({stage: one.gain for stage, one in process_noise(fitted).items()}
+          for fitted in (recalibrated, search.best)),
+        len(search.problem.observations),
     )  # fmt: skip
 
 
@@ -112,8 +92,3 @@ def own_gap(fitted: Fit, names: tuple[str, ...] = ()) -> float:
 def plain(left: Left) -> dict[str, float]:
     """Its numbers."""
     return {name: value for name, value in vars(left).items() if name != "signal"}
-
-
-def _deviation(fitted: Fit) -> float:
-    own: Any = fitted.x[: fitted.unknowns.bench]
-    return float(np.max(np.abs(own))) if len(own) else 0.0

@@ -20,7 +20,7 @@ LOUD = {"ratio": 60.0, "size": 6.0, "outlier": 12.0, "drift": 0.0}
 
 def of_effect(gain, gap=20.0, partner=None, unsteady=1.0):
     """Of one that is plain to see, with a size that its lab would believe."""
-    return Facts(gain, gap, gap if partner is None else partner, 0.9, unsteady, 10.0, 1.0, 0.8, {})
+    return Facts(gain, gap, gap if partner is None else partner, unsteady, 0.8)
 
 
 def utilities(gains, *, beyond=0.0, flexible=None, left=QUIET, records=2, **more):
@@ -29,8 +29,7 @@ def utilities(gains, *, beyond=0.0, flexible=None, left=QUIET, records=2, **more
     best = max([0.0, *(f.gain for f in facts.values())])
     flexible = best + beyond if flexible is None else flexible
     whole = LOUD if best + beyond > 50.0 else QUIET
-    found = Weighed(facts, 1.0, 10.0, 1.0, 5.0, whole, left, flexible, 9.0, beyond, 9.0, records,
-                    3, 4000)  # fmt: skip
+    found = Weighed(facts, 1.0, 10.0, 1.0, 5.0, whole, left, flexible, beyond, records)
     return Utilities(replace(found, **more))
 
 
