@@ -32,7 +32,7 @@ from sma_bench.records.check import mended
 
 PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
 # Those that the package's weights are learnt from, packed.
-STORED = Path(__file__).with_name("features.jsonl.xz")
+STORED = Path(__file__).with_name("features.jsonl.gz")
 # What the numbers of a search depend on; the decision is fitted to them.
 _LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
 _NOT_ITS = ("decision.py", "diagnosis.py", "next_experiment.py", "result.py", "utilities.py")

@@ -5,8 +5,8 @@ Forms are left out in turn (of every effect its first form, its second, its thir
 case having its own. What the package answered when the features were stored stands next to it.
 """
 
+import gzip
 import json
-import lzma
 from collections.abc import Sequence
 from itertools import pairwise, product
 from pathlib import Path
@@ -263,8 +263,8 @@ def credible(p: Array, least: float) -> list[int]:
 def stored(paths: Sequence[Path]) -> list[dict[str, Any]]:
     """Lines of files of features, packed or not."""
     texts = [path.read_bytes() for path in paths]
-    packed = [path.suffix == ".xz" for path in paths]
-    texts = [lzma.decompress(t) if p else t for t, p in zip(texts, packed, strict=True)]
+    packed = [path.suffix == ".gz" for path in paths]
+    texts = [gzip.decompress(t) if p else t for t, p in zip(texts, packed, strict=True)]
     return [json.loads(line) for text in texts for line in text.splitlines()]
 
 
@@ -382,7 +382,7 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         write_text_atomically(markdown, "\n".join([*head, "", *text, ""]))
     if out is not None:
         document = {
-            "source": f"{len(cases)} development cases, ridge {ridge:g}, lapse {lapse:g}",
+            "source": f"{len(cases)} development cases", "ridge": ridge, "fit_lapse": lapse,
             "lapse": last, "library": lines[0]["library"],
             "least": round(columns[2]["90 % set: least probability"], 4), "weights": table,
         }  # fmt: skip

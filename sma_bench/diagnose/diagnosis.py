@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -59,9 +58,7 @@ _STAGES = {
 # What is left is said to be no noise from so many nats of a smooth response of free form, and so
 # many standard deviations of a signal in motion against rest, and of its largest sample.
 _FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
-_NO_INPUTS: Mapping[str, Flexible] = MappingProxyType({})
 _SPEAKS = 0.5  # log odds
-_WORTH_A_LOOK = 0.1  # probability that nothing of the library explains the gap
 _SIGNS = {
     "beyond": "a smooth response of free form is left",
     "beyond_share": "a smooth response of free form is left",
@@ -70,6 +67,8 @@ _SIGNS = {
     "left_share": "{signal} scatters more in motion than at rest",
     "outlier": "a single event stands out",
     "drift": "a sensor would have to drift as none does",
+    "input": "a smooth input to one stage of the model would explain what is left",
+    "input_share": "a smooth input to one stage of the model would explain what is left",
     "best_unsteady": "the best effect has another size in every stretch of the records",
 }
 _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
@@ -86,6 +85,7 @@ class Diagnosis(DiagnosisResult, Reported):
     search: Search  # all fits
     model: Fit  # the fit that the improved parameters are of
     improved: Parameters
+    smooth_input: Flexible | None  # where nothing explains the gap: to the stage that it names
     observations: tuple[Observation, ...]  # all records
     # those, or the parts of them, that the fit of the shrinkage has seen
     fitted: tuple[Observation, ...]
@@ -192,15 +192,12 @@ def diagnose(
         except InputError as error:
             remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
 
-    # At which stage something is missing, should nothing of the library explain it.
-    progress("stages")
-    likely = {c.name: c.probability for c in candidates}
-    inputs = process_noise(recalibrated) if likely[UNEXPLAINED] >= _WORTH_A_LOOK else {}
-
     # Where the gap lies: what the effects do, what no candidate explains, or what separates belief
     # and recalibration.
-    stages = {} if no_gap else stages_of(candidates, found, inputs)
+    stages = {} if no_gap else stages_of(candidates, found, utilities.found.inputs)
+    smooth_input = None
     if verdict == UNEXPLAINED:
+        smooth_input = next(iter(process_noise(recalibrated).items()))
         # A smooth response where it is sure; else all that is slower than the scatter of samples,
         # what a fit has to take for the drift of a sensor.
         left, noise = recalibrated.left, recalibrated.problem.noise
@@ -236,7 +233,8 @@ def diagnose(
         ),
         shrinkage=shrinks,
         least_credible=learnt().least,
-        missed=missed(recalibrated, inputs) if verdict == UNEXPLAINED and inputs else None,
+        missed=missed(recalibrated, *smooth_input) if smooth_input else None,
+        smooth_input=smooth_input[1] if smooth_input else None,
         **_facts(verdict, candidates, found, model),
         not_compared=tuple(
             q for q in QUANTITIES if q not in measured and (moves or q != "deflection")
@@ -292,7 +290,7 @@ def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
 
 
 def stages_of(
-    candidates: Sequence[Candidate], found: Search, inputs: Mapping[str, Flexible] = _NO_INPUTS
+    candidates: Sequence[Candidate], found: Search, inputs: Mapping[str, float]
 ) -> dict[str, float]:
     """Probability of each stage of the model in which a gap may arise, the most probable first.
 
@@ -321,7 +319,7 @@ def stages_of(
         elif candidate.name == UNEXPLAINED:
             best = EFFECTS[found.ranked[0]].stage if found.ranked else ""
             stage = beyond_belief or best
-            weights = {s: (1.0 + f.gain / 4.0) ** 2 for s, f in inputs.items() if f.gain > 0.0}
+            weights = {s: (1.0 + gain / 4.0) ** 2 for s, gain in inputs.items() if gain > 0.0}
             for one, weight in weights.items():
                 shares[one] = shares.get(one, 0.0) + share * weight / sum(weights.values())
             stage = "" if weights else stage

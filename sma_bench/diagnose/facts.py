@@ -5,16 +5,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sma_bench.compiled import in_threads
-from sma_bench.diagnose.left_over import Left, left_over
+from sma_bench.diagnose.left_over import Left
 from sma_bench.diagnose.process_noise import process_noise
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
-
-_LOOKED_AT = 4  # best candidates whose remainder is looked at
-
 
 @dataclass(frozen=True)
 class Facts:
@@ -25,7 +22,6 @@ class Facts:
     partner: float  # what the smaller of two does; of one the same
     unsteady: float  # scatter of its size between stretches, of what noise lets it
     own: float  # largest prior deviation of the effects' own numbers
-    left: dict[str, float] = field(default_factory=dict)  # of Left, for the best few
     parts: dict[str, float] = field(default_factory=dict)  # what each of the effects does, in noise
 
 
@@ -51,7 +47,6 @@ class Weighed:
 def weighed(search: Search) -> Weighed:
     """Everything that the decision looks at."""
     recalibrated, fits = search.recalibrated, effect_fits(search)
-    ranked = sorted(fits, key=lambda name: -fits[name].evidence)[:_LOOKED_AT]
 
     def facts(name: str, fitted: Fit) -> Facts:
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
@@ -63,7 +58,7 @@ def weighed(search: Search) -> Weighed:
         return Facts(
             fitted.evidence - recalibrated.evidence, gap, min(parts.values()), unsteady,
             float(np.max(np.abs(fitted.x[first:]))),
-            plain(left_over(fitted)) if name in ranked else {}, parts,
+            parts,
         )  # fmt: skip
 
     own = recalibrated.x[: recalibrated.unknowns.bench]
@@ -73,10 +68,12 @@ def weighed(search: Search) -> Weighed:
         recalibrated.surprise, float(np.max(np.abs(own), initial=0.0)),
         search.nominal.evidence - recalibrated.evidence, plain(search.left),
         plain(search.left_by_best), search.flexible.gain, search.beyond.gain,
-        *({stage: one.gain for stage, one in process_noise(fitted).items()}
-          for fitted in (recalibrated, search.best)),
-        len(search.problem.observations),
+        _inputs(recalibrated), _inputs(search.best), len(search.problem.observations),
     )  # fmt: skip
+
+
+def _inputs(fitted: Fit) -> dict[str, float]:
+    return {stage: one.gain for stage, one in process_noise(fitted).items()}
 
 
 def effect_fits(search: Search) -> dict[str, Fit]:

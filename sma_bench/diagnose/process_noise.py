@@ -1,14 +1,12 @@
 """At which stage of the model something is missing: a smooth unknown input for each, in turn.
 
 An input of 30 knots a record is let into one stage of the model, linearised about a fit: power into
-every wire, a shift of the transition temperatures, a factor of the motion, a factor of the
+every warm wire, a shift of the transition temperatures, a factor of the motion, a factor of the
 conductance that the current shows, an error of the sensors. What it gains over the fit, with the
 likeliest size, says how well a term of that stage would explain what is left (stochastic grey-box
 models point at the deficient equation likewise: N. R. Kristensen, H. Madsen, S. B. Jorgensen,
 Automatica 40, 2004). It names no cause.
 """
-
-from collections.abc import Mapping
 
 import numpy as np
 
@@ -48,29 +46,27 @@ def process_noise(fitted: Fit) -> dict[str, Flexible]:
     return dict(sorted(each.items(), key=lambda item: -item[1].gain))
 
 
-def missed(fitted: Fit, inputs: Mapping[str, Flexible]) -> Missed | None:
-    """The best of them in words; None where none gains anything."""
-    stage, best = next(iter(inputs.items()))
+def missed(fitted: Fit, stage: str, best: Flexible) -> Missed | None:
+    """What an input to a stage says; None where it gains nothing."""
     if best.gain <= 0.0:
         return None
     # The shortest stretch of one record that holds most of what the input does there.
     power = fitted.problem.whiten(best.response) ** 2
-    by_record: dict[str, list[tuple[Array, Array, Observation]]] = {}
-    for block in fitted.problem.blocks:
-        own = (block.signal.time, power[block.rows], block.observation)
-        by_record.setdefault(block.observation.path, []).append(own)
-    record, parts = max(by_record.items(), key=lambda item: sum(p[1].sum() for p in item[1]))
-    time, own = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
+    blocks = fitted.problem.blocks
+    total = {o.path: sum(float(power[b.rows].sum()) for b in blocks if b.observation is o)
+             for o in fitted.problem.observations}  # fmt: skip
+    obs = max(fitted.problem.observations, key=lambda o: total[o.path])
+    own = [block for block in blocks if block.observation is obs]
+    time = np.concatenate([block.signal.time for block in own])
     order = np.argsort(time)
-    time, share = time[order], np.cumsum(own[order]) / max(float(own.sum()), 1e-12)
+    share = np.cumsum(np.concatenate([power[block.rows] for block in own])[order])
+    time, share = time[order], share / max(float(share[-1]), 1e-12)
     ends = np.minimum(np.searchsorted(share, share + _MOST), len(time) - 1)
     lengths = np.where(share <= 1.0 - _MOST + 1e-9, time[ends] - time, np.inf)
     first = int(np.argmin(lengths))
     start, stop = float(time[first]), float(time[ends[first]])
-    phases, counts = np.unique(
-        parts[0][2].phase_of(np.linspace(start, stop, 50)), return_counts=True
-    )
-    return Missed(stage, best.gain, record, start, stop, str(phases[np.argmax(counts)]))
+    phases, counts = np.unique(obs.phase_of(np.linspace(start, stop, 50)), return_counts=True)
+    return Missed(stage, best.gain, obs.path, start, stop, str(phases[np.argmax(counts)]))
 
 
 def _inputs(obs: Observation, parameters: Parameters) -> dict[str, Array]:
@@ -86,15 +82,17 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[str, Array]:
         chosen = [np.full(len(s.time), s.quantity in quantities) for s in obs.signals]
         return np.where(np.concatenate(chosen), values, 0.0)[:, None] * at_bins
 
+    # Of heat a wire has too much or too little as far as it is warm.
+    ambient = parameters["environment.ambient_temperature"]
+    excess = np.maximum(base.temperature - ambient, 0.0)
     squares = obs.voltage**2
-    added = _POWER * float(squares.max()) * hats
+    power = _POWER * float(squares.max()) * excess / max(float(excess.max()), 1e-9)
     heated = [
-        np.concatenate(obs.readings(obs.simulate(parameters, np.sqrt(squares + hat[:, None]))))
-        for hat in added.T
+        np.concatenate(obs.readings(obs.simulate(parameters, np.sqrt(squares + hat * power))))
+        for hat in hats.T[:, :, None]
     ]
     shifted = parameters.replace({n: parameters[n] + _SHIFT for n in TRANSITIONS.values()})
     shift = np.concatenate(obs.readings(obs.simulate(shifted))) - before
-    ambient = parameters["environment.ambient_temperature"]
     warm = np.where(np.abs(before) > 0.0, before - ambient, 0.0)
     offset = np.concatenate([np.full(len(s.time), s.noise) for s in obs.signals])
     found = {

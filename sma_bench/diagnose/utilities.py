@@ -28,14 +28,15 @@ from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
 SIGNS: dict[str, dict[str, int]] = {
     "effect": {
         "one": 0, "gain": 1, "lead": 1, "ahead": 1, "size": 1, "own": 0, "unsteady": -1,
-        "rivals": -1, "left": -1,
+        "rivals": -1,
     },
     "pair": {"two": 0, "extra": 1, "partner": 1, "partner_size": 1},
     "recalibration": {"surprise": -1, "deviation": 0, "flexible": -1, "moved": 1},
     "no_gap": {"one": 0, "moved": -1, "as_stated": 1, "surprise": -1},
     "unexplained": {
         "one": 0, "beyond": 1, "beyond_share": 1, "ratio": 1, "left": 1, "left_share": 1,
-        "outlier": 1, "drift": 1, "best_gain": 0, "best_unsteady": 1,
+        "outlier": 1, "drift": 1, "input": 1, "input_share": 1, "best_gain": 0,
+        "best_unsteady": 1,
     },
 }  # fmt: skip
 NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in features)
@@ -55,6 +56,8 @@ class Learnt:
 
     source: str
     library: str
+    ridge: float  # of the fit, and the lapse that it was made with
+    fit_lapse: float
     lapse: float
     least: float  # probability from which explanations are credible: they hold the truth in 90 %
     weights: dict[str, tuple[float, float]]
@@ -102,7 +105,6 @@ class Utilities:
         row = {
             "effect.one": 1.0, "effect.size": _small(facts.gap),
             "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": _wild(facts),
-            "effect.left": float(_nats((facts.left or self.found.left)["size"], 0.4)),
         }  # fmt: skip
         if JOIN in name:
             share = facts.partner / max(facts.gap, 1e-3)
@@ -113,24 +115,30 @@ class Utilities:
     def _of_none(self) -> tuple[dict[str, float], ...]:
         found, by = self.found, self.found.left_by_best
         surprise = float(_nats(found.surprise, 16.0))
-        recalibration = {
+        recalibration: dict[str, Array | float] = {
             "surprise": surprise, "deviation": _nats(found.deviation, 1.0),
             "flexible": _nats(found.flexible), "moved": _small(found.moved),
         }  # fmt: skip
-        no_gap = {
+        no_gap: dict[str, Array | float] = {
             "one": 1.0, "moved": _log(found.moved, 0.1), "as_stated": _signed(found.as_stated),
             "surprise": surprise,
         }  # fmt: skip
-        unexplained = {
+        unexplained: dict[str, Array | float] = {
             "one": 1.0, "beyond": _nats(found.beyond), "ratio": _nats(by["ratio"]),
             "left": _nats(by["size"], 0.4),
             "left_share": by["size"] / max(found.left["size"], by["size"], 0.1),
             "outlier": _nats(by["outlier"] - _NOISY), "drift": _nats(by["drift"]),
+            "input": _nats(self._input),
         }  # fmt: skip
-        rows = zip(
-            (RECALIBRATION, NO_GAP, UNEXPLAINED), (recalibration, no_gap, unexplained), strict=True
+        rows = {RECALIBRATION: recalibration, NO_GAP: no_gap, UNEXPLAINED: unexplained}
+        return tuple(
+            {f"{kind}.{n}": float(v) for n, v in row.items()} for kind, row in rows.items()
         )
-        return tuple({f"{kind}.{n}": float(v) for n, v in row.items()} for kind, row in rows)
+
+    @property
+    def _input(self) -> float:
+        """Nats that a smooth input to some stage gains over the best."""
+        return max([0.0, *self.found.inputs_by_best.values()])
 
     def features(self, gains: Array | None = None) -> Array:
         """(m, n, k) of every explanation, where the effects gain so much (m, c) [nats]."""
@@ -156,6 +164,7 @@ class Utilities:
         last[:, _AT["unexplained.best_gain"]] = _nats(best)
         last[:, _AT["unexplained.best_unsteady"]] = unsteady
         last[:, _AT["unexplained.beyond_share"]] = beyond / (max(beyond, 0.0) + best + 4.0)
+        last[:, _AT["unexplained.input_share"]] = self._input / (self._input + best + 4.0)
         return x
 
     @property

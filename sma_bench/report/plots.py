@@ -490,6 +490,13 @@ def _missing(result: Diagnosis, name: str) -> Picture:
         if not shown:
             shown = obs.path
             over_time.plot(time, left, color=draw.FAINT, lw=1.0)
+            if (found := result.missed) and result.smooth_input:
+                response = factor * result.smooth_input.response[block.rows]
+                label = f"a smooth input, {found.stage} stage"
+                over_time.plot(time, response, color=draw.MODEL, lw=1.2, label=label)
+                if found.record == obs.path:
+                    over_time.axvspan(found.start, found.stop, color=draw.FAINT, alpha=0.2)
+                draw.legend_above(over_time)
 
         # What the term may depend on: of a wire, or of the sides' warmest and highest.
         at = np.clip(np.searchsorted(obs.grid, time), 0, len(obs.grid) - 1)

@@ -29,7 +29,8 @@ def utilities(gains, *, beyond=0.0, flexible=None, left=QUIET, records=2, **more
     best = max([0.0, *(f.gain for f in facts.values())])
     flexible = best + beyond if flexible is None else flexible
     whole = LOUD if best + beyond > 50.0 else QUIET
-    found = Weighed(facts, 1.0, 10.0, 1.0, 5.0, whole, left, flexible, beyond, records)
+    found = Weighed(facts, 1.0, 10.0, 1.0, 5.0, whole, left, flexible, beyond, {},
+                    {"thermal": beyond}, records)  # fmt: skip
     return Utilities(replace(found, **more))
 
 
@@ -95,7 +96,7 @@ STROKE = "composite.deflection_per_strain"
 NUMBERS = (RESISTANCE, LOSS, "wire.specific_heat", *STARTS, STROKE)
 
 
-def stages(moved, **probabilities):
+def stages(moved, inputs=None, **probabilities):
     """Of candidates, where recalibration has moved parameters by so many deviations."""
     x = np.array([*(moved.get(name, 0.0) for name in NUMBERS), 5.0])  # a shape, of no stage
     candidates = []
@@ -106,7 +107,7 @@ def stages(moved, **probabilities):
         ranked=["slack", "latent_heat"],
         gain={"slack": 9.0, "latent_heat": 5.0}.get,
     )
-    return stages_of(candidates, search)
+    return stages_of(candidates, search, inputs or {})
 
 
 @pytest.mark.parametrize(("moved", "stage"), [
@@ -122,6 +123,10 @@ def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief
     assert found == ({stage: 0.7, "sensor": 0.2} if stage else {"sensor": 0.2})
     # What nothing explains has that of the best effect else.
     assert stages(moved, unexplained=0.7, temperature_lag=0.3)[stage or "mechanical"] == 0.7
+    # Or the stages at which a smooth input explains something, by how much.
+    inputs = {"electrical": 400.0, "thermal": 4.0, "sensor": 0.0}
+    shares = stages(moved, inputs, unexplained=0.7, temperature_lag=0.3)
+    assert shares["electrical"] > 0.69 and shares["sensor"] == 0.3
     assert stages(moved, slack=0.1, latent_heat=0.3, latent_heat_and_slack=0.6) == {
         "mechanical": 0.7,
         "thermal": 0.3,
