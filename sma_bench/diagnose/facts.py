@@ -13,6 +13,7 @@ from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
 
+
 @dataclass(frozen=True)
 class Facts:
     """Of one candidate: an effect, or two."""
