@@ -94,6 +94,7 @@ class Answer:
     where: Where | None
     shrinkage: dict[str, Claim]
     next_experiment: NextExperiment | None
+    credible: tuple[str, ...] = ()
 
 
 def checked_answer(document: Any, where: str = "answer") -> Answer:

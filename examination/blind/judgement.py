@@ -49,6 +49,15 @@ class Label:
     severities: dict[str, float] = field(default_factory=dict)
     wrong: dict[str, float] = field(default_factory=dict)
     transformation_law: bool = False
+    forms: dict[str, str] = field(default_factory=dict)  # of seeds that have them, from 2700 on
+
+    @property
+    def main(self) -> frozenset[str]:
+        """The one of what was hidden that does most; one of those where nothing of the library
+        was."""
+        if not self.effects or self.kind in _RIGHT_NAMES:
+            return self.names
+        return frozenset([max(self.effects, key=lambda name: self.severities.get(name, 0.0))])
 
     @property
     def hidden(self) -> frozenset[str]:
@@ -106,16 +115,22 @@ class Judged:
         said, label, right = self.answer or _SILENCE, self.label, self.label.names
         verdict, first = said.verdict, self.first_choice
         chosen = first.parts if first else frozenset[str]()
-        # The fewest candidates whose probabilities make 90 %, most probable first.
+        # What the answer says; of one that says nothing, the fewest candidates, the most probable
+        # first, that make 90 %.
         total, credible = 0.0, []
         for candidate in said.candidates:
-            if total < SET_MASS - 1e-9:
+            if candidate.name in said.credible or (
+                not said.credible and total < SET_MASS - 1e-9
+            ):
                 credible.append(candidate.parts)
             total += candidate.probability
         in_set = frozenset[str]().union(*credible)
         right_ones = [parts for parts in credible if parts <= right]
-        holds_truth = bool(right_ones)
-        if label.kind == "pair":
+        holds_truth, size = bool(right_ones), len(credible)
+        if label.forms:  # an explanation that holds the main effect does, whatever it adds
+            holds_truth = any(parts & label.main for parts in credible)
+            size = len(in_set)
+        elif label.kind == "pair":
             holds_truth = label.hidden <= frozenset[str]().union(*right_ones)
 
         # What the first choice and the verdict come to.
@@ -135,7 +150,7 @@ class Judged:
             "answered": self.answer is not None, "says_gap": gap, "alarms": alarms,
             "alarms_with_reason": self.answer is not None and alarms, "abstains": abstains,
             "abstains_or_flags": abstains or UNEXPLAINED in in_set,
-            "set_size": float(len(credible)) if self.answer else None,
+            "set_size": float(size) if self.answer else None,
             "set_holds_truth": holds_truth,
             "truth_probability": sum(c.probability for c in said.candidates if c.parts <= right),
             "first_choice_right": first_right,
