@@ -51,15 +51,14 @@ def weighed(search: Search) -> Weighed:
 
     def facts(name: str, fitted: Fit) -> Facts:
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
-        gap = own_gap(fitted)
+        gap, gain = own_gap(fitted), fitted.evidence - recalibrated.evidence
         parts = {e: own_gap(fitted, (e,)) for e in effects} if len(effects) > 1 else {name: gap}
-        unsteady = 1.0  # a zero that wanders has no size that is the same throughout
-        if effects != (DRIFT_EFFECT,):
+        # What gains nothing needs no size, and a zero that wanders has none that stays.
+        unsteady = 1.0
+        if effects != (DRIFT_EFFECT,) and gain > 0.0:
             unsteady = float(fitted.jackknifed[first] / fitted.std[first])
         return Facts(
-            fitted.evidence - recalibrated.evidence, gap, min(parts.values()), unsteady,
-            float(np.max(np.abs(fitted.x[first:]))),
-            parts,
+            gain, gap, min(parts.values()), unsteady, float(np.max(np.abs(fitted.x[first:]))), parts,
         )  # fmt: skip
 
     own = recalibrated.x[: recalibrated.unknowns.bench]

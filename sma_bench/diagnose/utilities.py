@@ -206,4 +206,4 @@ def _small(gap: float) -> float:
 
 
 def _wild(facts: Facts) -> float:
-    return max(_log(facts.unsteady, 1.0), 0.0)
+    return max(_log(facts.unsteady, 1.0), 0.0) if facts.gain > 0.0 else 0.0
