@@ -57,9 +57,8 @@ def weighed(search: Search) -> Weighed:
         unsteady = 1.0
         if effects != (DRIFT_EFFECT,) and gain > 0.0:
             unsteady = float(fitted.jackknifed[first] / fitted.std[first])
-        return Facts(
-            gain, gap, min(parts.values()), unsteady, float(np.max(np.abs(fitted.x[first:]))), parts,
-        )  # fmt: skip
+        own = float(np.max(np.abs(fitted.x[first:])))
+        return Facts(gain, gap, min(parts.values()), unsteady, own, parts)
 
     own = recalibrated.x[: recalibrated.unknowns.bench]
     return Weighed(
