@@ -23,7 +23,7 @@ _WIRE = {
         "SKEW",  # of the centres' distribution
         # of orientation.py: D by stress, the moduli and expansion that a step may change
         "ORIENTS_FROM", "ORIENTS_WITHIN", "MISMATCH", "AUSTENITE_STIFF", "MARTENSITE_STIFF",
-        "EXPANDS", "R_STRAIN", "R_END", "R_RANGE",  # r_phase.py: strain, K, K
+        "EXPANDS", "R_STRAIN", "R_END", "R_RANGE",  # the R-phase: strain, K, K
         "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
         "CONVECTION", "CONVECTION_EXPONENT", "RADIATION",  # of free convection, W/K, 1, W/K4
         "CURRENT_DRIVEN", "PRESTRETCH",  # by a current source; strain at which it is mounted

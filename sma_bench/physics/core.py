@@ -32,7 +32,7 @@ from importlib import import_module
 from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics import columns as at
-from sma_bench.physics import orientation, r_phase
+from sma_bench.physics import orientation
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.latent_heat import latent_rise
 from sma_bench.physics.effects.matrix_thermal_mass import look_beside, warm_together
@@ -376,7 +376,7 @@ def heat(wires, voltage, k, step):
             if wires[i, at.LAW] >= orientation.FIRST:
                 wires[i, at.OFFSET] += orientation.orient(wires, i)
             if wires[i, at.R_STRAIN] != 0.0:
-                wires[i, at.OFFSET] -= r_phase.strain(wires, i)
+                wires[i, at.OFFSET] -= orientation.r_phase_strain(wires, i)
 
 
 @borrowing

@@ -14,7 +14,6 @@ from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, material, orientation
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
-from sma_bench.physics.convection import note_free
 from sma_bench.physics.laws import extended, law_of, normal, number_of
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
@@ -181,7 +180,7 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
         row[at.EVOLVES] = 1.0
         row[at.R_END] = p["wire.r_phase_temperature"] + 0.5 * p["wire.r_phase_range"]
     if p["wire.convection"] == "free":
-        note_free(row, p)
+        material.note_free(row, p)
     row[at.HEATING] = 1.0 / (heated_resistance(p) * heat_loss(p))
     row[at.CURRENT_DRIVEN] = p["bench.drive"] == "current"
     leads = p["bench.lead_resistance"] + p["effect.supply_drop.resistance"]

@@ -6,12 +6,7 @@ import math
 from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameter import LAWS
 from sma_bench.physics import columns as at
-from sma_bench.physics.effects.partial_transformation import (
-    forget_closed,
-    left_of_grains,
-    remember_turn,
-    towards_turn,
-)
+from sma_bench.physics.effects import partial_transformation as partial
 from sma_bench.physics.effects.transformation_law import mixed
 from sma_bench.physics.effects.transition_drift import drifts, shift_transition
 from sma_bench.physics.laws import brinson, cosine, exponential, extended, logistic, normal
@@ -109,10 +104,10 @@ def rule_of(ramp, shifting):
             scale = phase / own_reversed
             left, by_own = share * scale, share_slope * scale
             if wires[i, at.RETURN_POINT] != 0.0:
-                left, by_own = towards_turn(wires, i, share, share_slope)
+                left, by_own = partial.towards_turn(wires, i, share, share_slope)
             if wires[i, at.MEMORY] != 0.0:
                 memory = wires[i, at.MEMORY]
-                of_grains, by_share = left_of_grains(phase, share, own_reversed, memory)
+                of_grains, by_share = partial.left_of_grains(phase, share, own_reversed, memory)
                 left += of_grains - share * scale
                 by_own += (by_share - scale) * share_slope
                 if left > phase and share < own_reversed:  # with a return point beside it
@@ -194,7 +189,7 @@ def reverse(wires, i, trend):
     g = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
     rising = trend > 0.0
     if wires[i, at.RETURN_POINT] != 0.0:
-        remember_turn(wires, i, f, g)
+        partial.remember_turn(wires, i, f, g)
     wires[i, at.TREND] = trend
     wires[i, at.CHANGE] = 0.0
     wires[i, at.PHASE_REVERSED] = wires[i, at.FRACTION] if rising else 1.0 - wires[i, at.FRACTION]
@@ -211,4 +206,4 @@ def close_loops(wires, i):
         share = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
     else:
         share = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
-    forget_closed(wires, i, share)
+    partial.forget_closed(wires, i, share)

@@ -21,6 +21,7 @@ from sma_bench.parameters.parameter import BY_NAME, LAWS
 from sma_bench.parameters.parameters import ORIENTING, load_kind
 from sma_bench.physics import columns as at
 from sma_bench.physics.laws import brinson, extended, law_of
+from sma_bench.physics.laws.cosine import ramp
 
 FIRST = min(map(LAWS.index, ORIENTING))  # number from which laws are of this kind
 BRINSON = LAWS.index("brinson")
@@ -81,3 +82,26 @@ def after_step(wires, i):
     xi, moved = wires[i, at.FRACTION], wires[i, at.STRESS] - wires[i, at.STRESS_BEFORE]
     now = wires[i, at.BEGUN] + wires[i, at.FOLLOWS] * xi + wires[i, at.DETWINS] * moved
     wires[i, at.ORIENTED] = min(max(now, 0.0), xi)
+
+
+# --- The R-phase, between austenite and martensite: an option of every law, off by default. Of what
+# is not martensite a part is R-phase, which is longer than austenite by eps_R:
+#
+#     xi_R = (1 - xi) sin^2[pi/2 (T_R + w/2 - T + sigma/C_R)/w]
+#
+# It shows on cooling, before martensite forms, and where A_s lies below T_R on heating too. C_R is
+# so steep, and its hysteresis of 1 to 5 K so narrow (left out here), that it moves with T alone.
+# Its heat (5 J/g) and its resistance are not modelled. Source: Otsuka and Ren 2005. Parameters:
+# eps_R (`wire.r_phase_strain`; 0: none), T_R (`wire.r_phase_temperature`), w
+# (`wire.r_phase_range`).
+
+STRESS_INFLUENCE = 16e6  # C_R, Pa/K: 13 to 20 MPa/K
+
+
+@borrowing
+def r_phase_strain(wires, i):
+    """Strain by which R-phase lengthens wire i, at the temperature that its step leads to."""
+    temperature = wires[i, at.START] + wires[i, at.LAG] * wires[i, at.FRACTION]
+    colder = wires[i, at.R_END] - temperature + wires[i, at.STRESS] / STRESS_INFLUENCE
+    share = ramp(colder / wires[i, at.R_RANGE])[0]
+    return wires[i, at.R_STRAIN] * share * (1.0 - wires[i, at.FRACTION])

@@ -5,8 +5,9 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from sma_bench.arrays import Array
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
@@ -19,8 +20,6 @@ from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.deflection_drift import zero
 from sma_bench.physics.kernel import Kernel, State, at_rest, require_possible
-
-Array = NDArray[np.float64]
 
 
 @dataclass(eq=False, repr=False)

@@ -7,7 +7,7 @@ import pytest
 
 from examination import pieces
 from examination.attack_lab.cases import ATTACKS
-from examination.check import attacks
+from examination.check import attacks, worlds
 from examination.check import identification as campaign
 from examination.simulated_lab import EXPERIMENTS
 from sma_bench.identify import whole_model
@@ -60,3 +60,20 @@ def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
     z = np.array([abs(n["value"] - n["truth"]) / n["std"] for n in numbers])
     assert z.size == 17 and np.mean(z < pieces.Z_95) > 0.75 and z.max() < 4.0
     assert sum(n["std"] < 0.1 * n["prior_std"] for n in numbers) > 8
+
+
+@pytest.mark.compiled
+def test_a_world_outside_the_package_returns_what_it_took(tmp_path, monkeypatch, capsys):
+    rng = np.random.default_rng(3)
+    for world in worlds.WORLDS.values():
+        wire = {n: np.mean(x) for n, x in (worlds.HELD["wires"] | world["wires"]).items()}
+        run = worlds.run_of("half", world["law"], list(wire.values()), rng)
+        volts, moved = run["wire.voltage"], run["elongation"]
+        on = np.interp(moved.time, volts.time, volts.values) > 0.0
+        assert 6e-3 < -np.median(moved.values[on]) < 30e-3
+        assert np.abs(moved.values[[0, -1]]).max() < 0.02 * np.ptp(moved.values)
+    played = dict.fromkeys(worlds.WAYS, 1.0) | {"laws": "cosine 100%"}
+    monkeypatch.setattr(worlds, "in_pieces", lambda run, jobs, options: [played for _ in jobs])
+    assert worlds.main(["--seeds", "1"]) == 0
+    played["nothing stated"] = 1.6
+    assert worlds.main(["--world", "logistic"]) == 1 and "outside" in capsys.readouterr().out

@@ -9,7 +9,7 @@ and radiation (T^4) are within a few percent of a line.
 from sma_bench.compiled import borrowing
 from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
-from sma_bench.physics.convection import free_loss
+from sma_bench.physics.material import free_loss
 
 EFFECT = Effect(
     "thermal",
