@@ -70,7 +70,7 @@ def run(args: SimpleNamespace) -> int:
     for table in tables:
         print_table(table)
     if args.report:
-        from sma_bench.paper.figures import operating_point_picture
+        from sma_bench.report.experiment_figures import operating_point_picture
         from sma_bench.report.page import Section, write_report
 
         section = Section("", tables=tables, pictures=[operating_point_picture(model)])

@@ -12,9 +12,9 @@ from sma_bench.identify import identify
 from sma_bench.identify.isobaric import isobaric_tests
 from sma_bench.identify.signals import find_drives, holds_frame, is_clamped_wire, moves
 from sma_bench.identify.tensile import tensile_tests
+from sma_bench.paper import page
 from sma_bench.paper.errata import paper_errata
-from sma_bench.paper.figures import CompositeRun, composite_run
-from sma_bench.paper.page import TABLES, ExperimentResults, PaperPage, paper_pictures, table_rows
+from sma_bench.paper.page import CompositeRun, ExperimentResults, PaperPage, composite_run
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, in_turn, part, silent
 from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
@@ -78,8 +78,8 @@ def paper_page(
     if not runs:
         synthetic |= {15, 16}
         runs = _runs(made, composite_rig(paper), notes, synthetic=True)
-    pictures = paper_pictures(outcomes, validation, runs, synthetic)
-    tables = {name: table_rows(name, outcomes) for name in TABLES}
+    pictures = page.paper_pictures(outcomes, validation, runs, synthetic)
+    tables = {name: page.table_rows(name, outcomes) for name in page.TABLES}
     return PaperPage(outcomes, pictures, tables, paper_errata(), notes)
 
 

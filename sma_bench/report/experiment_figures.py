@@ -15,6 +15,7 @@ from sma_bench.identify.tensile import SYMBOL
 from sma_bench.identify.thermal_expansion import PARAMETER
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded
+from sma_bench.physics.linearised import Branch, Linearised, OperatingPoint
 from sma_bench.physics.simulate import simulate
 from sma_bench.records.record import Record, held_voltages
 from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, graph, legend_above, new_figure
@@ -43,6 +44,7 @@ _SEVERAL = 4  # tests, beyond which each has its colour
 _DRAWN = 2000  # points of a curve
 _LINE_STRAIN, _BEYOND = 0.012, 0.9  # length of a modulus' line, and of the highest stress
 _FITTED = ("deflection", "force", "elongation", "temperature", "current")
+_AROUND = 12.0  # K, how far the steady states of E11 are drawn
 _ROWS = 4  # signals of a fit that are drawn, in this order
 
 
@@ -348,6 +350,40 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
         name = f"bench_fit_{head}" if head else "bench_fit"
         pictures.append(pictured("bench_fit", figure, name, source=e10.source))
     return pictures
+
+
+# --- E11: a tangent of the steady states.
+
+
+def operating_point_picture(model: Linearised) -> Picture:
+    """Steady deflection (or its kin) over the temperature of the warmest wire, both branches, and
+    the tangent of eqs. (18) to (23)."""
+    point, parameters = model.point, model.point.parameters
+    wire = int(np.argmax(point.temperature))
+    kelvin = float(point.temperature[wire])
+    together = np.isclose(point.temperature, kelvin)
+    slope = float(model.deflection_per_kelvin[together].sum())
+    coldest = max(kelvin - _AROUND, parameters["environment.ambient_temperature"])
+    around = np.linspace(coldest, kelvin + _AROUND, 121)
+    figure, ax = graph("temperature of the driven wires [K]", "deflection [mm]", height=4.2)
+    branches: tuple[tuple[Branch, str], ...] = (("heating", SECOND), ("cooling", MEASURED))
+    for branch, colour in branches:
+        steady = [
+            1e3 * OperatingPoint.at_temperature(
+                parameters, np.where(together, t, point.temperature), branch
+            ).deflection
+            for t in around
+        ]
+        ax.plot(around, steady, color=colour, lw=1.6, label=f"steady, {branch}")
+    drawn = 1e3 * (point.deflection + slope * (around - kelvin))
+    here = np.abs(drawn - 1e3 * point.deflection) < 0.7 * max(np.ptp(drawn), 1e-9)
+    ax.plot(around[here], drawn[here], "--", color=MODEL, lw=1.4, label="linearised")
+    ax.plot([kelvin], [1e3 * point.deflection], "o", color=MODEL, ms=6)
+    ax.legend(fontsize=8)
+    return pictured(
+        "linearised", figure, volts=point.voltage[wire], branch=point.branch, slope=1e3 * slope,
+        kelvin=kelvin,
+    )
 
 
 _PICTURES: dict[str, tuple[Callable[[Experiment], Picture], ...]] = {

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench.parameters import Parameters, published
+from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import wire_section
 from sma_bench.physics import Boundary, simulate
@@ -16,6 +16,19 @@ from sma_bench.physics.bending import bending_coefficients
 from sma_bench.physics.material import cooled_fraction, heat_loss, heated_fraction, modulus
 from sma_bench.records import instruments
 from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol_record
+
+# --- Numbers that the paper prints besides those of the parameter table.
+
+# Table II, heat cycles 1 and 2 [K]; the table holds cycle 2.
+DSC_CYCLES = (
+    {"A_s": 351.29, "A_f": 371.05, "M_s": 355.49, "M_f": 324.93},
+    {"A_s": 331.81, "A_f": 353.61, "M_s": 353.39, "M_f": 325.09},
+)
+# Below Fig. 8, mean and deviation [K] under a holding force of 1 N.
+UPFR_START, UPFR_FINISH = (350.65, 1.06), (361.35, 1.49)
+HOLDING_FORCE = 1.0  # N
+_COLD_TEST, _HOT_TEST = 293.15, 403.15  # K, Table III, of martensite and of austenite
+_DETWINNED_AT = 0.04  # strain up to which martensite detwins, section III.B.2
 
 # --- Synthetic DSC run: what the model's wire would do to a calorimeter (E5, Fig. 7).
 #
@@ -40,7 +53,7 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
     if _is_papers_wire(parameters):
         cycles = [
             parameters.replace({TRANSITIONS[symbol]: value for symbol, value in cycle.items()})
-            for cycle in published.DSC_CYCLES
+            for cycle in DSC_CYCLES
         ]
     random = np.random.default_rng(seed)
     segments: list[instruments.DscSegment] = []
@@ -133,9 +146,9 @@ def tensile_test(
     if temperature <= parameters["wire.martensite_finish_temperature"]:
         phase, e_m = "martensite", parameters["wire.martensite_modulus"]
         begins, last = _DETWINNING_STRESS / e_m, 2.0 * _LARGEST_STRAIN
-        ends = _DETWINNING_STRESS + _DETWINNING_SLOPE * (published.DETWINNED_AT - begins)
-        curve = np.array([0.0, begins, published.DETWINNED_AT, last])
-        beyond = e_m * (last - published.DETWINNED_AT)
+        ends = _DETWINNING_STRESS + _DETWINNING_SLOPE * (_DETWINNED_AT - begins)
+        curve = np.array([0.0, begins, _DETWINNED_AT, last])
+        beyond = e_m * (last - _DETWINNED_AT)
         load = np.array([0.0, _DETWINNING_STRESS, ends, ends + beyond])
     else:  # eqs. (6), (7), (9), (11) loaded from austenite
         load = np.linspace(0.0, 2e9, 20001)
@@ -168,7 +181,7 @@ STRESSES = (10e6, 50e6, 100e6, 150e6, 200e6)
 
 def _is_papers_wire(parameters: Parameters) -> bool:
     """Whether the transition temperatures are those of Table II, cycle 2."""
-    second = published.DSC_CYCLES[1]
+    second = DSC_CYCLES[1]
     return all(parameters[name] == second[symbol] for symbol, name in TRANSITIONS.items())
 
 
@@ -227,11 +240,11 @@ def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
 def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
     """E6: specimens with the paper's mean and deviation of where tangents meet under the holding
     force; first cycle, as prestrained. Another wire's deviate as much from its own."""
-    stress = published.HOLDING_FORCE / wire_section(wire)
+    stress = HOLDING_FORCE / wire_section(wire)
     shift = stress / wire["wire.stress_influence_austenite"]
-    start, finish = published.UPFR_START[0], published.UPFR_FINISH[0]
+    start, finish = UPFR_START[0], UPFR_FINISH[0]
     if _is_papers_wire(wire):
-        first = published.DSC_CYCLES[0]
+        first = DSC_CYCLES[0]
         wire = wire.replace({TRANSITIONS[end]: first[end] for end in ("M_s", "M_f")})
     else:
         start = wire["wire.austenite_start_temperature"]
@@ -241,8 +254,8 @@ def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
     tests = []
     for k, deviation in enumerate(REPEATS):
         # The cosine of eq. (10) with these tangents reaches further out at both ends.
-        a_s = start + published.UPFR_START[1] * deviation
-        a_f = finish + published.UPFR_FINISH[1] * deviation
+        a_s = start + UPFR_START[1] * deviation
+        a_f = finish + UPFR_FINISH[1] * deviation
         middle, half = 0.5 * (a_s + a_f) - shift, 0.5 * (a_f - a_s) * _COSINE_WIDTH
         specimen = wire.replace({
             "wire.austenite_start_temperature": middle - half,
@@ -258,8 +271,8 @@ def _tensile_tests(parameters: Parameters) -> tuple[instruments.TensileRecord, .
     cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE
     hot = float(parameters["wire.austenite_finish_temperature"]) + _WELL_INSIDE
     temperatures = {
-        "martensite": min(published.MARTENSITE_TEST_TEMPERATURE, cold),
-        "austenite": max(published.AUSTENITE_TEST_TEMPERATURE, hot),
+        "martensite": min(_COLD_TEST, cold),
+        "austenite": max(_HOT_TEST, hot),
     }
     tests = []
     for k, deviation in enumerate(REPEATS):

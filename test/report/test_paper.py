@@ -18,12 +18,10 @@ from sma_bench.identify.isobaric import identify_isobaric
 from sma_bench.identify.whole_model import identify_moving_bench
 from sma_bench.paper import lab
 from sma_bench.paper.errata import paper_errata
-from sma_bench.paper.figures import composite_run
 from sma_bench.paper.lab import identify_lab, paper_page, sort_records
-from sma_bench.paper.page import TABLES, html_table
+from sma_bench.paper.page import TABLES, composite_run, html_table
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
-from sma_bench.parameters.published import DSC_CYCLES
 from sma_bench.records import Record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.report.experiment_figures import experiment_pictures
@@ -99,7 +97,7 @@ def test_the_wires_figures_show_what_the_paper_measured(pictures):
         assert (len(heating), len(cooling)) == (26, 25)
     assert lines(pictures[3], "heating")[:, 1].max() == pytest.approx(386.8, abs=0.5)
     # The first heating of the DSC recovers the prestrain.
-    for number, cycle in enumerate(DSC_CYCLES, 1):
+    for number, cycle in enumerate(specimens.DSC_CYCLES, 1):
         curve = lines(pictures[7], f"cycle {number}")
         middle = 0.5 * (cycle["A_s"] + cycle["A_f"])
         assert curve[np.argmax(curve[:, 1]), 0] == pytest.approx(middle, abs=1.0)
