@@ -63,12 +63,8 @@ _SIGNS = {
     "beyond": "a smooth response of free form is left",
     "beyond_share": "a smooth response of free form is left",
     "ratio": "{signal} scatters more in motion than at rest",
-    "left": "{signal} scatters more in motion than at rest",
-    "left_share": "{signal} scatters more in motion than at rest",
     "outlier": "a single event stands out",
-    "drift": "a sensor would have to drift as none does",
     "input": "a smooth input to one stage of the model would explain what is left",
-    "input_share": "a smooth input to one stage of the model would explain what is left",
     "best_unsteady": "the best effect has another size in every stretch of the records",
 }
 _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it

@@ -35,10 +35,8 @@ class Weighed:
     surprise: float  # of recalibration: squared prior deviations of the bench's parameters
     deviation: float  # the largest of them
     as_stated: float  # evidence of the parameters as believed over recalibration [nats]
-    left: dict[str, float]  # of Left, by recalibration
-    left_by_best: dict[str, float]
-    flexible: float  # nats that a smooth response gains over recalibration
-    beyond: float  # over the best candidate
+    left_by_best: dict[str, float]  # of Left
+    beyond: float  # nats that a smooth response gains over the best candidate
     # nats that a smooth input to each stage gains over recalibration, and over the best
     inputs: dict[str, float]
     inputs_by_best: dict[str, float]
@@ -65,8 +63,8 @@ def weighed(search: Search) -> Weighed:
         dict(zip(fits, in_threads(facts, list(fits.items())), strict=True)),
         largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
         recalibrated.surprise, float(np.max(np.abs(own), initial=0.0)),
-        search.nominal.evidence - recalibrated.evidence, plain(search.left),
-        plain(search.left_by_best), search.flexible.gain, search.beyond.gain,
+        search.nominal.evidence - recalibrated.evidence, plain(search.left_by_best),
+        search.beyond.gain,
         _inputs(recalibrated), _inputs(search.best), len(search.problem.observations),
     )  # fmt: skip
 

@@ -11,6 +11,7 @@ qualitative choice behavior, 1974; lapses: Wichmann and Hill, Percept. Psychophy
 weights, with their errors, are in weights.yaml; `./bench blind learn` writes them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -27,16 +28,14 @@ from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED
 # Feature by kind of explanation, and the sign that its weight must have, 0 for either.
 SIGNS: dict[str, dict[str, int]] = {
     "effect": {
-        "one": 0, "gain": 1, "lead": 1, "ahead": 1, "size": 1, "own": 0, "unsteady": -1,
-        "rivals": -1,
+        "one": 0, "gain": 1, "lead": 1, "size": 1, "own": 0, "unsteady": -1, "rivals": -1,
     },
-    "pair": {"two": 0, "extra": 1, "partner": 1, "partner_size": 1},
-    "recalibration": {"surprise": -1, "deviation": 0, "flexible": -1, "moved": 1},
+    "pair": {"two": 0, "extra": 1, "partner_size": 1},
+    "recalibration": {"surprise": -1, "deviation": 0},
     "no_gap": {"one": 0, "moved": -1, "as_stated": 1, "surprise": -1},
     "unexplained": {
-        "one": 0, "beyond": 1, "beyond_share": 1, "ratio": 1, "left": 1, "left_share": 1,
-        "outlier": 1, "drift": 1, "input": 1, "input_share": 1, "best_gain": 0,
-        "best_unsteady": 1,
+        "one": 0, "beyond": 1, "beyond_share": 1, "ratio": 1, "outlier": 1, "input": 1,
+        "best_gain": 0, "best_unsteady": 1,
     },
 }  # fmt: skip
 NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in features)
@@ -107,38 +106,29 @@ class Utilities:
             "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": _wild(facts),
         }  # fmt: skip
         if JOIN in name:
-            share = facts.partner / max(facts.gap, 1e-3)
-            row |= {"pair.two": 1.0, "pair.partner": _log(share, 0.01),
-                    "pair.partner_size": _small(facts.partner)}  # fmt: skip
+            row |= {"pair.two": 1.0, "pair.partner_size": _small(facts.partner)}
         return row
 
     def _of_none(self) -> tuple[dict[str, float], ...]:
         found, by = self.found, self.found.left_by_best
         surprise = float(_nats(found.surprise, 16.0))
-        recalibration: dict[str, Array | float] = {
-            "surprise": surprise, "deviation": _nats(found.deviation, 1.0),
-            "flexible": _nats(found.flexible), "moved": _small(found.moved),
-        }  # fmt: skip
+        deviation = _nats(found.deviation, 1.0)
+        recalibration: dict[str, Array | float] = {"surprise": surprise, "deviation": deviation}
         no_gap: dict[str, Array | float] = {
             "one": 1.0, "moved": _log(found.moved, 0.1), "as_stated": _signed(found.as_stated),
             "surprise": surprise,
         }  # fmt: skip
         unexplained: dict[str, Array | float] = {
             "one": 1.0, "beyond": _nats(found.beyond), "ratio": _nats(by["ratio"]),
-            "left": _nats(by["size"], 0.4),
-            "left_share": by["size"] / max(found.left["size"], by["size"], 0.1),
-            "outlier": _nats(by["outlier"] - _NOISY), "drift": _nats(by["drift"]),
-            "input": _nats(self._input),
+            "outlier": _nats(by["outlier"] - _NOISY),
+            "input": _nats(max([0.0, *found.inputs_by_best.values()])),
         }  # fmt: skip
-        rows = {RECALIBRATION: recalibration, NO_GAP: no_gap, UNEXPLAINED: unexplained}
+        rows: dict[str, Mapping[str, Array | float]] = {
+            RECALIBRATION: recalibration, NO_GAP: no_gap, UNEXPLAINED: unexplained,
+        }  # fmt: skip
         return tuple(
             {f"{kind}.{n}": float(v) for n, v in row.items()} for kind, row in rows.items()
         )
-
-    @property
-    def _input(self) -> float:
-        """Nats that a smooth input to some stage gains over the best."""
-        return max([0.0, *self.found.inputs_by_best.values()])
 
     def features(self, gains: Array | None = None) -> Array:
         """(m, n, k) of every explanation, where the effects gain so much (m, c) [nats]."""
@@ -155,7 +145,6 @@ class Utilities:
         better = np.where(self._part, single, -np.inf).max(axis=2)
         effect[:, :, _AT["effect.gain"]] = _nats(gains)
         effect[:, :, _AT["effect.lead"]] = _signed(lead)
-        effect[:, :, _AT["effect.ahead"]] = np.clip(lead / np.maximum(gains, 4.0), -1.0, 1.0)
         effect[:, :, _AT["effect.rivals"]] = np.log1p((others > near[:, :, None]).sum(axis=2))
         effect[:, :, _AT["pair.extra"]] = np.where(self._single, 0.0, _signed(gains - better))
         # What no candidate explains is judged by the best of them.
@@ -164,7 +153,6 @@ class Utilities:
         last[:, _AT["unexplained.best_gain"]] = _nats(best)
         last[:, _AT["unexplained.best_unsteady"]] = unsteady
         last[:, _AT["unexplained.beyond_share"]] = beyond / (max(beyond, 0.0) + best + 4.0)
-        last[:, _AT["unexplained.input_share"]] = self._input / (self._input + best + 4.0)
         return x
 
     @property

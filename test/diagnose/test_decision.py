@@ -23,14 +23,10 @@ def of_effect(gain, gap=20.0, partner=None, unsteady=1.0):
     return Facts(gain, gap, gap if partner is None else partner, unsteady, 0.8)
 
 
-def utilities(gains, *, beyond=0.0, flexible=None, left=QUIET, records=2, **more):
+def utilities(gains, *, beyond=0.0, left=QUIET, records=2, **more):
     """Of effects that gain so much, on a bench as its lab believes it but for them."""
     facts = {n: f if isinstance(f, Facts) else of_effect(f) for n, f in gains.items()}
-    best = max([0.0, *(f.gain for f in facts.values())])
-    flexible = best + beyond if flexible is None else flexible
-    whole = LOUD if best + beyond > 50.0 else QUIET
-    found = Weighed(facts, 1.0, 10.0, 1.0, 5.0, whole, left, flexible, beyond, {},
-                    {"thermal": beyond}, records)  # fmt: skip
+    found = Weighed(facts, 1.0, 10.0, 1.0, 5.0, left, beyond, {}, {"thermal": beyond}, records)
     return Utilities(replace(found, **more))
 
 
