@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 
 from examination.blind import features, learn
 from examination.blind.cases import EFFECTS, IN_FORMS, draw_cases
@@ -60,18 +61,17 @@ def line(index, rng):
         right = name == true
         candidates[name] = {
             "gain": float(np.exp(rng.normal(5.0 if right else 3.0, 1.0))), "gap": 10.0,
-            "partner": 10.0, "taken": float(rng.uniform(0.8 * right, 1.0 if right else 0.8)),
+            "partner": 10.0, "own": 1.0,
             "unsteady": float(rng.uniform(0.5, 2.0) if right else rng.uniform(1.0, 6.0)),
-            "surprise": 10.0, "deviation": 1.0, "own": 1.0, "taken_by": {}, "left": left,
         }  # fmt: skip
     facts = {
         "candidates": candidates, "moved": 5.0, "surprise": 30.0, "deviation": 3.0,
-        "as_stated": -50.0, "left": left,
-        "left_by_best": left, "flexible": 100.0, "flexible_gap": 1.0, "beyond": 5.0,
-        "beyond_gap": 0.1, "records": 2, "quantities": 3, "samples": 1000,
+        "as_stated": -50.0, "left_by_best": left, "beyond": 5.0, "inputs": {},
+        "inputs_by_best": {"thermal": 2.0}, "records": 2,
     }  # fmt: skip
-    label = {"kind": "single", "effects": [true], "severities": {true: 10.0}, "forms": {
-        true: list(EFFECTS[true].forms)[(index // 3) % 3]}, "distinguishable": True}  # fmt: skip
+    form = list(EFFECTS[true].forms)[(index // 3) % 3]
+    label = {"kind": "single", "effects": [true], "severity": 10.0, "severities": {true: 10.0},
+             "forms": {true: form}, "distinguishable": True}  # fmt: skip
     return {"index": index, "label": label, "facts": facts, "library": "none",
             "today": dict.fromkeys((*names, "recalibration", "no_gap", "unexplained"), 1 / 6)}
 
@@ -80,15 +80,17 @@ def test_weights_are_learnt_with_their_signs_and_predict_left_out_forms(tmp_path
     rng = np.random.default_rng(1)
     path = tmp_path / "features.jsonl"
     path.write_text("".join(json.dumps(line(k, rng)) + "\n" for k in range(120)))
-    learn.learn([path], tmp_path / "weights.yaml")
+    learn.learn([path], tmp_path / "weights.yaml", tmp_path / "learnt.md")
     said = capsys.readouterr().out
-    row = next(s for s in said.splitlines() if s.startswith("log probability of the truth"))
-    today, forms, rigs = map(float, row.split()[-3:])
+    assert said.strip() in (tmp_path / "learnt.md").read_text()
+    row = next(s for s in said.splitlines() if "log probability of the truth" in s)
+    today, forms, rigs = map(float, row.strip("| ").split(" | ")[-3:])
     assert abs(today - np.log(1 / 6)) < 1e-3 and min(forms, rigs) > -0.8
     weights = learn.fit_weights([learn.Known(line(k, rng)) for k in range(90)], 1.0, 0.1)[0]
     known = dict(zip(learn.NAMES, weights, strict=True))
-    assert known["effect.lead"] + known["effect.ahead"] > 0.0 >= known["effect.unsteady"]
-    assert "set_mass" in (tmp_path / "weights.yaml").read_text()
+    assert known["effect.lead"] + known["effect.gain"] > 0.0 >= known["effect.unsteady"]
+    table = yaml.safe_load((tmp_path / "weights.yaml").read_text())
+    assert 0.0 < table["least"] < 1.0 and set(table["weights"]) == set(learn.NAMES)
 
 
 def test_features_go_on_where_they_ended_and_refuse_another_library(tmp_path, capsys):
