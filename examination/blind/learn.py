@@ -328,6 +328,9 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     text = [
         f"{len(cases)} development cases (synthetic), features of library {lines[0]['library']}; "
         f"ridge {ridge:g}, lapse {lapse:g} in the fit, {last:g} as stated.", "",
+        "Kinds of cases count as often as the frozen set deals them. `when stored`: what the "
+        "package answered when the features were stored; the others: weights that have not seen "
+        "the form, or the rig, of the case. `confident`: 0.8 or more.", "",
         *as_markdown(("measure", *answers),
                      [(name, *(f"{c[name]:.3f}" for c in columns)) for name in columns[0]]),
         "",
