@@ -103,7 +103,9 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
     edges = np.cumsum([0, *(len(case.names) for case in cases)])
     x = np.vstack([case.x for case in cases]) / scale
     fixed, right = (np.concatenate([getattr(c, n) for c in cases]) for n in ("fixed", "right"))
-    group, counts = np.repeat(np.arange(len(cases)), np.diff(edges)), weights_of(cases)
+    # How often nothing is wrong with a bench that is asked about is not known: the middle, on a
+    # logarithmic scale, between these cases and the frozen set.
+    group, counts = np.repeat(np.arange(len(cases)), np.diff(edges)), np.sqrt(weights_of(cases))
     by_chance = lapse * np.add.reduceat(right.astype(float), edges[:-1]) / np.diff(edges)
 
     def scores(w: Array) -> tuple[Array, Array]:
