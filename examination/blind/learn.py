@@ -49,14 +49,11 @@ class Known:
 
     def __init__(self, line: dict[str, Any]) -> None:
         self.label, self.index = line["label"], line["index"]
-        own = Utilities(msgspec.convert(line["facts"], Weighed))
+        found = msgspec.convert(line["facts"], Weighed)
+        own = Utilities(found)
         self.names, self.x, self.fixed = own.names, own.features()[0], own.fixed
-        facts = line["facts"]["candidates"]
         # A partner that does less than a tenth is a remark: the pair stands for its better half.
-        small = {
-            n: max(n.split(JOIN), key=lambda e: facts[e]["gain"])
-            for n, f in facts.items() if JOIN in n and f["partner"] < 0.1 * f["gap"]
-        }  # fmt: skip
+        small = {pair: main for pair, (main, _) in found.remarks().items()}
         right = right_names(self.label, self.names, small)
         self.right = np.array([name in right for name in self.names])
         self.today = np.array([line["today"].get(name, 0.0) for name in self.names])
@@ -67,7 +64,7 @@ class Known:
         self.form = self.index % 3
         if self.main:
             self.form = list(EFFECTS[self.main].forms).index(self.label["forms"][self.main])
-        singles = {n: f["gain"] for n, f in facts.items() if JOIN not in n}
+        singles = {n: f.gain for n, f in found.candidates.items() if JOIN not in n}
         self.gains_most = max(singles, key=lambda n: singles[n], default="")
 
 
@@ -330,7 +327,8 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     text = [
         f"{len(cases)} development cases (synthetic), features of library {lines[0]['library']}; "
         f"ridge {ridge:g}, lapse {lapse:g} in the fit, {last:g} as stated.", "",
-        "Kinds of cases count as often as the frozen set deals them. `when stored`: what the "
+        "Kinds of cases count as often as the frozen set deals them, in the fit by the root of "
+        "that. `when stored`: what the "
         "package answered when the features were stored; the others: weights that have not seen "
         "the form, or the rig, of the case. `confident`: 0.8 or more.", "",
         *as_markdown(("measure", *answers),

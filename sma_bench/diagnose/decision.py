@@ -12,7 +12,7 @@ from typing import cast
 import numpy as np
 
 from sma_bench.arrays import Array
-from sma_bench.diagnose.facts import effect_fits, own_gap
+from sma_bench.diagnose.facts import REMARK, effect_fits, own_gap
 from sma_bench.diagnose.result import (
     JOIN,
     NO_GAP,
@@ -31,7 +31,6 @@ from sma_bench.physics.effects import EFFECTS
 
 BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
 NAMED = 0.6  # probability from which what is at work is named
-REMARK = 0.1  # share of the gap below which a partner is a remark, and no second cause
 WORTH_SAYING = 0.02  # probability
 # Of the noise: less of another law is what every bench has. And the nats by which its two shares
 # are sure, which is a chance of one in 250.
@@ -53,15 +52,11 @@ def decide(search: Search, weighed: Utilities) -> tuple[Candidate, ...]:
     fits |= {RECALIBRATION: search.recalibrated, NO_GAP: search.nominal}
     probabilities = dict(zip(weighed.names, weighed.probabilities().tolist(), strict=True))
     remarks = dict[str, dict[str, float]]()
-    for pair in [name for name in facts if JOIN in name]:
-        # By what each gains alone: what an effect does, parameters may undo.
-        parts = facts[pair].parts
-        small, main = sorted(parts, key=lambda effect: facts[effect].gain)
-        if parts[small] < REMARK * parts[main]:
-            share = probabilities.pop(pair)
-            probabilities[main] += share
-            if share >= WORTH_SAYING:
-                remarks.setdefault(main, {})[small] = parts[small] / parts[main]
+    for pair, (main, small) in found.remarks().items():
+        share, parts = probabilities.pop(pair), facts[pair].parts
+        probabilities[main] += share
+        if share >= WORTH_SAYING:
+            remarks.setdefault(main, {})[small] = parts[small] / parts[main]
     nats, candidates = weighed.nats(), []
     for name, probability in probabilities.items():
         stages, numbers, gap, gain = [], {}, found.moved, 0.0

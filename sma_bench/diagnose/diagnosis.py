@@ -1,6 +1,6 @@
 """The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,9 +10,8 @@ from scipy.special import chdtrc
 from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate
 from sma_bench.diagnose.facts import weighed
-from sma_bench.diagnose.left_over import Flexible
 from sma_bench.diagnose.next_experiment import next_experiment
-from sma_bench.diagnose.process_noise import missed, process_noise
+from sma_bench.diagnose.process_noise import missed
 from sma_bench.diagnose.result import (
     NO_GAP,
     RECALIBRATION,
@@ -81,7 +80,6 @@ class Diagnosis(DiagnosisResult, Reported):
     search: Search  # all fits
     model: Fit  # the fit that the improved parameters are of
     improved: Parameters
-    smooth_input: Flexible | None  # where nothing explains the gap: to the stage that it names
     observations: tuple[Observation, ...]  # all records
     # those, or the parts of them, that the fit of the shrinkage has seen
     fitted: tuple[Observation, ...]
@@ -190,10 +188,9 @@ def diagnose(
 
     # Where the gap lies: what the effects do, what no candidate explains, or what separates belief
     # and recalibration.
-    stages = {} if no_gap else stages_of(candidates, found, utilities.found.inputs)
-    smooth_input = None
+    stages = {} if no_gap else stages_of(candidates, found)
+    stage, smooth_input = next(iter(found.inputs.items()))
     if verdict == UNEXPLAINED:
-        smooth_input = next(iter(process_noise(recalibrated).items()))
         # A smooth response where it is sure; else all that is slower than the scatter of samples,
         # what a fit has to take for the drift of a sensor.
         left, noise = recalibrated.left, recalibrated.problem.noise
@@ -229,8 +226,7 @@ def diagnose(
         ),
         shrinkage=shrinks,
         least_credible=learnt().least,
-        missed=missed(recalibrated, *smooth_input) if smooth_input else None,
-        smooth_input=smooth_input[1] if smooth_input else None,
+        missed=missed(recalibrated, stage, smooth_input) if verdict == UNEXPLAINED else None,
         **_facts(verdict, candidates, found, model),
         not_compared=tuple(
             q for q in QUANTITIES if q not in measured and (moves or q != "deflection")
@@ -285,9 +281,7 @@ def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
     return fit(problem, model.unknowns, model.x, rounds=1, keep_noise=True)
 
 
-def stages_of(
-    candidates: Sequence[Candidate], found: Search, inputs: Mapping[str, float]
-) -> dict[str, float]:
+def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float]:
     """Probability of each stage of the model in which a gap may arise, the most probable first.
 
     An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
@@ -315,7 +309,10 @@ def stages_of(
         elif candidate.name == UNEXPLAINED:
             best = EFFECTS[found.ranked[0]].stage if found.ranked else ""
             stage = beyond_belief or best
-            weights = {s: (1.0 + gain / 4.0) ** 2 for s, gain in inputs.items() if gain > 0.0}
+            # As effects are weighed by what they gain.
+            exponent = learnt().weights["effect.gain"][0]
+            gains = {one: f.gain for one, f in found.inputs.items() if f.gain > 0.0}
+            weights = {one: (1.0 + gain / 4.0) ** exponent for one, gain in gains.items()}
             for one, weight in weights.items():
                 shares[one] = shares.get(one, 0.0) + share * weight / sum(weights.values())
             stage = "" if weights else stage

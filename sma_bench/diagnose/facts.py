@@ -1,17 +1,17 @@
 """The numbers that a decision is made of: what every candidate gains, does and leaves."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
 from sma_bench.compiled import in_threads
-from sma_bench.diagnose.left_over import Left
-from sma_bench.diagnose.process_noise import process_noise
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.sizes import contribution, largest_gap
 from sma_bench.estimation.residual import DRIFT_EFFECT
 from sma_bench.estimation.solver import Fit
+
+REMARK = 0.1  # share of the gap below which a partner is a remark, and no second cause
 
 
 @dataclass(frozen=True)
@@ -20,10 +20,9 @@ class Facts:
 
     gain: float  # evidence over recalibration [nats]
     gap: float  # what it does, in the noise of a sample
-    partner: float  # what the smaller of two does; of one the same
     unsteady: float  # scatter of its size between stretches, of what noise lets it
     own: float  # largest prior deviation of the effects' own numbers
-    parts: dict[str, float] = field(default_factory=dict)  # what each of the effects does, in noise
+    parts: dict[str, float]  # what each of the effects does, in noise
 
 
 @dataclass(frozen=True)
@@ -35,12 +34,21 @@ class Weighed:
     surprise: float  # of recalibration: squared prior deviations of the bench's parameters
     deviation: float  # the largest of them
     as_stated: float  # evidence of the parameters as believed over recalibration [nats]
-    left_by_best: dict[str, float]  # of Left
-    beyond: float  # nats that a smooth response gains over the best candidate
-    # nats that a smooth input to each stage gains over recalibration, and over the best
-    inputs: dict[str, float]
-    inputs_by_best: dict[str, float]
+    ratio: float  # of the best, in motion against at rest, and its largest outlier: of Left
+    outlier: float
+    beyond: float  # nats that a smooth response gains over the best
+    input: float  # the same of a smooth input to some stage
     records: int
+
+    def remarks(self) -> dict[str, tuple[str, str]]:
+        """Pairs whose worse half does next to nothing, with the better half and that one: by what
+        each gains alone, for what an effect does, parameters may undo."""
+        found = {}
+        for pair, facts in self.candidates.items():
+            small, *main = sorted(facts.parts, key=lambda effect: self.candidates[effect].gain)
+            if main and facts.parts[small] < REMARK * facts.parts[main[0]]:
+                found[pair] = main[0], small
+        return found
 
 
 def weighed(search: Search) -> Weighed:
@@ -56,21 +64,17 @@ def weighed(search: Search) -> Weighed:
         if effects != (DRIFT_EFFECT,) and gain > 0.0:
             unsteady = float(fitted.jackknifed[first] / fitted.std[first])
         own = float(np.max(np.abs(fitted.x[first:])))
-        return Facts(gain, gap, min(parts.values()), unsteady, own, parts)
+        return Facts(gain, gap, unsteady, own, parts)
 
     own = recalibrated.x[: recalibrated.unknowns.bench]
     return Weighed(
         dict(zip(fits, in_threads(facts, list(fits.items())), strict=True)),
         largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
         recalibrated.surprise, float(np.max(np.abs(own), initial=0.0)),
-        search.nominal.evidence - recalibrated.evidence, plain(search.left_by_best),
-        search.beyond.gain,
-        _inputs(recalibrated), _inputs(search.best), len(search.problem.observations),
+        search.nominal.evidence - recalibrated.evidence, search.left_by_best.ratio,
+        search.left_by_best.outlier, search.beyond.gain,
+        max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations),
     )  # fmt: skip
-
-
-def _inputs(fitted: Fit) -> dict[str, float]:
-    return {stage: one.gain for stage, one in process_noise(fitted).items()}
 
 
 def effect_fits(search: Search) -> dict[str, Fit]:
@@ -81,8 +85,3 @@ def effect_fits(search: Search) -> dict[str, Fit]:
 def own_gap(fitted: Fit, names: tuple[str, ...] = ()) -> float:
     """What the effects of a candidate do, or some of them, the rest of its model as it is."""
     return largest_gap(fitted.problem, contribution(fitted, names or fitted.unknowns.effects))
-
-
-def plain(left: Left) -> dict[str, float]:
-    """Its numbers."""
-    return {name: value for name, value in vars(left).items() if name != "signal"}

@@ -13,14 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sma_bench.arrays import Array
-from sma_bench.diagnose.sizes import largest_gap
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.physics.simulate import Simulation
 from sma_bench.records.record import first_order_lag
 
-_SURE = 4.0  # standard deviations of the log ratio of two variances
 _FEWEST = 30
 _MEMORIES = (1.0, 5.0, 25.0, 100.0)  # s
 _SIZES = np.geomspace(0.1, 1000.0, 9)
@@ -35,21 +33,16 @@ class Left:
     # log of moving over resting variance, in its standard deviations, the largest of all
     ratio: float
     signal: str  # which one
-    # of the part that is not noise, over the white noise of a sample, which is the same for all
-    # fits; 0 where the ratio is not sure
-    size: float
     outlier: float  # largest whitened residual, in standard deviations: a single event shows there
-    drift: float  # nats, how improbable the drift is that sensors had to be credited with
 
 
 def left_over(fitted: Fit) -> Left:
     """Compare what a fit leaves on either side of the median speed of each simulated signal."""
     problem = fitted.problem
-    found = Left(-np.inf, "", 0.0, 0.0, -problem.log_prior())
+    found = Left(-np.inf, "", 0.0)
     rates = [rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))]
     for block, rate in zip(problem.blocks, rates, strict=True):
-        signal, noise = block.signal, problem.noise[block.signal.name]
-        white = noise.whiten(fitted.left[block.rows])
+        white = problem.noise[block.signal.name].whiten(fitted.left[block.rows])
         speed = np.abs(rate)
         moving = speed > np.median(speed)
         if min(moving.sum(), (~moving).sum()) < _FEWEST:
@@ -57,15 +50,9 @@ def left_over(fitted: Fit) -> Left:
         fast, slow = float(np.mean(white[moving] ** 2)), float(np.mean(white[~moving] ** 2))
         spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
         ratio = float(np.log(fast / slow) / spread)
-        outlier, size = max(found.outlier, float(np.max(np.abs(white)))), found.size
-        if ratio > _SURE:
-            # Drift that noise was credited with, as far as the scatter in motion exceeds rest.
-            excess = np.sqrt(1.0 - slow / fast)
-            drifting = excess * float(np.hypot(noise.drift, noise.white))
-            sample = signal.noise * np.sqrt(signal.usual_count)
-            size = max(size, drifting / sample)
-        first = max((ratio, signal.name), (found.ratio, found.signal), key=lambda r: r[0])
-        found = Left(*first, size, outlier, found.drift)
+        outlier = max(found.outlier, float(np.max(np.abs(white))))
+        first = max((ratio, block.signal.name), (found.ratio, found.signal), key=lambda r: r[0])
+        found = Left(*first, outlier)
     return found
 
 
@@ -80,7 +67,6 @@ class Flexible:
     response: Array  # (n,) of the missing term
     weights: Array  # (p,) of the features
     columns: Mapping[Key, slice]  # which of the p are a signal's
-    gap: float = 0.0  # of the response, in noise
 
     def on(self, obs: Observation, simulation: Simulation) -> Array:
         """(n,) of the missing term on another drive; none on a sensor never heard."""
@@ -134,7 +120,7 @@ def smooth_response(fitted: Fit, features: Array, columns: Mapping[Key, slice]) 
         if gain > best.gain:
             best = Flexible(gain, response, weights, columns)
         problem = problem.with_noise(fitted.left - response)
-    return replace(best, gap=largest_gap(fitted.problem, best.response))
+    return best
 
 
 def _likelihood(problem: Problem, residual: Array) -> float:

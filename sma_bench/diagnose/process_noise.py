@@ -93,13 +93,12 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[str, Array]:
     ]
     shifted = parameters.replace({n: parameters[n] + _SHIFT for n in TRANSITIONS.values()})
     shift = np.concatenate(obs.readings(obs.simulate(shifted))) - before
-    warm = np.where(np.abs(before) > 0.0, before - ambient, 0.0)
     offset = np.concatenate([np.full(len(s.time), s.noise) for s in obs.signals])
     found = {
         "thermal": np.column_stack(heated) - before[:, None],
         "transformation": shift[:, None] * at_bins,
         "mechanical": only(MOVED, before),
         "electrical": only(("current",), before),
-        "sensor": only(("temperature",), warm) + only(MOVED, offset),
+        "sensor": only(("temperature",), before - ambient) + only(MOVED, offset),
     }
     return {stage: part for stage, part in found.items() if np.any(part)}

@@ -12,6 +12,7 @@ from scipy.linalg import cho_factor, cho_solve
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
+from sma_bench.diagnose.process_noise import process_noise
 from sma_bench.estimation.laws import starts
 from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
@@ -97,6 +98,9 @@ class Search:
     beyond: Flexible  # of what the best candidate leaves
     left: Left  # whether what recalibration leaves depends on what the bench does
     left_by_best: Left  # of the best
+    # what a smooth input to each stage explains of it, the best stage first
+    inputs: dict[str, Flexible]
+    inputs_by_best: dict[str, Flexible]
 
     def gain(self, name: str) -> float:
         """Evidence of an effect over recalibration [nats]."""
@@ -177,13 +181,11 @@ def search(
     best = max([recalibrated, *singles.values(), *pairs.values()], key=_evidence)
     progress("what is left")
     fits = list(dict.fromkeys([recalibrated, best]))
-    works = [(work, fitted) for work in (flexible_residual, left_over) for fitted in fits]
-    done = in_threads(lambda work, fitted: work(fitted), works)
-    flexible, left = done[: len(fits)], done[len(fits) :]
-    return Search(
-        problem, nominal, recalibrated, singles, pairs, best, flexible[0], flexible[-1],
-        left[0], left[-1],
-    )
+    looks = flexible_residual, left_over, process_noise
+    done = in_threads(lambda look, fitted: look(fitted), [(k, f) for k in looks for f in fits])
+    # Of each look that at recalibration, and that at the best.
+    both = [done[n] for k in range(len(looks)) for n in (k * len(fits), (k + 1) * len(fits) - 1)]
+    return Search(problem, nominal, recalibrated, singles, pairs, best, *both)
 
 
 def held_back(doubted: Collection[str]) -> list[str]:

@@ -106,11 +106,11 @@ class Utilities:
             "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": _wild(facts),
         }  # fmt: skip
         if JOIN in name:
-            row |= {"pair.two": 1.0, "pair.partner_size": _small(facts.partner)}
+            row |= {"pair.two": 1.0, "pair.partner_size": _small(min(facts.parts.values()))}
         return row
 
     def _of_none(self) -> tuple[dict[str, float], ...]:
-        found, by = self.found, self.found.left_by_best
+        found = self.found
         surprise = float(_nats(found.surprise, 16.0))
         deviation = _nats(found.deviation, 1.0)
         recalibration: dict[str, Array | float] = {"surprise": surprise, "deviation": deviation}
@@ -119,9 +119,8 @@ class Utilities:
             "surprise": surprise,
         }  # fmt: skip
         unexplained: dict[str, Array | float] = {
-            "one": 1.0, "beyond": _nats(found.beyond), "ratio": _nats(by["ratio"]),
-            "outlier": _nats(by["outlier"] - _NOISY),
-            "input": _nats(max([0.0, *found.inputs_by_best.values()])),
+            "one": 1.0, "beyond": _nats(found.beyond), "ratio": _nats(found.ratio),
+            "outlier": _nats(found.outlier - _NOISY), "input": _nats(found.input),
         }  # fmt: skip
         rows: dict[str, Mapping[str, Array | float]] = {
             RECALIBRATION: recalibration, NO_GAP: no_gap, UNEXPLAINED: unexplained,
@@ -169,9 +168,11 @@ class Utilities:
     def nats(self) -> dict[str, dict[str, float]]:
         """Of every explanation the sum that its log odds are, by feature."""
         sums = self.features()[0] * learnt().values
+        rows = zip(self.names, sums, self.fixed.tolist(), strict=True)
         return {
             name: {NAMES[k].partition(".")[2]: float(row[k]) for k in np.flatnonzero(row)}
-            for name, row in zip(self.names, sums, strict=True)
+            | ({"library": fixed} if fixed else {})
+            for name, row, fixed in rows
         }
 
 

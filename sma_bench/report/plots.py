@@ -490,8 +490,8 @@ def _missing(result: Diagnosis, name: str) -> Picture:
         if not shown:
             shown = obs.path
             over_time.plot(time, left, color=draw.FAINT, lw=1.0)
-            if (found := result.missed) and result.smooth_input:
-                response = factor * result.smooth_input.response[block.rows]
+            if found := result.missed:
+                response = factor * result.search.inputs[found.stage].response[block.rows]
                 label = f"a smooth input, {found.stage} stage"
                 over_time.plot(time, response, color=draw.MODEL, lw=1.2, label=label)
                 if found.record == obs.path:

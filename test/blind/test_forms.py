@@ -55,19 +55,17 @@ def line(index, rng):
     """A made-up case whose right effect gains most, takes most away and is steady."""
     names = ("slack", "latent_heat", "supply_drop")
     true = names[index % 3]
-    left = {"ratio": 1.0, "size": 0.1, "outlier": 3.0, "drift": 0.0}
     candidates = {}
     for name in names:
         right = name == true
         candidates[name] = {
             "gain": float(np.exp(rng.normal(5.0 if right else 3.0, 1.0))), "gap": 10.0,
-            "partner": 10.0, "own": 1.0,
+            "parts": {name: 10.0}, "own": 1.0,
             "unsteady": float(rng.uniform(0.5, 2.0) if right else rng.uniform(1.0, 6.0)),
         }  # fmt: skip
     facts = {
         "candidates": candidates, "moved": 5.0, "surprise": 30.0, "deviation": 3.0,
-        "as_stated": -50.0, "left_by_best": left, "beyond": 5.0, "inputs": {},
-        "inputs_by_best": {"thermal": 2.0}, "records": 2,
+        "as_stated": -50.0, "ratio": 1.0, "outlier": 3.0, "beyond": 5.0, "input": 2.0, "records": 2,
     }  # fmt: skip
     form = list(EFFECTS[true].forms)[(index // 3) % 3]
     label = {"kind": "single", "effects": [true], "severity": 10.0, "severities": {true: 10.0},

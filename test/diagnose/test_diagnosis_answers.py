@@ -39,9 +39,11 @@ def test_the_answer_obeys_the_contract(planted_diagnosis):
     assert math.fsum(probabilities) == pytest.approx(1.0, abs=1e-9)
     assert probabilities == sorted(probabilities, reverse=True)
     assert len({c.name for c in candidates}) == len(probabilities)
-    # The credible set is the smallest that holds nine tenths.
-    credible = planted_diagnosis.credible
-    assert sum(probabilities[: len(credible)]) >= 0.9 > sum(probabilities[: len(credible) - 1])
+    # The credible ones are the first and all that are probable enough.
+    credible, least = planted_diagnosis.credible, planted_diagnosis.least_credible
+    assert 0.0 < least < 0.1 and len(credible) >= 1
+    assert all(p >= least for p in probabilities[1 : len(credible)])
+    assert all(p < least for p in probabilities[len(credible) :])
     assert credible == tuple(c.name for c in candidates[: len(credible)])
 
 

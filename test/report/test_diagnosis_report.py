@@ -9,7 +9,8 @@ import pytest
 from planted import believed
 
 from sma_bench.diagnose.next_experiment import NextExperiment
-from sma_bench.report.plots import next_experiment_picture
+from sma_bench.diagnose.process_noise import missed
+from sma_bench.report.plots import missing_pictures, next_experiment_picture
 from sma_bench.report.reports import improvements, write_diagnosis_report
 from sma_bench.results import card
 
@@ -64,9 +65,15 @@ def test_what_the_geometry_gives_is_believed_to_be_that(planted_diagnosis):
 
 @pytest.mark.usefixtures("undrawn")
 def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis, tmp_path):
-    result = judged(planted_diagnosis, "unexplained")
+    stage, smooth = next(iter(planted_diagnosis.search.inputs.items()))
+    missing = missed(planted_diagnosis.search.recalibrated, stage, smooth)
+    assert missing.stage == "thermal"  # the heat from side to side that recalibration leaves
+    result = replace(judged(planted_diagnosis, "unexplained"), missed=missing)
+    pictures = missing_pictures(result)
+    lines = [line.get_label() for p in pictures for line in p.figure.axes[0].lines]
+    assert "a smooth input, thermal stage" in lines
     text = write_diagnosis_report(tmp_path, result).read_text()
-    assert "The shape of what is missing" in text
+    assert "The shape of what is missing" in text and "the heat is missed most" in text
     drawn = {path.stem for path in tmp_path.glob("diagnosis_missing_*.png")}
     assert drawn & {"diagnosis_missing_back_1_temperature", "diagnosis_missing_deflection"}
 
