@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from rclpy.clock import Clock, ClockType
+from rclpy.clock import Clock, ClockType, JumpThreshold, TimeJump
+from rclpy.duration import Duration
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import BatteryState, JointState, Temperature
 from std_msgs.msg import Float64, Float64MultiArray, String
@@ -74,8 +75,17 @@ class ExperimentNode(BenchNode):
             start=lambda: self._run.start(time.monotonic(), self._plan),
             stop=self._run.stop, reset=self._run.reset,
         )
-        self._ticked, period = -1, 1.0 / settings["command_rate"]
-        self._ticks = self.create_timer(period, self._tick, clock=self._bench_clock)
+        self._ticked, period = 0, 1.0 / settings["command_rate"]
+        self._period = round(period * ros.NANOSECONDS)
+        if self.simulated:
+            forward = JumpThreshold(
+                min_forward=Duration(nanoseconds=1), min_backward=None, on_clock_change=False
+            )
+            self._leaps = self._bench_clock.create_jump_callback(
+                forward, post_callback=self._on_clock
+            )
+        else:
+            self.create_timer(period, self._tick, clock=self._bench_clock)
         self.every(_WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan))
         self._run.enter(IDLE)
         if not settings["autostart"]:
@@ -147,16 +157,19 @@ class ExperimentNode(BenchNode):
             stamp = ros.seconds_of(message)
             self._run.heard("deflection", "", position, stamp, time.monotonic())
 
-    def _tick(self) -> None:
-        """One command for each moment of the bench. A simulated clock that leaps twice before the
-        executor comes calls its timer twice, of which the second is the call of the next moment: a
-        bench that waits for that moment's command would never get it."""
+    def _on_clock(self, _: TimeJump) -> None:
+        """One command for each moment of a simulated clock, for which the bench waits. A timer of
+        that clock will not do: EventsExecutor calls it once more for each leap that comes before
+        the call, which takes the next moment's; set back, it multiplies the calls without end."""
         moment = self._bench_clock.now().nanoseconds
-        if moment == self._ticked:
-            self._ticks.reset()
-            return
-        self._ticked = moment
-        self._run.tick(time.monotonic(), moment / 1e9)
+        since = moment - self._ticked
+        if not 0 <= since < self._period:
+            self._ticked = moment - max(since, 0) % self._period
+            self._tick()
+
+    def _tick(self) -> None:
+        moment = self._bench_clock.now().nanoseconds
+        self._run.tick(time.monotonic(), moment / ros.NANOSECONDS)
 
     def _plan(self) -> Protocol:
         protocol = self._loop.plan(self.settings, self.parameters)
