@@ -24,8 +24,6 @@ from sma_bench.progress import Report, silent
 from sma_bench.records.record import Signal
 
 _DRAWS, _SEED = 40, 43
-_PAIRS, _FEWEST = 24, 6  # of draws, of all laws and of one fit
-_NEGLIGIBLE = 0.01  # of what a fit counts
 FLOOR = 0.005  # of what a signal spans, that no model predicts
 
 
@@ -58,21 +56,17 @@ def predict(
 ) -> dict[str, Band]:
     """What a run with this drive will show, by signal, after an identification of other runs: the
     mean over the laws, half way from what is most probable to the mean of all that is open, which
-    rounds every corner; the limits as laws and numbers leave them. Draws come in pairs, to both
-    sides of a fit. Raises InputError: `probability` is no share."""
+    rounds every corner; the limits as laws and numbers leave them. Raises InputError: `probability`
+    is no share."""
     reach, random = reach_of(probability), np.random.default_rng(_SEED)
     means, weights, variances = [], [], []
-    for weight, fitted in (pair for one in laws for pair in one.weighed):
-        if weight < _NEGLIGIBLE:
-            continue
-        values, vectors = np.linalg.eigh(fitted.covariance)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
+    for weight, fitted, places in (own for one in laws for own in one.drawn):
         differ = max(fitted.problem.states, least_scale(fitted))
-        benches = []
-        for _ in range(max(round(_PAIRS * weight), _FEWEST)):
-            there = root @ random.standard_normal(len(fitted.x))
-            off = differ * random.standard_normal(len(STATES))
-            benches += [_moved(fitted.unknowns, fitted.x + s * there, s * off) for s in (1.0, -1.0)]
+        runs = differ * random.standard_normal((len(places) // 2, len(STATES)))
+        benches = [
+            _moved(fitted.unknowns, x, off)
+            for x, off in zip(places, np.vstack([runs, -runs]), strict=True)
+        ]
         readings = observation.predict([fitted.parameters, *benches])
         best, drawn = readings[:, 0], readings[:, 1:]
         means.append(0.5 * (best + np.mean(drawn, axis=1)))

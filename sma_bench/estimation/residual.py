@@ -26,7 +26,8 @@ _STEP = 1e-4  # prior deviations, of a difference
 # Of a stroke, and readings: a misfit before it is known, the usual one, how few a record is worth.
 _FIRST_MISFIT, _FIRST_COUNT = 0.03, 10.0
 USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0
-_LEAST_COUNT = 8.0
+_LEAST_COUNT, _MOST_MISFIT = 8.0, 0.06
+_SAME_WEIGHT = 0.5  # of a level's logarithm
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
 
@@ -112,7 +113,8 @@ class Problem:
         A misfit is no noise: neighbours share it. Of n bins whose residuals have the correlation
         rho from one to the next, n (1 - rho)/(1 + rho) are independent, and one bin counts for as
         little. Its size s is what was left, and what laws of wires leave elsewhere, 1.5 % of a
-        stroke for two readings more. Before anything is fitted: 3 %, ten readings a record.
+        stroke for two readings more. Before anything is fitted: 3 %, ten readings a record; where
+        more than 6 % was left the fit has not arrived, and a smaller weight would keep it there.
         `repeated`: every stroke shows the misfit again, so what exceeds the noise counts as in one
         of the strokes; for errors, not for the fit, which would lean on priors alone.
         """
@@ -123,6 +125,8 @@ class Problem:
             size, count = _FIRST_MISFIT * reach, _FIRST_COUNT
             if residual is not None:
                 power = float(np.mean(residual[block.rows] ** 2))
+                if not repeated:
+                    power = min(power, (_MOST_MISFIT * reach) ** 2)
                 count = bins * (1.0 - rho[number]) / (1.0 + rho[number])
                 count = min(max(count, _LEAST_COUNT), bins)
                 usual = USUAL_WEIGHT * (USUAL_MISFIT * reach) ** 2
@@ -134,6 +138,11 @@ class Problem:
                 level = max(level, np.sqrt(signal.noise**2 + strokes * excess))
             found.append(Noise(float(level), 0.0, 1.0, signal.period))
         return replace(self, weights=tuple(found))
+
+    def weighs_like(self, other: "Problem") -> bool:
+        """Whether every record counts for about what it does there."""
+        levels = np.array([[noise.white for noise in one.noises] for one in (self, other)])
+        return bool(np.max(np.abs(np.diff(np.log(levels), axis=0))) < _SAME_WEIGHT)
 
     def correlations(self, residual: Array) -> list[float]:
         """Of every block: how far a residual (n,) of one bin is that of the next, 0 to 1."""

@@ -27,7 +27,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
 
 _MOST_STEPS, _FAR_STEPS = 10, 30
-_WEIGHT_ROUNDS = 5
+_WEIGHT_ROUNDS, _MOST_ROUNDS = 5, 15  # weights found again, more while they change
 _USUAL_STATES, _LEAST_STATE = 0.5, 0.05
 _RADIUS = 8.0  # prior deviations a step
 _GAIN, _SETTLED = 0.3, 1.0  # nats: a step that gains less is the last, near the end and afar
@@ -36,6 +36,7 @@ _NEAR = 0.1  # prior deviations: derivatives of the baseline are not taken anew
 _DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 _STRETCHES = 6  # a record: about a pulse and its rest
 _TINY = 1e-12
+_HALVINGS, _ALLOWED = 5, 16.0  # of a draw, at most; times what it should cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +103,30 @@ class Fit:
         rows = np.hstack([problem.whiten(self.derivatives), problem.white_nuisances])
         joint = np.linalg.inv(rows.T @ rows + np.eye(rows.shape[1]))
         return replace(self, joint=np.asarray(joint, dtype=np.float64))
+
+    def within_reach(self, steps: Array) -> Array:
+        """Steps (p, k) from x, drawn by its covariance, each halved until the records cost no more
+        than sixteen times what they should: along a curved valley they allow far less."""
+        problem = self.problem.with_weights(self.left, repeated=True)
+        low, high = self.unknowns.bounds()
+
+        def costs(steps: Array) -> Array:
+            places = np.clip(self.x + steps, low, high)
+            readings = problem.predict_many([self.unknowns.parameters(x) for x in places])
+            white = problem.whiten(problem.measured[:, np.newaxis] - readings)
+            seen = problem.white_nuisances.T @ white
+            taken = np.sum(seen * cho_solve(problem.nuisance_factor, seen), axis=0)
+            return np.asarray(np.sum(white**2, axis=0) - taken + np.sum(places**2, axis=1))
+
+        allowed = _ALLOWED * np.einsum("ij,jk,ik->i", steps, np.linalg.inv(self.covariance), steps)
+        allowed += costs(np.zeros((1, len(self.x))))
+        steps, far = steps.copy(), np.arange(len(steps))
+        for _ in range(_HALVINGS):
+            far = far[costs(steps[far]) > allowed[far]]
+            if not len(far):
+                break
+            steps[far] *= 0.5
+        return steps
 
     @cached_property
     def jackknifed(self) -> Array:
@@ -215,11 +240,11 @@ def fit_imperfect(
     best, found = max(tried, key=lambda one: one.evidence), []
     for states in (0.0, 1.0) if several else (0.0,):
         fitted = best
-        for _ in range(_WEIGHT_ROUNDS):
-            problem = first.with_nuisances(fitted.parameters, states)
-            fitted = fit(
-                problem.with_weights(fitted.left), unknowns, fitted.x, rounds=1, keep_noise=True
-            )
+        for number in range(_MOST_ROUNDS):
+            weighed = first.with_nuisances(fitted.parameters, states).with_weights(fitted.left)
+            if number >= _WEIGHT_ROUNDS and weighed.weighs_like(fitted.problem):
+                break
+            fitted = fit(weighed, unknowns, fitted.x, rounds=1, keep_noise=True)
             states = _scale_of_states(fitted)
         found.append(fitted)
     return found, tried

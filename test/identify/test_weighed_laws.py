@@ -43,7 +43,9 @@ def weighed(request):
 def test_the_records_tell_the_law_and_its_band_holds_what_no_fit_saw(weighed):
     truth, found = weighed
     assert found.law.name == found.parameters["wire.law"] == truth["wire.law"]
-    assert found.law.probability > 0.9
+    # Where the load orients all martensite, brinson is the cosine.
+    same = found.law.others.get("brinson", 0.0) if found.law.name == "cosine" else 0.0
+    assert found.law.probability > 0.6 and found.law.probability + same > 0.9
     assert found.law.probability + sum(found.law.others.values()) == pytest.approx(1.0)
     assert identification_from(found.to_json(), "result").law == found.law
 
@@ -55,6 +57,16 @@ def test_the_records_tell_the_law_and_its_band_holds_what_no_fit_saw(weighed):
     assert np.mean((moved > band.low) & (moved < band.high)) > 0.9
     assert np.mean(band.high - band.low) < 0.3 * stroke
     assert np.all(narrow.high - narrow.low < band.high - band.low)
+
+
+def test_no_bench_that_is_drawn_misses_what_was_fitted(weighed):
+    fit, places = max(
+        (own for one in weighed[1].experiments[0].laws for own in one.drawn), key=lambda own: own[0]
+    )[1:]
+    readings = fit.problem.predict_many([fit.unknowns.parameters(x) for x in places])
+    off = np.sqrt(np.mean((readings - fit.predicted[:, np.newaxis]) ** 2, axis=0))
+    assert np.max(off) < 0.05 * np.ptp(fit.predicted)
+    assert np.min(np.max(np.abs(places - fit.x), axis=1)) > 0.01
 
 
 def test_the_report_draws_the_limits_of_another_run(weighed):
@@ -74,6 +86,20 @@ def test_a_stated_law_is_kept_and_others_are_not_tried(law, more):
     found = identify([run(truth, "triangle", 1)], bench(law, more))
     assert (found.law.name, found.law.others) == (law, {}) and found.parameters["wire.law"] == law
     assert set(more) <= set(found.estimates)
+
+
+def test_a_coefficient_of_which_nothing_is_stated_may_be_constant():
+    h = "wire.heat_transfer_coefficient"
+    truth = bench("cosine", {h: 90.0})
+    stated = {n: truth[n] for n in truth.given - {h, "wire.convection"}}
+    std = {n: s for n, s in truth.given_uncertainty.items() if n != h}
+    records = [run(truth, shape, 1, 3.6) for shape in ("triangle", "step")]
+    found = identify(records, Parameters(stated, std))
+    assert found.parameters["wire.convection"] == "constant"
+    unseen = run(truth, "sine", 9, 3.0, 22.0)
+    band = found.predict(unseen)["deflection"]
+    moved = np.interp(band.time, unseen["elongation"].time, unseen["elongation"].values)
+    assert np.std(band.mean - moved) < 0.01 * np.ptp(moved)
 
 
 def test_runs_that_differ_are_said_to_and_widen_the_band():
