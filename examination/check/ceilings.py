@@ -34,11 +34,11 @@ from examination.blind.rigs import COMMAND_PERIOD, Stage
 from examination.blind.score import as_markdown, handed_in, open_labels, score, side_by_side
 from examination.blind.sensors import measure
 from examination.pieces import options_of
-from sma_bench.diagnose.drives import least_stds
 from sma_bench.diagnose.search import Remainder, find_start, search
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.solver import fit
 from sma_bench.parameters import read_parameters, write_parameters
+from sma_bench.parameters.paper_tests import least_stds
 from sma_bench.records import read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import simulate_finely

@@ -42,7 +42,6 @@ from sma_bench.records.check import check_response, mended, under_suspicion
 from sma_bench.records.record import Record, fingerprint
 
 SURPRISING = 2.0  # prior deviations
-_SMOOTHER = ("wire.transition_spread", "wire.transition_tail")
 _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
 _FIT_SHARE = 0.6  # of a single record without another to hold out
 _STAGES = {
@@ -57,15 +56,6 @@ _STAGES = {
 # What is left is said to be no noise from so many nats of a smooth response of free form, and so
 # many standard deviations of a signal in motion against rest, and of its largest sample.
 _FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
-_SPEAKS = 0.5  # log odds
-_SIGNS = {
-    "beyond": "a smooth response of free form is left",
-    "beyond_share": "a smooth response of free form is left",
-    "ratio": "{signal} scatters more in motion than at rest",
-    "outlier": "a single event stands out",
-    "input": "a smooth input to one stage of the model would explain what is left",
-    "best_unsteady": "the best effect has another size in every stretch of the records",
-}
 _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
 
 
@@ -107,11 +97,10 @@ def diagnose(
     # A record that is fitted shows nothing of what a model predicts.
     paths = {fingerprint(record): record.path for record in records}
     for record in hold_out:
-        path = paths.get(fingerprint(record))
-        if path is not None:
-            same = "is" if path == record.path else f"holds the samples of {path}, which is"
+        if path := paths.get(fingerprint(record)):
             raise InputError(
-                f"{record.path}: {same} fitted too; a hold-out must be of a run that no fit sees"
+                f"{record.path}: holds the samples of {path}, which is fitted too; a hold-out must "
+                "be of a run that no fit sees"
             )
 
     # Clocks are mended; signals under suspicion are named, and hold effects back.
@@ -127,8 +116,8 @@ def diagnose(
     lines = [f"{record.path.name}: {f.subject}: {f.text}" for record, f in (*known, *doubts)]
     doubted = {finding.subject.rpartition(".")[2] for _, finding in doubts}
     if held := held_back(doubted):
-        lines.append(f"held back for that: {len(held)} effects, {', '.join(held[:3])}, ..."
-                     if len(held) > 3 else f"held back for that: {', '.join(held)}")
+        more = ", ..." * (len(held) > 3)
+        lines.append(f"held back for that: {len(held)} effects, {', '.join(held[:3])}{more}")
     unrelated = [
         replace(f, subject=f"{record.path}, {f.subject}")
         for record in whole for f in check_response(record)
@@ -172,16 +161,9 @@ def diagnose(
                 decision.verdict_of(decided), decided, found, utilities, observations, parameters
             )
             if verdict == "ambiguous" and not (following and following.settles):
-                text = (
-                    "no experiment that can be simulated settles a tie with what no effect explains"
-                )
+                text = "nothing that the bench can do settles the tie"
                 if following:
-                    text = (
-                        "nothing that the bench can do settles whether it is "
-                        f"{' or '.join(following.separates)}: after the best of it "
-                        f"({following.why}) the true cause would be named with a probability of "
-                        f"{100.0 * following.chance:.0f} % only"
-                    )
+                    text += f": the best of it names the cause with {following.chance:.0%}"
                 remarks = [Finding("info", "next experiment", text)]
         except InputError as error:
             remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
@@ -191,15 +173,9 @@ def diagnose(
     stages = {} if no_gap else stages_of(candidates, found)
     stage, smooth_input = next(iter(found.inputs.items()))
     if verdict == UNEXPLAINED:
-        # A smooth response where it is sure; else all that is slower than the scatter of samples,
-        # what a fit has to take for the drift of a sensor.
-        left, noise = recalibrated.left, recalibrated.problem.noise
-        missing = found.flexible.response
-        if found.flexible.gain <= _FREE_FORM:
-            missing = np.concatenate([
-                noise[b.signal.name].drift_in(left[b.rows]) for b in recalibrated.problem.blocks
-            ])  # fmt: skip
-        cells = locate(model.problem, missing if missing.any() else left)
+        missing = found.flexible if found.flexible.gain > _FREE_FORM else smooth_input
+        left = missing.response if missing.gain > 0.0 else recalibrated.left
+        cells = locate(model.problem, left)
     elif acting := cause or model.unknowns.effects:
         cells = locate(model.problem, contribution(model, acting))
     else:
@@ -218,12 +194,8 @@ def diagnose(
     measured = {quantity for obs in observations for quantity in obs.quantities}
     moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(
-        verdict=verdict,
-        cause=cause,
-        candidates=candidates,
-        where=Where(
-            top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)
-        ),
+        verdict=verdict, cause=cause, candidates=candidates,
+        where=Where(top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)),
         shrinkage=shrinks,
         least_credible=learnt().least,
         missed=missed(recalibrated, stage, smooth_input) if verdict == UNEXPLAINED else None,
@@ -287,8 +259,8 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
     whose parameters moved further than anyone believed; where all moved as far as believed they
     tell of no stage (six transition numbers move further than one resistance by their number
-    alone). What nothing explains has the stages at which an unknown input gains
-    something [nats], each in proportion to what its gain weighs; where none does, as recalibration,
+    alone). What nothing explains has the stages at which an unknown input gains something [nats],
+    each in proportion to what its gain weighs; where none does, as recalibration,
     or the stage of the effect that gains most.
     """
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
@@ -307,8 +279,7 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
         elif candidate.name == RECALIBRATION:
             stage = beyond_belief
         elif candidate.name == UNEXPLAINED:
-            best = EFFECTS[found.ranked[0]].stage if found.ranked else ""
-            stage = beyond_belief or best
+            stage = beyond_belief or (EFFECTS[found.ranked[0]].stage if found.ranked else "")
             # As effects are weighed by what they gain.
             exponent = learnt().weights["effect.gain"][0]
             gains = {one: f.gain for one, f in found.inputs.items() if f.gain > 0.0}
@@ -340,7 +311,7 @@ def _facts(
     verdict: Verdict, candidates: Sequence[Candidate], found: Search, model: Fit
 ) -> dict[str, Any]:
     """What speaks for the verdict and against it, as fields of the result."""
-    # Parameters far from what was believed, the farthest first, and how smooth the kinetics are.
+    # Parameters far from what was believed, the farthest first.
     unknowns = model.unknowns
     values, deviations = unknowns.values(model.x), unknowns.deviations(model.x)
     moved = [
@@ -350,10 +321,6 @@ def _facts(
         )
         if abs(deviation) > SURPRISING
     ]
-    smoother = {
-        name: one for name, one in decision.estimates(model, model.std).items()
-        if name in _SMOOTHER and one.value > SURPRISING * one.std
-    }
 
     # Where the two most probable models differ most; one that only adds to the first is no rival.
     models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP]
@@ -375,15 +342,7 @@ def _facts(
         left.outlier if left.outlier > _EVENT else 0.0, gain > _FREE_FORM,
     )
 
-    # What weighs most for a cause outside the library, unless that is out of question.
-    sign = ""
-    unexplained = next(c for c in candidates if c.name == UNEXPLAINED)
-    if unexplained.probability >= decision.WORTH_SAYING and verdict != NO_GAP:
-        most = max(_SIGNS, key=lambda name: unexplained.nats.get(name, 0.0))
-        sign = "no sign was found, which is no proof that there is none"
-        if unexplained.nats.get(most, 0.0) > _SPEAKS:
-            sign = _SIGNS[most].format(signal=found.left_by_best.signal or "what is left")
     return {
         "moved": tuple(sorted(moved, key=lambda one: -abs(one.deviations))),
-        "smoother": smoother, "difference": differ, "left": left_behind, "unexplained_sign": sign,
+        "difference": differ, "left": left_behind,
     }

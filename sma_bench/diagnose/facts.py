@@ -32,7 +32,6 @@ class Weighed:
     candidates: dict[str, Facts]
     moved: float  # gap between the parameters as believed and as recalibrated, in noise
     surprise: float  # of recalibration: squared prior deviations of the bench's parameters
-    deviation: float  # the largest of them
     as_stated: float  # evidence of the parameters as believed over recalibration [nats]
     ratio: float  # of the best, in motion against at rest, and its largest outlier: of Left
     outlier: float
@@ -66,13 +65,11 @@ def weighed(search: Search) -> Weighed:
         own = float(np.max(np.abs(fitted.x[first:])))
         return Facts(gain, gap, unsteady, own, parts)
 
-    own = recalibrated.x[: recalibrated.unknowns.bench]
     return Weighed(
         dict(zip(fits, in_threads(facts, list(fits.items())), strict=True)),
         largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
-        recalibrated.surprise, float(np.max(np.abs(own), initial=0.0)),
-        search.nominal.evidence - recalibrated.evidence, search.left_by_best.ratio,
-        search.left_by_best.outlier, search.beyond.gain,
+        recalibrated.surprise, search.nominal.evidence - recalibrated.evidence,
+        search.left_by_best.ratio, search.left_by_best.outlier, search.beyond.gain,
         max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations),
     )  # fmt: skip
 

@@ -25,7 +25,7 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate
-from sma_bench.diagnose.drives import KNOWN, TESTS, Drive, changed, drawn, measured
+from sma_bench.diagnose.drives import KNOWN, LONGER, Drive
 from sma_bench.diagnose.result import (
     JOIN,
     NO_GAP,
@@ -44,19 +44,17 @@ from sma_bench.estimation.observation import SENSORS, BinnedSignal, Observation
 from sma_bench.estimation.residual import DRIFT_EFFECT, Problem
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
-from sma_bench.physics.material import heating_voltage
+from sma_bench.parameters.paper_tests import TESTS, measured
+from sma_bench.physics.material import commanded_voltage, heating_voltage
 from sma_bench.protocols import parse_protocol
 
 _AS_GOOD = 0.8  # of the best one's worth: of these the quickest is proposed
-_MOST_CAUSES, _SEARCHED = 6, 3
+_MOST_CAUSES = 6
 _LEAST = 0.02  # probability of a cause worth an experiment, if only as a rival
 _COOLER = 10.0  # K below the bench's limit, as simulated
 _PERIOD = 0.1  # s of the simulation
 _STEP = 0.05
-_DRAWS, _GENERATIONS, _CAREFULLY, _PARENTS, _CHILDREN = 14, 3, 6, 3, 4
-_SEED = 1
-_DIRECTIONS = 8  # of the least known, while drives are searched
-_HOPE = 0.01  # of merit: where no drive promises that, none is searched for
+_A_MINUTE = 0.002  # of probability: of equal drives the shorter one
 # Nats of a record that an effect which is not there keeps by taking up what the model misses: the
 # mean of 11 rivals after further records of four cases of the development split.
 _TAKEN_UP = 3.5
@@ -108,10 +106,8 @@ class Matter:
         self.observation = max(observations, key=lambda o: len(o.quantities))
         self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))
         # The voltage that the bench has stood so far, as it is commanded.
-        seen = max(float(obs.voltage.max()) for obs in observations)
-        if parameters["bench.drive"] == "duty":  # records hold the direct voltage of that heat
-            seen = seen**2 / parameters["bench.supply_voltage"]
-        self.level = min(seen, float(parameters["bench.maximum_voltage"]))
+        seen = commanded_voltage(max(obs.voltage.max() for obs in observations), parameters)
+        self.level = min(float(seen), float(parameters["bench.maximum_voltage"]))
         self.minutes, self.records = sum(map(_minutes, observations)), len(observations)
 
     def experiment(
@@ -153,9 +149,9 @@ def next_experiment(
     if len(matter.fits) > 1:
         # The best drive, and the same with each sensor that the bench does not have.
         best = _best_drive(matter)
-        options += [_driven(best, matter, matter.fits)]
+        options += [best]
         options += [
-            _driven(best, matter, matter.fits, mounted=(q,), minutes=_MOUNTED[q][2])
+            _driven(best.protocol, matter, mounted=(q,), minutes=_MOUNTED[q][2])
             for q in _MOUNTED if q not in matter.observation.quantities
         ]
     if not options:
@@ -164,14 +160,12 @@ def next_experiment(
     good = [o for o in options if o.worth >= most - (1.0 - _AS_GOOD) * abs(most)]
     ranked = sorted(good, key=lambda o: o.worth / (o.minutes + _SETUP), reverse=True)
     first, *others = ranked
-    why = f"{first.why}: the true cause would be named with {100.0 * first.chance:.0f} %"
+    what = f"named with {100.0 * first.chance:.0f} %"
     if first.chance < WORTH:
-        why = (
-            f"{first.why}: the true cause would become more probable, by {100.0 * first.worth:.0f} "
-            "% of all, and be named after more of it"
-        )
+        what = f"more probable, by {100.0 * first.worth:.0f} % of all, and named after more of it"
     also = [f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %" for o in others[:2]]
-    return replace(first, why="; ".join([why, *([", ".join(also)] if also else [])]))
+    why = f"{first.why}: the true cause would be {what}"
+    return replace(first, why="; ".join([why, *filter(None, [", ".join(also)])]))
 
 
 def _showing(search: Search, matter: Matter) -> NextExperiment | None:
@@ -209,52 +203,34 @@ def _minutes(obs: Observation) -> float:
     return float(obs.grid[-1] - obs.grid[0]) / 60.0
 
 
-def _best_drive(matter: Matter) -> dict[str, Any]:
-    """Document of the drive that is worth most: some known ones and some drawn are tried, then
-    changes of the best. Raises InputError where the bench's limits refuse all of them.
-    """
-    random = np.random.default_rng(_SEED)
-    leading = dict(list(matter.fits.items())[:_SEARCHED])
-    promised: dict[Drive, float] = {}
-    weighed: dict[Drive, float] = {}
+def _best_drive(matter: Matter) -> NextExperiment:
+    """The known drive that is worth most, for longer where that is worth the minutes. Raises
+    InputError where the bench's limits refuse all of them."""
     refused: list[InputError] = []
 
-    def merit(drive: Drive, directions: int) -> float:
+    def tried(drive: Drive) -> tuple[NextExperiment, Drive] | None:
         try:
-            found = _driven(drive.document(matter.level, matter.sides), matter, leading, directions)
+            return _driven(drive.document(matter.level, matter.sides), matter), drive
         except InputError as error:
             refused.append(error)
-            return -np.inf
-        return found.worth - 0.002 * found.minutes
+            return None
 
-    def try_out(
-        drives: Sequence[Drive], merits: dict[Drive, float], directions: int
-    ) -> list[Drive]:
-        """All drives of the merits, the new ones weighed, the best one first."""
-        new = [drive for drive in dict.fromkeys(drives) if drive not in merits]
-        found = in_threads(merit, [(drive, directions) for drive in new])
-        merits.update(zip(new, found, strict=True))
-        return sorted(merits, key=lambda drive: merits[drive], reverse=True)
+    def best(drives: Sequence[Drive]) -> tuple[NextExperiment, Drive] | None:
+        found = [one for one in in_threads(tried, [(drive,) for drive in drives]) if one]
+        return max(found, key=lambda one: one[0].worth - _A_MINUTE * one[0].minutes, default=None)
 
-    near = [*KNOWN, *(drawn(random) for _ in range(_DRAWS))]
-    for _ in range(_GENERATIONS):
-        # Rivals that refit take ten times as long: only against those that promise most.
-        ranked = [drive for drive in try_out(near, promised, 0) if promised[drive] > -np.inf]
-        if not ranked:
-            raise refused[-1]
-        if promised[ranked[0]] < _HOPE:
-            return ranked[0].document(matter.level, matter.sides)
-        hopeful = [drive for drive in ranked if drive not in weighed][:_CAREFULLY]
-        parents = try_out(hopeful, weighed, _DIRECTIONS)[:_PARENTS]
-        near = [changed(drive, random) for drive in parents for _ in range(_CHILDREN)]
-    return parents[0].document(matter.level, matter.sides)
+    first = best(KNOWN)
+    if first is None:
+        raise refused[-1]
+    longer = best([replace(first[1], minutes=minutes) for minutes in LONGER]) or first
+    return max(first[0], longer[0], key=lambda one: one.worth - _A_MINUTE * one.minutes)
 
 
 def _driven(
-    document: Mapping[str, Any], matter: Matter, fits: Mapping[str, Fit],
-    most: int | None = None, mounted: Sequence[str] = (), minutes: float = 0.0,
+    document: Mapping[str, Any], matter: Matter, mounted: Sequence[str] = (), minutes: float = 0.0,
 ) -> NextExperiment:
-    """A drive with what it would tell; `most` directions of each cause, all by default."""
+    """A drive with what it would tell."""
+    fits = matter.fits
     (first, fitted), *others = fits.items()
     planned, known = _planned(document, fitted, matter, mounted)
     readings = {first: known, **{name: planned.predict(f.parameters) for name, f in others}}
@@ -263,9 +239,6 @@ def _driven(
         """(n, k) whitened, in which the records leave a cause free, one deviation long."""
         fitted = fits[name]
         along = _directions(fitted).T
-        along = along if most is None else along[max(len(along) - most, 0) :]
-        if not len(along):
-            return planned.white_nuisances
         moved = [np.clip(fitted.x + _STEP * one, *fitted.unknowns.bounds()) for one in along]
         there = planned.predict_many([fitted.unknowns.parameters(x) for x in moved])
         columns = (there - readings[name][:, None]) / _STEP

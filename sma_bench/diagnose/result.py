@@ -175,12 +175,8 @@ class DiagnosisResult(Carded):
     where: Where
     shrinkage: dict[str, Shrinkage]  # by quantity, on data that no fit saw
     moved: tuple[Moved, ...] = ()  # what the best model needs elsewhere than stated
-    # shapes of its kinetics, other than the cosine's
-    smoother: dict[str, Estimate] = field(default_factory=dict)
     difference: Difference | None = None  # of the two best
     left: LeftOver | None = None  # what the best model leaves
-    # what speaks most for a cause outside the library, "" without a sign
-    unexplained_sign: str = ""
     missed: Missed | None = None  # of what nothing explains
     not_compared: tuple[str, ...] = ()  # quantities that no record holds
     next_experiment: NextExperiment | None = None

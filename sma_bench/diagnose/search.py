@@ -347,19 +347,16 @@ def _pairs(
         forms = {one: found.unknowns.forms[0] for one, found in singles.items()}
         remainder, frozen = Remainder(alone), alone.derivatives[:, : baseline.baseline]
 
-        def promise(partner: str) -> float:
-            unknowns = baseline.with_effects([name, partner], forms)
+        def promise(unknowns: Unknowns) -> float:
             return find_start(remainder, unknowns, quick=True).gain
 
-        def pair(partner: str) -> Fit:
-            unknowns = baseline.with_effects([name, partner], forms)
+        def pair(unknowns: Unknowns) -> Fit:
             start = find_start(remainder, unknowns)
             return fit(alone.problem, unknowns, start.x, rounds=2, frozen=frozen)
 
-        partners = [partner for partner in singles if partner != name]
-        promises = in_threads(promise, [(partner,) for partner in partners])
-        order = np.argsort(promises, kind="stable")[::-1][:_PARTNERS]
-        return in_threads(pair, [(partners[k],) for k in order])
+        both = [(baseline.with_effects([name, one], forms),) for one in singles if one != name]
+        order = np.argsort(in_threads(promise, both), kind="stable")[::-1][:_PARTNERS]
+        return in_threads(pair, [both[k] for k in order])
 
     for name in ranked[:_MOST_PAIRED]:
         if gains[name] < max(_WORTH_PAIRING, _HOPELESS * gains[ranked[0]]):

@@ -108,12 +108,8 @@ def _sides(block: Block) -> NDArray[np.str_]:
     if block.signal.quantity != "deflection":
         return np.full(len(time), obs.sides[block.signal.wire])
     names = list(dict.fromkeys(obs.sides))
-    power = np.column_stack(
-        [
-            np.max(obs.voltage[:, [k for k, n in enumerate(obs.sides) if n == name]], axis=1)
-            for name in names
-        ]
-    )
+    of_wires = np.array(obs.sides)
+    power = np.column_stack([obs.voltage[:, of_wires == name].max(axis=1) for name in names])
     driven = power.max(axis=1) > 0.02 * max(float(power.max()), 1e-9)
     strongest = np.argmax(power, axis=1)
     last = np.maximum.accumulate(np.where(driven, np.arange(len(driven)), -1))
@@ -206,16 +202,14 @@ def unknown_share(
 
 
 def _states(obs: Observation, parameters: Parameters) -> Array:
-    """(n, wires, 4) at even times, while something was read."""
+    """(n, wires, 4) at even times."""
     run, sides = obs.simulate(parameters), np.array(obs.sides)
-    read = np.concatenate([signal.time for signal in obs.signals])
-    steps = min(max(round(float(np.ptp(read)) / _STATE_STEP), 1), _MOST_STATES)
-    time = np.linspace(read.min(), read.max(), steps + 1)
-
-    def at(columns: Array) -> Array:
-        return np.column_stack([np.interp(time, obs.grid, column) for column in columns.T])
-
-    own, xi = at(run.temperature), at(run.martensite_fraction)
+    steps = min(max(round(float(np.ptp(obs.grid)) / _STATE_STEP), 1), _MOST_STATES)
+    time = np.linspace(obs.grid[0], obs.grid[-1], steps + 1)
+    own, xi = (
+        np.column_stack([np.interp(time, obs.grid, column) for column in columns.T])
+        for columns in (run.temperature, run.martensite_fraction)
+    )
     across = [own[:, sides != side].mean(axis=1) if (sides != side).any() else 0.0 * time
               for side in sides]
     return np.stack([own, np.gradient(own, time, axis=0), xi, np.column_stack(across)], axis=2)

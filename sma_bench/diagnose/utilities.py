@@ -11,10 +11,10 @@ qualitative choice behavior, 1974; lapses: Wichmann and Hill, Percept. Psychophy
 weights, with their errors, are in weights.yaml; `./bench blind learn` writes them.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -31,11 +31,10 @@ SIGNS: dict[str, dict[str, int]] = {
         "one": 0, "gain": 1, "lead": 1, "size": 1, "own": 0, "unsteady": -1, "rivals": -1,
     },
     "pair": {"two": 0, "extra": 1, "partner_size": 1},
-    "recalibration": {"surprise": -1, "deviation": 0},
-    "no_gap": {"one": 0, "moved": -1, "as_stated": 1, "surprise": -1},
+    "recalibration": {"surprise": -1},
+    "no_gap": {"one": 0, "moved": -1, "as_stated": 1},
     "unexplained": {
-        "one": 0, "beyond": 1, "beyond_share": 1, "ratio": 1, "outlier": 1, "input": 1,
-        "best_gain": 0, "best_unsteady": 1,
+        "one": 0, "beyond_share": 1, "ratio": 1, "outlier": 1, "input": 1, "best_gain": 0,
     },
 }  # fmt: skip
 NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in features)
@@ -92,7 +91,6 @@ class Utilities:
         # Log odds by the library's size: N candidates bring N chances of a false alarm.
         self.fixed = np.zeros(len(self.names))
         self.fixed[: len(facts)] = -np.log(max(len(singles), _LIBRARY) / _LIBRARY)
-        self._unsteady = np.array([_wild(f) for f in facts.values()])
         self._plain = np.zeros((len(self.names), len(NAMES)))
         rows = [*map(self._of_effect, facts, facts.values()), *self._of_none()]
         for row, own in zip(self._plain, rows, strict=True):
@@ -109,25 +107,16 @@ class Utilities:
             row |= {"pair.two": 1.0, "pair.partner_size": _small(min(facts.parts.values()))}
         return row
 
-    def _of_none(self) -> tuple[dict[str, float], ...]:
+    def _of_none(self) -> tuple[dict[str, Any], ...]:
         found = self.found
-        surprise = float(_nats(found.surprise, 16.0))
-        deviation = _nats(found.deviation, 1.0)
-        recalibration: dict[str, Array | float] = {"surprise": surprise, "deviation": deviation}
-        no_gap: dict[str, Array | float] = {
-            "one": 1.0, "moved": _log(found.moved, 0.1), "as_stated": _signed(found.as_stated),
-            "surprise": surprise,
-        }  # fmt: skip
-        unexplained: dict[str, Array | float] = {
-            "one": 1.0, "beyond": _nats(found.beyond), "ratio": _nats(found.ratio),
-            "outlier": _nats(found.outlier - _NOISY), "input": _nats(found.input),
-        }  # fmt: skip
-        rows: dict[str, Mapping[str, Array | float]] = {
-            RECALIBRATION: recalibration, NO_GAP: no_gap, UNEXPLAINED: unexplained,
-        }  # fmt: skip
-        return tuple(
-            {f"{kind}.{n}": float(v) for n, v in row.items()} for kind, row in rows.items()
-        )
+        return (
+            {"recalibration.surprise": _nats(found.surprise, 16.0)},
+            {"no_gap.one": 1.0, "no_gap.moved": _log(found.moved, 0.1),
+             "no_gap.as_stated": _signed(found.as_stated)},
+            {"unexplained.one": 1.0, "unexplained.ratio": _nats(found.ratio),
+             "unexplained.outlier": _nats(found.outlier - _NOISY),
+             "unexplained.input": _nats(found.input)},
+        )  # fmt: skip
 
     def features(self, gains: Array | None = None) -> Array:
         """(m, n, k) of every explanation, where the effects gain so much (m, c) [nats]."""
@@ -148,9 +137,7 @@ class Utilities:
         effect[:, :, _AT["pair.extra"]] = np.where(self._single, 0.0, _signed(gains - better))
         # What no candidate explains is judged by the best of them.
         best, beyond, last = np.maximum(gains.max(axis=1), 0.0), self.found.beyond, x[:, -1]
-        unsteady = np.where(best > 0.0, self._unsteady[gains.argmax(axis=1)], 0.0)
         last[:, _AT["unexplained.best_gain"]] = _nats(best)
-        last[:, _AT["unexplained.best_unsteady"]] = unsteady
         last[:, _AT["unexplained.beyond_share"]] = beyond / (max(beyond, 0.0) + best + 4.0)
         return x
 

@@ -64,7 +64,7 @@ def line(index, rng):
             "unsteady": float(rng.uniform(0.5, 2.0) if right else rng.uniform(1.0, 6.0)),
         }  # fmt: skip
     facts = {
-        "candidates": candidates, "moved": 5.0, "surprise": 30.0, "deviation": 3.0,
+        "candidates": candidates, "moved": 5.0, "surprise": 30.0,
         "as_stated": -50.0, "ratio": 1.0, "outlier": 3.0, "beyond": 5.0, "input": 2.0, "records": 2,
     }  # fmt: skip
     form = list(EFFECTS[true].forms)[(index // 3) % 3]

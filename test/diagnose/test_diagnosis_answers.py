@@ -101,7 +101,7 @@ def test_no_record_one_that_ends_early_and_a_hold_out_that_is_fitted_too_are_ref
     with pytest.raises(InputError, match="no record"):
         diagnose([], believed())
     record = planted_record(tmp_path / "bag", quantities=("deflection",), bench=believed())
-    with pytest.raises(InputError, match="bag: is fitted too; a hold-out must be of a run"):
+    with pytest.raises(InputError, match="bag, which is fitted too; a hold-out must be of a run"):
         diagnose([record], believed(), [record])
     tip, first = record["deflection"], slice(len(record["deflection"]) // 3)
     early = replace(tip, time=tip.time[first], values=tip.values[first], received=None)

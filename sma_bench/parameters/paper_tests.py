@@ -1,0 +1,52 @@
+"""What each test of the paper leaves open of the numbers that it measures."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from sma_bench.border import read_yaml
+from sma_bench.parameters.parameters import Parameters
+
+
+class Test(NamedTuple):
+    """Minutes of a test, and the standard deviations that it leaves, of temperatures in
+    K, of all others as a share. An effect that its `readings_hold` is read as the parameter's own.
+    """
+
+    minutes: float
+    title: str
+    leaves: Mapping[str, float]
+    readings_hold: str = ""
+
+    def stds(self, parameters: Parameters) -> dict[str, float]:
+        """What it leaves, in the parameters' units."""
+        return {
+            name: std if name.endswith("_temperature") else std * abs(parameters[name])
+            for name, std in self.leaves.items()
+        }
+
+
+TESTS = {
+    name: Test(**row) for name, row in read_yaml(Path(__file__).with_suffix(".yaml")).items()
+}
+_ROUNDING = 1.1  # of deviations in a file, and of values that have changed since
+
+
+def least_stds(parameters: Parameters) -> dict[str, float]:
+    """The smallest deviation that any test of the paper leaves, of each parameter."""
+    least: dict[str, float] = {}
+    for test in TESTS.values():
+        for name, std in test.stds(parameters).items():
+            least[name] = min(std, least.get(name, np.inf))
+    return least
+
+
+def measured(parameters: Parameters) -> frozenset[str]:
+    """Parameters stated as well as the best test of the paper leaves them: they were measured."""
+    stated = parameters.given_uncertainty
+    return frozenset(
+        name for name, std in least_stds(parameters).items()
+        if stated.get(name, np.inf) <= _ROUNDING * std
+    )
