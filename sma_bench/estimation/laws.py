@@ -6,7 +6,7 @@ A quarter of the evidence (`log_evidence`) counts: sharp features of a few runs,
 law more surely than the law predicts other runs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -41,6 +41,10 @@ _PAIRS, _FEWEST = 24, 6  # of draws, of all laws and of one fit
 _NEGLIGIBLE = 0.01  # share of a prediction
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _DRAWN = 2  # further starts, drawn from the prior
+
+
+# By law and air: the fit, or two of several runs, and those that were tried.
+Fits = dict[tuple[str, str], tuple[list[Fit], list[Fit]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +97,12 @@ def weigh_laws(
     known = [n for n in PRIOR if n != "extended" or parameters.given & {*ORIENTING[n]}]
     laws = [parameters["wire.law"]] if stated else known
     settled = parameters.given & {"wire.convection", "wire.heat_transfer_coefficient"}
-    airs = {str(parameters["wire.convection"]): 1.0} if settled else AIR
-    count = len(laws) + (0 if settled else min(len(laws), 2))
+    usual, *others = (str(parameters["wire.convection"]),) if settled else AIR
+    count = len(laws) + min(len(laws), 2) * len(others)
+    most = max(_STARTS, _ALL_STARTS // count)
     problem = Problem.of([one.zeroed() for one in observations])
-    fits: dict[tuple[str, str], tuple[list[Fit], list[Fit]]] = {}
+    fits: Fits = {}
     faults: list[InputError] = []
-    usual, *others = airs
 
     def fit_with(law: str, air: str) -> None:
         done = len(fits) + len(faults)
@@ -109,15 +113,11 @@ def weigh_laws(
                 own, quantities, load_frame=any(one.holds for one in observations), own_load=True,
                 sides_apart=True, unmodelled=True,
             )
-            most = max(_STARTS, _ALL_STARTS // count)
-            begun = starts(unknowns, most)[:most]
-            if air != usual:  # where the same law ended, too
-                near = fits[law, usual][0][0]
-                ended = dict(zip(near.unknowns.names, near.x.tolist(), strict=True))
-                own_start = zip(unknowns.names, unknowns.start().tolist(), strict=True)
-                begun.append(np.array([ended.get(name, x) for name, x in own_start]))
-            report_own = part(report, done / count, (done + 1) / count, law)
-            fits[law, air] = fit_imperfect(problem, own, unknowns, begun, report_own)
+            tries = starts(unknowns, most)[:most]
+            if air != usual:
+                tries.append(_where_it_ended(fits[law, usual][0][0], unknowns))
+            share = part(report, done / count, (done + 1) / count, law)
+            fits[law, air] = fit_imperfect(problem, own, unknowns, tries, share)
         except (FitError, InputError) as error:  # or not with what else is stated
             faults.append(InputError(str(error)))
 
@@ -126,36 +126,48 @@ def weigh_laws(
     if not fits:
         raise faults[0] if faults else InputError("no law of the wire was tried")
     readings = max(independent_readings(one) for found, _ in fits.values() for one in found)
-
-    def evidence(key: tuple[str, str]) -> float:
-        return max(log_evidence(one, readings) for one in fits[key][0])
-
-    likeliest = max(fits, key=evidence)[0]
-    for law, air in product({likeliest: 0, "cosine": 0}, others):
-        if (law, usual) in fits:
+    evidence = {law: max(log_evidence(one, readings) for one in found)
+                for (law, _), (found, _) in fits.items()}  # fmt: skip
+    likeliest = max(evidence, key=lambda law: evidence[law])
+    for law, air in product(dict.fromkeys((likeliest, "cosine")), others):
+        if law in evidence:
             fit_with(law, air)
+    return _weighed(fits, {} if settled else AIR, readings)
+
+
+def _where_it_ended(fitted: Fit, unknowns: Unknowns) -> Array:
+    """(k,) where a fit ended, as far as it has these unknowns."""
+    ended = dict(zip(fitted.unknowns.names, fitted.x.tolist(), strict=True))
+    start = zip(unknowns.names, unknowns.start().tolist(), strict=True)
+    return np.array([ended.get(name, x) for name, x in start])
+
+
+def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[LawFit, ...]:
+    """Every law with its fits, the most probable of each first."""
     every = [(key, one) for key, (found, _) in fits.items() for one in found]
     logs = np.array([
-        np.log(PRIOR[law] * airs[air] * (_DIFFERENT if one.problem.states else 1.0 - _DIFFERENT))
+        np.log(PRIOR[law]) + np.log(airs.get(air, 1.0))
+        + np.log(_DIFFERENT if one.problem.states else 1.0 - _DIFFERENT)
         + _TEMPERED * log_evidence(one, readings)
         for (law, air), one in every
     ])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
-    weighed = []
+    laws = []
     for law in dict.fromkeys(law for law, _ in fits):
-        rows = []  # share in a prediction, weight, which, fit
-        for air in airs:
-            own = [(float(w), key, one) for w, (key, one) in zip(weights, every, strict=True)
+        rows = []  # weight, share in a prediction, air, fit
+        for air in (air for name, air in fits if name == law):
+            own = [(float(w), one) for w, (key, one) in zip(weights, every, strict=True)
                    if key == (law, air)]  # fmt: skip
-            share = sum(w for w, *_ in own) / max(len(own), 1)
-            rows += [(share, *row) for row in own]
-        rows.sort(key=lambda row: -row[1])
-        shares, each, keys, found = zip(*rows, strict=True)
-        best, *rest = (one.with_repeated_misfit() for one in found)
-        tried = tuple(fits[keys[0]][1])
-        weighed.append(LawFit(law, sum(each), best, tried, tuple(rest), shares))
-    return tuple(sorted(weighed, key=lambda one: -one.probability))
+            share = sum(w for w, _ in own) / len(own)
+            rows += [(w, share, air, one.with_repeated_misfit()) for w, one in own]
+        rows.sort(key=lambda row: -row[0])
+        (_, _, air, best), *rest = rows
+        laws.append(LawFit(
+            law, sum(w for w, *_ in rows), best, tuple(fits[law, air][1]),
+            tuple(one for *_, one in rest), tuple(share for _, share, *_ in rows),
+        ))  # fmt: skip
+    return tuple(sorted(laws, key=lambda one: -one.probability))
 
 
 def starts(unknowns: Unknowns, drawn: int = _DRAWN) -> list[Array]:
