@@ -149,7 +149,7 @@ def next_experiment(
     if len(matter.fits) > 1:
         # The best drive, and the same with each sensor that the bench does not have.
         best = _best_drive(matter)
-        options += [best]
+        options.append(best)
         options += [
             _driven(best.protocol, matter, mounted=(q,), minutes=_MOUNTED[q][2])
             for q in _MOUNTED if q not in matter.observation.quantities

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 from fake_bench import FakeBench
+from rclpy.time import Time
+from rosgraph_msgs.msg import Clock
 from std_msgs.msg import String
 
 from sma_bench.installation import share_directory
@@ -72,6 +74,25 @@ def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     assert sent[40:80] == pytest.approx([2.0 + 0.05 * k for k in range(40)], abs=1e-6)
     assert sent[80:100] == [0.0] * 20
     assert node.end() == 0
+
+
+def test_a_clock_of_finer_steps_than_the_commands_has_one_command_a_period(bench, protocol):
+    fake = FakeBench(bench)
+    bench.start("experiment", protocol=protocol(LONG), use_sim_time=True, command_rate=20.0)
+    clock, moments = bench.talk("/clock", Clock), []
+
+    def step():  # of 20 ms, each said twice
+        moments.append(20_000_000 * (len(moments) + 1))
+        for _ in range(2):
+            clock.publish(Clock(clock=Time(nanoseconds=moments[-1]).to_msg()))
+
+    bench.node.create_timer(0.02, step)
+    bench.until(lambda: fake.state == "idle")
+    bench.until(lambda: bench.trigger("experiment/start").success)
+    bench.until(lambda: fake.volts == [3.0])
+    sent, begun = len(fake.commands), len(moments)
+    bench.until(lambda: len(moments) == begun + 150)
+    assert 55 <= len(fake.commands) - sent <= 62  # 60, and 50 if each period began with its command
 
 
 def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, running):
