@@ -18,9 +18,10 @@ from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
 from sma_bench.estimation.unknowns import (
+    IF_STATED,
     LAW_EFFECT,
     Unknowns,
-    has_friction,
+    is_stated,
     number_of_effect,
     stated_effects,
     unknowns_of,
@@ -204,7 +205,8 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
     # Where the motion is imposed, the force shows what else shows in the motion.
     quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
-    known |= {"slack"} if has_friction(parameters) else set()  # the core refuses the two together
+    # The core refuses it beside these.
+    known |= {"slack"} if any(is_stated(parameters, n) for n in IF_STATED) else set()
     known.add(LAW_EFFECT)  # in every candidate
     return [
         name for name, effect in EFFECTS.items()

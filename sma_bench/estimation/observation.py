@@ -5,6 +5,7 @@ loads or clamps of a load frame are boundaries of the simulation, on the same gr
 machine imposed is an input, as the drive.
 """
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -146,7 +147,7 @@ class Observation:
         imposed: (n,) m, elongation at each grid time, where a testing machine moves; one hold is
             then its zero.
         place: (e,) of the jumps between their two samples; delays: s, by quantity, of stamps.
-        ohms: volts for an ampere, where a current source's current stands for its voltage; or 0.
+        ohms: volts for an ampere, where what a source holds stands for its voltage; or 0.
     """
 
     path: str
@@ -204,7 +205,9 @@ class Observation:
         """
         parameters = self.own_bench(parameters)
         volts = self.voltage if voltage is None else voltage
-        volts = volts * (ohms_of_source(parameters) / self.ohms) if self.ohms else volts
+        if self.ohms:
+            ratio = ohms_of_source(parameters) / self.ohms
+            volts = volts * (ratio if parameters["bench.drive"] == "current" else math.sqrt(ratio))
         if not self.holds:
             load = Boundary.of(parameters)
             rest = at_rest(parameters, load)

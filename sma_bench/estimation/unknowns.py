@@ -59,10 +59,11 @@ BENDING = ("composite.deflection_per_strain", FRONT, BACK)
 # What is unknown of a load that wires pull against; a spring's preload has its weight in it.
 LOADS = {
     "force": ("load.force", "load.friction"),
-    "spring": ("load.stiffness", "load.preload", "load.friction"),
+    "spring": ("load.stiffness", "load.stiffening", "load.preload", "load.friction"),
     "antagonist": ("load.stiffness", "load.preload", "load.force", "load.friction"),
 }
-FRICTION = "load.friction"
+# Taken as 0 unless stated: they would pass for hysteresis and for the wire's own curve.
+IF_STATED = ("load.friction", "load.stiffening")
 LAW_EFFECT = "transformation_law"
 # A load frame shows strains and stresses by the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
@@ -374,8 +375,7 @@ def unknowns_of_records(
         return {name: (parameters.std(name), *range_of(name)) for name in names}
 
     own = LOADS.get(load_kind(parameters), ()) if own_load else ()
-    if not has_friction(parameters):
-        own = tuple(name for name in own if name != FRICTION)
+    own = tuple(name for name in own if name not in IF_STATED or is_stated(parameters, name))
     load_frame |= load_kind(parameters) == "displacement"
     names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
     shapes |= OTHER_LAWS if other_laws else {}
@@ -408,10 +408,9 @@ def unknowns_of_records(
     return unknowns_of(parameters, names, shapes=shapes, sides_apart=sides_apart)
 
 
-def has_friction(parameters: Parameters) -> bool:
-    """Whether a value or an uncertainty of it is stated; else it is taken as 0, as friction would
-    pass for hysteresis."""
-    return parameters[FRICTION] > 0.0 or parameters.given_uncertainty.get(FRICTION, 0.0) > 0.0
+def is_stated(parameters: Parameters, name: str) -> bool:
+    """Whether a value other than 0 or an uncertainty of it is."""
+    return parameters[name] != 0.0 or parameters.given_uncertainty.get(name, 0.0) > 0.0
 
 
 def as_in_the_field(parameters: Parameters) -> Parameters:

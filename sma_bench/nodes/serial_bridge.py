@@ -21,6 +21,7 @@ from sma_bench.hardware.serial_link import LinkError, LinkOptions, SerialLink, f
 from sma_bench.hardware.serial_messages import Telemetry
 from sma_bench.live.recording import RECORDER, recorder_failure
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
+from sma_bench.parameters.parameter import SOURCES
 from sma_bench.ros import node as ros
 
 _TICK = 0.005  # s
@@ -41,8 +42,8 @@ class SerialBridge(BenchNode):
             raise InputError("use_sim_time is set, but hardware runs in real time")
         if _CLOCK_STEP % rate:
             raise InputError(f"telemetry_rate is {rate} Hz, expected a divisor of {_CLOCK_STEP}")
-        if self.parameters["bench.drive"] == "current":
-            raise InputError("bench.drive is current, expected voltage or duty, as the Uno drives")
+        if (drive := self.parameters["bench.drive"]) in SOURCES:
+            raise InputError(f"bench.drive is {drive}, expected voltage or duty, as the Uno drives")
         self._scheduling = be_punctual(BRIDGE)
         sys.setswitchinterval(_SWITCH)
         self._arrived: deque[Telemetry] = deque()

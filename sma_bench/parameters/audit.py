@@ -243,7 +243,9 @@ def _drive_and_load(p: Parameters) -> list[Finding]:
         force = abs(p["load.force"]) + abs(p["load.preload"])
         section = wire_section(p) * p["wire.count"]
         stroke = p["wire.maximum_recoverable_strain"] * wire_length(p)
-        stress, most = force / section, (force + p["load.stiffness"] * stroke) / section
+        growth = p["load.stiffening"] * stroke
+        grown = math.expm1(growth) / growth if growth else 1.0
+        stress, most = force / section, (force + p["load.stiffness"] * grown * stroke) / section
         shift = most / p["wire.stress_influence_austenite"]
         clash = "slips" if most > NITI_STRENGTH else "few cycles" * (most > NITI_WORKING_STRESS)
         numbers = {"force": force, "stress": stress, "stress_at_full_stroke": most, "shift": shift}

@@ -180,6 +180,12 @@ class Parameters(Mapping[str, Value]):
                 return f"{value} with load.kind {kind}, expected 0"
             if EFFECTS["slack"].is_on(self):  # the load rubs, not wires that hang
                 return f"{value} with effect slack, expected one of them at 0"
+        if self["load.stiffening"] != 0.0:
+            value = f"load.stiffening is {self['load.stiffening']:g} 1/m"
+            if kind not in ("spring", "clamped"):  # which moves nothing
+                return f"{value} with load.kind {kind}, expected 0"
+            if EFFECTS["slack"].is_on(self):
+                return f"{value} with effect slack, expected one of them at 0"
         if kind == "displacement":  # what is imposed neither drifts nor hangs
             for effect in EFFECTS.values():
                 if kind not in effect.loads and effect.is_on(self):

@@ -39,6 +39,8 @@ class Boundary:
     prestretch: PerSide = 0.0
     # Pa, by which the sum of stresses is more contracting, less lengthening; between, wires stand
     friction: PerSide = 0.0
+    # by which the stiffness is e-fold a contraction of 1: load + stiffness (exp(s e) - 1)/s
+    stiffening: float = 0.0
 
     @classmethod
     def clamped(cls, contraction: PerSide = 0.0) -> Self:
@@ -89,11 +91,15 @@ class Boundary:
                 prestretch=tuple(pulled.tolist()), friction=rubs,
             )
 
-        # A weight, or a frame that holds a force; with a spring A sum sigma_i = F_0 + F + k l e.
-        # Elongation is counted from the bench at rest, where martensite already bears the load.
+        # A weight, or a frame that holds a force; with a spring A sum sigma_i = F_0 + F + k l e, or
+        # F_0 + F + k (exp(b l e) - 1)/b of one that stiffens by b. Elongation is counted from the
+        # bench at rest, where martensite already bears the load.
         held, stiffness = (preload + held, stiffness) if kind == "spring" else (held, 0.0)
         stretch = held / section / (len(parameters["bench.channels"]) * modulus)
-        return cls(stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs)
+        return cls(
+            stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs,
+            stiffening=parameters["load.stiffening"] * length if stiffness else 0.0,
+        )
 
     def levers(self, parameters: Parameters) -> Array:
         """(s,) m, deflection per contraction of each side."""

@@ -26,7 +26,7 @@ _WIRE = {
         "EXPANDS", "R_STRAIN", "R_END", "R_RANGE",  # the R-phase: strain, K, K
         "CAPACITY", "LOSS", "RESISTANCE",  # m c_p, h A_c, R
         "CONVECTION", "CONVECTION_EXPONENT", "RADIATION",  # of free convection, W/K, 1, W/K4
-        "CURRENT_DRIVEN", "PRESTRETCH",  # by a current source; strain at which it is mounted
+        "SOURCE", "PRESTRETCH",  # 1 of current, 2 of power; strain at which it is mounted
         "HEATED_OTHERWISE", "EVOLVES", "READ_OTHERWISE",  # marks of effects
     ),
     "state": (
@@ -44,6 +44,7 @@ _SIDE = {
     "constants": (
         "PRESCRIBED", "COUPLED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD",
         "PULLS_OTHERWISE", "FRICTION",  # of the sum of stresses, Pa, against the motion
+        "STIFFENING",  # 0, or s of a spring: STIFFNESS (exp(s e) - 1)/s in place of STIFFNESS e
     ),
     "state": ("CONTRACTION", "CONTRACTION_CHANGE", "BENDING"),  # the last bends the beam
     # the matrix with its relaxing part; and with the passive wires

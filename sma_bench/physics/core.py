@@ -56,6 +56,7 @@ BISECTION_LIMIT = 200
 BRACKET = 1e-15
 REGIME_LIMIT = 12
 LARGEST_STRAIN = 1e6
+MOST_STIFFENED = 100.0  # e-folds of a spring's stiffness; no wire pulls so far
 MOVED = 2.0  # of PRESCRIBED, where ends are not only held
 TURN = 0.3  # K, by which what drives the phase goes back before it is no error of an encoder
 
@@ -267,12 +268,23 @@ def pull_sign(wires, sides, i, side):
     return -sides[side, at.COUPLED]
 
 
+@inlined
+def resisted(sides, side, contraction):
+    """Sum of stresses that a side's load takes at a contraction, and its slope."""
+    load, stiffness = sides[side, at.LOAD], sides[side, at.STIFFNESS]
+    if sides[side, at.STIFFENING] == 0.0:
+        return load + stiffness * contraction, stiffness
+    grown = min(sides[side, at.STIFFENING] * contraction, MOST_STIFFENED)
+    load += stiffness * math.expm1(grown) / sides[side, at.STIFFENING]
+    return load, stiffness * math.exp(grown)
+
+
 @borrowing
 def solve_jointly(wires, sides, side, contraction):
     """Newton on the fractions and the contraction of a side together; whether it converged."""
     for _ in range(NEWTON_LIMIT):
-        imbalance = -sides[side, at.LOAD] - sides[side, at.STIFFNESS] * contraction
-        stiffness = sides[side, at.STIFFNESS]
+        taken, stiffness = resisted(sides, side, contraction)
+        imbalance = -taken
         for i in range(wires.shape[0]):
             sign = pull_sign(wires, sides, i, side)
             if sign == 0.0:
@@ -305,7 +317,7 @@ def solve_jointly(wires, sides, side, contraction):
 @borrowing
 def side_imbalance(wires, sides, side, contraction):
     """Sum of stresses beyond what the boundary takes, fractions solved; falls with contraction."""
-    imbalance = -sides[side, at.LOAD] - sides[side, at.STIFFNESS] * contraction
+    imbalance = -resisted(sides, side, contraction)[0]
     for i in range(wires.shape[0]):
         sign = pull_sign(wires, sides, i, side)
         if sign != 0.0:

@@ -9,7 +9,7 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import EFFECTS
+from sma_bench.parameters.parameter import EFFECTS, SOURCES
 from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, material, orientation
@@ -182,7 +182,7 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     if p["wire.convection"] == "free":
         material.note_free(row, p)
     row[at.HEATING] = 1.0 / (heated_resistance(p) * heat_loss(p))
-    row[at.CURRENT_DRIVEN] = p["bench.drive"] == "current"
+    row[at.SOURCE] = SOURCES.get(p["bench.drive"], 0.0)
     leads = p["bench.lead_resistance"] + p["effect.supply_drop.resistance"]
     row[at.SUPPLY_RESISTANCE] = p["wire.count"] * leads
     row[at.OVERLOAD] *= p["wire.count"]
@@ -225,6 +225,7 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
     sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
     sides[:, at.FRICTION] = per_side("friction", boundary.friction, count)
+    sides[:, at.STIFFENING] = boundary.stiffening
     # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
     elastic = boundary.contraction is None and not boundary.coupled
     bends = (stiffness > 0.0) & elastic

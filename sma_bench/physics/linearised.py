@@ -34,7 +34,8 @@ from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 Branch = Literal["heating", "cooling"]
 
-BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "wire.r_phase_strain", "load.friction")
+BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "wire.r_phase_strain", "load.friction",
+          "load.stiffening")
 _AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
 # Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
 _RANGES: dict[Branch, tuple[str, str, str]] = {

@@ -30,7 +30,7 @@ from scipy.special import ndtr
 from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import EFFECTS
+from sma_bench.parameters.parameter import EFFECTS, SOURCES
 from sma_bench.parameters.parameters import OXIDISED, REFERENCE_EXCESS, free_exponent, radiation
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.phase_dependent_resistance import LEAST
@@ -124,13 +124,15 @@ def stress(
 
 # --- Heat, and what drives it.
 
+
 def current(
     parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike
 ) -> Array:
     """I = n V/(R(xi, T) + n R_s) through the n wires of a channel; with all effects off eq. (3).
 
     The voltage is as the driver reads it or is commanded (`heating_voltage`); any shape. A
-    current source holds it whatever the resistance; of a duty it is the mean.
+    current source holds it whatever the resistance, one of power sqrt(P/R); of a duty it is the
+    mean.
     """
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
     count, effect = parameters["wire.count"], "effect.phase_dependent_resistance."
@@ -149,6 +151,8 @@ def current(
         of_heat = np.maximum(1.0 + (growth + of_martensite * xi) * rise, LEAST)
         resistance = resistance * of_phase * of_heat
     leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
+    if parameters["bench.drive"] == "power":
+        return np.asarray(count * volts / np.sqrt(parameters["wire.resistance"] * resistance))
     resists = resistance + count * leads
     found = count * volts / resists
     if overload := count * parameters["effect.supply_drop.overload"]:
@@ -160,8 +164,8 @@ def current(
 
 def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:
     """Volts whose square heats as the drive does, of commanded V, any shape: of a duty the mean,
-    duty times `bench.supply_voltage`; of a current source the current times `wire.resistance /
-    wire.count`."""
+    duty times `bench.supply_voltage`; of a source of current that times `wire.resistance /
+    wire.count`, of one of power the root of that product."""
     volts = np.asarray(voltage, dtype=np.float64)
     if parameters["bench.drive"] == "duty":
         return np.sqrt(np.maximum(volts, 0.0) * parameters["bench.supply_voltage"])
@@ -190,6 +194,9 @@ def direct_reading(
     """What a record holds of a drive of V and A (of a duty the means; any shape): the direct
     voltage and current of the same heat, whose quotient is the resistance."""
     mean, amperes = (np.asarray(a, dtype=np.float64) for a in (voltage, current))
+    if parameters["bench.drive"] == "power":
+        watts = np.square(mean) * parameters["wire.count"] / parameters["wire.resistance"]
+        return np.divide(watts, amperes, out=np.zeros_like(mean), where=amperes > 0.0), amperes
     volts = heating_voltage(mean, parameters)
     return volts, amperes * np.divide(volts, mean, out=np.ones_like(mean), where=mean > 0.0)
 
@@ -198,7 +205,7 @@ def heated_resistance(parameters: Parameters) -> float:
     """V^2 over the heat of one wire [ohm], where the voltage is that before the leads."""
     wire = float(parameters["wire.resistance"])
     leads = float(parameters["wire.count"] * parameters["bench.lead_resistance"])
-    if leads == 0.0 or parameters["bench.drive"] == "current":
+    if leads == 0.0 or parameters["bench.drive"] in SOURCES:
         return wire
     return (wire + leads) ** 2 / wire
 

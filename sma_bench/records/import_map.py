@@ -22,14 +22,15 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records import cells, contract
 from sma_bench.records.cells import QUANTITIES, WORDS, Unit, parse_unit, said
-from sma_bench.records.record import Record, Signal
+from sma_bench.records.record import Record, Signal, ohms_of_source
 from sma_bench.records.tables import Account, Column, TableFile, read_table_file
 
 ASK = "ask"
 ROWS = "row number"  # the clock of a table without one; its unit is the period, "0.1 s"
 _MOVES, _DRIVES = {"elongation", "deflection", "force"}, {"voltage", "current"}
 _LITTLE = 0.02  # beyond 0 to 1 that a duty may be read; of the largest drive that drives nothing
-_FORMS = {"voltage": ("rms", "mean", "duty"), "current": ("rms", "mean", "peak")}
+_FORMS = {"voltage": ("rms", "mean", "duty", "power"), "current": ("rms", "mean", "peak")}
+_DIRECT = ("rms", "power")  # not of a switched supply
 _SIGNAL = re.compile(r"(?!ask\b|voltage_command)[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-z]+)?\Z")
 _CLEAR = 3.0  # times as far one way as the other
 _AT_REST = 0.1  # of all its way, what a position scatters before the first drive
@@ -52,7 +53,8 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     offset: _Number = 0.0  # in SI
     sign: Literal[1, -1, "ask"] = 1
     reference: _Number | Literal["rest", "none"] = "none"
-    form: Literal["rms", "mean", "duty", "peak"] = "rms"  # or direct; else of a switched supply
+    # rms or direct; watts in place of volts; else of a switched supply
+    form: Literal["rms", "mean", "duty", "peak", "power"] = "rms"
 
     @property
     def kind(self) -> str:
@@ -71,6 +73,7 @@ class ImportMap(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_de
     time: dict[str, str]
     signals: Annotated[tuple[Entry, ...], msgspec.Meta(min_length=1)]
     supply_voltage: _Positive | None = None
+    resistance: _Positive | None = None  # of a channel, by which watts are written as V and A
     lever: _Positive | None = None
     ignored: tuple[str, ...] = ()
 
@@ -108,7 +111,8 @@ def read_map(path: str | Path) -> ImportMap:
         where = f"signals: {k} ({printable(entry.signal)}): "
         in_si = contract.unit_of(entry.signal) if _SIGNAL.match(entry.signal) else None
         known, forms = parse_unit(in_si or ""), _FORMS.get(entry.kind, ("rms",))
-        quantity = "ratio" if entry.form == "duty" else known.quantity if known else ""
+        in_place = {"duty": "ratio", "power": "power"}.get(entry.form)
+        quantity = in_place or (known.quantity if known else "")
         is_angle = (quantity, entry.measured.quantity) == ("length", "angle")
         is_unit = is_angle or entry.measured.quantity == quantity
         rules += [
@@ -118,7 +122,8 @@ def read_map(path: str | Path) -> ImportMap:
             (f"{where}form", entry.form, entry.form in forms, f"one of {', '.join(forms)}"),
             (f"{where}unit", entry.unit, is_unit, f"a unit of {quantity}"),
             (f"{where}clock", entry.clock, entry.clock in made.time, "one of those under time"),
-            ("supply_voltage", None, made.supply_voltage or entry.form == "rms", "volts"),
+            ("supply_voltage", None, made.supply_voltage or entry.form in _DIRECT, "volts"),
+            ("resistance", None, made.resistance or entry.form != "power", "ohm"),
             ("lever", None, made.lever or not is_angle, "m/rad"),
         ]
     for place, value, is_right, expected in rules:
@@ -142,10 +147,18 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
     # Of a switched supply: the direct volts, then amperes of the same heat, duty * supply^2.
     supply = made.supply_voltage or 1.0
     roots: dict[str, tuple[Array, Array]] = {}  # of the duty, by channel
+    signals, sentences = {}, []
     for entry in sorted((e for e in read if e.form != "rms"), key=lambda e: e.kind == "current"):
         (time, values, spread), where = read[entry], f"{table.path}: {entry.column}"
         channel, sign = entry.signal.partition(".")[0], float(entry.sign)
-        if entry.kind == "voltage":
+        if entry.form == "power":
+            if values.min() < -_LITTLE * values.max():
+                raise InputError(f"{where}: power of {values.min():.4g} W, expected 0 or more")
+            ohms, how = made.resistance or 1.0, said("as_power")
+            values = np.sqrt(np.maximum(values, 0.0) * ohms)
+            name = f"{channel}.current"
+            signals[name] = Signal(name, "A", time - first, values / ohms)
+        elif entry.kind == "voltage":
             duty = sign * values / (supply if entry.form == "mean" else 1.0)
             low, high = float(duty.min()), float(duty.max())
             if low < -_LITTLE or high > 1.0 + _LITTLE:
@@ -161,7 +174,6 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
         else:
             raise InputError(f"{where}: {said('no_duty', form=entry.form)}")
         read[entry] = _Samples(time, values, how + spread)
-    signals, sentences = {}, []
     for entry, samples in read.items():
         zero, sentence = 0.0, f"{entry.signal} from {entry.column!r} in {entry.unit!r}"
         sentence += ", counted the other way" if entry.sign == -1 else ""
@@ -266,6 +278,12 @@ def propose(table: TableFile, bench: Parameters, stated: Mapping[str, str]) -> P
     proposal = _Proposal(bench)
     ask, remarks = proposal.ask, proposal.remarks
     meant = {column.name: proposal.meaning(column) for column in columns}
+    # Watts drive where the bench says so, or where nothing else does.
+    other_drives, drive = {*_DRIVES, "duty"}, bench["bench.drive"]
+    is_power = drive == "power" or other_drives.isdisjoint(meant.values())
+    for name in [n for n, m in meant.items() if m in (other_drives if is_power else {"power"})]:
+        if "power" in meant.values():
+            meant[name], remarks[name] = "", said("not_driving", drive=drive)
     clocks = [column for column in columns if meant[column.name] == "time"]
     # One column a signal; that there are two is asked.
     entries: dict[str, Entry] = {}
@@ -284,8 +302,10 @@ def propose(table: TableFile, bench: Parameters, stated: Mapping[str, str]) -> P
         time[ROWS] = ask(ROWS, "no_clock", titles=", ".join(c.name for c in columns[:12]))
     if len({c.start is None for c in clocks if c.name in ticking}) > 1:
         ask("time", "dates")
-    supply, lever = None, None
-    if any(entry.kind == "voltage" and entry.form != "rms" for entry in found):
+    supply, lever, ohms = None, None, None
+    if any(entry.form == "power" for entry in found):
+        ohms = ohms_of_source(bench)
+    if any(entry.kind == "voltage" and entry.form not in _DIRECT for entry in found):
         volts = "bench.supply_voltage"
         supply = bench[volts] if volts in bench.given else ask("supply_voltage", "which_supply")
     if any(entry.measured.quantity == "angle" for entry in found):
@@ -301,7 +321,7 @@ def propose(table: TableFile, bench: Parameters, stated: Mapping[str, str]) -> P
     if not kinds & _DRIVES and not kinds >= {"elongation", "force"}:
         ask("signals", "no_drive", rest=rest)
     # Signs, the same whatever is answered to the questions so far.
-    made = ImportMap(time, found, supply, lever, ignored)
+    made = ImportMap(time, found, supply, ohms, lever, ignored)
     read: dict[Entry, _Samples] = {}
     with contextlib.suppress(*([InputError] if proposal.questions else [])):
         read = _read(table, made)[0]
@@ -400,11 +420,11 @@ class _Proposal:
         fitting = [c for c in channels if len(channels) == 1 or c.lower() in plain]
         if len(fitting) != 1:
             fitting = [self.ask(name, "which_channel", channels=", ".join(channels))]
-        kind, form = ("voltage", "duty") if meaning == "duty" else (meaning, "rms")
+        kind, form = ("voltage", meaning) if meaning in ("duty", "power") else (meaning, "rms")
         if meaning in _DRIVES:
             # Of a switched supply a meter may show the mean, an oscilloscope the peak.
             text = " ".join(cells.words_of(f"{name} {column.title} {column.unit}"))
-            forms = [f for f in _FORMS[meaning] if f != "duty"]
+            forms = [f for f in _FORMS[meaning] if f not in ("duty", "power")]
             named = [f for f in forms if any(word in text for word in WORDS["forms"][f])]
             if named or self.bench["bench.drive"] == "duty":
                 form = named[0] if named else self.ask(name, "which_form", what=" or ".join(forms))

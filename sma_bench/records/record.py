@@ -15,6 +15,7 @@ from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import SOURCES
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.records.contract import unit_of
 
@@ -294,20 +295,35 @@ def imposed_elongation(record: Record) -> tuple[Array, Array]:
 
 
 def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float]:
-    """The record as it is and 0, or with commands in place of a current source's currents where
-    nobody measured voltages, and their volts for an ampere."""
+    """The record as it is and 0, or with commands and their volts for an ampere: of a source of
+    current in place of its currents where nobody measured voltages, of one of power in place of
+    volts and amperes, whose product it holds; where there are volts alone, these."""
+    drive = parameters["bench.drive"]
     is_measured = any(has_samples(record, f"{c}.voltage") for c in record.channels)
-    if is_measured or parameters["bench.drive"] != "current":
+    if drive not in SOURCES or (is_measured and drive == "current"):
         return record, 0.0
     signals, ohms = dict(record.signals), ohms_of_source(parameters)
     for name in [f"{c}.current" for c in record.channels if f"{c}.current" in signals]:
         own, volts = signals.pop(name), name.replace(".current", ".voltage")
-        signals[volts] = replace(own, name=volts, unit="V", values=ohms * own.values)
+        values = ohms * own.values
+        if drive == "power":
+            if not has_samples(record, volts):
+                continue
+            values = np.interp(own.time, *samples(record, volts)) * own.values
+            values = np.sqrt(np.maximum(values, 0.0) * ohms)
+        signals[volts] = replace(own, name=volts, unit="V", values=values)
     return replace(record, signals=signals), ohms
 
 
+def as_driven(record: Record, parameters: Parameters) -> Record:
+    """The record, of a source of power with the volts that stand for its watts alone: what it reads
+    of the wire's resistance is in no experiment's reach."""
+    return with_commands(record, parameters)[0] if parameters["bench.drive"] == "power" else record
+
+
 def ohms_of_source(parameters: Parameters) -> float:
-    """Volts that stand for an ampere in commands to a current source."""
+    """Volts that stand for an ampere in commands to a source of current; of one of power they
+    squared over these are its watts."""
     return float(parameters["wire.resistance"]) / float(parameters["wire.count"])
 
 

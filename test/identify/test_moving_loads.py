@@ -111,6 +111,34 @@ def test_a_current_source_needs_no_voltmeter():
     assert after < min(0.01 * np.ptp(exact), 0.2 * before)
 
 
+def test_a_source_of_power_says_nothing_of_the_resistance_and_predicts_all_the_same():
+    rises = {"effect.phase_dependent_resistance.austenite_change": -0.1}
+    believed = moving_lab("spring", {"bench.drive": "power"})
+    truth = drawn(believed, seed=6).replace(rises)
+    seen, unseen = (
+        recorded(truth, s, 1, "voltage", "current", "elongation") for s in ("triangle", "sine")
+    )
+    exact = sma_bench.simulate(unseen, truth).elongation[:, 0]
+    assert exact == pytest.approx(unseen["elongation"].values, abs=1.2e-4)
+    found = identify([seen], believed)
+    assert [e.name for e in found.experiments] == ["E10"]
+    assert found.estimates["wire.resistance"].informed < 0.05
+    before, after = (
+        np.std(sma_bench.simulate(unseen, p).elongation[:, 0] - exact)
+        for p in (believed, found.parameters)
+    )
+    assert after < min(0.01 * np.ptp(exact), 0.2 * before)
+
+
+def test_a_spring_that_is_not_linear_is_found_where_that_is_not_known():
+    believed = moving_lab("spring", stds={"load.stiffening": 40.0})
+    truth = drawn(believed, seed=4).replace({"load.stiffening": 50.0})
+    found = identify([recorded(truth, s, k) for k, s in enumerate(("triangle", "step"))], believed)
+    curve, exact = found.estimates["load.stiffening"], motion(truth, "sine")
+    assert abs(curve.value - 50.0) < 3.0 * curve.std < 100.0
+    assert np.std(motion(found.parameters, "sine") - exact) < 0.005 * np.ptp(exact)
+
+
 @pytest.mark.slow
 def test_two_runs_of_another_reality_predict_five_of_other_shapes(monkeypatch):
     """Of which the wire has latent heat, free convection and a resistance that changes.

@@ -115,6 +115,21 @@ def test_partial_loops_of_a_composite_follow_the_rule_and_the_stress_at_every_sa
     assert off < 1e-8 and turned > 10 and np.ptp(xi) > 0.9
 
 
+def test_grains_of_two_other_laws_are_at_most_all_of_them():
+    """Beyond that the branches would fall and rise again, and no step would be solved."""
+    def branch(soft, sharp):
+        own = {f"effect.transformation_law.{n}": x
+               for n, x in (("logistic", soft), ("exponential", sharp))}  # fmt: skip
+        return led(WIRE.replace(own), (380.0, 300.0))[1]
+
+    half = branch(0.5, 0.5)
+    assert branch(1.0, 1.0) == pytest.approx(half, abs=1e-9)
+    turn = int(np.argmin(half))
+    each = 0.5 * (branch(1.0, 0.0) + branch(0.0, 1.0))
+    assert half[:turn] == pytest.approx(each[:turn], abs=1e-9)
+    assert np.all(np.diff(half[:turn]) <= 1e-12) and np.all(np.diff(half[turn:]) >= -1e-12)
+
+
 # --- Grains of the normal law.
 
 

@@ -166,6 +166,20 @@ def test_a_current_source_heats_more_where_the_resistance_rises_and_a_voltage_le
     assert rise == pytest.approx(heat / loss, rel=1e-4)
 
 
+@pytest.mark.parametrize(("count", "rises"), [
+    (1, {}), (2, {"effect.phase_dependent_resistance.temperature_coefficient": 1e-3}),
+])  # fmt: skip
+def test_a_source_of_power_heats_the_same_whatever_the_resistance(count, rises):
+    held, given = np.full(TIME.size, 4.0), {"wire.count": count}
+    plain = simulate(WIRE.replace(given), TIME, held)
+    found = simulate(WIRE.replace({**given, **rises, "bench.drive": "power"}), TIME, held)
+    assert found.temperature == pytest.approx(plain.temperature, rel=1e-9)
+    volts, amperes = direct_reading(found.parameters, found.voltage, found.current)
+    assert volts * amperes == pytest.approx(count * 16.0 / WIRE["wire.resistance"])
+    grown = 1.0 + 1e-3 * bool(rises) * (found.temperature[-1] - 296.15)
+    assert volts[-1] / amperes[-1] == pytest.approx(WIRE["wire.resistance"] * grown / count)
+
+
 @pytest.mark.parametrize(("count", "effects"), [(1, {}), (2, SLOW)])
 def test_leads_take_their_share_of_the_voltage(effects, count):
     rig = WIRE.replace({"bench.lead_resistance": 0.5, "wire.count": count, **effects})
@@ -283,6 +297,18 @@ def test_friction_has_a_spring_stand_until_the_pull_has_changed_by_twice_as_much
     top = int(np.argmax(free))
     stands = free[top] - free[top:][found.elongation[top:, 0] == found.elongation[top, 0]]
     assert stands.max() == pytest.approx(0.2, abs=0.01)
+
+
+@pytest.mark.parametrize("stiffening", [60.0, -60.0])
+def test_a_spring_that_is_not_linear_follows_its_curve(stiffening):
+    rig = RIGS["spring"].replace({"load.stiffening": stiffening})
+    found, straight = run(rig), run(RIGS["spring"])
+    x = -found.elongation[:, 0]
+    pulled = rig["load.stiffness"] * np.expm1(stiffening * x) / stiffening
+    held = rig["load.force"] + rig["load.preload"]
+    assert found.force[:, 0] == pytest.approx(held + pulled, abs=1e-6)
+    softer = x.max() + straight.elongation.min()
+    assert np.sign(softer) == -np.sign(stiffening) and abs(softer) > 1e-4
 
 
 @pytest.mark.parametrize("name", RIGS)

@@ -28,8 +28,11 @@ EFFECT = Effect(
 
 @borrowing
 def power(wires, i, voltage, resistance):
-    """Heat in wire i [W] when the driver reads `voltage`; a current source holds voltage / R."""
-    if wires[i, at.CURRENT_DRIVEN] > 0.0:
+    """Heat in wire i [W] when the driver reads `voltage`; a source of current holds voltage / R,
+    one of power voltage^2 / R."""
+    if wires[i, at.SOURCE] > 1.0:
+        return voltage * voltage / wires[i, at.RESISTANCE]
+    if wires[i, at.SOURCE] > 0.0:
         current = voltage / wires[i, at.RESISTANCE]
         return current * current * resistance
     resists = resistance + wires[i, at.SUPPLY_RESISTANCE]

@@ -4,8 +4,9 @@
 
 and likewise g: shares of the grains that follow the logistic law, soft at both ends, or Tanaka's
 exponential, which starts sharply and fades out, each with the mean and the deviation that the
-cosine's temperatures have. Source: Ikuta et al. 1991; Tanaka 1986. Normal tails are
-`wire.transition_tail`, and inner loops `partial_transformation`.
+cosine's temperatures have; together they are 1 at most: of larger ones their ratio counts. Source:
+Ikuta et al. 1991; Tanaka 1986. Normal tails are `wire.transition_tail`, and inner loops
+`partial_transformation`.
 """
 
 import math
@@ -45,6 +46,8 @@ _LATER, _LONGER = 1.0 - 1.0 / exponential.RATE, 1.0 / (exponential.RATE * _COSIN
 def mixed(wires, i, position, share, slope):
     """Ramp of wire i and its slope where the cosine's are `share` and `slope`."""
     soft, sharp = wires[i, at.LOGISTIC_SHARE], wires[i, at.EXPONENTIAL_SHARE]
+    if soft + sharp > 1.0:
+        soft, sharp = soft / (soft + sharp), sharp / (soft + sharp)
     of_soft, soft_slope = logistic.ramp(0.5 + (position - 0.5) * _WIDER)
     of_sharp, sharp_slope = exponential.ramp(_LATER + (position - 0.5) * _LONGER)
     mix = share + soft * (of_soft - share) + sharp * (of_sharp - share)
@@ -56,6 +59,7 @@ def mixture(position: ArrayLike, share: Array, parameters: Parameters) -> Array:
     """The same of arrays."""
     away = np.asarray(position, float) - 0.5
     soft, sharp = (parameters[f"effect.transformation_law.{n}"] for n in EFFECT.forms or ())
+    soft, sharp = (own / max(1.0, soft + sharp) for own in (soft, sharp))
     of_soft = logistic.share(0.5 + away * _WIDER)
     of_sharp = exponential.share(_LATER + away * _LONGER)
     return np.asarray(share + soft * (of_soft - share) + sharp * (of_sharp - share))
