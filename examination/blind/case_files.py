@@ -97,6 +97,17 @@ class Answer:
     credible: tuple[str, ...] = ()
 
 
+def by_effect(answer: Answer) -> dict[frozenset[str], float]:
+    """The probability of each effect, summed over candidates that hold it, that nothing is missing
+    in the model, and that something is that no library has."""
+    whole = {frozenset((RECALIBRATION, NO_GAP)): 0.0, frozenset((UNEXPLAINED,)): 0.0}
+    for candidate in answer.candidates:
+        for part in candidate.parts:
+            names = next((names for names in whole if part in names), frozenset((part,)))
+            whole[names] = whole.get(names, 0.0) + candidate.probability
+    return whole
+
+
 def checked_answer(document: Any, where: str = "answer") -> Answer:
     """An Answer from the plain document of a diagnosis; raises InputError where something is
     missing, of another type or against the contract, in one line."""

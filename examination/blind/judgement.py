@@ -24,6 +24,7 @@ Array = npt.NDArray[np.float64]
 SET_MASS = 0.9
 CONFIDENT = 0.8
 MOVED = 2.0
+WORTH_NAMING = 1.0  # gap over noise, of seeds that have forms: of less that there is none is right
 _BENIGN = frozenset((NO_GAP, RECALIBRATION))
 _SILENCE = files.Answer("", (), (), None, {}, None)
 # What is right to say of a case without an effect of the library. Where nothing is wrong, the
@@ -66,8 +67,11 @@ class Label:
 
     @property
     def names(self) -> frozenset[str]:
-        """All that is right to say: another law too, where it shows beside what was hidden."""
-        return self.hidden | ({"transformation_law"} if self.transformation_law else set())
+        """All that is right to say: another law too, where it shows beside what was hidden; that
+        there is no gap, where there is next to none."""
+        law = {"transformation_law"} if self.transformation_law else set()
+        small = self.forms and self.effects and self.severity < WORTH_NAMING
+        return self.hidden | law | (_BENIGN if small else set())
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,12 @@ class Judged:
         said, label, right = self.answer or _SILENCE, self.label, self.label.names
         verdict, first = said.verdict, self.first_choice
         chosen = first.parts if first else frozenset[str]()
+        belief = first.probability if first else 0.0
+        sure = [c.parts for c in said.candidates if c.probability >= CONFIDENT]
+        if label.forms and first:  # what is said of each effect counts, alone or with others
+            whole = files.by_effect(said)
+            chosen, belief = max(whole.items(), key=lambda item: item[1])
+            sure = [names for names, p in whole.items() if p >= CONFIDENT]
         # What the answer says; of one that says nothing, the fewest candidates, the most probable
         # first, that make 90 %.
         total, credible = 0.0, []
@@ -134,15 +144,14 @@ class Judged:
             holds_truth = label.hidden <= frozenset[str]().union(*right_ones)
 
         # What the first choice and the verdict come to.
-        first_right = first is not None and chosen <= right
+        first_right = first is not None and bool(chosen <= right or chosen & right & _BENIGN)
         stages = {STAGE_OF[name] for name in right if name in STAGE_OF}
         gap, alarms = verdict not in ("", NO_GAP), verdict in ("", "effect", UNEXPLAINED)
         if verdict == "ambiguous":
             gap, alarms = NO_GAP not in in_set, in_set.isdisjoint(_BENIGN)
         abstains = verdict in ("ambiguous", UNEXPLAINED)
-        sure = [c.parts for c in said.candidates if c.probability >= CONFIDENT]
         sure += [frozenset(said.cause)] if said.cause else []
-        named, settled = frozenset(said.cause) or chosen, None
+        named, settled = frozenset(said.cause) or (first.parts if first else chosen), None
         if self.followed:
             last = Judged(label, self.second).facts["first_choice_right"]
             settled = last and (self.second or _SILENCE).verdict != "ambiguous"
@@ -160,7 +169,7 @@ class Judged:
             "confident_and_wrong": any(not parts & right for parts in sure),
             "names one": bool(named & right), "names both": label.hidden <= named,
             "settled": settled,
-            "stated": (first.probability, first_right) if first else None,
+            "stated": (belief, first_right) if first else None,
             "error_before": self.error_before, "error_after": self.error_after,
             "seconds": self.seconds,
         }  # fmt: skip

@@ -8,7 +8,7 @@ case having its own. What the package answered when the features were stored sta
 import gzip
 import json
 from collections.abc import Sequence
-from itertools import pairwise, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +18,11 @@ import numpy.typing as npt
 import yaml
 from scipy.optimize import minimize
 from scipy.special import softmax
-from scipy.stats import binomtest
 
 from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
 from examination.blind.cases import EFFECTS, frozen_shares
-from examination.blind.score import as_markdown
+from examination.blind.judgement import WORTH_NAMING
+from examination.blind.score import as_markdown, stated_and_right
 from sma_bench.diagnose.facts import Weighed
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.utilities import NAMES, SIGNS, Utilities
@@ -36,9 +36,8 @@ RIDGES, LAPSES = (0.1, 0.3, 1.0, 3.0), (0.0, 0.1, 0.2)
 STATED, _AS_LIKELY = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2), 0.02
 FOLDS = 6
 NO_EFFECT, BENIGN = (NO_GAP, RECALIBRATION, UNEXPLAINED), "benign"
-COVERAGE, NAMED, CONFIDENT, WORTH_NAMING = 0.9, 0.6, 0.8, 1.0
+COVERAGE, NAMED, CONFIDENT = 0.9, 0.6, 0.8
 _LEAST = 1e-6  # of a probability
-_RANGES = (0.0, 0.4, 0.6, 0.7, 0.8, 0.9, 1.01)
 _SEED = 44
 _SIDED = [SIGNS[kind][name] for kind, _, name in (n.partition(".") for n in NAMES)]
 _BOUNDS = [((0.0, None), (None, None), (None, 0.0))[1 - sign] for sign in _SIDED]
@@ -268,23 +267,11 @@ def stored(paths: Sequence[Path]) -> list[dict[str, Any]]:
 
 
 def calibration(cases: Sequence[Known], answers: Sequence[Array]) -> list[tuple[str, ...]]:
-    """A row for each range of the first choice's probability: cases, mean of what was stated, share
-    that is right with its interval, all intervals together holding in 95 %."""
+    """What is stated of the first choice, and the share that is right."""
     found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
     stated = np.array([share for _, share, _ in found])
     right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
-    rows, level, counts = [], 1.0 - 0.05 / (len(_RANGES) - 1), weights_of(cases)
-    for low, high in pairwise(_RANGES):
-        here = (stated >= low) & (stated < high)
-        if not here.any():
-            continue
-        mean, share = (float(np.average(x[here], weights=counts[here])) for x in (stated, right))
-        # So many cases of equal weight tell as much.
-        n = round(counts[here].sum() ** 2 / (counts[here] ** 2).sum())
-        ends = binomtest(round(share * n), n).proportion_ci(level, method="exact")
-        rows.append((f"{low:.1f} to {high:.1f}", f"{int(here.sum())}", f"{mean:.2f}",
-                     f"{share:.2f} ({ends.low:.2f} to {ends.high:.2f})"))  # fmt: skip
-    return rows
+    return stated_and_right(stated, right, weights_of(cases))
 
 
 def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> None:

@@ -4,11 +4,14 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+import numpy.typing as npt
+from scipy import stats
 
 from examination.blind import case_files as files
 from examination.blind import judgement
@@ -19,6 +22,7 @@ from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.parameters import read_parameters
 
+Array = npt.NDArray[np.float64]
 Labels = Mapping[str, Mapping[str, Any]]
 FOLLOWED_UP = ", followed up"
 
@@ -181,6 +185,7 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
 # --- The result as a page: on the terminal, and as a repository keeps it.
 
 _MOST_SHOWN = 4
+_RANGES = (0.0, 0.4, 0.6, 0.7, 0.8, 0.9, 1.01)  # of a probability
 _DASH = "–"
 # By style of a measure: factor, digits, unit behind the number.
 _STYLES = {"share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
@@ -240,6 +245,12 @@ def tables(one: Score) -> list[str]:
             header = ("", "cases", *row)
         if body:
             lines += ["", f"{name.capitalize()}:", "", *as_markdown(header, body)]
+    told = np.array([s for c in one.cases if (s := c.facts["stated"])], dtype=float)
+    if len(told):
+        lines += ["", "What is stated of the first choice, and the share that is right, with "
+                  "intervals that hold together in 95 %:", ""]
+        body = stated_and_right(*told.T, np.ones(len(told)))
+        lines += as_markdown(("stated", "cases", "mean", "right"), body)
     choices = []
     for truth, row in confusion(one.cases).items():
         often = [f"{row[name]} {name}" for name in sorted(row, key=lambda name: -row[name])]
@@ -282,6 +293,24 @@ def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name:
     lines += ["## Definitions", ""]
     lines += [f"- **{m.name}**: {m.definition}" for m in (*TARGETS, *OTHERS) if m.definition]
     return "\n".join(lines) + "\n"
+
+
+def stated_and_right(stated: Array, right: Array, counts: Array) -> list[tuple[str, ...]]:
+    """A row for each range of what is stated of the first choice (n,): cases, its mean, the share
+    that is right with its interval, all intervals together holding in 95 %; cases count as often
+    as `counts` (n,) says."""
+    rows, level = [], 1.0 - 0.05 / (len(_RANGES) - 1)
+    for low, high in pairwise(_RANGES):
+        here = (stated >= low) & (stated < high)
+        if not here.any():
+            continue
+        mean, share = (float(np.average(x[here], weights=counts[here])) for x in (stated, right))
+        # So many cases of equal weight tell as much.
+        n = round(counts[here].sum() ** 2 / (counts[here] ** 2).sum())
+        ends = stats.binomtest(round(share * n), n).proportion_ci(level, method="exact")
+        rows.append((f"{low:.1f} to {min(high, 1.0):.1f}", f"{int(here.sum())}", f"{mean:.2f}",
+                     f"{share:.2f} ({ends.low:.2f} to {ends.high:.2f})"))  # fmt: skip
+    return rows
 
 
 def as_markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
