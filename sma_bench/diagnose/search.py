@@ -205,8 +205,7 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     known = {e.name for e in EFFECTS.values() if any(p.name in stated for p in e.parameters)}
     # Where the motion is imposed, the force shows what else shows in the motion.
     quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
-    # The core refuses it beside these.
-    known |= {"slack"} if any(is_stated(parameters, n) for n in IF_STATED) else set()
+    known |= {"slack"} if any(is_stated(parameters, n) for n in IF_STATED) else set()  # refused
     known.add(LAW_EFFECT)  # in every candidate
     return [
         name for name, effect in EFFECTS.items()
