@@ -31,7 +31,7 @@ from sma_bench.tasks.batch import DIAGNOSE, IDENTIFY, Outcome, Task, do_tasks
 
 COMPILING = 22.0  # s, what it took before the diagnosis was made faster
 LENGTHS = {"2 minutes": 120.0, "10 minutes": 600.0, "an hour": 3600.0}
-CASES = 24
+CASES, FEW = 24, 8
 LONG = {"10 minutes of triangles": 600.0, "an hour of triangles": 3600.0}
 LONG |= {"8 hours of triangles": 28_800.0}
 WORK = {"identification": lambda record, lab: identify([record], lab, experiments=["E10"]),
@@ -115,17 +115,25 @@ def diagnosis(tiny: bool = False) -> Iterator[Figure]:
     if tiny:
         yield from over_lengths("diagnosis", {"a minute of triangles": 60.0}, measuring.TRIANGLES)
         return
-    seconds = []
+    seconds, alone, later = [], [], []
     with TemporaryDirectory() as name:
         made = Path(name) / "cases"
         make(made, 1000, CASES)
-        for case in sorted((made / "cases").iterdir()):
-            words = [case / "record", "--params", case / "nominal.yaml"]
-            words += ["--hold-out", case / "hold_out"]
-            seconds.append(run(["diagnose", *map(str, words)])[0])
+        for k, case in enumerate(sorted((made / "cases").iterdir())):
+            record, lab, unseen = (case / n for n in ("record", "nominal.yaml", "hold_out"))
+            words = ["diagnose", *map(str, (record, "--params", lab, "--hold-out", unseen))]
+            seconds.append(run(words)[0])
+            if k < FEW:
+                alone.append(run(words, {"NUMBA_NUM_THREADS": "1"})[0] / seconds[-1])
+                begun = time.perf_counter()
+                diagnose([read_record(record)], read_parameters(lab), [read_record(unseen)])
+                later.append(time.perf_counter() - begun)
     case, last = f"{CASES} development cases", float(np.quantile(seconds, 0.9))
     yield Figure(case, "median command, on the wall", float(np.median(seconds)), "s", most=5.0)
     yield Figure(case, "90th percentile", last, "s", most=10.0)
+    case, wall = f"{FEW} of them", float(np.median(later[1:]))
+    yield Figure(case, "second and later in one process", wall, "s", most=4.0)
+    yield Figure(case, "one thread over two", float(np.median(alone)), "x")
     yield from over_lengths("diagnosis", LONG, measuring.TRIANGLES)
     yield from over_lengths("diagnosis", {"10 minutes of steps": 600.0}, measuring.STEPS)
 

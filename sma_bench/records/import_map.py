@@ -278,11 +278,11 @@ def propose(table: TableFile, bench: Parameters, stated: Mapping[str, str]) -> P
     proposal = _Proposal(bench)
     ask, remarks = proposal.ask, proposal.remarks
     meant = {column.name: proposal.meaning(column) for column in columns}
-    # Watts drive where the bench says so, or where nothing else does.
-    other_drives, drive = {*_DRIVES, "duty"}, bench["bench.drive"]
-    is_power = drive == "power" or other_drives.isdisjoint(meant.values())
-    for name in [n for n, m in meant.items() if m in (other_drives if is_power else {"power"})]:
-        if "power" in meant.values():
+    # Watts drive where the bench says so: a wire's resistance is not in them.
+    drive = bench["bench.drive"]
+    if "power" in meant.values():
+        unused = {*_DRIVES, "duty"} if drive == "power" else {"power"}
+        for name in [name for name, meaning in meant.items() if meaning in unused]:
             meant[name], remarks[name] = "", said("not_driving", drive=drive)
     clocks = [column for column in columns if meant[column.name] == "time"]
     # One column a signal; that there are two is asked.

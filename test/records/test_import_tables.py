@@ -188,19 +188,21 @@ def test_what_needs_no_duty_or_no_position_is_read(tmp_path, rig):
     assert record["wire.current"].values.max() == pytest.approx(0.8)
     moved = -np.radians(MOVED * 4e3) * 0.02
     np.testing.assert_allclose(record["elongation"].values, moved, atol=1e-9)
-    # Watts drive where nothing else does, or where the rig says so.
-    watts, titles = 3.0 * (DUTY > 0), ["t (s)", "power (W)", "position (mm)", "volts (V)"]
-    for drive, columns in (("voltage", 3), ("power", 4)):
-        rig.write_text(RIG.replace("duty", drive))
-        values = [TIME, watts, MOVED * 1e3, 9.0 + 0.0 * TIME][:columns]
-        table = text_file(tmp_path / f"{drive}.csv", titles[:columns], values)
-        record = imported(table, rig, tmp_path / f"{drive}_bag")
-        product = record["wire.voltage"].values * record["wire.current"].values
-        np.testing.assert_allclose(product, watts, atol=1e-6)
-    titles[1], columns = "leistung (mW)", [TIME, 1e3 * watts, MOVED * 1e3, 9.0 + 0.0 * TIME]
+    # Watts drive where the rig says so.
+    titles = ["t (s)", "leistung (mW)", "position (mm)", "volts (V)"]
+    watts = 3.0 * (DUTY > 0)
+    columns = [TIME, 1e3 * watts, MOVED * 1e3, 9.0 + 0.0 * TIME]
+    table = text_file(tmp_path / "p.csv", titles, columns)
+    rig.write_text(RIG.replace("duty", "power"))
+    record = imported(table, rig, tmp_path / "power")
+    product = record["wire.voltage"].values * record["wire.current"].values
+    np.testing.assert_allclose(product, watts, atol=1e-6)
     rig.write_text(RIG.replace("duty", "voltage"))
-    record = imported(text_file(tmp_path / "p.csv", titles, columns), rig, tmp_path / "p")
+    record = imported(table, rig, tmp_path / "voltage")
     assert np.all(record["wire.voltage"].values == 9.0) and "wire.current" not in record.signals
+    alone = text_file(tmp_path / "q.csv", titles[:3], columns[:3])
+    with pytest.raises(InputError, match="power drives with bench.drive: power only"):
+        load(alone, params=rig)
     rig.write_text(RIG.replace("6.0}", "6.0, lever: 0.02}").replace("duty", "current"))
     # The rig that turns an angle into movement serves other commands too.
     words = "simulate --protocol ramp --rate 10 --set bench.drive=duty"
