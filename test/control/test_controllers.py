@@ -159,6 +159,7 @@ def test_power_toward_a_temperature_leads_there():
 @pytest.mark.parametrize("drive", [
     {"bench.drive": "duty", "bench.supply_voltage": 12.0, "bench.lead_resistance": 0.4},
     {"bench.drive": "current", "wire.count": 2, "bench.maximum_current": 8.0},
+    {"bench.drive": "power", "effect.phase_dependent_resistance.austenite_change": -0.15},
 ])  # fmt: skip
 def test_any_drive_holds_a_temperature_and_stays_within_the_current(drive):
     rig = WIRE.replace(drive)

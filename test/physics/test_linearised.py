@@ -107,6 +107,7 @@ PAIR = {"bench.channels": ("a", "b"), "bench.channel_sides": ("front", "back")}
 DUTY = {"bench.drive": "duty", "bench.supply_voltage": 12.0, "bench.lead_resistance": 0.3}
 SPRING = {"load.kind": "spring", "load.stiffness": 900.0, "load.preload": 5.0}
 LOADS = {"force, duty": {"load.kind": "force", "load.force": 9.0, **DUTY},
+         "spring, power": {**SPRING, "bench.drive": "power", "bench.lead_resistance": 0.3},
          "spring, current": {**SPRING, "bench.drive": "current", "wire.count": 2},
          "antagonist, duty": {**SPRING, "load.kind": "antagonist", **PAIR, **DUTY},
          "beam, front": FOUR,
