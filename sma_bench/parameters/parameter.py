@@ -1,17 +1,16 @@
 """One parameter of the bench, what it is called, what it may be, and where the number is from; and
-the declarations of effects, what the paper's model leaves out, as the effects' files state them.
+the declarations of effects, what the paper's model leaves out.
 
-An effect is one file, `physics/effects/<name>.py`: its docstring is title, equation and source, its
-`EFFECT = Effect(...)` everything else that is to be known of it; below stands the compiled
-equation. This module reads the declarations out of the files' text, without importing them: a
-parameter file is read without loading the compiler, and nothing lists the effects but their folder.
+An effect is one file, `physics/effects/<name>.py`, whose docstring is title, equation and source
+and below which stands the compiled equation, and one entry of effects.yaml: everything else that is
+to be known of it. The docstrings are read out of the files' text, without importing them: a
+parameter file is read without loading the compiler.
 """
 
-import ast
 import inspect
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -114,17 +113,25 @@ def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]
         kind, default = _KINDS[field.pop("type")], field.pop("default_value")
         low, high = field.pop("validation", {}).get("bounds<>", (None, None))
         found.append(Parameter(
-            prefix + name, field.pop("unit", ""),
-            tuple(default) if kind == "strings" else default,
-            field.pop("description"), field.pop("source"), low, high, kind=kind, **field,
+            prefix + name, field.pop("unit", ""), default, field.pop("description"),
+            field.pop("source"), low, high, kind=kind, **field,
         ))  # fmt: skip
     return tuple(found)
 
 
+class _Loader(yaml.CSafeLoader):
+    """Takes lists as tuples."""
+
+
+_Loader.add_constructor(
+    "tag:yaml.org,2002:seq", lambda self, node: tuple(self.construct_sequence(node, deep=True))
+)
+
+
 def read_declarations(name: str) -> dict[str, Any]:
-    """The tree in a YAML file of this folder."""
+    """The tree in a YAML file of this folder, its lists as tuples."""
     text = Path(__file__).with_name(name).read_text(encoding="utf-8")
-    tree: dict[str, Any] = yaml.load(text, Loader=yaml.CSafeLoader)
+    tree: dict[str, Any] = yaml.load(text, Loader=_Loader)  # noqa: S506 (a safe loader)
     return tree
 
 
@@ -149,7 +156,7 @@ class Effect:
     """One departure from the paper's model, called as its file; off with every default."""
 
     stage: Stage
-    # its numbers, its size first; `effect.<name>.<number>`, of which its file has the number alone
+    # its numbers, its size first; `effect.<name>.<number>`, of which its entry has the number alone
     parameters: tuple[Parameter, ...]
     shows: str  # what an engineer sees at the bench
     acts_on: tuple[str, ...] = ("temperature", "deflection")  # signals, in the order of the chain
@@ -212,38 +219,29 @@ class Effect:
         return {prefix + number: column for number, column in (self.columns or {}).items()}
 
 
-def declared_effects(folder: Path = EFFECT_FILES) -> dict[str, Effect]:
-    """Effects of the files in a folder by name, in the order of the chain's stages. Raises
-    ValueError: a file without docstring or declaration."""
-
-    def value(node: ast.expr) -> Any:
-        """A literal, or a call of one of the two types."""
-        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-            kind = {"Effect": Effect, "Parameter": Parameter}[node.func.id]
-            named = {keyword.arg or "": value(keyword.value) for keyword in node.keywords}
-            return kind(*map(value, node.args), **named)
-        if isinstance(node, ast.Tuple):
-            return tuple(map(value, node.elts))
-        return ast.literal_eval(node)
-
-    effects = []
-    for path in sorted(folder.glob("*.py")):
-        if path.stem == "__init__":
-            continue
-        text = path.read_text(encoding="utf-8")
-        _, found, rest = text.partition("\nEFFECT = ")
-        declaration, closed, _ = rest.partition("\n)\n")
-        if not (found and closed and '"""' in text):
-            raise ValueError(f"{path}: no docstring, or no EFFECT = Effect(...)")
-        effect, prefix = value(ast.parse(declaration + "\n)", path, "eval").body), EFFECT_PREFIX
-        numbers = (replace(p, name=f"{prefix}{path.stem}.{p.name}") for p in effect.parameters)
-        text = inspect.cleandoc(text.split('"""')[1])
-        effects.append(replace(effect, parameters=tuple(numbers), name=path.stem, text=text))
-    stages = get_args(Stage)
-    return {e.name: e for e in sorted(effects, key=lambda effect: stages.index(effect.stage))}
+def declared_effects(tree: Mapping[str, Any], folder: Path = EFFECT_FILES) -> dict[str, Effect]:
+    """Effects of a tree by name, in the order of the chain's stages, with the docstrings of their
+    files in a folder; their numbers are doubles and 0 unless stated. Raises ValueError: an effect
+    without entry, file or docstring; a field that is missing or that nothing has."""
+    texts = {p.stem: p.read_text(encoding="utf-8").split('"""') for p in folder.glob("[!_]*.py")}
+    found: dict[str, list[Effect]] = {stage: [] for stage in get_args(Stage)}
+    off = {"type": "double", "default_value": 0.0}
+    for name in sorted({*tree, *texts}):
+        if name not in tree or len(texts.get(name, ())) < 3:
+            where = f"an entry in effects.yaml and a docstring in {folder / name}.py"
+            raise ValueError(f"effect {name}: expected {where}")
+        try:
+            fields, text = dict(tree[name]), inspect.cleandoc(texts[name][1])
+            numbers = {number: {**off, **own} for number, own in fields.pop("parameters").items()}
+            parameters = declared(numbers, f"{EFFECT_PREFIX}{name}.")
+            effect = Effect(parameters=parameters, name=name, text=text, **fields)
+            found[effect.stage].append(effect)
+        except (AttributeError, KeyError, TypeError) as error:
+            raise ValueError(f"effects.yaml: {name}: missing or unknown: {error}") from None
+    return {effect.name: effect for effects in found.values() for effect in effects}
 
 
-EFFECTS = declared_effects()
+EFFECTS = declared_effects(read_declarations("effects.yaml"))
 EFFECT_TABLE: tuple[Parameter, ...] = tuple(p for e in EFFECTS.values() for p in e.parameters)
 
 # --- every parameter of the bench contract: what parameters.yaml declares, and the effects' numbers

@@ -8,6 +8,7 @@ import sys
 import effect_references as by_hand
 import numpy as np
 import pytest
+import yaml
 from effect_references import COMPOSITE, all_on, on_sides, pulses
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -164,15 +165,7 @@ MADE_UP = '''# mypy: disallow-untyped-defs=False
 """Wires that shrink a little every second, e = s n. Source: made up."""
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
-
-EFFECT = Effect(
-    "mechanical",
-    (Parameter("rate", "1/s", 0.0, "Contraction a second.", "made up", 0.0, 1e-2),),
-    shows="the beam bends all by itself", acts_on=("deflection",), marks=("EVOLVES",),
-    columns={"rate": "SHRINKING"}, state=("SHRUNK",),
-)
 
 @borrowing
 def added_strain(wires, i):
@@ -182,6 +175,18 @@ def added_strain(wires, i):
 def after_step(wires, i, fraction_before, step):
     wires[i, at.SHRUNK] += wires[i, at.SHRINKING] * step
 '''
+ENTRY = """
+made_up:
+  stage: mechanical
+  shows: the beam bends all by itself
+  acts_on: [deflection]
+  marks: [EVOLVES]
+  parameters:
+    rate: {unit: 1/s, validation: {bounds<>: [0.0, 0.01]}, uncertainty: 0.001,
+      description: Contraction a second., source: made up}
+  columns: {rate: SHRINKING}
+  state: [SHRUNK]
+"""
 WITH_MADE_UP = """
 import sys
 from sma_bench.parameters import Parameters, node_tables, read_parameters
@@ -198,7 +203,7 @@ assert not simulate(Parameters.of_paper(), time, np.zeros(101)).stress.any()
 """
 
 
-def test_a_new_effect_is_one_file(tmp_path, pytestconfig):
+def test_a_new_effect_is_one_file_and_one_entry(tmp_path, pytestconfig):
     package = tmp_path / "sma_bench"
     leave = shutil.ignore_patterns("__pycache__", "*.html", "__init__.py")
     shutil.copytree(pytestconfig.rootpath / "sma_bench", package, ignore=leave)
@@ -206,11 +211,28 @@ def test_a_new_effect_is_one_file(tmp_path, pytestconfig):
         shutil.copy(pytestconfig.rootpath / "sma_bench" / room / "__init__.py", package / room)
     (package / "__init__.py").touch()
     (package / "physics" / "effects" / "made_up.py").write_text(MADE_UP)
+    with (package / "parameters" / "effects.yaml").open("a") as entries:
+        entries.write(ENTRY)
     file = tmp_path / "rig.yaml"
     file.write_text("/**: {ros__parameters: {effect: {made_up: {rate: 1.0e-3}}}}")
     command = [sys.executable, "-W", "ignore", "-c", WITH_MADE_UP, str(file)]
     subprocess.run(command, check=True, cwd=tmp_path, timeout=120)
-    # One that declares nothing is named.
-    (tmp_path / "made_up.py").write_text(MADE_UP.replace("EFFECT = ", "THING = "))
-    with pytest.raises(ValueError, match="made_up.py: .*no EFFECT"):
-        declared_effects(tmp_path)
+
+
+@pytest.mark.parametrize(("file", "entry", "said"), [
+    (MADE_UP, "{}", "effect made_up: expected an entry in effects.yaml and a docstring in .*.py"),
+    (None, ENTRY, "effect made_up: expected an entry in effects.yaml and a docstring in .*.py"),
+    ("pass", ENTRY, "effect made_up: expected an entry in effects.yaml and a docstring in .*.py"),
+    (MADE_UP, ENTRY.replace("stage: mechanical", ""), "made_up: missing or unknown: .* 'stage'"),
+    (MADE_UP, ENTRY.replace("mechanical", "electric"), "made_up: missing or unknown: 'electric'"),
+    (MADE_UP, ENTRY.replace("shows", "display"), "made_up: missing or unknown: .* 'display'"),
+    (MADE_UP, ENTRY.replace("source", "form"), "made_up: missing or unknown: 'source'"),
+    (MADE_UP, ENTRY.replace("unit:", "units:"), "made_up: missing or unknown: .* 'units'"),
+    (MADE_UP, ENTRY.replace("rate: {", "rate: 1\n    low: {"), "made_up: missing .* not a mapping"),
+])  # fmt: skip
+def test_an_effect_whose_declaration_is_broken_is_named(tmp_path, file, entry, said):
+    if file is not None:
+        (tmp_path / "made_up.py").write_text(file)
+    with pytest.raises(ValueError, match=said) as error:
+        declared_effects(yaml.safe_load(entry), tmp_path)
+    assert "\n" not in str(error.value)

@@ -1,6 +1,7 @@
 """What the paper's model leaves out, one effect a file; each is off until its numbers are set.
 
-An effect's numbers are ordinary parameters, so every simulation, node and file takes effects:
+An effect's numbers (parameters/effects.yaml) are ordinary parameters, which every simulation, node
+and file takes:
 
     parameters.replace(effect_values("side_heat_coupling", 0.01))
     simulate(parameters, time, voltage).temperature_reading

@@ -15,32 +15,8 @@ exactly over a step in which heat, air and the other side's silicone stay.
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.latent_heat import latent_rise
-
-EFFECT = Effect(
-    "thermal",
-    (Parameter("heat_capacity", "J/K", 0.0,
-               "C_e, heat capacity of the silicone that a wire warms; 0 is off.",
-               "assumed: 1 to 90 times the wire's", 0.0, 20.0, uncertainty=0.5),
-     Parameter("inner_share", "1", 0.5,
-               "Share of the resistance from wire to air that lies between wire and silicone.",
-               "assumed: half", 0.02, 0.98, uncertainty=0.2),
-     Parameter("clamp_conductance", "W/K", 0.0, "G_k, between a wire and its clamp; 0 is off.",
-               "assumed: a fraction of h A_c", 0.0, 1.0, uncertainty=0.01),
-     Parameter("clamp_time", "s", 20.0, "Time in which the clamp warms with the wire.",
-               "assumed: seconds to minutes", 0.1, 1e4, uncertainty=20.0)),
-    shows="fast part and slow part in every heating and cooling; rests too short for the slow part "
-    "leave the wire warm",
-    loads=("beam",), marks=("HEATED_OTHERWISE", "EVOLVES"),
-    forms={"matrix": ("heat_capacity", "inner_share"),
-           "clamp": ("clamp_conductance", "clamp_time")},
-    columns={"heat_capacity": "MATRIX_CAPACITY", "inner_share": "MATRIX_INNER_SHARE",
-             "clamp_conductance": "CLAMP_CONDUCTANCE", "clamp_time": "CLAMP_TIME"},
-    state=("MATRIX_RISE", "CLAMP_RISE"),
-    scratch=("BESIDE", "BESIDE_TEMPERATURE", "OPPOSITE_MATRIX", "MATRIX_START", "MATRIX_LAG"),
-)
 
 _LEAST = 1e-9  # J/K; less than that is as good as none, and its rates would be out of range
 

@@ -15,30 +15,9 @@ NiTi from Brinson (1993), whose martensite detwins from 100 to 170 MPa over a st
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 HARDENING = (170e6 - 100e6) / 0.067  # Pa
-
-EFFECT = Effect(
-    "mechanical",
-    (Parameter("engagement", "1", 0.0,
-               "Share of the other side's bending that reaches a wire; 0 is off.",
-               "assumed: 1 where the wires neither slip nor buckle", 0.0, 1.0, uncertainty=0.2),
-     Parameter("detwinning_stress", "Pa", 100e6,
-               "Stress at which the passive martensite gives way.", "assumed: 50 to 200 MPa", 1e6,
-               1e9, uncertainty=60e6),
-     Parameter("channel_friction", "Pa", 0.0, "sigma_f of wires that rub in channels; 0 is off.",
-               "assumed: a few percent of a pull", 0.0, 100e6, uncertainty=3e6)),
-    shows="less deflection than one side alone would give, a rest deflection after large strokes, "
-    "and a larger stroke of the other side when it is heated next",
-    acts_on=("deflection",), loads=("beam",), marks=("PULLS_OTHERWISE",), row="side",
-    forms={"stretched": ("engagement", "detwinning_stress"), "rubbing": ("channel_friction",)},
-    columns={"engagement": "ENGAGEMENT", "detwinning_stress": "DETWINNING_STRESS",
-             "channel_friction": "FRICTION"},
-    state=("DETWINNED", "YIELDING", "PASSIVE_FRACTION", "PASSIVE_BENDING"),
-    scratch=("PASSIVE_MODULUS", "PASSIVE_LIMIT", "PASSIVE_HARDENING"),
-)
 
 
 @borrowing

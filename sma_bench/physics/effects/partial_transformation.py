@@ -24,33 +24,11 @@ With `wire.law` normal, which has inner loops of its own, it is refused.
 import math
 
 from sma_bench.compiled import borrowing, inlined
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 TINY = 1e-12
 ROUNDED = 1e-3  # of p = 1, whose q would be infinite
 TURN_DEPTH = 6  # reversals that are remembered, each as xi, f, g
-
-EFFECT = Effect(
-    "transformation",
-    (Parameter("memory", "1", 0.0,
-               "0: loops start at once where they are turned (contract); 1: they stay flat until "
-               "they meet the full loop.", "assumed: between the two", -0.5, 1.0, uncertainty=0.4),
-     Parameter("return_point", "1", 0.0,
-               "0: inner loops run on to the origin (contract); 1: they close where they were "
-               "opened.", "assumed: between the two", 0.0, 1.0, uncertainty=0.4)),
-    shows="full loops fit, partial ones do not: deflection lingers or runs ahead after a turn "
-    "inside the loop",
-    acts_on=("deflection",), laws=("cosine", "exponential", "logistic", "brinson", "extended"),
-    marks=("EVOLVES",),
-    columns={"memory": "MEMORY", "return_point": "RETURN_POINT"},
-    state=(
-        "TURNS",
-        "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
-        "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
-        "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES", "TURN_STATES",
-    ),
-)
 
 
 @inlined

@@ -9,33 +9,7 @@ strain's part of the geometry is within a.
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
-
-EFFECT = Effect(
-    "electrical",
-    (Parameter("austenite_change", "1", 0.0,
-               "R of austenite over R of martensite, less 1; 0 is off.",
-               "assumed: resistivities of NiTi differ by up to 25 %, either way", -0.5, 1.0,
-               uncertainty=0.12),
-     Parameter("temperature_coefficient", "1/K", 0.0, "Relative rise of R a kelvin above ambient.",
-               "assumed: below that of pure metals", -2e-3, 5e-3, uncertainty=2e-4),
-     Parameter("hump", "1", 0.0, "What R has more half way, of martensite's; 0 is off.",
-               "assumed: R-phase, to 20 %", -0.5, 1.0, uncertainty=0.1),
-     Parameter("martensite_coefficient", "1/K", 0.0,
-               "Relative rise of R a kelvin above ambient that martensite has alone.",
-               "assumed: below that of pure metals", -5e-3, 1e-2, uncertainty=5e-4)),
-    shows="current at the same voltage changes while the wire transforms, and with it the heating; "
-    "V over I runs a loop over temperature",
-    acts_on=("current", "temperature", "deflection"), marks=("HEATED_OTHERWISE",),
-    forms={"mixture": ("austenite_change", "temperature_coefficient"),
-           "intermediate": ("austenite_change", "hump"),
-           "warm_martensite": ("austenite_change", "martensite_coefficient")},
-    columns={"austenite_change": "AUSTENITE_RESISTANCE", "hump": "RESISTANCE_HUMP",
-             "temperature_coefficient": "RESISTANCE_SLOPE",
-             "martensite_coefficient": "MARTENSITE_RESISTANCE_SLOPE"},
-)
-
 
 LEAST = 0.05  # of R, where a falling line would leave its physics
 

@@ -8,19 +8,7 @@ that load decides the strain (brinson, extended) have it by themselves: it is re
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
-
-EFFECT = Effect(
-    "mechanical",
-    (Parameter("share", "1", 0.0,
-               "Share of the strain recovered so far that stays when the wire cools; 0 is off.",
-               "assumed: 1 to 30 % of the stroke", -0.2, 0.8, uncertainty=0.1),),
-    shows="after the first drive the deflection does not return to zero at rest, and stays there",
-    acts_on=("deflection",), laws=("cosine", "exponential", "logistic", "normal"),
-    marks=("EVOLVES", "PULLS_OTHERWISE"),
-    columns={"share": "RESIDUAL_SHARE"}, constants=("FULL_STRAIN",), state=("MOST_AUSTENITE",),
-)
 
 
 @borrowing

@@ -10,24 +10,7 @@ convection off a wire below.
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
-
-EFFECT = Effect(
-    "thermal",
-    (Parameter("conductance", "W/K", 0.0,
-               "G, heat from a wire to those of the other side, a kelvin; 0 is off.",
-               "assumed: 0.15 to 0.24 W/(m K) of wire length", 0.0, 0.5, uncertainty=0.01),
-     Parameter("plume", "1", 0.0,
-               "Share of a side's warmth that the air around the other has: the back above 0, the "
-               "front below; 0 is off.", "assumed: to a half", -0.9, 0.9, uncertainty=0.15)),
-    shows="a wire without voltage warms while the other side is driven; the driven one stays "
-    "cooler",
-    loads=("beam",), marks=("HEATED_OTHERWISE",),
-    forms={"conduction": ("conductance",), "plume": ("plume",)},
-    columns={"conductance": "ACROSS", "plume": "PLUME"},
-    scratch=("OPPOSITE",),
-)
 
 
 @borrowing

@@ -13,25 +13,9 @@ strand, or stretches of a sleeve, that come straight evenly over 0 to 2 q (Lanir
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 ASTRAY = 1e-9  # of contraction
-
-EFFECT = Effect(
-    "mechanical",
-    (Parameter("strain", "1", 0.0, "Contraction that a wire takes up before it pulls; 0 is off.",
-               "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3),
-     Parameter("soft_strain", "1", 0.0,
-               "q, contraction that is taken up little by little; 0 is off.",
-               "assumed: to 1 %", 0.0, 0.03, uncertainty=3e-3)),
-    shows="deflection starts late and stops early in every stroke; small strokes are missing "
-    "altogether",
-    acts_on=("deflection",), loads=("beam", "spring"), marks=("PULLS_OTHERWISE",), row="side",
-    forms={"hard": ("strain",), "soft": ("soft_strain",)},
-    columns={"strain": "SLACK", "soft_strain": "SOFT_SLACK"}, state=("TAUT",),
-    scratch=("PULLED_FROM", "PULLED_TO", "PULLED_SLOPE"),
-)
 
 
 @borrowing

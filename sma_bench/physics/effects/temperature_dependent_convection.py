@@ -7,20 +7,8 @@ and radiation (T^4) are within a few percent of a line.
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 from sma_bench.physics.material import free_loss
-
-EFFECT = Effect(
-    "thermal",
-    (Parameter("rise", "1/K", 0.0, "Relative rise of h a kelvin above ambient; 0 is off.",
-               "assumed: natural convection and radiation, +25 % from 320 to 420 K", -2e-3, 2e-2,
-               uncertainty=2.5e-3),),
-    shows="steady temperatures fall short of V^2 when hot; cooling is faster when hot than when "
-    "warm",
-    marks=("HEATED_OTHERWISE",), columns={"rise": "CONVECTION_RISE"},
-    beside=("wire.heat_transfer_coefficient",),  # h at T_inf; a mean h would do nothing in the mean
-)
 
 _LEAST = 0.05
 

@@ -10,28 +10,7 @@ mean delay and width of an average over t_e.
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
-
-EFFECT = Effect(
-    "sensor",
-    (Parameter("time_constant", "s", 0.0, "Time constant of the temperature reading; 0 is off.",
-               "assumed: 0.05 to 2 s", 0.0, 20.0, uncertainty=0.5),
-     Parameter("slow_share", "1", 0.0, "Share of the reading that follows slowly; 0 is off.",
-               "assumed: to a half", 0.0, 0.9, uncertainty=0.15),
-     Parameter("slow_time", "s", 5.0, "Time constant of that share.", "assumed: seconds", 0.05,
-               200.0, uncertainty=5.0),
-     Parameter("exposure", "s", 0.0, "Time over which a camera averages; 0 is off.",
-               "assumed: to 1 s", 0.0, 20.0, uncertainty=0.5)),
-    shows="readings round off and follow late, heating and cooling alike; the deflection is on "
-    "time",
-    acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),
-    forms={"first_order": ("time_constant",),
-           "slow_share": ("time_constant", "slow_share", "slow_time"), "exposure": ("exposure",)},
-    columns={"time_constant": "READING_LAG", "slow_share": "SLOW_SHARE", "slow_time": "SLOW_TIME",
-             "exposure": "EXPOSURE"},
-    state=("SEEN", "FAST", "SLOW", "EXPOSED", "EXPOSED_TWICE"),
-)
 
 
 @borrowing

@@ -9,26 +9,8 @@ Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K.
 """
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.side_heat_coupling import opposite_temperature
-
-EFFECT = Effect(
-    "sensor",
-    (Parameter("missing", "1", 0.0,
-               "Share of the infrared spot that sees the background instead of the wire; 0 is off.",
-               "assumed: wire as thin as a pixel, up to 0.6", 0.0, 0.9, uncertainty=0.2),
-     Parameter("walking", "1", 0.0,
-               "Share of the spot that the wire has left at a contraction of 1 %; 0 is off.",
-               "assumed: up to 0.5", 0.0, 2.0, uncertainty=0.15),
-     Parameter("opposite", "1", 0.0,
-               "Share of the spot that sees the wires of the other side; 0 is off.",
-               "assumed: up to 0.5", 0.0, 0.9, uncertainty=0.2)),
-    shows="all excess temperatures read low by one factor; the deflection knows nothing of it",
-    acts_on=("temperature",), marks=("EVOLVES", "READ_OTHERWISE"),
-    forms={"background": ("missing",), "walking": ("walking",), "opposite": ("opposite",)},
-    columns={"missing": "MISSING_SPOT", "walking": "WALKING_SPOT", "opposite": "OPPOSITE_SPOT"},
-)
 
 _EXPONENT = 4.5
 _PER_CENT = 0.01

@@ -17,24 +17,8 @@ from numpy.typing import ArrayLike
 from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 from sma_bench.physics.laws import exponential, logistic
-
-EFFECT = Effect(
-    "transformation",
-    (Parameter("logistic", "1", 0.0, "Share of the logistic law; 0 is off.",
-               "assumed: soft ends of polycrystals", 0.0, 1.0, uncertainty=0.5),
-     Parameter("exponential", "1", 0.0, "Share of the exponential law; 0 is off.",
-               "assumed: sharp starts", 0.0, 1.0, uncertainty=0.5)),
-    shows="transformations begin or end more sharply or more softly than a cosine, on every stroke "
-    "alike",
-    acts_on=("deflection",), laws=("cosine",),
-    forms={"logistic": ("logistic",), "exponential": ("exponential",)},
-    beside=("wire.austenite_start_temperature", "wire.austenite_finish_temperature",
-            "wire.martensite_start_temperature", "wire.martensite_finish_temperature"),
-    columns={"logistic": "LOGISTIC_SHARE", "exponential": "EXPONENTIAL_SHARE"},
-)
 
 # Deviation of the grains' places over a range of 1, by the cosine and by both laws.
 _COSINE = math.sqrt(0.25 - 2.0 / math.pi**2)
@@ -58,7 +42,8 @@ def mixed(wires, i, position, share, slope):
 def mixture(position: ArrayLike, share: Array, parameters: Parameters) -> Array:
     """The same of arrays."""
     away = np.asarray(position, float) - 0.5
-    soft, sharp = (parameters[f"effect.transformation_law.{n}"] for n in EFFECT.forms or ())
+    soft = parameters["effect.transformation_law.logistic"]
+    sharp = parameters["effect.transformation_law.exponential"]
     soft, sharp = (own / max(1.0, soft + sharp) for own in (soft, sharp))
     of_soft = logistic.share(0.5 + away * _WIDER)
     of_sharp = exponential.share(_LATER + away * _LONGER)

@@ -12,33 +12,7 @@ Source: functional fatigue of NiTi wires, saturating with the number of transfor
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
-
-EFFECT = Effect(
-    "transformation",
-    (Parameter("shift", "K", 0.0,
-               "Shift of all transition temperatures after many cycles; 0 is off.",
-               "assumed: fatigue, up to 10 K", -30.0, 30.0, uncertainty=5.0),
-     Parameter("cycles", "1", 3.0,
-               "n_0, transformations there and back after which 63 % of the shift is done.",
-               "assumed: the first cycles shift most", 0.2, 1000.0, uncertainty=2.0),
-     Parameter("plastic_strain", "1", 0.0, "Elongation that grows with the shift.",
-               "assumed: up to 0.5 %", -0.02, 0.02, uncertainty=5e-4),
-     Parameter("martensite_shift", "K", 0.0,
-               "Shift of martensite's temperatures beyond that of all; 0 is off.",
-               "assumed: the hysteresis of NiTi narrows as it is trained", -30.0, 30.0,
-               uncertainty=5.0)),
-    shows="the first cycle fits and later ones do not, or the other way round; repeated drives "
-    "differ",
-    acts_on=("deflection",), marks=("EVOLVES",),
-    forms={"all": ("shift", "cycles", "plastic_strain"),
-           "martensite": ("martensite_shift", "cycles", "plastic_strain")},
-    columns={"shift": "FINAL_SHIFT", "cycles": "SHIFT_CYCLES", "plastic_strain": "FINAL_PLASTIC",
-             "martensite_shift": "MARTENSITE_FINAL_SHIFT"},
-    constants=("AUSTENITE_FINISH_FRESH", "MARTENSITE_FINISH_FRESH"),
-    state=("CYCLES", "TURNED_CYCLES"),
-)
 
 
 @borrowing

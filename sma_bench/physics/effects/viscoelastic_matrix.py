@@ -11,30 +11,9 @@ step.
 import math
 
 from sma_bench.compiled import borrowing
-from sma_bench.parameters.parameter import Effect, Parameter
 from sma_bench.physics import columns as at
 
 APART = 8.0  # of the times of a spread, from its middle
-
-EFFECT = Effect(
-    "mechanical",
-    (Parameter("relaxation", "1", 0.0,
-               "Stiffness that relaxes over the stiffness that stays; 0 is off.",
-               "assumed: 5 to 20 % of silicones", 0.0, 3.0, uncertainty=0.2),
-     Parameter("time_constant", "s", 20.0, "Time constant of the relaxation.",
-               "assumed: 1 to 300 s", 0.2, 2000.0, uncertainty=15.0),
-     Parameter("spread_relaxation", "1", 0.0,
-               "The same of stiffness that relaxes over a spread of times; 0 is off.",
-               "assumed: 5 to 20 % of silicones", 0.0, 3.0, uncertainty=0.2)),
-    shows="deflection creeps on under constant temperature and comes back slowly at rest, to zero",
-    acts_on=("deflection",), loads=("beam",), marks=("PULLS_OTHERWISE",), row="side",
-    forms={"one": ("relaxation", "time_constant"),
-           "spread": ("spread_relaxation", "time_constant")},
-    columns={"relaxation": "RELAXATION", "time_constant": "RELAXATION_TIME",
-             "spread_relaxation": "SPREAD_RELAXATION"},
-    state=("RELAXED", "RELAXED", "RELAXED"),
-    scratch=("RELAXING_FROM", "RELAXING_STIFFNESS", "RELAXING_LOAD"),
-)
 
 
 @borrowing
