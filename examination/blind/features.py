@@ -46,6 +46,7 @@ _STREAM = 2_000_003  # apart from those that cases are made of
 def library_hash() -> str:
     """Of all that a search depends on."""
     paths = sorted(p for room in _LIBRARY for p in (PACKAGE / room).rglob("*.py"))
+    paths.append(PACKAGE / "parameters" / "effects.yaml")
     own = hashlib.sha256()
     for path in paths:
         if path.name not in _NOT_ITS:
