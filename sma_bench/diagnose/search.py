@@ -13,7 +13,7 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
 from sma_bench.diagnose.process_noise import process_noise
-from sma_bench.estimation.laws import starts
+from sma_bench.estimation.laws import nearest_starts, starts
 from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
@@ -224,14 +224,7 @@ def _where_it_moves(
     shown = [np.ptp(here[b.rows]) for b in moved]
     if all(a > _STANDS_STILL * b for a, b in zip(shown, reach, strict=True)):
         return []
-    drawn = starts(unknowns, _DRAWN)
-    benches = [unknowns.parameters(np.clip(x, *unknowns.bounds())) for x in drawn]
-    readings = problem.coarse.predict_many(benches)
-    missed = [
-        sum(np.std(b.signal.value - one[b.rows]) / r for b, r in zip(moved, reach, strict=True))
-        for one in readings.T
-    ]
-    return [drawn[k] for k in np.argsort(missed)[:_STARTED]]
+    return nearest_starts(problem, unknowns, _DRAWN)[:_STARTED]
 
 
 def _surprises(fitted: Fit) -> bool:

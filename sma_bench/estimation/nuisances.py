@@ -144,12 +144,12 @@ def nuisances_about(
 
 def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:
     """The bench in a run whose `STATES` are so many standard deviations away."""
-    return parameters.replace({
-        name: parameters[name] + far * STATES[name] * (
-            1.0 if BY_NAME[name].unit == "K" else parameters[name]
-        )
-        for name, far in away.items()
-    })
+    there = {}
+    for name, far in away.items():
+        unit = 1.0 if BY_NAME[name].unit == "K" else parameters[name]
+        value = parameters[name] + far * STATES[name] * unit
+        there[name] = min(max(value, BY_NAME[name].low), BY_NAME[name].high)
+    return parameters.replace(there)
 
 
 @dataclass(frozen=True, eq=False)

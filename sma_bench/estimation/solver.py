@@ -241,10 +241,12 @@ def fit_imperfect(
     for states in (0.0, 1.0) if several else (0.0,):
         fitted = best
         for number in range(_MOST_ROUNDS):
-            weighed = first.with_nuisances(fitted.parameters, states).with_weights(fitted.left)
+            x = _with_common_states(fitted)
+            there = first.with_nuisances(unknowns.parameters(x), states)
+            weighed = there.with_weights(fitted.left)
             if number >= _WEIGHT_ROUNDS and weighed.weighs_like(fitted.problem):
                 break
-            fitted = fit(weighed, unknowns, fitted.x, rounds=1, keep_noise=True)
+            fitted = fit(weighed, unknowns, x, rounds=1, keep_noise=True)
             states = _scale_of_states(fitted)
         found.append(fitted)
     return found, tried
@@ -276,6 +278,18 @@ def log_evidence(fitted: Fit, readings: float) -> float:
     moved = float(fitted.x @ fitted.x + fitted.z @ fitted.z)
     freedom = float(np.linalg.slogdet(fitted.joint)[1])
     return -0.5 * (USUAL_WEIGHT + readings) * float(np.log(spread)) - 0.5 * moved + 0.5 * freedom
+
+
+def _with_common_states(fitted: Fit) -> Array:
+    """(k,) where it ended, and what all its runs differ by alike in the bench's own numbers: no
+    step of a fit goes so far, as what the one takes the other has to give back exactly."""
+    unknowns, runs = fitted.unknowns, len(fitted.problem.observations)
+    values = dict(zip(unknowns.names, unknowns.values(fitted.x).tolist(), strict=True))
+    items = [item for own in fitted.problem.nuisances for item in own.items]
+    for item, z in zip(items, fitted.z.tolist(), strict=True):
+        if item.kind == STATE and item.subject in values:
+            values[item.subject] += item.std * z / runs
+    return np.clip(unknowns.x_of(values.values()), *unknowns.bounds())
 
 
 def _scale_of_states(fitted: Fit) -> float:
