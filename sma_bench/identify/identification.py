@@ -113,9 +113,11 @@ def identify(
                 run.fail(name, str(error))
     _thermal(run, drives, reporter)
 
-    # E0 on all records whose wires are driven and read, where no staircase was found in any.
+    # E0 on all records whose wires are driven and read, where no staircase was found in any, or
+    # where staircases give steady states alone and nobody knows how fast a wire warms.
     driven = None
-    excited = [] if run.of("E1") or run.of("E2") or run.of("E9") else [
+    slow = not (run.of("E1") or run.of("E3") or _C_P in parameters.given)
+    excited = [] if (run.of("E1") or run.of("E2")) and not slow or run.of("E9") else [
         record for record in still
         if any(
             own is record and np.ptp(samples(own, f"{drive.channel}.voltage")[1]) > _LEAST_DRIVE

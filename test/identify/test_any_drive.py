@@ -11,6 +11,7 @@ from wire_records import Sensors, Wire, record_of
 
 import sma_bench
 from sma_bench.errors import InputError
+from sma_bench.records.record import first_order_lag
 
 TRUTH = {"wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0,
          "wire.specific_heat": 500.0}  # fmt: skip
@@ -57,3 +58,32 @@ def test_a_wire_at_rest_or_not_read_has_nothing_to_identify():
     for record in (record_read(lambda t: 0.0 * t), record_read(random_binary, ("voltage",))):
         with pytest.raises(InputError, match="E0"):
             sma_bench.identify(record, LAB)
+
+
+def test_steps_and_a_slow_thermometer_alone_predict_other_steps():
+    """Steady states tell the loss of heat; how fast a wire warms, and the thermometer, one fit of
+    all, though nobody states mass or area."""
+    def steps(t):
+        return np.array([0.0, 0.5, 0.9, 0.7, 0.3, 0.0])[np.minimum(t / 14.0, 5.0).astype(int)]
+
+    def lagged(time, kelvin, seconds):
+        even = np.arange(time[0], time[-1], 0.02)
+        late = first_order_lag(np.interp(even, time, kelvin), np.exp(-0.02 / seconds), kelvin[0])
+        return np.interp(time, even, late)
+
+    def seen(drive):
+        record = record_read(drive, ("voltage", "temperature"))
+        own = record["wire.temperature"]
+        late = lagged(own.time, own.values, 1.0)
+        return replace(record, signals={**record.signals, own.name: replace(own, values=late)})
+
+    stated = {name: LAB[name] for name in ("bench.channels", "bench.channel_sides")}
+    found = sma_bench.identify(seen(steps), {**stated, "wire.resistance": 3.0})
+    assert [e.name for e in found.experiments] == ["E2", "E0"]
+    lag = found.estimates["sensor.temperature.lag"]
+    assert abs(lag.value - 1.0) < 3.0 * lag.std < 0.3
+    other = seen(random_binary)["wire.temperature"]
+    model = sma_bench.simulate(seen(random_binary), found.parameters)
+    read = lagged(model.time, model.temperature[:, 0], lag.value)
+    missed = np.interp(other.time, model.time, read) - other.values
+    assert np.std(missed) < 0.02 * np.ptp(other.values)
