@@ -76,7 +76,7 @@ def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
     """The same, another law of the phase named where it shows: it is free in every candidate, as
     real kinetics are never quite a cosine. Alone it is a cause in recalibration's place, with an
     effect a second one, or a remark."""
-    found = []
+    found, emptied = [], list[Candidate]()
     for one in candidates:
         if one.fit is None or one.probability < WORTH_SAYING or one.name == NO_GAP:
             found.append(one)
@@ -85,7 +85,7 @@ def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
         share = gap / max(one.gap_over_noise, gap, 1e-3)
         shows = gap >= LAW_SHOWS and gain > LAW_SURE
         if shows and one.name == RECALIBRATION:
-            stage = EFFECTS[LAW_EFFECT].stage
+            stage, emptied = EFFECTS[LAW_EFFECT].stage, [replace(one, probability=0.0)]
             one = replace(one, name=LAW_EFFECT, stage=stage, parameters=numbers,
                           gap_over_noise=gap, log_evidence=gain)  # fmt: skip
         elif shows and len(one.effects) == 1 and share >= REMARK:
@@ -94,7 +94,7 @@ def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
         elif shows:
             one = replace(one, beside={**one.beside, LAW_EFFECT: share})
         found.append(one)
-    return tuple(found)
+    return (*found, *emptied)
 
 
 def law_of(fitted: Fit) -> tuple[float, float, dict[str, Estimate]]:

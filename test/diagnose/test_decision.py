@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate, named, verdict_of
 from sma_bench.diagnose.diagnosis import stages_of
 from sma_bench.diagnose.facts import Facts, Weighed
@@ -186,3 +187,15 @@ def test_a_tie_of_two_is_settled_where_they_differ_and_a_rival_does_not_stay_in_
     rival = {"slack": 14.0, "residual_strain": 3.0, "transition_drift": 14.0}
     assert after(apart(1e3, *ALL), **rival).named < 0.1
     assert after(apart(1e3, *ALL, "transition_drift"), **rival).named > 0.9
+
+
+def test_another_law_in_recalibrations_place_leaves_every_answer_complete(monkeypatch):
+    monkeypatch.setattr(decision, "law_of", lambda fitted: (10.0, 50.0, {}))
+    shares = {"recalibration": 0.6, "slack": 0.3, "unexplained": 0.06, "no_gap": 0.04}
+    given = [
+        Candidate(name, p, gap_over_noise=8.0, fit=None if name == "unexplained" else object())
+        for name, p in shares.items()
+    ]
+    found = {one.name: one.probability for one in decision.with_law(given)}
+    assert found == {"transformation_law": 0.6, "slack+transformation_law": 0.3,
+                     "unexplained": 0.06, "no_gap": 0.04, "recalibration": 0.0}  # fmt: skip
