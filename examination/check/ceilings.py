@@ -85,7 +85,7 @@ def main(argv: Sequence[str] | None = None) -> int:
                 shutil.copytree(whole.answers / DIAGNOSIS / name, answers / name)
         examinee = blind.Examinee(DIAGNOSE, options.time_limit)
         due = blind.open_cases(cases.names, answers)
-        blind.examine(examinee, due, cases.folder, answers)
+        blind.examine(examinee, due, cases.folder, answers, jobs=2)
         scores += score(cases, handed_in(cases, [answers]), labels)
     print(*as_markdown(("measure", *COLUMNS), side_by_side(scores, TARGETS)), sep="\n")
     print(
@@ -160,7 +160,7 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
     for number, record in enumerate((blind.RECORD, blind.HOLD_OUT)):
         drive = stage.drives[record]
         time = drive.grid(COMMAND_PERIOD)
-        found = simulate_finely(bench, time, drive.voltage(time))
+        found = simulate_finely(bench, time, drive.voltage(time, stage.sides))
         outcome = Outcome(time, found.voltage, found.current, found.temperature_reading,
                           found.temperature_reading, found.martensite_fraction, found.stress,
                           found.deflection_reading, found.bending,
