@@ -198,13 +198,13 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
 
     # The bench's true parameters, a product's as a whole.
     unknowns = best.unknowns
-    values = dict(zip(unknowns.names, unknowns.values(best.x).tolist(), strict=True))
-    for item in unknowns.items[: unknowns.bench]:
+    values = unknowns.values(best.x).tolist()
+    for k, item in enumerate(unknowns.items[: unknowns.bench]):
         if item.name in label["truth"]:
-            values[item.name] = label["truth"][item.name]
+            values[k] = label["truth"][item.name]
             if item.partner:
-                values[item.name] *= label["truth"][item.partner] / believed[item.partner]
-    true = unknowns.x_of(values.values())[: unknowns.bench]
+                values[k] *= label["truth"][item.partner] / believed[item.partner]
+    true = unknowns.x_of(values)[: unknowns.bench]
     again = fit(best.problem, unknowns, np.concatenate([true, best.x[unknowns.bench :]]), far=True)
     most = max(again.evidence, best.evidence)
     return float(again.evidence - best.evidence), float(most - without)
