@@ -245,11 +245,11 @@ def tables(one: Score) -> list[str]:
             header = ("", "cases", *row)
         if body:
             lines += ["", f"{name.capitalize()}:", "", *as_markdown(header, body)]
-    told = np.array([s for c in one.cases if (s := c.facts["stated"])], dtype=float)
-    if len(told):
+    said = np.array([s for c in one.cases if (s := c.facts["stated"])], dtype=float)
+    if len(said):
         lines += ["", "What is stated of the first choice, and the share that is right, with "
                   "intervals that hold together in 95 %:", ""]
-        body = stated_and_right(*told.T, np.ones(len(told)))
+        body = stated_and_right(*said.T, np.ones(len(said)))
         lines += as_markdown(("stated", "cases", "mean", "right"), body)
     choices = []
     for truth, row in confusion(one.cases).items():

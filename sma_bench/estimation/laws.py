@@ -189,7 +189,8 @@ def nearest_starts(problem: Problem, unknowns: Unknowns, drawn: int) -> list[Arr
     benches = [unknowns.parameters(np.clip(x, *unknowns.bounds())) for x in tries]
     readings = problem.coarse.predict_many(benches)
     missed = sum(
-        np.std(b.signal.value[:, np.newaxis] - readings[b.rows], axis=0) / np.ptp(b.signal.value)
+        np.std(b.signal.value[:, np.newaxis] - readings[b.rows], axis=0)
+        / max(np.ptp(b.signal.value), b.signal.noise)
         for b in problem.blocks if b.signal.quantity in MOVED
     )
     return [tries[k] for k in np.argsort(missed)]

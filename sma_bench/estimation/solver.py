@@ -283,13 +283,14 @@ def log_evidence(fitted: Fit, readings: float) -> float:
 def _with_common_states(fitted: Fit) -> Array:
     """(k,) where it ended, and what all its runs differ by alike in the bench's own numbers: no
     step of a fit goes so far, as what the one takes the other has to give back exactly."""
-    unknowns, runs = fitted.unknowns, len(fitted.problem.observations)
-    values = dict(zip(unknowns.names, unknowns.values(fitted.x).tolist(), strict=True))
-    items = [item for own in fitted.problem.nuisances for item in own.items]
+    unknowns, runs, x = fitted.unknowns, len(fitted.problem.observations), fitted.x.copy()
+    own = {item.name: (k, item) for k, item in enumerate(unknowns.items)}
+    items = [item for nuisances in fitted.problem.nuisances for item in nuisances.items]
     for item, z in zip(items, fitted.z.tolist(), strict=True):
-        if item.kind == STATE and item.subject in values:
-            values[item.subject] += item.std * z / runs
-    return np.clip(unknowns.x_of(values.values()), *unknowns.bounds())
+        if item.kind == STATE and item.subject in own:
+            k, unknown = own[item.subject]
+            x[k] = unknown.x_of(unknown.value(x[k]) + item.std * z / runs)
+    return np.clip(x, *unknowns.bounds())
 
 
 def _scale_of_states(fitted: Fit) -> float:

@@ -104,22 +104,22 @@ def identify_driven_wires(
     observations = [observe(record, parameters, shortest, _THERMAL) for record in records]
     title = "Joint fit of a drive that was made for something else"
     fitted = fit_experiment("E0", title, observations, parameters, report, most_starts=2)
-    told = {n: e for n, e in fitted.estimates.items()
+    found = {n: e for n, e in fitted.estimates.items()
             if n in (*HEAT, CAMERA_LAG) and e.informed >= _UNINFORMED}  # fmt: skip
-    # A product of which nobody knows a factor is told with the default of the other one.
+    # A product of which nobody knows a factor is found with the default of the other one.
     for name, (what, _, symbol) in _UNITS.items():
         partner, product = PRODUCTS[name], fitted.details.get(what)
         if product and product.informed >= _UNINFORMED and partner not in parameters.given:
             own, factor = fitted.estimates[name], parameters[partner]
             value, words = product.value / factor, f"{partner} {factor:.4g} taken as exact"
-            told[name] = Estimate(
+            found[name] = Estimate(
                 value, product.std / factor, own.unit, f"{symbol}, {words}", product.n,
                 informed=product.informed,
             ).with_shares({of: value / own.value * share for of, share in own.shares.items()})
-    if not told.keys() - {"environment.ambient_temperature"}:
+    if not found.keys() - {"environment.ambient_temperature"}:
         raise InputError(f"{fitted.source}: the drive excites nothing that R, h or c_p show in")
-    remarks = (remark("one fit of all", names=", ".join(told)), *fitted.findings)
-    return replace(fitted, estimates=told, findings=remarks)
+    remarks = (remark("one fit of all", names=", ".join(found)), *fitted.findings)
+    return replace(fitted, estimates=found, findings=remarks)
 
 
 def fit_experiment(

@@ -143,7 +143,7 @@ EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
 Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
 LOAD_KINDS = ("clamped", "displacement", "force", "spring", "antagonist", "beam")
 LAWS = ("cosine", "exponential", "logistic", "normal", "brinson", "extended")
-# Drives that hold what they are told whatever the resistance, and their number in the core.
+# Drives that hold what is commanded, whatever the resistance, and their number in the core.
 SOURCES = {"current": 1.0, "power": 2.0}
 CHOICES = {  # of texts; "" is what `parameters.load_kind` finds by the channels
     "load.kind": ("", *LOAD_KINDS), "bench.drive": ("voltage", "duty", "current", "power"),
