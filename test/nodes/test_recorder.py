@@ -1,5 +1,6 @@
 """The recorder as a process: everything of its bench, readable whenever it dies."""
 
+import itertools
 import json
 import resource
 import signal
@@ -89,13 +90,14 @@ def test_a_full_disk_is_one_line_and_what_was_written_stays_readable(bench, tmp_
     node = bench.start("recorder", output=tmp_path / "bag")
     resource.prlimit(node.process.pid, resource.RLIMIT_FSIZE, (60_000, 60_000))
     bench.until(lambda: publisher.get_subscription_count() and bench.diagnostics)  # it is heard
-    published = 0
-    while node.process.poll() is None:
-        for _ in range(20):
-            published += 1
-            publisher.publish(Float64MultiArray(data=[float(published * 37 % 101)] * 40))
-        bench.until(lambda: True)
-        assert published < 200_000
+    numbers = itertools.count()
+
+    def publish_until_it_ends():
+        for k in itertools.islice(numbers, 20):
+            publisher.publish(Float64MultiArray(data=[float(k * 37 % 101)] * 40))
+        return node.process.poll() is not None
+
+    bench.until(publish_until_it_ends, patience=120.0)
     said = "cannot be written: File too large"
     assert node.ended_with(2, said)
     assert said in [line for line in node.output.splitlines() if "recorder]: " in line][-1]
