@@ -16,14 +16,11 @@ from typing import TYPE_CHECKING
 
 from sma_bench.commands import COMMANDS
 from sma_bench.errors import InputError, did_you_mean
-from sma_bench.installation import VERSION
+from sma_bench.installation import VERSION, one_blas_thread
 from sma_bench.lifeline import end_with_parent
 
 if TYPE_CHECKING:
     import click
-
-# The fits' matrices are small: BLAS threads that wait for each other only slow them down.
-_BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 # Objects made between two searches for circular garbage, instead of Python's 700: numba and scipy
 # bring many objects and none of that, and a short command spends some hundredths on looking.
@@ -52,8 +49,7 @@ sma-bench COMMAND --help shows the options of a command, sma-bench --version the
 
 def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
-    for variable in _BLAS_THREADS:
-        os.environ.setdefault(variable, "1")
+    one_blas_thread()
     gc.set_threshold(_GARBAGE)
     warnings.showwarning = _show_warning
     end_with_parent(inherited=True)

@@ -8,7 +8,6 @@ import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from multiprocessing import parent_process
@@ -156,10 +155,11 @@ def _cache_folder(room: Path) -> Path | None:
 
 
 # --- Work side by side in threads: the compiled core lets go of the interpreter's lock, and most of
-# a fit is the core's. One level of it: what a thread calls runs in that thread.
+# a fit is the core's. Two run at a time, whatever calls whatever: work that is divided within one
+# thread gets the other as soon as that has nothing to do.
 
 _THREADS = 2
-_WORKER = threading.local()
+_helpers = threading.Semaphore(_THREADS - 1)  # that are free; who only waits lends its own place
 # s, for which a thread may keep the interpreter from one that comes back from the core after some
 # tenths of a millisecond; Python's own is 5 ms.
 _SWITCH = 2e-4
@@ -167,23 +167,44 @@ _SWITCH = 2e-4
 
 def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]]) -> list[T]:
     """Results in the order of the arguments, the first error raised."""
-    if not threads_to_spare() or len(arguments) < 2:
+    if len(arguments) < 2 or not threads_to_spare() or not _helpers.acquire(blocking=False):
         return [function(*args) for args in arguments]
+    waiting = iter(range(len(arguments)))
+    found: dict[int, T] = {}
+    faults: dict[int, BaseException] = {}
 
-    def work(args: tuple[Any, ...]) -> T:
-        _WORKER.busy = True
-        return function(*args)
+    def work() -> None:
+        for k in waiting:
+            try:
+                found[k] = function(*arguments[k])
+            except BaseException as fault:
+                faults[k] = fault
+                for _ in waiting:  # nothing more is begun
+                    pass
+
+    def help_out() -> None:
+        try:
+            work()
+        finally:
+            _helpers.release()
 
     before = sys.getswitchinterval()
-    sys.setswitchinterval(_SWITCH)
+    sys.setswitchinterval(min(_SWITCH, before))
     try:
-        with ThreadPoolExecutor(_THREADS) as pool:
-            return list(pool.map(work, arguments))
+        helper = threading.Thread(target=help_out)
+        helper.start()
+        work()
+        _helpers.release()
+        helper.join()
+        _helpers.acquire()
     finally:
         sys.setswitchinterval(before)
+    if faults:
+        raise faults[min(faults)]
+    return [found[k] for k in range(len(arguments))]
 
 
 def threads_to_spare() -> int:
-    """How many run side by side; none within such work, and in a pool, which has all cores."""
-    busy = getattr(_WORKER, "busy", False) or parent_process() is not None
-    return 0 if busy or os.environ.get("NUMBA_NUM_THREADS") == "1" else _THREADS
+    """How many run side by side; none in a pool, which has all cores."""
+    alone = parent_process() is not None or os.environ.get("NUMBA_NUM_THREADS") == "1"
+    return 0 if alone else _THREADS

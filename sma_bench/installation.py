@@ -1,4 +1,5 @@
-"""Which version this is, and where its shared files (config/, launch/) are installed."""
+"""Which version this is, where its shared files (config/, launch/) are installed, and what its own
+processes ask of the libraries."""
 
 import os
 import sys
@@ -8,6 +9,14 @@ from sma_bench.errors import InputError
 
 PACKAGE = "sma_bench"
 VERSION = "0.1.0"
+_BLAS_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+def one_blas_thread() -> None:
+    """To be called before numpy is imported. The matrices of a fit are small: BLAS threads that
+    wait for each other nearly double the time of a diagnosis."""
+    for variable in _BLAS_THREADS:
+        os.environ.setdefault(variable, "1")
 
 
 def share_directory() -> Path:

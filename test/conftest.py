@@ -98,7 +98,7 @@ def _one_core_a_worker():
         if "PYTEST_XDIST_WORKER" in os.environ:
             from sma_bench import compiled
 
-            patch.setattr(compiled._WORKER, "busy", True, raising=False)
+            patch.setattr(compiled, "_THREADS", 0)
         yield
 
 
@@ -107,7 +107,7 @@ def both_cores(monkeypatch):
     """A fit's two halves side by side, in the tests of a worker too."""
     from sma_bench import compiled
 
-    monkeypatch.setattr(compiled._WORKER, "busy", False, raising=False)
+    monkeypatch.setattr(compiled, "_THREADS", 2)
 
 
 @pytest.fixture(autouse=True)

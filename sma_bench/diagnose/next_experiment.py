@@ -52,7 +52,7 @@ _AS_GOOD = 0.8  # of the best one's worth: of these the quickest is proposed
 _MOST_CAUSES = 6
 _LEAST = 0.02  # probability of a cause worth an experiment, if only as a rival
 _COOLER = 10.0  # K below the bench's limit, as simulated
-_PERIOD = 0.1  # s of the simulation
+_PERIOD = 0.2  # s of the simulation
 _STEP = 0.05
 _A_MINUTE = 0.002  # of probability: of equal drives the shorter one
 # Nats of a record that an effect which is not there keeps by taking up what the model misses: the
@@ -235,13 +235,16 @@ def _driven(
     planned, known = _planned(document, fitted, matter, mounted)
     readings = {first: known, **{name: planned.predict(f.parameters) for name, f in others}}
 
+    # What the bench's own numbers do is much the same under every cause.
+    shared = planned.derivatives(
+        fitted.unknowns, fitted.x, known, range(fitted.unknowns.baseline)
+    )
+
     def space(name: str) -> Array:
         """(n, k) whitened, in which the records leave a cause free, one deviation long."""
-        fitted = fits[name]
-        along = _directions(fitted).T
-        moved = [np.clip(fitted.x + _STEP * one, *fitted.unknowns.bounds()) for one in along]
-        there = planned.predict_many([fitted.unknowns.parameters(x) for x in moved])
-        columns = (there - readings[name][:, None]) / _STEP
+        one, free = fits[name].unknowns, fits[name].x
+        own = planned.derivatives(one, free, readings[name], range(one.baseline, len(free)))
+        columns = np.hstack([shared, own]) @ _directions(fits[name])
         return np.hstack([planned.whiten(columns), planned.white_nuisances])
 
     spaces = dict(zip(fits, in_threads(space, [(name,) for name in fits]), strict=True))

@@ -71,6 +71,7 @@ def missed(fitted: Fit, stage: str, best: Flexible) -> Missed | None:
 
 def _inputs(obs: Observation, parameters: Parameters) -> dict[str, Array]:
     """(rows of the record, knots) of what an input of each stage does to the readings."""
+    obs = obs.coarse
     base = obs.simulate(parameters)
     before = np.concatenate(obs.readings(base))
     knots = np.linspace(obs.grid[0], obs.grid[-1], _KNOTS)

@@ -378,25 +378,23 @@ class Remainder:
         residual = problem.whiten(problem.measured - fitted.predicted)
         # The priors pull back what they had to let go: an effect may relieve them of it.
         moved = np.concatenate([fitted.x, np.zeros(self._rows.shape[1] - len(fitted.x))])
-        self._left = residual - self._explained(self._rows.T @ residual - moved)
+        pull = self._rows.T @ residual - moved
+        self._left = residual - self._rows @ cho_solve(self._normal, pull)
         self._before = problem.coarse.predict(fitted.parameters)
 
-    def _explained(self, pull: Array) -> Array:
-        return np.asarray(self._rows @ cho_solve(self._normal, pull))
-
     def changes(self, benches: Sequence[Parameters]) -> Array:
-        """(n, p) whitened, of the readings from the fit's to these benches'."""
+        """(n, p) whitened, of the readings from the fit's to these benches'; 0 of a bench that
+        cannot be, as air that for hours gets colder."""
         problem = self.fitted.problem
-        return problem.whiten(problem.coarse.predict_many(benches) - self._before[:, np.newaxis])
+        found = problem.coarse.predict_many(benches) - self._before[:, np.newaxis]
+        return problem.whiten(np.where(np.isfinite(found).all(axis=0), found, 0.0))
 
-    def gain(self, change: Array) -> tuple[float, float]:
-        """Gain of adding a multiple of `change` (n,) whitened, and that multiple."""
-        power = float(change @ (change - self._explained(self._rows.T @ change)))
-        if power <= 0.0:
-            return 0.0, 1.0
-        pull = float(change @ self._left)
-        share = float(np.clip(pull / power, *_STRETCH))
-        return share * pull - 0.5 * share**2 * power, share
+    def gains(self, changes: Array) -> tuple[Array, Array]:
+        """(p,) gains of adding a multiple of each of `changes` (n, p), and these multiples."""
+        seen, pull = self._rows.T @ changes, changes.T @ self._left
+        power = np.sum(changes**2, axis=0) - np.sum(seen * cho_solve(self._normal, seen), axis=0)
+        share = np.clip(pull / np.where(power > 0.0, power, np.inf), *_STRETCH)
+        return np.where(power > 0.0, share * pull - 0.5 * share**2 * power, 0.0), share
 
 
 def _of_records(problem: Problem) -> dict[str, tuple[float, ...]]:
@@ -434,15 +432,15 @@ def find_start(remainder: Remainder, unknowns: Unknowns, quick: bool = False) ->
             x[k] += sign * size
             trials.append(np.clip(x, *bounds))
 
-    best = Start(off, 0.0)
-    changes = remainder.changes([unknowns.parameters(x) for x in trials])
-    for x, change in zip(trials, np.ascontiguousarray(changes.T), strict=True):
-        gain, share = remainder.gain(change)
-        if gain > best.gain:
-            there = x.copy()
-            there[switches] = off[switches] + share * (x - off)[switches]
-            best = Start(np.clip(there, *bounds), gain)
-    return best
+    gains, shares = remainder.gains(
+        remainder.changes([unknowns.parameters(x) for x in trials])
+    )
+    best = int(np.argmax(gains))
+    if gains[best] <= 0.0:
+        return Start(off, 0.0)
+    there = trials[best].copy()
+    there[switches] = off[switches] + shares[best] * (trials[best] - off)[switches]
+    return Start(np.clip(there, *bounds), float(gains[best]))
 
 
 def start_off(fitted: Fit, unknowns: Unknowns) -> Array:

@@ -26,7 +26,7 @@ from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.kernel import at_rest
 from sma_bench.physics.material import current, time_constant
-from sma_bench.physics.simulate import Bench, Simulation
+from sma_bench.physics.simulate import Bench, Simulation, simulate_from_rest
 from sma_bench.records.record import (
     Record,
     has_samples,
@@ -47,6 +47,7 @@ _CELLS = 80  # a time constant at least, then: latent heat acts at the end of a 
 _FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
 _FAR_APART = 0.03  # s, samples between which a jump needs more than a cell
 _NARROW = 1e-3  # s
+_SAME_DRIVE = 0.02  # of the largest voltage
 _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
 _BIN = 0.2  # s, shorter than any time constant of a wire in air
@@ -190,6 +191,7 @@ class Observation:
             return self
         onto = _interpolation(grid, self.grid)
         volts = self.drive.on_grid(grid, self.place + np.zeros(len(self.drive.early)))
+        volts = _alike(volts, self.sides)
         signals = tuple(replace(s, average=s.average @ onto) for s in self.signals)
         imposed = None if self.imposed is None else np.interp(grid, self.grid, self.imposed)
         return replace(self, grid=grid, voltage=volts, signals=signals, imposed=imposed)
@@ -209,9 +211,7 @@ class Observation:
             ratio = ohms_of_source(parameters) / self.ohms
             volts = volts * (ratio if parameters["bench.drive"] == "current" else math.sqrt(ratio))
         if not self.holds:
-            load = Boundary.of(parameters)
-            rest = at_rest(parameters, load)
-            return simulate(parameters, self.grid, volts, initial=rest, boundary=load)
+            return simulate_from_rest(parameters, self.grid, volts, Boundary.of(parameters))
         if self.imposed is not None:
             moved = self.imposed + (0.0 if loads is None else float(loads[0]))
             load = Boundary.imposed(parameters, float(moved[0]))
@@ -327,6 +327,17 @@ class Observation:
             for s, k in kept if len(k) > 1
         )
         return replace(self, signals=parts)
+
+
+def _alike(volts: Array, sides: Sequence[str]) -> Array:
+    """Voltages (n, w), those of a side the same where they differ by a voltmeter's error only: one
+    wire then stands for all of its side."""
+    found = volts.copy()
+    for side in set(sides):
+        own = [k for k, one in enumerate(sides) if one == side]
+        if np.max(np.ptp(volts[:, own], axis=1)) < _SAME_DRIVE * np.max(volts):
+            found[:, own] = np.sqrt(np.mean(volts[:, own] ** 2, axis=1))[:, np.newaxis]
+    return found
 
 
 def _course(quantity: str, simulation: Simulation) -> Array:

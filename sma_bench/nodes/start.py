@@ -60,7 +60,9 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
             signal.signal(number, lambda *_: os._exit(0))
         print(f"starting {name}", flush=True)  # its libraries take a second, or many
     from sma_bench.errors import InputError
+    from sma_bench.installation import one_blas_thread
 
+    one_blas_thread()
     if asks_for_help:
         print(node_help(name), end="")
         return 0

@@ -1,6 +1,7 @@
 """The compiled core as Python sees it: state of a bench, rows filled from parameters, calls."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -153,14 +154,14 @@ for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
         for _mark in filter(_names.__contains__, _effect.marks):
             _own = _effect.row == _row
             _MARKS[_row] += [(_names[_mark], p.name, _own) for p in _effect.switches]
+_PLACES = [column for column, _ in _NUMBERS["wire"]]
 
 
 def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     """(w, WIRE_COLUMNS) constants of every wire; states are 0, but for what a load orients."""
     side = side_of_channels(p)
     row = np.zeros(at.WIRE_COLUMNS)
-    for column, number in _NUMBERS["wire"]:
-        row[column] = p[number]
+    row[_PLACES] = [p[number] for _, number in _NUMBERS["wire"]]
     for mark, switch, _ in _MARKS["wire"]:
         if p[switch] != 0.0:
             row[mark] = 1.0
@@ -243,6 +244,16 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
 
 # --- The core's calls.
 
+_SUMS_OF_STRESSES = [at.STIFFNESS, at.LOAD, at.OWN_STIFFNESS, at.OWN_LOAD, at.FRICTION]
+
+
+@lru_cache(maxsize=64)
+def _first_of_sides(of_channels: tuple[str, ...]) -> list[int]:
+    """(w,) the first wire of each wire's side; none where sides are of one wire, or unequal."""
+    first = [of_channels.index(side) for side in of_channels]
+    counts = {first.count(k) for k in first}
+    return first if len(counts) == 1 and counts != {1} else []
+
 
 class Kernel:
     """Parameters converted once for the compiled core, and the core's calls."""
@@ -293,13 +304,25 @@ class Kernel:
         """Advance `memory` in place; history (5, n, w) and strain (2, n, s) as of core.run. Sides
         that are held stay where they are, or go through `contraction` (n,) from sample 1 on."""
         wires, sides = memory
-        history = np.empty((5, time.size, self.wires))
         strain = np.empty((2, time.size, len(sides)))
         if self.boundary.contraction is not None:
             sides[:, at.PRESCRIBED], wires[:, at.STRETCHED] = 1.0, 0.0
             if contraction is not None:
                 sides[:, at.PRESCRIBED], strain[0] = core.MOVED, contraction[:, np.newaxis]
-        core.run(time, heating_voltage(voltage, self.parameters), wires, sides, history, strain)
+        volts = heating_voltage(voltage, self.parameters)
+        of_side = _first_of_sides(tuple(self.parameters["bench.channel_sides"]))
+        if of_side and (volts == volts[:, of_side]).all() and (wires == wires[of_side]).all():
+            # One wire stands for all of a side: every sum of stresses is so many times smaller.
+            first = sorted(set(of_side))
+            which, share = [first.index(k) for k in of_side], len(first) / self.wires
+            few, own = wires[first], np.empty((5, time.size, len(first)))
+            sides[:, _SUMS_OF_STRESSES] *= share
+            core.run(time, np.ascontiguousarray(volts[:, first]), few, sides, own, strain)
+            sides[:, _SUMS_OF_STRESSES] /= share
+            wires[:] = few[which]
+            return own[:, :, which], strain
+        history = np.empty((5, time.size, self.wires))
+        core.run(time, volts, wires, sides, history, strain)
         return history, strain
 
     def state(self, memory: tuple[Array, Array]) -> State:

@@ -135,6 +135,28 @@ def simulate(
     return Bench(parameters, initial=initial, boundary=boundary).follow(time, voltage, elongation)
 
 
+def simulate_from_rest(
+    parameters: Parameters, time: Array, voltage: Array, boundary: Boundary
+) -> Simulation:
+    """As `simulate`, of a bench at rest, possible or not, and of arrays that are known to be right:
+    a fit simulates one record thousands of times."""
+    kernel = Kernel(parameters, boundary)
+    memory = kernel.memory(None)
+    courses = kernel.run(time, voltage, memory)
+    return _simulated(kernel, time, voltage, courses, kernel.state(memory), 0.0)
+
+
+def _simulated(
+    kernel: Kernel, time: Array, voltage: Array, courses: tuple[Array, Array], final: State,
+    started: float,
+) -> Simulation:
+    (temperature, fraction, stress, reading, mount), (contraction, bending) = courses
+    return Simulation(
+        kernel.parameters, kernel.boundary, temperature, fraction, stress, contraction, bending,
+        reading, mount, time, voltage, final, started,
+    )
+
+
 def run_once() -> None:
     """Two steps of the default bench, for which the core is compiled or read from the disk."""
     bench = Parameters.defaults()
@@ -216,13 +238,8 @@ class Bench(Readings):
             )
         started = float(self.clock)
         moved = None if elongation is None else self._contraction(elongation, seconds.size)
-        history, strain = self._kernel.run(seconds, volts, self._memory, moved)
-        temperature, fraction, stress, reading, mount = history
-        contraction, bending = strain
-        return Simulation(
-            self.parameters, self.boundary, temperature, fraction, stress, contraction, bending,
-            reading, mount, seconds, volts, self._settle(), started,
-        )
+        courses = self._kernel.run(seconds, volts, self._memory, moved)
+        return _simulated(self._kernel, seconds, volts, courses, self._settle(), started)
 
     def pull_against(self, boundary: Boundary) -> None:
         """Go on under another load."""

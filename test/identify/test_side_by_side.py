@@ -1,6 +1,7 @@
 """Work side by side comes back whole and in order."""
 
 import threading
+import time
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 
@@ -11,22 +12,43 @@ from sma_bench.compiled import in_threads, threads_to_spare
 pytestmark = pytest.mark.usefixtures("both_cores")
 
 
-def test_two_threads_give_results_in_order_and_what_they_call_runs_in_them():
+def test_two_threads_give_results_in_order_and_the_first_error():
     both = threading.Barrier(2)
 
     def outer(k):
         if k < 2:
             both.wait(60.0)
-        inner = in_threads(lambda j: (k, j, threading.get_ident()), [(j,) for j in range(3)])
-        return inner, threading.get_ident(), threads_to_spare()
+        inner = in_threads(lambda j: (k, j), [(j,) for j in range(3)])
+        return inner, threading.get_ident()
 
     found = in_threads(outer, [(k,) for k in range(12)])
-    assert len({thread for _, thread, _ in found}) == 2
-    for k, (inner, thread, spare) in enumerate(found):
-        assert inner == [(k, j, thread) for j in range(3)] and spare == 0
-    with pytest.raises(ZeroDivisionError):  # the first error is raised
+    assert len({thread for _, thread in found}) == 2
+    assert [inner for inner, _ in found] == [[(k, j) for j in range(3)] for k in range(12)]
+    with pytest.raises(ZeroDivisionError):
         in_threads(lambda k: 1 / k, [(2,), (1,), (0,)])
-    assert in_threads(lambda k: threads_to_spare(), [(0,)]) == [2]
+    assert in_threads(lambda k: threads_to_spare(), [(0,), (1,)]) == [2, 2]
+
+
+def test_who_has_nothing_more_to_do_helps_within_what_the_other_is_at():
+    """Of two tasks one is short; soon the long one's own parts run side by side, never three."""
+    running, most = set(), []
+
+    def part(_):
+        running.add(threading.get_ident())
+        time.sleep(0.01)
+        most.append(len(running))
+        running.discard(threading.get_ident())
+        return threading.get_ident()
+
+    def task(long):
+        end, threads = time.monotonic() + 60.0, set()
+        while long and len(threads) < 2 and time.monotonic() < end:
+            threads = set(in_threads(part, [(0,), (1,)]))
+        return threads
+
+    for order in ((True, False), (False, True)):
+        assert len(in_threads(task, [(long,) for long in order])[order.index(True)]) == 2
+    assert max(most) == 2
 
 
 def test_a_process_of_a_pool_and_one_that_is_told_so_keep_to_one_core(monkeypatch):
