@@ -133,6 +133,8 @@ def diagnosis(tiny: bool = False) -> Iterator[Figure]:
     case, last = f"{len(cases)} development cases", float(np.quantile(seconds, 0.9))
     yield Figure(case, "median command, on the wall", float(np.median(seconds)), "s", most=6.0)
     yield Figure(case, "90th percentile", last, "s", most=10.0)
+    beams = float(np.median(seconds[: DEALT["beam"]]))
+    yield Figure(f"{DEALT['beam']} of them, beams", "median command, on the wall", beams, "s")
     case, wall = f"{len(alone)} of them", float(np.median(later[1:]))
     yield Figure(case, "second and later in one process", wall, "s", most=4.0)
     yield Figure(case, "one thread over two", float(np.median(alone)), "x")

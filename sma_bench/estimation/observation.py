@@ -19,7 +19,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import Hold, find_holds
 from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.unknowns import LOADS
-from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage, commands_of
+from sma_bench.estimation.voltage import AppliedVoltage, alike_by_side, applied_voltage, commands_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind, wire_length
 from sma_bench.physics import Boundary, simulate
@@ -47,7 +47,6 @@ _CELLS = 80  # a time constant at least, then: latent heat acts at the end of a 
 _FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
 _FAR_APART = 0.03  # s, samples between which a jump needs more than a cell
 _NARROW = 1e-3  # s
-_SAME_DRIVE = 0.02  # of the largest voltage
 _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
 _BIN = 0.2  # s, shorter than any time constant of a wire in air
@@ -191,10 +190,10 @@ class Observation:
             return self
         onto = _interpolation(grid, self.grid)
         volts = self.drive.on_grid(grid, self.place + np.zeros(len(self.drive.early)))
-        volts = _alike(volts, self.sides)
         signals = tuple(replace(s, average=s.average @ onto) for s in self.signals)
         imposed = None if self.imposed is None else np.interp(grid, self.grid, self.imposed)
-        return replace(self, grid=grid, voltage=volts, signals=signals, imposed=imposed)
+        alike = alike_by_side(volts, self.sides)
+        return replace(self, grid=grid, voltage=alike, signals=signals, imposed=imposed)
 
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
@@ -327,17 +326,6 @@ class Observation:
             for s, k in kept if len(k) > 1
         )
         return replace(self, signals=parts)
-
-
-def _alike(volts: Array, sides: Sequence[str]) -> Array:
-    """Voltages (n, w), those of a side the same where they differ by a voltmeter's error only: one
-    wire then stands for all of its side."""
-    found = volts.copy()
-    for side in set(sides):
-        own = [k for k, one in enumerate(sides) if one == side]
-        if np.max(np.ptp(volts[:, own], axis=1)) < _SAME_DRIVE * np.max(volts):
-            found[:, own] = np.sqrt(np.mean(volts[:, own] ** 2, axis=1))[:, np.newaxis]
-    return found
 
 
 def _course(quantity: str, simulation: Simulation) -> Array:

@@ -38,6 +38,7 @@ _CLEAR_STEPS = 1.5  # of the converter: what is smaller may be its own
 _ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
 _TOGGLES = 0.6  # of the step: what scatters less may be two readings by turns
 _WORTH = 0.5  # of the noise of a line's mean
+_SAME_DRIVE = 0.02  # of the largest voltage
 _ALIKE = 4.0  # converter's steps between the ends of two ramps
 
 
@@ -512,3 +513,14 @@ def _bend(left: Array, step: float) -> Array:
     depth = float(bow @ left) / power
     bent = abs(depth) > max(0.5 * step, _CLEAR * float(np.std(left - depth * bow)) / np.sqrt(power))
     return depth * bow if bent else np.zeros(len(left))
+
+
+def alike_by_side(volts: Array, sides: Sequence[str]) -> Array:
+    """Voltages (n, w), those of a side the same where they differ by a voltmeter's error only: one
+    wire then stands for all of its side."""
+    found = volts.copy()
+    for side in set(sides):
+        own = [k for k, one in enumerate(sides) if one == side]
+        if np.max(np.ptp(volts[:, own], axis=1)) < _SAME_DRIVE * np.max(volts):
+            found[:, own] = np.sqrt(np.mean(volts[:, own] ** 2, axis=1))[:, np.newaxis]
+    return found
