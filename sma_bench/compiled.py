@@ -195,8 +195,10 @@ def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]])
         helper.start()
         work()
         _helpers.release()
-        helper.join()
-        _helpers.acquire()
+        try:
+            helper.join()
+        finally:
+            _helpers.acquire()
     finally:
         sys.setswitchinterval(before)
     if faults:

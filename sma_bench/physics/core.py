@@ -51,8 +51,6 @@ from sma_bench.physics.kinetics import NORMAL, close_loops, fraction, reverse
 from sma_bench.physics.laws.normal import push
 
 NEWTON_STEP = 1e-10  # mostly quadratic; where it is slow, 1e-7 left 2.5e-9 of a fraction
-NEWTON_LAST, NEWTON_SHRINKS = 1e-7, 1e-3  # so short and so much shorter than the one before: the
-# next would be of 1e-13; where convergence is slow 7e-10 of a fraction were left at most
 NEWTON_LIMIT = 15
 BISECTION_LIMIT = 200
 BRACKET = 1e-15
@@ -284,7 +282,6 @@ def resisted(sides, side, contraction):
 @borrowing
 def solve_jointly(wires, sides, side, contraction):
     """Newton on the fractions and the contraction of a side together; whether it converged."""
-    before = 0.0
     for _ in range(NEWTON_LIMIT):
         taken, stiffness = resisted(sides, side, contraction)
         imbalance = -taken
@@ -312,10 +309,8 @@ def solve_jointly(wires, sides, side, contraction):
             step = wires[i, at.STEP] + wires[i, at.COUPLING] * sign * change
             wires[i, at.GUESS] = min(max(wires[i, at.GUESS] - step, 0.0), 1.0)
             largest = max(largest, abs(step))
-        converges = largest < NEWTON_LAST and largest < NEWTON_SHRINKS * before
-        if converges or largest < NEWTON_STEP:
+        if largest < NEWTON_STEP:
             return True, contraction
-        before = largest
     return False, contraction
 
 

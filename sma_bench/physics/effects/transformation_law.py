@@ -32,15 +32,10 @@ def mixed(wires, i, position, share, slope):
     soft, sharp = wires[i, at.LOGISTIC_SHARE], wires[i, at.EXPONENTIAL_SHARE]
     if soft + sharp > 1.0:
         soft, sharp = soft / (soft + sharp), sharp / (soft + sharp)
-    mix, by_mix = share, slope
-    if soft > 0.0:
-        of_soft, soft_slope = logistic.ramp(0.5 + (position - 0.5) * _WIDER)
-        mix += soft * (of_soft - share)
-        by_mix += soft * (soft_slope * _WIDER - slope)
-    if sharp > 0.0:
-        of_sharp, sharp_slope = exponential.ramp(_LATER + (position - 0.5) * _LONGER)
-        mix += sharp * (of_sharp - share)
-        by_mix += sharp * (sharp_slope * _LONGER - slope)
+    of_soft, soft_slope = logistic.ramp(0.5 + (position - 0.5) * _WIDER)
+    of_sharp, sharp_slope = exponential.ramp(_LATER + (position - 0.5) * _LONGER)
+    mix = share + soft * (of_soft - share) + sharp * (of_sharp - share)
+    by_mix = slope + soft * (soft_slope * _WIDER - slope) + sharp * (sharp_slope * _LONGER - slope)
     return mix, by_mix
 
 
