@@ -31,8 +31,8 @@ from sma_bench.progress import Report, part, silent
 
 # How probable a law is before any record: real wires have inner loops and soft ends, and under most
 # loads all martensite is oriented, where brinson is the cosine with numbers that fit anything.
-PRIOR = {"normal": 0.72, "logistic": 0.14, "cosine": 0.1, "exponential": 0.04}
-PRIOR |= dict.fromkeys(ORIENTING, 0.01)
+PRIOR = {"normal": 0.9, "logistic": 0.05, "cosine": 0.035, "exponential": 0.015}
+PRIOR |= dict.fromkeys(ORIENTING, 0.004)
 AIR = {"free": 0.8, "constant": 0.2}  # and what becomes of the heat, where nothing is stated
 _TEMPERED = 0.25
 _DIFFERENT = 0.7  # probability that the runs of a bench differ, before any

@@ -26,6 +26,7 @@ _STEP = 1e-4  # prior deviations, of a difference
 # Of a stroke, and readings: a misfit before it is known, the usual one, how few a record is worth.
 _FIRST_MISFIT, _FIRST_COUNT = 0.03, 10.0
 USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0
+_DIFFER = 0.02  # of a stroke, a run from the next
 _LEAST_COUNT, _MOST_MISFIT = 8.0, 0.06
 _SAME_WEIGHT = 0.5  # of a level's logarithm
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
@@ -112,9 +113,11 @@ class Problem:
 
         A misfit is no noise: neighbours share it. Of n bins whose residuals have the correlation
         rho from one to the next, n (1 - rho)/(1 + rho) are independent, and one bin counts for as
-        little. Its size s is what was left, and what laws of wires leave elsewhere, 1.5 % of a
-        stroke for two readings more. Before anything is fitted: 3 %, ten readings a record; where
-        more than 6 % was left the fit has not arrived, and a smaller weight would keep it there.
+        little. Its size s is what was left, and what is usual, for two readings more: laws of wires
+        leave 1.5 % of a stroke, and unless each run has its own states it differs by 2 % from the
+        next, which few runs do not show. Before anything is fitted: 3 %, ten readings a record;
+        where more than 6 % was left the fit has not arrived, and a smaller weight would keep it
+        there.
         `repeated`: every stroke shows the misfit again, so what exceeds the noise counts as in one
         of the strokes; for errors, not for the fit, which would lean on priors alone.
         """
@@ -129,7 +132,8 @@ class Problem:
                     power = min(power, (_MOST_MISFIT * reach) ** 2)
                 count = bins * (1.0 - rho[number]) / (1.0 + rho[number])
                 count = min(max(count, _LEAST_COUNT), bins)
-                usual = USUAL_WEIGHT * (USUAL_MISFIT * reach) ** 2
+                differ = 0.0 if self.states else _DIFFER
+                usual = USUAL_WEIGHT * (USUAL_MISFIT**2 + differ**2) * reach**2
                 size = np.sqrt((usual + count * power) / (USUAL_WEIGHT + count))
             level = max(size, signal.noise) * np.sqrt(max(bins / count, 1.0))
             if repeated:
