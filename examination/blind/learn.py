@@ -306,6 +306,7 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         loss = counts * (likeliest - each(other))
         if float(np.mean(loss)) <= float(np.std(loss)) / np.sqrt(len(cases)):
             ridge = max(ridge, other)
+    lapse = max(LAPSES, key=lambda own: scored[ridge, own][0])  # the likeliest with that ridge
     most, by_lapse, both = scored[ridge, lapse]
     last = min(stated for stated, value in by_lapse.items() if value > most - _AS_LIKELY)
     by_forms, by_rigs = (lapsed(shares, last) for shares in both)

@@ -248,7 +248,10 @@ def law_distance(stage: Stage, base: Features, quantities: tuple[str, ...]) -> f
         columns = np.column_stack([stacked(readings(cosine, p), found) / 0.5 for p in moves])
         by = np.linalg.lstsq(columns, stacked(wanted, found), rcond=None)[0]
         changed = {n: fitted[n] + d for n, d in zip(TRANSITIONS.values(), by.tolist(), strict=True)}
-        fitted = fitted.replace(changed)
+        try:
+            fitted = fitted.replace(changed)
+        except InputError:  # beyond all wires
+            break
     return best
 
 
