@@ -70,6 +70,7 @@ _SHAPES = {
     "effect.matrix_thermal_mass.clamp_time": (8.0, 40.0),
     "effect.ambient_drift.fading": (30.0, 150.0),
     "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
+    "effect.stress_dependent_transition.bend_stress": (20e6, 60e6, 150e6),
 }
 # The same as shares of the longest record and of the largest current.
 _INSTANTS, _KNEES = (0.001, 0.25, 0.5, 0.75), (0.35, 0.65, 0.85)
@@ -311,7 +312,7 @@ def _handed_over(found: Fit) -> Fit:
     (effect,) = found.unknowns.effects
     names, items, x = found.unknowns.names, found.unknowns.items, found.x.copy()
     for number, parameter in _INSTEAD[effect].items():
-        if parameter not in names:
+        if not {number, parameter} <= {*names}:
             continue
         k, c = names.index(number), names.index(parameter)
         added = 1.0 / items[c].value(x[c]) - 1.0 / items[c].value(0.0)
@@ -397,14 +398,17 @@ class Remainder:
         return np.where(power > 0.0, share * pull - 0.5 * share**2 * power, 0.0), share
 
 
-def _of_records(problem: Problem) -> dict[str, tuple[float, ...]]:
+def _of_records(fitted: Fit) -> dict[str, tuple[float, ...]]:
     """As _SHAPES, of numbers whose range is that of the records."""
+    problem, parameters = fitted.problem, fitted.parameters
     longest = max(float(np.ptp(obs.grid)) for obs in problem.observations)
     shapes = {"effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS)}
     amperes = [np.max(np.abs(s.value)) for obs in problem.observations for s in obs.signals
                if s.quantity == "current"]
-    if amperes:
-        shapes["effect.supply_drop.knee"] = tuple(float(max(amperes)) * p for p in _KNEES)
+    if not amperes:
+        ohms = parameters["wire.resistance"] / parameters["wire.count"]
+        amperes = [np.max(obs.voltage) / ohms for obs in problem.observations]
+    shapes["effect.supply_drop.knee"] = tuple(float(max(amperes)) * p for p in _KNEES)
     return shapes
 
 
@@ -418,7 +422,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns, quick: bool = False) ->
 
     # One switch at a time, every shape.
     numbers, off = [number_of_effect(p) for p in own], start_off(fitted, unknowns)
-    known = {} if quick else _SHAPES | _of_records(fitted.problem)
+    known = {} if quick else _SHAPES | _of_records(fitted)
     shapes = [
         [off[first + k]] if first + k in switches else
         [number.x_of(value) for value in known.get(number.name, (number.mean,))]

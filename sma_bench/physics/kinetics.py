@@ -7,6 +7,7 @@ from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameter import LAWS
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects import partial_transformation as partial
+from sma_bench.physics.effects.stress_dependent_transition import bent
 from sma_bench.physics.effects.transformation_law import mixed
 from sma_bench.physics.effects.transition_drift import drifts, shift_transition
 from sma_bench.physics.laws import brinson, cosine, exponential, extended, logistic, normal
@@ -69,17 +70,20 @@ def any_ramp(wires, i, position, spread):
 @inlined
 def itself(wires, i, stress):
     """Stress that shifts the range of heating, its slope, the same of cooling: all of it."""
-    return stress, 1.0, stress, 1.0
+    shifts, slope = bent(wires, i, stress)
+    return shifts, slope, shifts, slope
 
 
 @borrowing
 def any_shifting(wires, i, stress):
     """As `itself`, by wire i's law, whichever it is."""
+    shifts, slope = bent(wires, i, stress)
+    on_f, f_slope, on_g, g_slope = shifts, 1.0, shifts, 1.0
     if wires[i, at.LAW] == BRINSON:
-        return brinson.shifting(wires, i, stress)
-    if wires[i, at.LAW] == EXTENDED:
-        return extended.shifting(wires, i, stress)
-    return stress, 1.0, stress, 1.0
+        on_f, f_slope, on_g, g_slope = brinson.shifting(wires, i, shifts)
+    elif wires[i, at.LAW] == EXTENDED:
+        on_f, f_slope, on_g, g_slope = extended.shifting(wires, i, shifts)
+    return on_f, f_slope * slope, on_g, g_slope * slope
 
 
 @inlined

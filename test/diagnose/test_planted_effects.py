@@ -112,6 +112,23 @@ def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewi
     assert result.improved[name] == pytest.approx(bench[name], abs=2.0 * lab.std(name))
 
 
+def test_a_supply_that_gives_way_at_a_small_current_is_found_where_none_is_recorded(tmp_path):
+    """Wires that take a third of the current for the same heat."""
+    lab, factors = believed(), {"wire.resistance": 3.0, "wire.heat_transfer_coefficient": 1 / 3.0,
+                                "wire.mass": 1 / 3.0}  # fmt: skip
+    lab = lab.replace({name: by * lab[name] for name, by in factors.items()},
+                      {name: by * lab.std(name) for name, by in factors.items()})  # fmt: skip
+    amperes = planted_record(tmp_path / "whole", bench=lab)["front_1.current"].values.max()
+    gives_way = {"effect.supply_drop.overload": 1.2, "effect.supply_drop.knee": 0.6 * amperes}
+    quantities = ("temperature", "deflection")
+    record = planted_record(tmp_path / "bag", quantities=quantities, bench=lab.replace(gives_way))
+    with few_effects(("supply_drop", "phase_dependent_resistance")):
+        found = diagnose([record], lab)
+    assert amperes < 0.5 and found.cause == ("supply_drop",)
+    knee = found.to_json()["candidates"][0]["parameters"]["effect.supply_drop.knee"]
+    assert abs(knee["value"] - 0.6 * amperes) < 4.0 * knee["std"] < amperes
+
+
 def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):
     found = planted_diagnosis
     smooth = found.search.flexible

@@ -27,6 +27,7 @@ SECONDARY = {"effect.matrix_thermal_mass.inner_share": 0.3, "effect.transition_d
              "effect.viscoelastic_matrix.time_constant": 4.0, "effect.supply_drop.knee": 1.4,
              "effect.ambient_drift.instant": 3.0, "effect.ambient_drift.fading": 8.0,
              "effect.matrix_thermal_mass.clamp_time": 4.0,
+             "effect.stress_dependent_transition.bend_stress": 400e6,
              "effect.opposing_wires.detwinning_stress": 60e6}  # fmt: skip
 
 

@@ -55,6 +55,24 @@ def test_an_effect_is_what_other_parameters_or_volts_would_do(numbers):
     assert run.current == pytest.approx(share * voltage / 2.6987, rel=1e-13)
 
 
+@pytest.mark.parametrize("law", ["cosine", "logistic", "normal"])
+@pytest.mark.parametrize("bend", [0.8, -0.5])
+def test_a_bent_line_is_under_one_load_that_of_another_influence(law, bend):
+    sigma, knee = 90e6, 50e6
+    influences = dict(zip(by_hand.INFLUENCES, (7.3e6, 8e6), strict=True))
+    rig = WIRE.replace({"wire.law": law, **influences})
+    shifts = sigma + bend * (np.hypot(sigma, knee) - knee)
+    steeper = {name: rig[name] * sigma / shifts for name in by_hand.INFLUENCES}
+    time = np.arange(0.0, 12.0, 0.02)
+    voltage, held = by_hand.triangle(time, 6.5, 5.0)[:, np.newaxis], Boundary.held_stress(sigma)
+    bent = effect(rig, f"stress_dependent_transition: bend={bend} bend_stress={knee}")
+    run = simulate(bent, time, voltage, boundary=held)
+    other = simulate(rig.replace(steeper), time, voltage, boundary=held)
+    plain = simulate(rig, time, voltage, boundary=held)
+    assert run.martensite_fraction == pytest.approx(other.martensite_fraction, abs=1e-9)
+    assert np.abs(run.martensite_fraction - plain.martensite_fraction).max() > 0.2
+
+
 # --- electrical and thermal
 
 

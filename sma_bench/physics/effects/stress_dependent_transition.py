@@ -1,7 +1,25 @@
 """Stress shifts the transformation otherwise than the parameters say.
 
     f, g at sigma (1/C_A + a), sigma (1/C_M + b),    each bracket 0 at least
+    f, g at u/C_A, u/C_M,    u = sigma + r [(sigma^2 + sigma_k^2)^(1/2) - sigma_k],  sigma > 0
 
-Below 0 a wire that is held would transform in one snap, by its own stress.
-Source: Clausius and Clapeyron, eqs. (10), (11) with C_A, C_M that are wrong, or absent.
+The first are lines that are wrong, the second are bent: of slope 1/C at no stress, and of (1 + r)/C
+far above sigma_k. Below 0 a wire that is held would transform in one snap, by its own stress.
+Source: Clausius and Clapeyron, eqs. (10), (11) with C_A, C_M that are wrong, or absent; lines that
+start at a critical stress: Brinson 1993.
 """
+
+import math
+
+from sma_bench.compiled import inlined
+from sma_bench.physics import columns as at
+
+
+@inlined
+def bent(wires, i, stress):
+    """u of wire i [Pa], and its slope."""
+    if wires[i, at.BEND] == 0.0 or stress <= 0.0:
+        return stress, 1.0
+    knee = wires[i, at.BEND_STRESS]
+    root = math.sqrt(stress * stress + knee * knee)
+    return stress + wires[i, at.BEND] * (root - knee), 1.0 + wires[i, at.BEND] * stress / root

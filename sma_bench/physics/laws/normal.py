@@ -46,6 +46,7 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameters import BRANCH, hysteresis, wire_length
 from sma_bench.physics import columns as at
+from sma_bench.physics.effects.stress_dependent_transition import bent
 
 UNDONE = 0.025  # share where the transformation is said to end
 _AWAY = 1.1 * np.arange(-2.0, 3.0)  # z_j
@@ -156,8 +157,9 @@ def pushed(wires, i, j, hot, cold, rise):
 @inlined
 def _hot_and_cold(wires, i, temperature, stress):
     moved = temperature - wires[i, at.AUSTENITE_FINISH] + wires[i, at.AUSTENITE_FINISH_FRESH]
-    hot = moved - stress * wires[i, at.AUSTENITE_SHIFT]
-    return hot, moved - stress * wires[i, at.MARTENSITE_SHIFT]
+    shifts = bent(wires, i, stress)[0]
+    hot = moved - shifts * wires[i, at.AUSTENITE_SHIFT]
+    return hot, moved - shifts * wires[i, at.MARTENSITE_SHIFT]
 
 
 @borrowing
@@ -183,8 +185,10 @@ def fraction(wires, i, temperature, stress):
             if way != 0.0:
                 by_temperature += slope * wires[i, at.WARMTH + j]
     scale = wires[i, at.SHARPNESS] / _SQRT_2_PI
+    by_temperature *= scale
+    scale *= bent(wires, i, stress)[1]
     by_stress = by_hot * wires[i, at.AUSTENITE_SHIFT] + by_cold * wires[i, at.MARTENSITE_SHIFT]
-    return 1.0 - austenite, -by_temperature * scale, by_stress * scale
+    return 1.0 - austenite, -by_temperature, by_stress * scale
 
 
 @borrowing
@@ -206,8 +210,9 @@ def begin(row: Array) -> None:
     )
     moved = row[at.TEMPERATURE] - row[at.AUSTENITE_FINISH] + row[at.AUSTENITE_FINISH_FRESH]
     moved = moved - (1.0 - warmth) * (row[at.TEMPERATURE] - row[at.AMBIENT])
-    least = moved - row[at.STRESS] * row[at.AUSTENITE_SHIFT] - halves
-    most = moved - row[at.STRESS] * row[at.MARTENSITE_SHIFT] + halves
+    shifts = bent(row[np.newaxis], 0, row[at.STRESS])[0]
+    least = moved - shifts * row[at.AUSTENITE_SHIFT] - halves
+    most = moved - shifts * row[at.MARTENSITE_SHIFT] + halves
     low, high = float(least.min()), float(most.max())
     for _ in range(_HALVINGS):
         level = 0.5 * (low + high)
