@@ -5,7 +5,7 @@ and skipped. Of a bench some runs are identified, the others predicted from thei
 next to a rival that knows no physics: one time constant and two logistic branches. Both are
 judged by the root mean square of what they miss, in % of a run's stroke, at 0.2 s.
 
-    ./bench check real FOLDER [--pairs] [--json real.json]
+    ./bench check real FOLDER [--pairs] [--causes] [--json real.json]
 """
 
 import itertools
@@ -21,6 +21,7 @@ from scipy.optimize import least_squares
 
 from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.compiled import compiled
+from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
 from sma_bench.estimation.laws import repeatability
 from sma_bench.estimation.residual import Problem
@@ -42,7 +43,9 @@ WITHIN, MEDIAN = 0.15, 6.05
 
 def main(argv: Sequence[str] | None = None) -> int:
     """1 if the rival is not the one that is meant, or is not beaten."""
-    own = {"folder": (..., "of clones"), "pairs": (False, "fit every pair of runs")} | IN_PIECES
+    own = {"folder": (..., "of clones"), "pairs": (False, "fit every pair of runs"),
+           "causes": (False, "diagnose the stated pairs, judged on the other runs")}  # fmt: skip
+    own |= IN_PIECES
     options = options_of("real", __doc__, argv, **own)
     if not (folder := Path(options.folder) / BENCH["repository"].partition("/")[2]).is_dir():
         print(f"skipped: {folder} is not there, see docs/real_benches.md")
@@ -73,7 +76,21 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"not worse: {np.mean(ours <= theirs):.0%} of pairs, {runs:.0%} of runs")
         print(f"the 90 % band holds {held:.1%}, {width:.1%} of the stroke wide")
         good &= abs(float(np.median(theirs)) - MEDIAN) <= WITHIN
+    for names in STATED[:2] if options.causes else ():
+        good &= no_cause_is_refuted(folder, names)
     return 0 if good else 1
+
+
+def no_cause_is_refuted(folder: Path, names: Sequence[str]) -> bool:
+    """Whether a diagnosis of some runs names no cause, or one that the other runs bear out."""
+    runs = {name: run_of(folder, name) for name in RUNS}
+    unseen = [run for name, run in runs.items() if name not in names]
+    found = diagnose([runs[n] for n in names], Parameters(BENCH["parameters"]), hold_out=unseen)
+    first, shrunk = found.candidates[0], found.to_json()["shrinkage"]["deflection"]
+    cause = " and ".join(found.cause) or "no cause"
+    print(f"{', '.join(names)}: {cause} named, {first.name} {first.probability:.0%}; of the gap on "
+          f"the other runs {shrunk['fraction']:.0%} gone")  # fmt: skip
+    return not found.cause or shrunk["rmse_after"] <= shrunk["rmse_recalibrated"]
 
 
 def _row(names: Sequence[str], r: dict[str, Any]) -> tuple[str, ...]:

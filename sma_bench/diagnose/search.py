@@ -79,6 +79,11 @@ Progress = Callable[[str], None]
 _evidence = attrgetter("evidence")
 
 
+def _worth(found: Fit) -> tuple[float, bool]:
+    """Of forms that are alike, as the wires opposite are of a wire alone, the usual one counts."""
+    return round(found.evidence, 1), not found.unknowns.forms[0]
+
+
 class Start(NamedTuple):
     """Where to begin, and the gain in log posterior that a straight line from there promises."""
 
@@ -286,7 +291,7 @@ def _singles(
     fits: dict[str, Fit] = {}
     for one in found:
         (name,) = one.unknowns.effects
-        fits[name] = max(fits.get(name, one), one, key=_evidence)
+        fits[name] = max(fits.get(name, one), one, key=_worth)
     return {name: fits[name] for name in dict.fromkeys(k.effects[0] for k in kinds)}
 
 
@@ -400,16 +405,12 @@ class Remainder:
 
 def _of_records(fitted: Fit) -> dict[str, tuple[float, ...]]:
     """As _SHAPES, of numbers whose range is that of the records."""
-    problem, parameters = fitted.problem, fitted.parameters
-    longest = max(float(np.ptp(obs.grid)) for obs in problem.observations)
-    shapes = {"effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS)}
-    amperes = [np.max(np.abs(s.value)) for obs in problem.observations for s in obs.signals
-               if s.quantity == "current"]
-    if not amperes:
-        ohms = parameters["wire.resistance"] / parameters["wire.count"]
-        amperes = [np.max(obs.voltage) / ohms for obs in problem.observations]
-    shapes["effect.supply_drop.knee"] = tuple(float(max(amperes)) * p for p in _KNEES)
-    return shapes
+    seen, ohms = fitted.problem.observations, fitted.parameters["wire.resistance"]
+    longest = max(float(np.ptp(obs.grid)) for obs in seen)
+    volts = max(float(np.max(obs.voltage)) for obs in seen)
+    amperes = volts * fitted.parameters["wire.count"] / ohms
+    return {"effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS),
+            "effect.supply_drop.knee": tuple(amperes * p for p in _KNEES)}  # fmt: skip
 
 
 def find_start(remainder: Remainder, unknowns: Unknowns, quick: bool = False) -> Start:
