@@ -18,8 +18,8 @@ from sma_bench.parameters import Parameters
 
 # --- Every effect as features of the reality: symptoms.yaml.
 
-LOADS = ("beam", "force", "spring", "antagonist")
-ALL_LOADS = "all"
+MOVING = ("beam", "force", "spring", "antagonist")
+CLAMPED, LOADS, ALL_LOADS = "clamped", ("clamped", *MOVING), "all"
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,13 @@ class Setting:
 
 @dataclass(frozen=True)
 class Form:
-    """One form of an effect: what it has in place of the effect's own; settings beside them."""
+    """One form of an effect: what it has in place of the effect's own, settings besides, and the
+    loads under which it differs from the effect's first form (from seed 2800 on)."""
 
     moves: dict[str, Move] | None = None
     natural: tuple[float, float] | None = None
     settings: dict[str, Setting] = field(default_factory=dict)
+    loads: tuple[str, ...] = LOADS
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Symptom:
     settings: dict[str, Setting] = field(default_factory=dict)
     in_deflection: bool = True
     of_peak_current: bool = False
-    loads: tuple[str, ...] = LOADS
+    loads: tuple[str, ...] = MOVING
 
     def in_form(self, name: str) -> "Symptom":
         """The effect in one of its forms; as it is for ""."""
@@ -210,7 +212,7 @@ def deal(
     for kind, count in counts.items():
         hidden = _hidden(kind, count, rng, load)
         noises = _in_turns(tuple(NOISE_MODELS), count, rng)
-        signals = _signals([effects for effects, _ in hidden], rng)
+        signals = _signals([effects for effects, _ in hidden], rng, load)
         mild: set[int] = set()
         if kind == NONE:
             few = round(_DEALT["mild_kinetics_share"] * count)
@@ -245,10 +247,15 @@ def _hidden(
     return [(tuple(dealt[k : k + 2]), tuple(both[k : k + 2])) for k in range(0, 2 * n, 2)]
 
 
-def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator) -> list[str]:
-    """Half of each kind shows all signals, those that show in no other way among them."""
+def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator, load: str) -> list[str]:
+    """Half of each kind shows all signals, those that show in no other way among them; of a
+    clamped wire, which does not move, the others show its temperature."""
     symptoms = {**EFFECTS, **OUTSIDE}
-    free = [k for k, names in enumerate(hidden) if all(symptoms[n].in_deflection for n in names)]
+    less = "without current" if load == CLAMPED else PAPER
+    free = [
+        k for k, names in enumerate(hidden)
+        if load == CLAMPED or all(symptoms[n].in_deflection for n in names)
+    ]  # fmt: skip
     if not free:
         return [ALL] * len(hidden)
     # Every effect's own cases change sides in turn: systematic sampling along sorted names.
@@ -256,7 +263,7 @@ def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator) -> list[st
     order = sorted(free, key=lambda k: (hidden[k], rng.random()))
     steps = np.floor(share * np.arange(len(order) + 1) + rng.random())
     paper = {k for k, taken in zip(order, np.diff(steps), strict=True) if taken}
-    return [PAPER if k in paper else ALL for k in range(len(hidden))]
+    return [less if k in paper else ALL for k in range(len(hidden))]
 
 
 # --- A case: what is dealt to it, and everything about it that is drawn without knowing that.
@@ -266,6 +273,8 @@ SPLITS = {range(1000, 2000): "development", range(2000, 3000): "frozen-test",
 OPEN = "open"
 # Seeds whose effects, and what every rig has, come in forms drawn for every case.
 IN_FORMS = range(2700, 4000)
+# Seeds whose sets of all loads hold clamped wires, and whose forms suit the load.
+WITH_CLAMPED = range(2800, 4000)
 
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.
@@ -321,7 +330,8 @@ def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
     if load != ALL_LOADS:
         cards = [(load, card) for card in deal(n, rng, load, shares)]
     else:
-        counts = {one: int(part * n + 1e-9) for one, part in _DEALT["all_loads"].items()}
+        parts = _DEALT["with_clamped" if seed in WITH_CLAMPED else "all_loads"]
+        counts = {one: int(part * n + 1e-9) for one, part in parts.items()}
         counts["beam"] += n - sum(counts.values())
         cards = [
             (one, card) for one, count in counts.items() for card in deal(count, rng, one, shares)
@@ -343,9 +353,10 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
     forms, fixed = {}, {}
     if seed in IN_FORMS:
         own = stream("forms")
-        forms, fixed = _draw_forms(own)
+        forms, fixed = _draw_forms(own, load if seed in WITH_CLAMPED else "")
         nuisances |= {n: float(own.uniform(*ends)) for n, ends in _DEALT["further"].items()}
-        card = replace(card, mild_kinetics=bool(own.random() < _DEALT["other_law_share"]))
+        mild = bool(own.random() < _DEALT["other_law_share"])
+        card = replace(card, mild_kinetics=mild and load != CLAMPED)  # which does not show it
     storage, namespace = (str(bag.choice(_DEALT[k])) for k in ("storages", "namespaces"))
     # Some working day, the second record after the first.
     day = _DEALT["first_day"] + 86400 * int(bag.integers(_DEALT["days"]))
@@ -375,10 +386,16 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
     )  # fmt: skip
 
 
-def _draw_forms(rng: np.random.Generator) -> tuple[dict[str, str], dict[str, float]]:
+def _draw_forms(
+    rng: np.random.Generator, load: str
+) -> tuple[dict[str, str], dict[str, float]]:  # fmt: skip
     """A form of every effect and of what every rig has, by name, and the features that go with the
-    latter; a rig's little of an effect has the form that the effect has."""
+    latter; a rig's little of an effect has the form that the effect has. Under a load that cannot
+    tell a form from the first one it is that one; every load can, where none is named."""
     forms = {name: str(rng.choice(list(symptom.forms))) for name, symptom in EFFECTS.items()}
+    for name, form in forms.items() if load else ():
+        if load not in EFFECTS[name].forms[form].loads:
+            forms[name] = next(iter(EFFECTS[name].forms))
     fixed = {}
     for name in OF_ALL_RIGS:
         fixed |= draw_settings(EFFECTS[name].forms[forms[name]].settings, rng)

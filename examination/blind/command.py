@@ -19,7 +19,7 @@ from sma_bench.results import write_result
 HERE = "examination.blind.command"
 DIAGNOSE = (sys.executable, "-m", "sma_bench.cli", "diagnose")
 DIAGNOSIS, BIC = "diagnosis", "bic"
-LOADS = ("beam", "force", "spring", "antagonist", "all")
+LOADS = ("beam", "clamped", "force", "spring", "antagonist", "all")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

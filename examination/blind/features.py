@@ -36,7 +36,7 @@ STORED = Path(__file__).with_name("features.jsonl.gz")
 # What the numbers of a search depend on; the decision is fitted to them.
 _LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
 _NOT_ITS = ("decision.py", "diagnosis.py", "next_experiment.py", "result.py", "utilities.py")
-_LOADS = ("beam", "beam", "force", "beam", "spring", "beam", "antagonist")  # in turn
+_LOADS = ("beam", "clamped", "force", "beam", "spring", "beam", "antagonist")  # in turn
 _UNSTATED, _LESS_SIGNALS = 1 / 3, 0.35  # of the owners; of the benches that read all
 _PLAIN, _AS_STATED = 0.5, 0.5  # of the benches without an effect; of plain ones with nothing wrong
 _STATED_ALWAYS = ("bench.", "load.", "composite.", "wire.diameter", "wire.length", "wire.count")
@@ -83,7 +83,8 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, index)))
     if card.signals == cases.ALL and own.random() < _LESS_SIGNALS:
         known = {**cases.EFFECTS, **cases.OUTSIDE}
-        shown = all(known[name].in_deflection for name in card.effects)
+        moves = load != cases.CLAMPED
+        shown = moves and all(known[name].in_deflection for name in card.effects)
         less = "without current", "without temperature"
         card = replace(card, signals=less[int(own.integers(2)) if shown else 0])
     plain = card.kind in (cases.NONE, RECALIBRATION) and bool(own.random() < _PLAIN)

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from examination.blind.case_files import STAGES
 from examination.blind.reality import BY_NAME, Outcome, World, happen
 from examination.blind.sensors import Sensors, readings
 from sma_bench.parameters import Parameters
@@ -25,6 +26,7 @@ _LAYOUT, _DRIVES = _DRAWN["layouts"], _DRAWN["drives"]
 SIDES = tuple(_LAYOUT["beam"]["bench.channel_sides"])
 # The law's cold martensite is a spring: one that is stretched by its antagonist does not yield.
 _STILL = {"antagonist": {"detwinning_stress": 1e9}}
+_CLAMPED_STRESS = 100e6  # Pa, of a third or so that has transformed
 # Of two equal stiffnesses the owners know one number.
 FRONT = "composite.stress_per_deflection_front"
 BACK = "composite.stress_per_deflection_back"
@@ -52,7 +54,7 @@ _POPULATION = msgspec.convert(
 
 
 def numbers(load: str) -> dict[str, Number]:
-    return _POPULATION["wire"] | _POPULATION[load] | _POPULATION["temperatures"]
+    return _POPULATION["wire"] | _POPULATION.get(load, {}) | _POPULATION["temperatures"]
 
 
 def draw_truth(rng: np.random.Generator, load: str = "beam") -> Parameters:
@@ -82,8 +84,11 @@ def draw_nominal(
 
 
 def recalibrated(load: str) -> tuple[str, ...]:
-    """Numbers of a rig that may hide a wrong one."""
-    return tuple(name for name, number in numbers(load).items() if not number.weighed)
+    """Numbers of a rig that may hide a wrong one; of a clamped wire those that its current and its
+    temperature depend on."""
+    shown = ("electrical", "thermal") if load == "clamped" else STAGES
+    known = numbers(load).items()
+    return tuple(name for name, n in known if not n.weighed and n.stage in shown)
 
 
 def draw_wrong(rng: np.random.Generator, load: str = "beam") -> dict[str, float]:
@@ -202,10 +207,14 @@ def _draw_pulse(
 
 
 def hottest(truth: Parameters) -> float:
-    """K at which the last martensite is gone, at full contraction of one side."""
+    """K at which the last martensite is gone, at full contraction of one side; of a clamped wire,
+    under _CLAMPED_STRESS."""
     modulus, strain = truth["wire.austenite_modulus"], truth["wire.maximum_recoverable_strain"]
     # Wires of a side; load [Pa] and stiffness [Pa] by contraction that they pull against.
     wires, load = 1, 0.0
+    if load_kind(truth) == "clamped":  # it never transforms wholly
+        return float(truth["wire.austenite_finish_temperature"]
+                     + _CLAMPED_STRESS / truth["wire.stress_influence_austenite"])  # fmt: skip
     if load_kind(truth) == "beam":
         wires, stiffness = 2, truth["composite.deflection_per_strain"] * truth[FRONT]
     else:
@@ -296,10 +305,11 @@ class Stage:
 
     def named(self, clean: Mapping[str, Array]) -> dict[str, Array]:
         """Signal -> (n,) of readings (n, w) by quantity."""
-        return {
+        of_wires = {
             f"{channel}.{quantity}": clean[quantity][:, wire]
             for quantity in PER_WIRE for wire, channel in enumerate(self.channels)
-        } | {"deflection": clean["deflection"]}  # fmt: skip
+        }  # fmt: skip
+        return of_wires | {n: v for n, v in clean.items() if n == "deflection"}
 
     def peak_current(self) -> float:
         """A; the largest of both records in the baseline."""

@@ -134,7 +134,7 @@ class Sensors:
 
 def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Array]:
     """What perfect samples of the instruments' readings would be, without noise: voltage, current,
-    temperature (n, w) and deflection (n,), in SI units, by their stamps."""
+    temperature (n, w) and, where something moves, deflection (n,), in SI units, by their stamps."""
     time = outcome.time
     # Radiance of wire and surroundings in the spot, through the camera's own lag from rest.
     fill, lag = world.feature("spot_fill"), world.feature("camera_lag")
@@ -156,6 +156,9 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
         seen = np.column_stack([np.interp(late, time, column) for column in seen.T])
     if steps := world.feature("shutter_steps"):
         seen = seen + steps * shutter_offset(time, sensors.seed)[:, None]
+    seen_of_wires = {"voltage": outcome.voltage, "current": outcome.current, "temperature": seen}
+    if world.load == "clamped":  # nothing moves
+        return seen_of_wires
     true = outcome.deflection
     read = true + world.feature("sensor_nonlinearity") * true**2
     read = read + world.feature("pickup") * outcome.current.sum(axis=1)
@@ -163,10 +166,7 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
         heat = (outcome.voltage * outcome.current).sum(axis=1)
         how = world.feature("drift_settling"), world.feature("drift_by_heat")
         read = read + drift * forms.offset(drift_shape(time, sensors.seed), time, *how, heat)
-    return {
-        "voltage": outcome.voltage, "current": outcome.current, "temperature": seen,
-        "deflection": read,
-    }  # fmt: skip
+    return {**seen_of_wires, "deflection": read}
 
 
 def drift_shape(time: Array, seed: int) -> Array:
@@ -214,6 +214,7 @@ def measure(
         ticks[topic] = time, received, arrived, period
 
     motion = "deflection" if world.load in ("beam", "antagonist") else "elongation"
+    moves = [(motion, "deflection", "joint_states", clean.get("deflection"))]
     signals = []
     for name, quantity, topic, values in (
         *((f"{channel}.{quantity}", quantity,
@@ -221,7 +222,7 @@ def measure(
            clean[quantity][:, wire])
           for wire, channel in enumerate(channels)
           for quantity in ("voltage", "current", "temperature")),
-        (motion, "deflection", "joint_states", clean["deflection"]),
+        *(moves if "deflection" in clean else []),
     ):  # fmt: skip
         time, received, arrived, period = ticks[topic]
         if topic.endswith("/power"):  # held

@@ -13,6 +13,7 @@ from examination.blind.reality import happen
 from examination.blind.rigs import COMMAND_PERIOD, world_of
 from examination.check.forms import try_forms
 from sma_bench.errors import InputError
+from sma_bench.parameters.parameters import load_kind
 
 pytest.importorskip("numba", reason="whole records take minutes uncompiled")
 
@@ -35,6 +36,25 @@ def test_a_form_is_named_on_the_label_and_does_what_another_does_not():
     assert label["forms"]["slack"] == case.forms["slack"]
     assert label["transformation_law"] == (label["law_distance"] > 2.0)
     assert try_forms("slack", "hard", "soft", 0) > 3.0
+
+
+def test_clamped_wires_are_dealt_with_what_their_current_and_temperature_show():
+    assert "clamped" not in {load_kind(c.truth) for c in draw_cases(2799, 40, "all")}
+    assert "clamped" in {load_kind(c.truth) for c in draw_cases(2800, 40, "all")}
+    cases = draw_cases(3000, 40, "clamped")
+    assert {c.card.signals for c in cases} == {"all", "without current"}
+    underfill = {c.forms["temperature_underfill"] for c in cases}
+    assert underfill == {"surface beside"}  # nothing moves, no wire lies opposite
+    wrong = {name for c in cases for name in c.wrong}
+    assert wrong <= {"wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
+                     "environment.ambient_temperature"}  # fmt: skip
+    case = next(c for c in cases if c.card.effects == ("ambient_drift",) and c.card.targets[0])
+    sized = size(case)
+    label = make_label(case, sized)
+    assert label["severity"] == pytest.approx(case.card.targets[0], rel=0.3)
+    assert set(label["gap"]["record"]) <= {"wire.current", "wire.temperature"}
+    signals = features.recorded(case, sized.features, ("record",))[0].signals
+    assert set(signals) <= {"wire.voltage", "wire.current", "wire.temperature"}
 
 
 def test_off_every_setting_does_nothing():

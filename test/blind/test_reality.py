@@ -49,7 +49,7 @@ def test_with_all_off_it_is_the_papers_model_whose_difference_goes_with_the_squa
     assert differences(RIG, time, voltage, 1.0)["temperature"] < 1e-4  # no instrument sees it
 
 
-@pytest.mark.parametrize("load", ["force", "spring", "antagonist"])
+@pytest.mark.parametrize("load", ["clamped", "force", "spring", "antagonist"])
 def test_wires_with_a_load_are_the_papers_too(load):
     rig, (time, voltage) = draw_truth(MIDDLE, load), drive()
     wires = len(rig["bench.channels"])

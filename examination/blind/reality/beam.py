@@ -37,6 +37,7 @@ HARDENING = 0.05  # of the modulus, while martensite detwins
 LEAST_MARTENSITE = 0.05
 LEAST_DAMPING = 0.1
 IDLE = 1e12  # Pa/m, of the wires behind a weight or a spring, which are never heated
+CLAMPS = 1e20  # Pa/m
 
 # Rows of the scratch array: of the sides, then of the wires.
 STIFF, LOAD, IMBALANCE, SLOPE, GIVE, ERROR, ALONG, BEFORE = 0, 1, 2, 3, 4, 5, 6, 7
@@ -104,6 +105,8 @@ def beam(world: World) -> Beam:
         held, lever, opposing = p["load.force"] / section, np.full(2, wire_length(p)), 0.0
         if world.load == "antagonist":
             stiffness, load, opposing = np.full(2, spring), np.full(2, preload), 1.0
+        elif world.load == "clamped":
+            stiffness, load = np.array([CLAMPS, IDLE]), np.zeros(2)
         elif world.load == "spring":
             stiffness, load = np.array([spring, IDLE]), np.array([preload + held, 0.0])
         else:

@@ -49,9 +49,9 @@ Numbers = namedtuple("Numbers", [feature.name for feature in FEATURES])
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One bench as it really is: true numbers of the baseline of a composite, or of wires with a
-    load, and values by name of FEATURES; what is absent is off. Raises InputError for an unknown
-    feature, a value out of its range, or a rig that is neither."""
+    """One bench as it really is: true numbers of the baseline of a composite, of wires with a load
+    or of a clamped one, and values by name of FEATURES; what is absent is off. Raises InputError
+    for an unknown feature, a value out of its range, or a rig that is none of these."""
 
     parameters: Parameters
     features: Mapping[str, float] = field(default_factory=dict)
@@ -65,8 +65,8 @@ class World:
                                  f"{feature.high:g} {feature.unit}")  # fmt: skip
         checked = {name: float(value) for name, value in self.features.items()}
         object.__setattr__(self, "features", checked)
-        if self.load == "clamped":
-            raise InputError("world: load.kind is clamped, expected one that moves")
+        if self.load == "displacement":
+            raise InputError("world: load.kind is displacement, expected what the wires pull")
 
     @property
     def load(self) -> str:
@@ -74,7 +74,8 @@ class World:
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Of all wires; those of a weight or a spring have others behind them that do nothing."""
+        """Of all wires; those of neither a beam nor antagonists have others behind them that do
+        nothing."""
         sides = tuple(self.parameters["bench.channel_sides"])
         return sides if self.load in ("beam", "antagonist") else sides + ("back",) * len(sides)
 
