@@ -46,13 +46,11 @@ _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has 
 _FIT_SHARE = 0.6  # of a single record without another to hold out
 _STAGES = {
     "wire.resistance": "electrical",
-    "wire.heat_transfer_coefficient": "thermal",
-    "wire.specific_heat": "thermal",
+    "wire.heat_transfer_coefficient": "thermal", "wire.specific_heat": "thermal",
     "environment.ambient_temperature": "thermal",
-    **dict.fromkeys(TRANSITIONS.values(), "transformation"),
-    "wire.stress_influence_austenite": "transformation",
-    "wire.stress_influence_martensite": "transformation",
-}
+    **dict.fromkeys((*TRANSITIONS.values(), "wire.stress_influence_austenite",
+                     "wire.stress_influence_martensite"), "transformation"),
+}  # fmt: skip
 # What is left is said to be no noise from so many nats of a smooth response of free form, and so
 # many standard deviations of a signal in motion against rest, and of its largest sample.
 _FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
@@ -220,9 +218,8 @@ def _improved(model: Fit, parameters: Parameters) -> Parameters:
     values = model.parameters
     names = [n for n in model.unknowns.names if n not in SHAPES or values[n] != BY_NAME[n].default]
     stds = dict(zip(model.unknowns.names, model.errors.tolist(), strict=True))
-    for twin, name in model.unknowns.tied.items():
-        names.append(twin)
-        stds[twin] = stds[name]
+    stds |= {twin: stds[name] for twin, name in model.unknowns.tied.items()}
+    names += model.unknowns.tied
     return parameters.replace(
         {name: values[name] for name in names},
         {name: stds[name] for name in names if stds[name] > 0.0},
@@ -295,9 +292,8 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
 
 def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
     """What of the bench's unknowns nobody stated."""
-    items = unknowns.items[: unknowns.bench]
     names = [
-        n for item in items for n in (item.name, item.partner)
+        n for item in unknowns.items[: unknowns.bench] for n in (item.name, item.partner)
         if n and n not in parameters.given and BY_NAME[n].spread is not None
     ]
     text = (

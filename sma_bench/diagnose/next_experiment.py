@@ -27,7 +27,6 @@ from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate
 from sma_bench.diagnose.drives import KNOWN, LONGER, Drive
 from sma_bench.diagnose.result import (
-    JOIN,
     NO_GAP,
     RECALIBRATION,
     UNEXPLAINED,
@@ -181,8 +180,7 @@ def _showing(search: Search, matter: Matter) -> NextExperiment | None:
         planned, _ = _planned(document, recalibrated, matter, ())
         (obs,) = planned.observations
         term = missing.on(obs, obs.simulate(recalibrated.parameters))
-        size = float(np.linalg.norm(planned.whiten(term)))
-        minutes = _minutes(obs)
+        size, minutes = float(np.linalg.norm(planned.whiten(term))), _minutes(obs)
         shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
     _, size, minutes, document = max(shown, key=lambda one: one[0])
     if size < so_far:
@@ -194,11 +192,6 @@ def _showing(search: Search, matter: Matter) -> NextExperiment | None:
     return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
 
 
-def _parts(name: str) -> frozenset[str]:
-    """Effects in a candidate's name."""
-    return frozenset(() if name == RECALIBRATION else name.split(JOIN))
-
-
 def _minutes(obs: Observation) -> float:
     return float(obs.grid[-1] - obs.grid[0]) / 60.0
 
@@ -206,24 +199,20 @@ def _minutes(obs: Observation) -> float:
 def _best_drive(matter: Matter) -> NextExperiment:
     """The known drive that is worth most, for longer where that is worth the minutes. Raises
     InputError where the bench's limits refuse all of them."""
-    refused: list[InputError] = []
 
-    def tried(drive: Drive) -> tuple[NextExperiment, Drive] | None:
+    def tried(drive: Drive) -> tuple[float, Drive, NextExperiment | InputError]:
         try:
-            return _driven(drive.document(matter.level, matter.sides), matter), drive
+            found = _driven(drive.document(matter.level, matter.sides), matter)
         except InputError as error:
-            refused.append(error)
-            return None
+            return -np.inf, drive, error
+        return found.worth - _A_MINUTE * found.minutes, drive, found
 
-    def best(drives: Sequence[Drive]) -> tuple[NextExperiment, Drive] | None:
-        found = [one for one in in_threads(tried, [(drive,) for drive in drives]) if one]
-        return max(found, key=lambda one: one[0].worth - _A_MINUTE * one[0].minutes, default=None)
-
-    first = best(KNOWN)
-    if first is None:
-        raise refused[-1]
-    longer = best([replace(first[1], minutes=minutes) for minutes in LONGER]) or first
-    return max(first[0], longer[0], key=lambda one: one.worth - _A_MINUTE * one.minutes)
+    first = max(in_threads(tried, [(drive,) for drive in KNOWN]), key=lambda one: one[0])
+    longer = in_threads(tried, [(replace(first[1], minutes=minutes),) for minutes in LONGER])
+    _, _, best = max([first, *longer], key=lambda one: one[0])
+    if isinstance(best, InputError):
+        raise best
+    return best
 
 
 def _driven(
@@ -256,9 +245,9 @@ def _driven(
             tellings[pair] = telling._replace(evidence=less)
         # Whether a zero wanders, no model predicts: another record tells as much as one of the
         # records has, and a longer one no more, for it may only wander more slowly.
-        one, other = sorted(map(_parts, pair), key=len)
+        steady, wanders = sorted(pair, key=lambda name: len(fits[name].unknowns.effects))
+        one, other = (set(fits[name].unknowns.effects) for name in (steady, wanders))
         if other - one == {DRIFT_EFFECT} and one < other:
-            steady, wanders = sorted(pair, key=lambda name: len(_parts(name)))
             gains = {n: f.gain for n, f in matter.utilities.found.candidates.items()}
             share = min(driven / matter.minutes, 1.0 / matter.records)
             evidence = max(gains[wanders] - gains.get(steady, 0.0), 0.0) * share
@@ -283,7 +272,7 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
     done = measured(parameters)  # once more it would be no better
     known = {item.name: (k, item.std) for k, item in enumerate(items) if item.name not in done}
     places = {n: known[n][0] for n, std in stds.items() if n in known and std < known[n][1]}
-    fits = {c: f for c, f in matter.fits.items() if test.readings_hold not in _parts(c)}
+    fits = {c: f for c, f in matter.fits.items() if test.readings_hold not in f.unknowns.effects}
     if not places or len(fits) < 2:
         return None
     errors = np.array([stds[n] / items[k].std for n, k in places.items()])

@@ -206,8 +206,7 @@ class DiagnosisResult(Carded):
     @property
     def first(self) -> Explanation | None:
         """The most probable candidate that holds the whole cause."""
-        held = (c for c in self.candidates if set(self.cause) <= set(c.effects))
-        return next(held, None)
+        return next((c for c in self.candidates if set(self.cause) <= set(c.effects)), None)
 
     @property
     def credible(self) -> tuple[str, ...]:

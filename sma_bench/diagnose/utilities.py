@@ -121,7 +121,8 @@ class Utilities:
     def features(self, gains: Array | None = None) -> Array:
         """(m, n, k) of every explanation, where the effects gain so much (m, c) [nats]."""
         gains = self.gains[None] if gains is None else gains
-        gains = np.where(gains > 0.0, gains * self._counted, gains)
+        counted = np.sqrt(_USUAL_RECORDS / max(self.found.records, _USUAL_RECORDS))
+        gains = np.where(gains > 0.0, gains * counted, gains)
         x = np.repeat(self._plain[None], len(gains), axis=0)
         if not self.effects:
             return x
@@ -140,10 +141,6 @@ class Utilities:
         last[:, _AT["unexplained.best_gain"]] = _nats(best)
         last[:, _AT["unexplained.beyond_share"]] = beyond / (max(beyond, 0.0) + best + 4.0)
         return x
-
-    @property
-    def _counted(self) -> float:
-        return float(np.sqrt(_USUAL_RECORDS / max(self.found.records, _USUAL_RECORDS)))
 
     def probabilities(self, gains: Array | None = None) -> Array:
         """(n,) of the explanations; (m, n) where the effects gain so much (m, c)."""
