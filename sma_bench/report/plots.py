@@ -492,7 +492,7 @@ def _missing(result: Diagnosis, name: str) -> Picture:
             over_time.plot(time, left, color=draw.FAINT, lw=1.0)
             if found := result.missed:
                 response = factor * result.search.inputs[found.stage].response[block.rows]
-                label = f"a smooth input, {found.stage} stage"
+                label = f"an input to the {found.stage} stage"
                 over_time.plot(time, response, color=draw.MODEL, lw=1.2, label=label)
                 if found.record == obs.path:
                     over_time.axvspan(found.start, found.stop, color=draw.FAINT, alpha=0.2)
