@@ -17,6 +17,7 @@ from examination.bags import in_sqlite3
 from examination.blind import cases, rigs
 from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, STAGE_OF, seal
 from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, Draw, Symptom
+from examination.blind.reality import BY_NAME
 from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
 from examination.blind.sensors import measure
 from sma_bench.errors import InputError
@@ -75,9 +76,9 @@ def size(case: Case) -> Sized:
         parts = {name: value * rng.uniform(0.3, 1.0) for name, value in MILD_KINETICS.items()}
         amount = 1.0
         for trial in range(4):
-            added = {name: little.get(name, 0.0) + amount * part for name, part in parts.items()}
-            smoothness = min(added["kinetics_smoothness"], 1.0)
-            base = {**little, **added, "kinetics_smoothness": smoothness}
+            base = dict(little)
+            for name, part in parts.items():  # as far as the reality goes, if that shows too little
+                base[name] = min(little.get(name, 0.0) + amount * part, BY_NAME[name].high)
             kinetics_gap = measured(case, base, little, fine=COARSE if trial < 3 else 1.0)
             # Smoothing acts by its variance: the gap grows between the first and second power.
             amount *= float(np.clip((case.mild_gap / kinetics_gap) ** 0.7, 0.2, 3.0))
