@@ -60,7 +60,11 @@ def size(case: Case) -> Sized:
     little: dict[str, float] = {}
     nuisance_gap = 0.0
     for trial in range(_TRIALS):
-        scaled = {name: scale * value for name, value in case.nuisances.items()}
+        # As far as the reality goes: a clamped wire hardly shows some of them.
+        scaled = {
+            name: float(np.clip(scale * value, BY_NAME[name].low, BY_NAME[name].high))
+            for name, value in case.nuisances.items()
+        }
         reached = measured(case, {**case.fixed, **scaled}, {}, fine=COARSE if trial == 0 else 1.0)
         if trial and reached <= cases.NUISANCE_LIMIT:
             little, nuisance_gap = scaled, reached
