@@ -144,10 +144,9 @@ def diagnose(
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     moved = _fitted_to(fitted, recalibrated)
     blind = moved if model is recalibrated else _fitted_to(fitted, model)
-    fits = [recalibrated, *found.singles.values(), *found.pairs.values()]
     shrinks = shrinkage(
         unfitted, parameters, moved.parameters, parameters if no_gap else blind.parameters,
-        sensors_noise(model, fits),
+        sensors_noise(model, [recalibrated, *found.singles.values(), *found.pairs.values()]),
     )
 
     # A proposal that the bench's limits refuse costs no diagnosis.
@@ -158,6 +157,10 @@ def diagnose(
             following = next_experiment(
                 decision.verdict_of(decided), decided, found, utilities, observations, parameters
             )
+            if following:  # causes as they are named beside another law
+                names = {c.name: new.name for c, new in zip(decided, candidates, strict=False)}
+                causes = tuple(names[name] for name in following.separates)
+                following = replace(following, separates=causes)
             if verdict == "ambiguous" and not (following and following.settles):
                 text = "nothing that the bench can do settles the tie"
                 if following:
@@ -172,8 +175,7 @@ def diagnose(
     stage, smooth_input = next(iter(found.inputs.items()))
     if verdict == UNEXPLAINED:
         missing = found.flexible if found.flexible.gain > _FREE_FORM else smooth_input
-        left = missing.response if missing.gain > 0.0 else recalibrated.left
-        cells = locate(model.problem, left)
+        cells = locate(model.problem, missing.response if missing.gain > 0.0 else recalibrated.left)
     elif acting := cause or model.unknowns.effects:
         cells = locate(model.problem, contribution(model, acting))
     else:
@@ -286,8 +288,7 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
             stage = "" if weights else stage
         if stage:
             shares[stage] = shares.get(stage, 0.0) + share
-    ranked = sorted(shares, key=lambda stage: shares[stage], reverse=True)
-    return {stage: shares[stage] for stage in ranked} or {least: 0.0}
+    return dict(sorted(shares.items(), key=lambda item: -item[1])) or {least: 0.0}
 
 
 def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:

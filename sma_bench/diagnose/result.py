@@ -264,8 +264,7 @@ def _plain(value: Any) -> Any:
 def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
     """A diagnosis from what its JSON held. InputError: a line with `where` and the field."""
     if isinstance(document, dict):  # null stands for none here, for no number elsewhere
-        document = {name: value for name, value in document.items() if value is not None}
-        document["path"] = where
+        document = {**{n: v for n, v in document.items() if v is not None}, "path": where}
         if isinstance(lines := document.get("findings"), list):
             document["findings"] = [
                 vars(Finding.read(line)) if isinstance(line, str) else line for line in lines

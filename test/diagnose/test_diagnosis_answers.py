@@ -10,7 +10,8 @@ from planted import ALL, ONE_WIRE, believed, drive, few_effects, planted_record
 
 from examination.bags import in_sqlite3
 from examination.blind.case_files import checked_answer
-from sma_bench.diagnose import diagnose
+from sma_bench.diagnose import decision, diagnose, diagnosis
+from sma_bench.diagnose.result import NextExperiment
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol
@@ -45,6 +46,21 @@ def test_the_answer_obeys_the_contract(planted_diagnosis):
     assert all(p >= least for p in probabilities[1 : len(credible)])
     assert all(p < least for p in probabilities[len(credible) :])
     assert credible == tuple(c.name for c in candidates[: len(credible)])
+
+
+def test_an_experiment_separates_causes_as_they_are_named_next_to_another_law(
+    monkeypatch, tmp_path
+):  # fmt: skip
+    def proposed(verdict, candidates, *_):
+        return NextExperiment("protocol", "to see", tuple(c.name for c in candidates), worth=0.5)
+
+    monkeypatch.setattr(diagnosis, "next_experiment", proposed)
+    monkeypatch.setattr(decision, "law_of", lambda fitted: (10.0, 50.0, {}))
+    with few_effects():
+        found = diagnose([planted_record(tmp_path / "bag")], believed())
+    separates = found.next_experiment.separates
+    assert set(separates) <= {c.name for c in found.candidates}
+    assert any("transformation_law" in name for name in separates)
 
 
 def test_a_bench_that_its_lab_takes_for_one_that_stands_still_is_recalibrated(tmp_path):
