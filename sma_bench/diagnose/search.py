@@ -69,6 +69,7 @@ _SHAPES = {
     "effect.transition_drift.cycles": (1.0, 6.0),
     "effect.matrix_thermal_mass.clamp_time": (8.0, 40.0),
     "effect.ambient_drift.fading": (30.0, 150.0),
+    "effect.supply_drop.battery_time": (6.0, 20.0),
     "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
     "effect.stress_dependent_transition.bend_stress": (20e6, 60e6, 150e6),
 }

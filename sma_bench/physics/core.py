@@ -92,7 +92,7 @@ after_step = of_effects("after_step", both_of)
 def heat_balance(wires, i, voltage, step):
     """Steady temperature [K] of wire i with its surroundings held; sets its decay and lag."""
     air = in_plume(wires, i, air_temperature(wires, i))
-    heating = power(wires, i, voltage, resistance(wires, i))
+    heating = power(wires, i, voltage, resistance(wires, i), step)
     if wires[i, at.MATRIX_CAPACITY] > 0.0:
         look_beside(wires, i, wires[i, at.OPPOSITE_MATRIX], step)
         surface = wires[i, at.MATRIX_RISE] + wires[i, at.AMBIENT]
@@ -481,7 +481,7 @@ def run(time, voltage, wires, sides, history, strain):
     Args:
         time: (n,) s; voltage: (n, w) V held from each sample to the next.
         wires, sides: of the bench, advanced in place; a TREND of 0 starts a history.
-        history: (5, n, w) temperature, fraction, stress, reading, warmth of the mount;
+        history: (6, n, w) temperature, fraction, stress, reading, warmth of the mount, sag;
         strain: (2, n, s) contraction, and the part that bends; written, but for a MOVED
             contraction, which is read.
     """
@@ -517,6 +517,7 @@ def run(time, voltage, wires, sides, history, strain):
             history[2, k, i] = wires[i, at.STRESS]
             history[3, k, i] = wires[i, at.READING]
             history[4, k, i] = wires[i, at.MOUNT]
+            history[5, k, i] = wires[i, at.SAG]
         for side in range(sides.shape[0]):
             strain[0, k, side] = sides[side, at.CONTRACTION]
             strain[1, k, side] = sides[side, at.BENDING]

@@ -186,7 +186,7 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     row[at.SOURCE] = SOURCES.get(p["bench.drive"], 0.0)
     leads = p["bench.lead_resistance"] + p["effect.supply_drop.resistance"]
     row[at.SUPPLY_RESISTANCE] = p["wire.count"] * leads
-    row[at.OVERLOAD] *= p["wire.count"]
+    row[[at.OVERLOAD, at.BATTERY]] *= p["wire.count"]
     row[at.KNEE] /= p["wire.count"]
     row[at.TIME_CONSTANT], row[at.LOSS] = time_constant(p), heat_loss(p)
     row[at.LATENT_RISE] = p["effect.latent_heat.heat"] / p["wire.specific_heat"]
@@ -301,7 +301,7 @@ class Kernel:
         self, time: Array, voltage: Array, memory: tuple[Array, Array],
         contraction: Array | None = None,
     ) -> tuple[Array, Array]:
-        """Advance `memory` in place; history (5, n, w) and strain (2, n, s) as of core.run. Sides
+        """Advance `memory` in place; history (6, n, w) and strain (2, n, s) as of core.run. Sides
         that are held stay where they are, or go through `contraction` (n,) from sample 1 on."""
         wires, sides = memory
         strain = np.empty((2, time.size, len(sides)))
@@ -315,13 +315,13 @@ class Kernel:
             # One wire stands for all of a side: every sum of stresses is so many times smaller.
             first = sorted(set(of_side))
             which, share = [first.index(k) for k in of_side], len(first) / self.wires
-            few, own = wires[first], np.empty((5, time.size, len(first)))
+            few, own = wires[first], np.empty((6, time.size, len(first)))
             sides[:, _SUMS_OF_STRESSES] *= share
             core.run(time, np.ascontiguousarray(volts[:, first]), few, sides, own, strain)
             sides[:, _SUMS_OF_STRESSES] /= share
             wires[:] = few[which]
             return own[:, :, which], strain
-        history = np.empty((5, time.size, self.wires))
+        history = np.empty((6, time.size, self.wires))
         core.run(time, volts, wires, sides, history, strain)
         return history, strain
 

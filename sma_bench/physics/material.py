@@ -126,9 +126,11 @@ def stress(
 
 
 def current(
-    parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike
-) -> Array:
-    """I = n V/(R(xi, T) + n R_s) through the n wires of a channel; with all effects off eq. (3).
+    parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike,
+    sag: ArrayLike = 0.0,
+) -> Array:  # fmt: skip
+    """I = n (V - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by u
+    [V]; with all effects off eq. (3).
 
     The voltage is as the driver reads it or is commanded (`heating_voltage`); any shape. A
     current source holds it whatever the resistance, one of power sqrt(P/R); of a duty it is the
@@ -154,6 +156,8 @@ def current(
     if parameters["bench.drive"] == "power":
         return np.asarray(count * volts / np.sqrt(parameters["wire.resistance"] * resistance))
     resists = resistance + count * leads
+    if parameters["effect.supply_drop.battery"]:
+        volts = np.maximum(volts - sag, 0.0)
     found = count * volts / resists
     if overload := count * parameters["effect.supply_drop.overload"]:
         knee = parameters["effect.supply_drop.knee"]

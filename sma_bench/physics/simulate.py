@@ -34,6 +34,7 @@ class Readings:
         temperature_reading: (..., w) K, what a sensor reads: the temperature, unless effects of the
             sensor are on.
         mount: (..., w) K, by which each wire has warmed the mount of the deflection's sensor.
+        sag: (..., w) V, by which each channel's battery has given way.
         clock: s since the bench's start (drifts count from it).
     """
 
@@ -46,6 +47,7 @@ class Readings:
     bending: Array
     temperature_reading: Array
     mount: Array
+    sag: Array
     clock: ClassVar[Any]
 
     @property
@@ -100,7 +102,7 @@ class Simulation(Readings, Drawn):
     @cached_property
     def current(self) -> Array:
         """(n, w) A, eq. (3)."""
-        states = self.temperature, self.martensite_fraction
+        states = self.temperature, self.martensite_fraction, self.sag
         return material.current(self.parameters, self.voltage, *states)
 
 
@@ -150,10 +152,10 @@ def _simulated(
     kernel: Kernel, time: Array, voltage: Array, courses: tuple[Array, Array], final: State,
     started: float,
 ) -> Simulation:
-    (temperature, fraction, stress, reading, mount), (contraction, bending) = courses
+    (temperature, fraction, stress, reading, mount, sag), (contraction, bending) = courses
     return Simulation(
         kernel.parameters, kernel.boundary, temperature, fraction, stress, contraction, bending,
-        reading, mount, time, voltage, final, started,
+        reading, mount, sag, time, voltage, final, started,
     )
 
 
@@ -249,7 +251,7 @@ class Bench(Readings):
 
     def current(self, voltage: ArrayLike) -> Array:
         """(w,) A through the wires in their present state at `voltage` (w,) V."""
-        states = self.temperature, self.martensite_fraction
+        states = self.temperature, self.martensite_fraction, self.sag
         return material.current(self.parameters, voltage, *states)
 
     @property
@@ -263,7 +265,7 @@ class Bench(Readings):
         super().__init__(
             self._kernel.parameters, self._kernel.boundary, now.temperature,
             now.martensite_fraction, now.stress, now.contraction, sides[:, at.BENDING].copy(),
-            wires[:, at.READING].copy(), wires[:, at.MOUNT].copy(),
+            wires[:, at.READING].copy(), wires[:, at.MOUNT].copy(), wires[:, at.SAG].copy(),
         )
         self.clock = now.clock  # type: ignore[misc]
         return now

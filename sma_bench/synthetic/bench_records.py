@@ -37,7 +37,7 @@ _ROUNDING = 1e-6  # of a period
 _FINE_STEP = 0.0025
 _PULL_STEP = 0.1  # s, in which a frame's force stands still
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
-               "bending", "temperature_reading", "mount")
+               "bending", "temperature_reading", "mount", "sag")
 
 # --- A simulated bench, and its signals.
 

@@ -22,6 +22,10 @@ CASES = [
     ({f"{VISCOUS}.relaxation": 0.25, f"{VISCOUS}.time_constant": 5.0}, ALL, FEW),
     # With the whole library, and motion alone.
     ({"effect.residual_strain.share": 0.12}, ("deflection",), tuple(EFFECTS)),
+    ({"effect.residual_strain.share": 0.12, "effect.residual_strain.recovery": 0.05}, ALL[1:],
+     ("residual_strain", "transition_drift", "viscoelastic_matrix")),
+    ({"effect.supply_drop.battery": 0.6, "effect.supply_drop.battery_time": 8.0}, ALL[1:],
+     ("supply_drop", "ambient_drift", "phase_dependent_resistance")),
 ]
 COUPLING = {"effect.side_heat_coupling.conductance": 0.002}
 
@@ -38,7 +42,8 @@ def expect(result, numbers):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("numbers", "quantities", "library"), CASES, ids=["viscous", "strained"])
+@pytest.mark.parametrize(("numbers", "quantities", "library"), CASES,
+                         ids=["viscous", "strained", "recovering", "battery"])
 def test_a_planted_effect_is_named_and_measured(numbers, quantities, library, tmp_path):
     seen, unseen = planted_pair(tmp_path, numbers, quantities=quantities)
     with few_effects(library):

@@ -105,6 +105,20 @@ def test_a_supply_gives_way_beyond_its_current_and_heats_with_what_is_left():
     assert run.current == pytest.approx(plain.current, rel=1e-12)
 
 
+def test_a_battery_gives_way_with_its_time_constant_and_comes_back():
+    time, volts, share, tau = np.arange(0.0, 60.0, 0.01), 5.0, 0.4 / 2.6987, 8.0
+    voltage = np.outer(np.where(time < 30.0, volts, 0.0), np.ones(4))
+    rig = effect(COMPOSITE, f"supply_drop: battery=0.4 battery_time={tau}")
+    run = simulate(rig, time, voltage)
+    loaded = np.minimum(time, 30.0)  # tau du/dt = R_b (V - u)/R - u, then with V = 0 at no current
+    sag = volts * share / (1.0 + share) * -np.expm1(-(1.0 + share) * loaded / tau)
+    sag *= np.exp(-np.maximum(time - 30.0, 0.0) / tau)
+    assert run.sag == pytest.approx(np.outer(sag, np.ones(4)), abs=1e-3 * volts * share)
+    plain = simulate(COMPOSITE, time, np.maximum(voltage - run.sag, 0.0))
+    assert run.current == pytest.approx(plain.current, rel=1e-12)
+    assert np.abs(run.temperature - plain.temperature).max() < 1e-9
+
+
 def test_wire_and_silicone_are_exact_at_any_step():
     silicone = "matrix_thermal_mass: heat_capacity=0.3 inner_share=0.35, "
     rig = effect(COMPOSITE, silicone + "supply_drop: resistance=0.2")
@@ -275,11 +289,15 @@ def stretched(run, strain):
     return modulus * (strain - run.contraction[:, [0, 0, 1, 1]]) + expansion
 
 
-@pytest.mark.parametrize("share", [0.15, -0.1])
-def test_residual_strain_is_exact_in_every_sample_and_none_of_the_first_heating(share):
-    run = simulate(effect(COMPOSITE, f"residual_strain: share={share}"), *pulses(0.05))
+@pytest.mark.parametrize(("share", "recovery"), [(0.15, 0.0), (-0.1, 0.0), (0.15, 0.3)])
+def test_residual_strain_is_exact_in_every_sample_and_none_of_the_first_heating(share, recovery):
+    numbers = f"residual_strain: share={share} recovery={recovery}"
+    run = simulate(effect(COMPOSITE, numbers), *pulses(0.05))
     austenite = 1.0 - run.martensite_fraction
-    most = np.maximum.accumulate(austenite, axis=0)
+    kept, most = np.zeros(austenite.shape[1]), np.zeros_like(austenite)
+    for k, now in enumerate(austenite):
+        most[k] = np.maximum(kept, now)  # in this step what has crept back before it counts
+        kept = now + (most[k] - now) * np.exp(-recovery * 0.05)
     strain = EPS_L * ((1 - share) * austenite + share * most)
     assert np.any((most < 0.9) & (most > 0.1))
     assert np.abs(run.stress - stretched(run, strain)).max() < 1.0

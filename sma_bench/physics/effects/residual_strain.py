@@ -1,11 +1,15 @@
 """Part of the recovered strain stays when the wire cools.
 
-    strain of eq. (9) becomes eps_L [(1 - r)(1 - xi) + r max over the past of (1 - xi)]
+    strain of eq. (9) becomes eps_L [(1 - r)(1 - xi) + r m]
+    m = max over the past of (1 - xi), less k (m - (1 - xi)) a second
 
-The first heating is the paper's; after it, r of the strain stays at rest. Source: two-way memory
-and incomplete reorientation (detwinning) of the martensite under too small a load. Laws of which
-that load decides the strain (brinson, extended) have it by themselves: it is refused beside them.
+The first heating is the paper's; after it, r of the strain stays at rest, or creeps back at the
+rate k. Source: two-way memory and incomplete reorientation (detwinning) of the martensite under too
+small a load. Laws of which that load decides the strain (brinson, extended) have it by themselves:
+it is refused beside them.
 """
+
+import math
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
@@ -24,9 +28,10 @@ def added_strain(wires, i):
 
 @borrowing
 def after_step(wires, i, fraction_before, step):
-    """Note how austenitic wire i has been at most."""
-    most = wires[i, at.MOST_AUSTENITE]
-    wires[i, at.MOST_AUSTENITE] = max(most, 1.0 - wires[i, at.FRACTION])
+    """Note how austenitic wire i has been at most, less what has crept back."""
+    austenite = 1.0 - wires[i, at.FRACTION]
+    beyond = max(wires[i, at.MOST_AUSTENITE] - austenite, 0.0)
+    wires[i, at.MOST_AUSTENITE] = austenite + beyond * math.exp(-wires[i, at.RECOVERY] * step)
 
 
 @borrowing
