@@ -275,6 +275,8 @@ OPEN = "open"
 IN_FORMS = range(2700, 4000)
 # Seeds whose sets of all loads hold clamped wires, and whose forms suit the load.
 WITH_CLAMPED = range(2800, 4000)
+# Seeds whose labels say where the inner loops of spread grains show.
+WITH_LOOPS = range(2900, 4000)
 
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.

@@ -96,12 +96,13 @@ def run_cases(
 )
 @click.option("--jobs", type=click.IntRange(1), default=2, help="follow-ups at a time")
 @click.option("--no-follow-up", is_flag=True, help="do not perform what answers ask for")
+@click.option("--ties-only", is_flag=True, help="perform what ambiguous answers ask for, no more")
 @click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
 @click.option("--json", "result", metavar="FILE", help="write the result to FILE")
 @click.option("--force", is_flag=True, help="replace outputs that exist")  # fmt: skip
 def score_cases(
-    folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool, markdown: str | None,
-    result: str | None, force: bool,
+    folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool, ties_only: bool,
+    markdown: str | None, result: str | None, force: bool,
 ) -> None:  # fmt: skip
     from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, follow_up
@@ -114,7 +115,7 @@ def score_cases(
     if not no_follow_up:
         for paper in papers:
             examinee = Examinee(paper.examination.program, paper.examination.time_limit)
-            follow_up(cases, labels, examinee, paper.folder, jobs)
+            follow_up(cases, labels, examinee, paper.folder, jobs, ties_only)
         papers += followed_up(papers)
     scores = score(cases, papers, labels)
     about = {"seed": cases.seed, "split": cases.split, "n": len(cases.names)}

@@ -169,14 +169,17 @@ def asks_for_more(kept: files.Kept) -> bool:
 
 def follow_up(
     cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee,
-    answers: Path, jobs: int = 1,
+    answers: Path, jobs: int = 1, ties_only: bool = False,
 ) -> None:  # fmt: skip
-    """Do what the examinee's answers ask for, and keep each one after it in `answers`/after_1 to
-    after_3; what has been answered stays."""
+    """Do what the examinee's answers ask for, of all or of the ambiguous ones, and keep each one
+    after it in `answers`/after_1 to after_3; what has been answered stays."""
     for number, name in enumerate(files.FOLLOW_UPS):
         ask = {}
         for case in cases.names:
             history, place = files.answers_of(answers, case), cases.folder.absolute() / case
+            first = history[0].answer if history else None
+            if ties_only and (first is None or first.verdict != "ambiguous"):
+                continue
             if len(history) == number + 1 and asks_for_more(history[-1]):
                 given = place, answers / name / case, cases.seed, labels[case], history
                 ask[case] = partial(_do_and_ask, *given, examinee)

@@ -2,7 +2,8 @@
 
 Cases cover all loads, one or two records and missing signals; a third of the owners state half of
 their numbers only. Half of the benches without an effect are plain: their equations are the
-baseline's, and of those where nothing is wrong half have the very numbers that are stated. What is
+baseline's, and of those where nothing is wrong half have the very numbers that are stated. Labels
+say what can be told from the records that are searched, with the numbers that are stated. What is
 found is kept under a hash of the library, one line a case.
 """
 
@@ -93,12 +94,12 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     case = cases.draw_case(seed, index, card, f"{index:04d}", load)
     sized = Sized({}, {}, {}, {}, 0.0, 0.0) if plain else size(case)
     names = RECORDS[: int(own.integers(1, 3))]
-    label = make_label(case, sized)
     nominal = case.nominal
     if plain and card.kind == cases.NONE and own.random() < _AS_STATED:
         nominal = nominal.replace({n: case.truth[n] for n in nominal.given_uncertainty})
     if own.random() < _UNSTATED:
         nominal = half_stated(nominal, own)
+    label = make_label(case, sized, names, nominal)
 
     records = [mended(record)[0] for record in recorded(case, sized.features, names)]
     quantities = QUANTITIES[card.signals]
@@ -108,7 +109,8 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     utilities = Utilities(looked_at)
     today = dict(zip(utilities.names, utilities.probabilities().round(6).tolist(), strict=True))
     wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
-              "distinguishable", "load", "forms", "law_distance", "transformation_law")  # fmt: skip
+              "distinguishable", "load", "forms", "law_distance", "transformation_law",
+              "loops_distance", "inner_loops")  # fmt: skip
     return {
         "label": {name: label[name] for name in wanted}, "today": today,
         "plain": plain, "records": len(names), "stated": len(nominal.given),

@@ -50,6 +50,7 @@ class Label:
     severities: dict[str, float] = field(default_factory=dict)
     wrong: dict[str, float] = field(default_factory=dict)
     transformation_law: bool = False
+    inner_loops: bool = False
     forms: dict[str, str] = field(default_factory=dict)  # of seeds that have them, from 2700 on
 
     @property
@@ -67,9 +68,10 @@ class Label:
 
     @property
     def names(self) -> frozenset[str]:
-        """All that is right to say: another law too, where it shows beside what was hidden; that
-        there is no gap, where there is next to none."""
+        """All that is right to say: another law too, where it shows beside what was hidden, and the
+        inner loops of grains that are spread; that there is no gap, where there is next to none."""
         law = {"transformation_law"} if self.transformation_law else set()
+        law |= {"partial_transformation"} if self.inner_loops else set()
         small = self.forms and self.effects and self.severity < WORTH_NAMING
         return self.hidden | law | (_BENIGN if small else set())
 
@@ -147,6 +149,8 @@ class Judged:
         first_right = first is not None and bool(chosen <= right or chosen & right & _BENIGN)
         stages = {STAGE_OF[name] for name in right if name in STAGE_OF}
         gap, alarms = verdict not in ("", NO_GAP), verdict in ("", "effect", UNEXPLAINED)
+        if verdict == "effect":
+            alarms = not right.issuperset(said.cause)
         if verdict == "ambiguous":
             gap, alarms = NO_GAP not in in_set, in_set.isdisjoint(_BENIGN)
         abstains = verdict in ("ambiguous", UNEXPLAINED)

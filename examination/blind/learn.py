@@ -72,8 +72,10 @@ def right_names(
 ) -> set[str]:
     """Explanations that are right to put first; `small`: pairs that stand for their better half."""
     kind, effects = label["kind"], label["effects"]
+    # Grains that are spread have inner loops of their own, whatever is hidden.
+    loops = {"partial_transformation"} if label["inner_loops"] else set[str]()
     if kind == "none":
-        return {RECALIBRATION, NO_GAP}
+        return {RECALIBRATION, NO_GAP} | loops
     # What does less than the noise is not worth a name: that there is no gap is right as well.
     if effects and label["severity"] < WORTH_NAMING:
         return {RECALIBRATION, NO_GAP} | right_names({**label, "severity": np.inf}, names, small)
@@ -88,7 +90,8 @@ def right_names(
     if len(effects) > 1 and least < 0.1 * label["severities"].get(main, 0.0):
         return {main, whole}
     if len(effects) == 1:
-        return {main} | {pair for pair, half in small.items() if half == main}
+        beside = {JOIN.join(sorted({main, other})) for other in loops}
+        return {main} | beside | {pair for pair, half in small.items() if half == main}
     return {whole} if whole in names else set(effects)
 
 
@@ -194,7 +197,8 @@ def truths(case: Known) -> set[str]:
     label = case.label
     kinds = {"none": {BENIGN}, "recalibration": {BENIGN}, "outside": {UNEXPLAINED}}
     small = label["effects"] and label["severity"] < WORTH_NAMING
-    return kinds.get(label["kind"], set(label["effects"])) | ({BENIGN} if small else set())
+    right = kinds.get(label["kind"], set(label["effects"])) | ({BENIGN} if small else set())
+    return right | ({"partial_transformation"} if label["inner_loops"] else set())
 
 
 def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, float]:

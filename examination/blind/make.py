@@ -3,7 +3,7 @@ bags, what the owners believe, and labels under seal."""
 
 import json
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -17,6 +17,7 @@ from examination.bags import in_sqlite3
 from examination.blind import cases, rigs
 from examination.blind.case_files import CASES, LABELS, MANIFEST, RECALIBRATION, STAGE_OF, seal
 from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, Draw, Symptom
+from examination.blind.judgement import WORTH_NAMING
 from examination.blind.reality import BY_NAME
 from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
 from examination.blind.sensors import measure
@@ -108,10 +109,11 @@ def size(case: Case) -> Sized:
 def measured(
     stage: Stage, features: Features, other: Features,
     quantities: tuple[str, ...] = QUANTITIES[cases.ALL], fine: float = 1.0,
+    records: Sequence[str] = RECORDS,
 ) -> float:  # fmt: skip
     """Gap over noise between two worlds: the largest over signals and records."""
     found = 0.0
-    for record in RECORDS:
+    for record in records:
         one, two = (stage.read(f, record, fine) for f in (features, other))
         found = max(found, *gaps(one, two, stage.sensors, quantities).values())
     return found
@@ -134,18 +136,19 @@ _SHAPES = (0.25, 0.75)  # places within the range of a setting
 
 def separation(
     stage: Stage, base: Features, truth: Readings, without: Readings, quantities: tuple[str, ...],
-    own: str = "",
+    own: str = "", nominal: Parameters | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Distances [standard deviations] of one difference from every rival explanation, the closest
     rival with its own, and whether every rival is out of reach. `base`: features without the
-    effect; `truth`, `without`: noise-free readings by record, with and without what is hidden;
-    `own`: the effect itself, no rival of its own."""
-    sensors, width = stage.sensors, _WINDOW * rigs.COMMAND_PERIOD
+    effect; `truth`, `without`: noise-free readings of each record that is given, with and without
+    what is hidden; `own`: the effect itself, no rival of its own; `nominal`: what is believed, if
+    not every number as its owners do."""
+    records, sensors, width = tuple(truth), stage.sensors, _WINDOW * rigs.COMMAND_PERIOD
 
     def whitened(one: Readings, other: Readings) -> Array:
         """(m,) difference in windows of all signals of both records, of unit white noise."""
         parts = []
-        for record in RECORDS:
+        for record in records:
             for name in sorted(one[record]):
                 quantity = quantity_of(name)
                 if quantity not in quantities:
@@ -159,16 +162,17 @@ def separation(
                 parts.append(noise.whiten_means(means, width, samples))
         return np.concatenate(parts)
 
-    origin = {record: stage.read(base, record, COARSE) for record in RECORDS}
+    origin = {record: stage.read(base, record, COARSE) for record in records}
     difference, load = whitened(truth, without), load_kind(stage.truth)
     # What a stated standard deviation of each parameter does, all under their uncertainty.
     columns = []
     for name in rigs.recalibrated(load):
-        step = _STEP * rigs.numbers(load)[name].stated_std(stage.truth[name])
+        std = rigs.numbers(load)[name].stated_std(stage.truth[name])
+        step, wider = _STEP * std, nominal.std(name) / std if nominal else 1.0
         twins = (rigs.FRONT, rigs.BACK) if name == rigs.FRONT else (name,)
         moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
-        changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in RECORDS}
-        columns.append(whitened(changed, origin) / _STEP)
+        changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in records}
+        columns.append(whitened(changed, origin) * wider / _STEP)
     prior = np.vstack([np.column_stack(columns), np.eye(len(columns))])
     free = np.linalg.qr(prior)[0]
 
@@ -184,7 +188,7 @@ def separation(
         if name == own or not (symptom.in_deflection or "temperature" in quantities):
             continue
         columns = [
-            whitened({r: stage.read(features, r, COARSE) for r in RECORDS}, origin)
+            whitened({r: stage.read(features, r, COARSE) for r in records}, origin)
             for features in _varieties(symptom, base)
         ]
         free_of = beyond_parameters(np.column_stack(columns))
@@ -223,12 +227,14 @@ def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
             yield {**base, **shape, name: moved}
 
 
-def law_distance(stage: Stage, base: Features, quantities: tuple[str, ...]) -> float:
-    """Gap over noise between what a rig's law does and the cosine with its four temperatures
-    refitted: the largest over signals and records."""
-    cosine = {n: 0.0 if n in MILD_KINETICS else value for n, value in base.items()}
-    if cosine == base:
-        return 0.0
+def law_distances(
+    stage: Stage, base: Features, quantities: tuple[str, ...]
+) -> tuple[float, float]:  # fmt: skip
+    """Gap over noise, the largest over signals and records, between what a rig's law does and the
+    nearest of other laws: the cosine with its four temperatures refitted, and any smooth law of a
+    single grain, which has no inner loops of its own."""
+    if not any(base.get(name, 0.0) for name in MILD_KINETICS):
+        return 0.0, 0.0
 
     def readings(features: Features, parameters: Parameters | None = None) -> dict[str, Array]:
         played = {r: stage.read(features, r, COARSE, parameters) for r in RECORDS}
@@ -241,23 +247,36 @@ def law_distance(stage: Stage, base: Features, quantities: tuple[str, ...]) -> f
     def stacked(one: Mapping[str, Array], other: Mapping[str, Array]) -> Array:
         return np.concatenate([one[name] - other[name] for name in other])
 
-    # Steps of Gauss and Newton, of which the best counts: a temperature may overshoot.
-    wanted, fitted, best = readings(base), stage.truth, np.inf
-    for _ in range(3):
-        found = readings(cosine, fitted)
-        gap = max(float(np.sqrt(np.mean((wanted[n] - found[n]) ** 2))) for n in wanted)
-        if gap >= best:
-            break
-        best = gap
-        moves = [fitted.replace({n: fitted[n] + 0.5}) for n in TRANSITIONS.values()]
-        columns = np.column_stack([stacked(readings(cosine, p), found) / 0.5 for p in moves])
-        by = np.linalg.lstsq(columns, stacked(wanted, found), rcond=None)[0]
-        changed = {n: fitted[n] + d for n, d in zip(TRANSITIONS.values(), by.tolist(), strict=True)}
-        try:
-            fitted = fitted.replace(changed)
-        except InputError:  # beyond all wires
-            break
-    return best
+    wanted, temperatures = readings(base), list(TRANSITIONS.values())
+
+    def nearest(smooth: bool) -> float:
+        """Steps of Gauss and Newton, of which the best counts: a temperature may overshoot."""
+        fitted, best = stage.truth, np.inf
+        features = {**base, "grain_spread": 0.0, "kinetics_smoothness": 0.5 * smooth}
+        for _ in range(3 + 2 * smooth):
+            found = readings(features, fitted)
+            gap = max(float(np.sqrt(np.mean((wanted[n] - found[n]) ** 2))) for n in wanted)
+            if gap >= best:
+                break
+            best = gap
+            moves = [stacked(readings(features, fitted.replace({n: fitted[n] + 0.5})), found) / 0.5
+                     for n in temperatures]  # fmt: skip
+            here = features["kinetics_smoothness"]
+            if smooth:
+                step = 0.1 if here < 0.9 else -0.1
+                other = {**features, "kinetics_smoothness": here + step}
+                moves.append(stacked(readings(other, fitted), found) / step)
+            by = np.linalg.lstsq(np.column_stack(moves), stacked(wanted, found), rcond=None)[0]
+            if smooth:
+                features["kinetics_smoothness"] = float(np.clip(here + by[4], 0.0, 1.0))
+            changed = {n: fitted[n] + float(d) for n, d in zip(temperatures, by[:4], strict=True)}
+            try:
+                fitted = fitted.replace(changed)
+            except InputError:  # beyond all wires
+                break
+        return best
+
+    return nearest(smooth=False), nearest(smooth=True)
 
 
 # --- A case's label, its bags, and a set of them in a new folder.
@@ -267,7 +286,11 @@ LARGEST_SET = 9999
 _LAYOUT = 1
 
 
-def make_label(case: Case, sized: Sized) -> dict[str, Any]:
+def make_label(
+    case: Case, sized: Sized, records: Sequence[str] = RECORDS, nominal: Parameters | None = None
+) -> dict[str, Any]:
+    """All that is hidden, and what can be told of it from the given records: severities, and what
+    is as near to it with the owners' numbers, or with others."""
     card, load, quantities = case.card, load_kind(case.truth), QUANTITIES[case.card.signals]
     # Noise-free readings, and those without what is hidden: the effect, or the owners' mistakes.
     believed = None
@@ -280,7 +303,7 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
     for r in RECORDS:
         found = gaps(truth[r], without[r], case.sensors, quantities)
         gap[r] = {name: round(value, 4) for name, value in found.items()}
-    severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in RECORDS)
+    severity = 0.0 if card.kind == NONE else max(max(gap[r].values()) for r in records)
     stages = [STAGE_OF.get(name) or OUTSIDE[name].stage for name in card.effects]
     if card.kind == RECALIBRATION:
         stages = sorted({rigs.numbers(load)[name].stage for name in case.wrong})
@@ -290,11 +313,13 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
         others = dict(sized.base)
         for other, drawn in sized.draws.items():
             others = others if other == name else drawn.features(others, sized.amounts[other])
-        severities[name] = round(measured(case, sized.features, others, quantities), 4)
+        its_gap = measured(case, sized.features, others, quantities, records=records)
+        severities[name] = round(its_gap, 4)
     apart: dict[str, Any] = {}
     if card.kind not in (NONE, RECALIBRATION):
         own = card.effects[0] if len(card.effects) == 1 else ""
-        apart = separation(case, sized.base, truth, without, quantities, own)
+        seen = {r: truth[r] for r in records}
+        apart = separation(case, sized.base, seen, without, quantities, own, nominal)
     # Where it shows in the record that a diagnosis sees: signal of the largest gap; phase and side
     # of most of that signal's share; stage of the largest effect; the twelve largest cells.
     place: dict[str, Any] | None = None
@@ -313,8 +338,12 @@ def make_label(case: Case, sized: Sized) -> dict[str, Any]:
     if case.forms:
         shown = (*card.effects, "kinetics", "noise", *cases.OF_ALL_RIGS)
         of_forms["forms"] = {n: case.forms[n] for n in shown if n in case.forms}
-        of_forms["law_distance"] = round(law_distance(case, sized.base, quantities), 4)
+        law, loops = law_distances(case, sized.base, quantities)
+        of_forms["law_distance"] = round(law, 4)
         of_forms["transformation_law"] = of_forms["law_distance"] > LAW_SHOWS
+        if case.seed in cases.WITH_LOOPS:
+            of_forms["loops_distance"] = round(loops, 4)
+            of_forms["inner_loops"] = of_forms["loops_distance"] > WORTH_NAMING
     return {
         "id": case.name, "kind": card.kind, "effects": list(card.effects), "stages": stages,
         "signals": card.signals, "noise": card.noise, "kinetics": card.mild_kinetics,

@@ -16,7 +16,7 @@ from scipy import stats
 from examination.blind import case_files as files
 from examination.blind import judgement
 from examination.blind.case_files import STAGE_OF, CaseSet, Kept
-from examination.blind.examination import NOMINAL, asks_for_more, open_cases
+from examination.blind.examination import NOMINAL, open_cases
 from examination.blind.judgement import OF_GROUPS, OTHERS, TARGETS, Bound, Judged, Measure, Measured
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
@@ -101,8 +101,8 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
                                unseen.shrunk(nominal, improved),
                                judgement.moved_parameters(nominal, improved),
                                history[-1].answer if len(history) > 1 else None,
-                               tied and (len(history) > 1 or not asks_for_more(kept)), before,
-                               after, kept.seconds, kept.line))  # fmt: skip
+                               tied and len(history) > 1, before, after, kept.seconds,
+                               kept.line))  # fmt: skip
     return [
         Score(paper.examination.name, tuple(of), {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
         for paper, of in zip(papers, judged, strict=True)

@@ -1,14 +1,15 @@
 """Forms: of every effect three, drawn for every case of the new seeds and named on its label."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 
 from examination.blind import features, learn
-from examination.blind.cases import EFFECTS, IN_FORMS, draw_cases
-from examination.blind.make import make_label, size
+from examination.blind.cases import EFFECTS, IN_FORMS, QUANTITIES, draw_cases
+from examination.blind.make import law_distances, make_label, size
 from examination.blind.reality import happen
 from examination.blind.rigs import COMMAND_PERIOD, world_of
 from examination.check.forms import try_forms
@@ -36,6 +37,34 @@ def test_a_form_is_named_on_the_label_and_does_what_another_does_not():
     assert label["forms"]["slack"] == case.forms["slack"]
     assert label["transformation_law"] == (label["law_distance"] > 2.0)
     assert try_forms("slack", "hard", "soft", 0) > 3.0
+
+
+def test_grains_that_are_spread_have_inner_loops_which_a_smoother_law_has_not():
+    case = next(c for c in draw_cases(3000, 20, "force") if c.card.signals == "all")
+    nothing = law_distances(case, {}, QUANTITIES["all"])
+    smooth = law_distances(case, {"kinetics_smoothness": 0.8}, QUANTITIES["all"])
+    grains = law_distances(case, {"grain_spread": 5.0}, QUANTITIES["all"])
+    assert nothing == (0.0, 0.0)
+    assert smooth[1] < 0.1 < smooth[0] and 1.0 < grains[1] < grains[0] + 0.1
+    card = replace(case.card, kind="none", effects=(), targets=(), mild_kinetics=True)
+    case = replace(case, card=card, mild_gap=9.0)
+    label = make_label(case, size(case))
+    assert label["inner_loops"] == (label["loops_distance"] > 1.0)
+    older = make_label(replace(case, seed=2800), size(case))  # as it was sat
+    assert "inner_loops" not in older and older["law_distance"] == label["law_distance"]
+
+
+def test_a_label_says_what_the_given_records_and_numbers_can_tell():
+    case = next(c for c in draw_cases(3000, 60) if c.card.effects == ("slack",))
+    sized = size(case)
+    both, one = make_label(case, sized), make_label(case, sized, ("record",))
+    assert one["severity"] == max(one["gap"]["record"].values()) <= both["severity"]
+    assert one["separation"]["distance"] < both["separation"]["distance"]
+    vague = {n: 30.0 * std for n, std in case.nominal.given_uncertainty.items()}
+    unsure = make_label(case, sized, ("record",), case.nominal.replace({}, vague))
+    assert unsure["separation"]["distances"]["recalibration"] < (
+        0.9 * one["separation"]["distances"]["recalibration"]
+    )
 
 
 def test_clamped_wires_are_dealt_with_what_their_current_and_temperature_show():
@@ -89,7 +118,7 @@ def line(index, rng):
     }  # fmt: skip
     form = list(EFFECTS[true].forms)[(index // 3) % 3]
     label = {"kind": "single", "effects": [true], "severity": 10.0, "severities": {true: 10.0},
-             "forms": {true: form}, "distinguishable": True}  # fmt: skip
+             "forms": {true: form}, "distinguishable": True, "inner_loops": False}  # fmt: skip
     return {"index": index, "label": label, "facts": facts, "library": "none",
             "today": dict.fromkeys((*names, "recalibration", "no_gap", "unexplained"), 1 / 6)}
 

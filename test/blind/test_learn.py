@@ -61,12 +61,17 @@ def test_a_set_of_all_that_reach_the_threshold_holds_the_truth_in_nine_of_ten():
 
 
 def test_what_is_right_to_say():
-    def label(kind, **severities):
+    def label(kind, loops=False, **severities):
         return {"kind": kind, "effects": list(severities), "severities": severities,
-                "severity": max(severities.values(), default=0.0)}  # fmt: skip
+                "severity": max(severities.values(), default=0.0),
+                "inner_loops": loops}  # fmt: skip
 
     names = ["slack", "latent_heat", "latent_heat+slack"]
     assert right_names(label("none"), names, {}) == {"recalibration", "no_gap"}
+    loops = "partial_transformation"
+    assert right_names(label("none", loops=True), names, {}) == {"recalibration", "no_gap", loops}
+    beside = right_names(label("single", loops=True, slack=9.0), names, {})
+    assert beside == {"slack", f"{loops}+slack"}
     assert right_names(label("outside", friction=9.0), names, {}) == {"unexplained"}
     assert right_names(label("single", slack=9.0), names, {}) == {"slack"}
     assert right_names(label("single", slack=0.5), names, {}) >= {"slack", "no_gap"}

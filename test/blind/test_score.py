@@ -123,8 +123,9 @@ def test_what_is_asked_for_is_recorded_on_the_cases_own_bench_and_the_program_as
     script.with_suffix(".json").write_text(json.dumps(document("unexplained", unexplained=1.0)))
     answers = tmp_path / "answers"
     program = (sys.executable, "-S", str(script))
-    cases = hand_in(made, answers, GOOD, program=program)
-    follow_up(cases, labels, Examinee(program, 30.0), answers)
+    asks = document("effect", "supply_drop", protocol=TIE, supply_drop=1.0)  # and is no tie
+    cases = hand_in(made, answers, {**GOOD, "0001": asks}, program=program)
+    follow_up(cases, labels, Examinee(program, 30.0), answers, ties_only=True)
     assert [path.name for path in (answers / files.FOLLOW_UPS[0]).iterdir()] == ["0003"]
     assert files.read_kept(answers / files.FOLLOW_UPS[0], "0003").line == ""
     record = read_record(script.with_suffix(".seen"))
@@ -136,7 +137,8 @@ def test_what_is_asked_for_is_recorded_on_the_cases_own_bench_and_the_program_as
     (found,) = score(cases, handed_in(cases, [answers]), labels)
     resolved = found.measured["of the ambiguous, settled rightly"]
     assert (resolved.hits, resolved.n) == (1, 1)
-    follow_up(cases, labels, Examinee(("/no/such",), 30.0), answers)  # nothing is left
+    nobody = Examinee(("/no/such",), 30.0)
+    follow_up(cases, labels, nobody, answers, ties_only=True)  # nothing is left
     (after,) = followed_up(handed_in(cases, [answers]))
     assert after.examination.name == "diagnosis, followed up"
     verdicts = [kept.answer.verdict for kept in after.kept]
