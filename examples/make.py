@@ -18,7 +18,7 @@ from sma_bench.synthetic.paper_specimens import isobaric_test, tensile_test
 HERE = Path(__file__).resolve().parent
 TABLES = {
     "ten_tasks": {
-        "run.csv": "quick_staircase on the paper's wire, its room warming by 0.05 K/s",
+        "run.csv": "quick_staircase on the paper's wire, its room warming by 0.02 K/s",
     },
     "your_own_actuator": {
         "run.csv": "the first stroke of a wire against a spring, without noise, every 0.5 s",
@@ -136,9 +136,9 @@ def _dsc(every: int) -> str:
 
 
 def _warming_room() -> str:
-    """A staircase of a wire in a room that warms by 0.05 K/s, from a lab's own logger."""
+    """A staircase of a wire in a room that warms by 0.02 K/s, from a lab's own logger."""
     wire = paper_specimens.wire_rig(Parameters.defaults())
-    effect = {"effect.ambient_drift.rate": 0.05}
+    effect = {"effect.ambient_drift.rate": 0.02}
     record = protocol_record("quick_staircase", wire.replace(effect), 1)
     time = record["wire.temperature"].time[::4]
     volts, amps, kelvin = (

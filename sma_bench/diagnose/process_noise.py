@@ -121,4 +121,3 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
 def _hats(at: Array, knots: Array) -> Array:
     """(n, k) of what each knot weighs between its neighbours."""
     return np.column_stack([np.interp(at, knots, row) for row in np.eye(len(knots))])
-

@@ -157,7 +157,7 @@ def current(
         return np.asarray(count * volts / np.sqrt(parameters["wire.resistance"] * resistance))
     resists = resistance + count * leads
     if parameters["effect.supply_drop.battery"]:
-        volts = np.maximum(volts - sag, 0.0)
+        volts = np.maximum(volts - np.asarray(sag, dtype=np.float64), 0.0)
     found = count * volts / resists
     if overload := count * parameters["effect.supply_drop.overload"]:
         knee = parameters["effect.supply_drop.knee"]

@@ -25,7 +25,7 @@ COMPOSITE = WIRE.replace({**FOUR, **dict(zip(INFLUENCES, (7.3e6, 8.0e6), strict=
 SWITCHES = [p for p in TABLE if p.name.startswith("effect.") and p.default == 0.0]
 SECONDARY = {"effect.matrix_thermal_mass.inner_share": 0.3, "effect.transition_drift.cycles": 1.0,
              "effect.viscoelastic_matrix.time_constant": 4.0, "effect.supply_drop.knee": 1.4,
-             "effect.supply_drop.battery_time": 100.0,
+             "effect.supply_drop.battery_time": 300.0,
              "effect.ambient_drift.instant": 3.0, "effect.ambient_drift.fading": 8.0,
              "effect.matrix_thermal_mass.clamp_time": 4.0,
              "effect.stress_dependent_transition.bend_stress": 400e6,
