@@ -149,7 +149,7 @@ class Judged:
         first_right = first is not None and bool(chosen <= right or chosen & right & _BENIGN)
         stages = {STAGE_OF[name] for name in right if name in STAGE_OF}
         gap, alarms = verdict not in ("", NO_GAP), verdict in ("", "effect", UNEXPLAINED)
-        if verdict == "effect":
+        if verdict == "effect" and label.kind == "none":  # what its kinetics show is there
             alarms = not right.issuperset(said.cause)
         if verdict == "ambiguous":
             gap, alarms = NO_GAP not in in_set, in_set.isdisjoint(_BENIGN)
