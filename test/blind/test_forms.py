@@ -142,13 +142,13 @@ def test_weights_are_learnt_with_their_signs_and_predict_left_out_forms(tmp_path
 
 def test_features_go_on_where_they_ended_and_refuse_another_library(tmp_path, capsys):
     path = tmp_path / "features.jsonl"
-    features.keep_features(path, 3000, 1)
+    features.keep_features(path, 3002, 1)
     kept = path.read_text()
-    features.keep_features(path, 3000, 1)
+    features.keep_features(path, 3002, 1)
     assert path.read_text() == kept and kept.count("\n") == 1
     known = json.loads(kept)
     assert abs(sum(known["today"].values()) - 1.0) < 1e-3
     assert learn.Known(known).right.any()
     path.write_text(kept.replace(known["library"], "0" * 16))
     with pytest.raises(InputError, match="another library"):
-        features.keep_features(path, 3000, 1)
+        features.keep_features(path, 3002, 1)
