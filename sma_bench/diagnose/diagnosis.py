@@ -182,7 +182,8 @@ def diagnose(
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
     top = cells[0]
 
-    # What was not tried: kinds of drives, quantities that no record holds; no motion of a clamp.
+    # What was not tried: kinds of drives, and quantities that no record holds. Of a clamped wire
+    # there is no motion to miss.
     share = unknown_share(fitted, unfitted, improved)
     text = (
         f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had one "

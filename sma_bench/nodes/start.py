@@ -140,7 +140,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
             node.close()  # a recorder has a bag open
         with end_of_ros():
             for node in nodes.values():
-                _end_within(_LEAVING)  # each
+                _end_within(_LEAVING)  # for each of them
                 node.destroy_node()
             _end_within(_LEAVING)
             gc.collect()  # one that was half made leaves the graph with its last reference

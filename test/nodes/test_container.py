@@ -71,7 +71,9 @@ def test_nodes_of_one_process_run_record_and_work_as_ever_and_their_bag_is_on_on
     record = read_record(tmp_path / "bag")
     asked, shown = record["voltage_command"], record["wire.voltage"]
     late = np.interp(2.0, *rising(shown)) - np.interp(2.0, *rising(asked))
-    assert 0.0 <= late < 0.3  # a full machine keeps all of them from running for a tenth
+    # But for what a full machine keeps all of them from running, which their stamps show.
+    stalls = [np.diff(signal.time) for signal in (asked, shown)]
+    assert 0.0 <= late < 0.1 + max(np.max(gaps) - np.median(gaps) for gaps in stalls)
     (ramps,) = json.loads(answer.message)["experiments"]
     delay = ramps["details"]["delay"]
     # The simulator applies a command at a reading's instant, the fit expects it between two.
