@@ -6,6 +6,7 @@ import contextlib
 import csv
 import hashlib
 import math
+import os
 import re
 import signal
 import subprocess
@@ -50,6 +51,10 @@ _COMMENT = re.compile(r"(?:#+|%+|//+|!+)\s*")
 _RULE = "-/|:=,"  # signs that part titles and are none
 LARGEST_FILE = 200 * MEGABYTE
 _LIBRARIES = 512 * MEGABYTE  # of addresses: what the reader of a format needs for itself
+# What libraries reserve for each of their threads, how many a machine runs at once decides.
+_ONE_THREAD = {
+    "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system",
+}  # fmt: skip
 _LOOK_AT = 400  # rows, for the separator
 _LONGEST_CELL = 4  # lines that a quoted cell may run over
 _TELLING = (  # signs of units and letters that an encoding makes out of bytes
@@ -259,11 +264,14 @@ def _unfolded(content: bytes, reader: str) -> list[Any]:
     seconds, script = math.ceil(budget.seconds), Path(__file__).with_name("unfold.py")
     limits = str(_LIBRARIES + budget.size), str(seconds)
     words = [sys.executable, "-P", str(script), reader, *limits]
-    child = subprocess.run(words, input=content, capture_output=True, check=False)
+    there = os.environ | _ONE_THREAD
+    child = subprocess.run(words, input=content, capture_output=True, check=False, env=there)
     if child.returncode == -signal.SIGXCPU:
         raise InputError(f"takes more than {seconds} s to read")
     if child.returncode:
-        raise InputError(f"not a readable {reader} file: it ends its reader ({child.returncode})")
+        last = printable(child.stderr.decode(errors="replace").strip().rpartition("\n")[2])[:200]
+        why = f"{child.returncode}{': ' if last else ''}{last}"
+        raise InputError(f"not a readable {reader} file: it ends its reader ({why})")
     error, found = msgspec.msgpack.decode(child.stdout, type=tuple[str, list[Any]])
     if error:
         raise InputError(printable(error))
