@@ -70,6 +70,8 @@ _SHAPES = {
     "effect.matrix_thermal_mass.clamp_time": (8.0, 40.0),
     "effect.ambient_drift.fading": (30.0, 150.0),
     "effect.supply_drop.battery_time": (6.0, 20.0),
+    "effect.slack.friction": (2e6, 8e6),
+    "effect.opposing_wires.gap": (0.004, 0.012, 0.03),
     "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
     "effect.stress_dependent_transition.bend_stress": (20e6, 60e6, 150e6),
 }
@@ -344,20 +346,19 @@ def _pairs(
             pairs[one, other] = found
 
     def with_partners(alone: Fit) -> list[Fit]:
-        (name,) = alone.unknowns.effects
-        forms = {one: found.unknowns.forms[0] for one, found in singles.items()}
-        remainder, frozen = Remainder(alone), alone.derivatives[:, : baseline.baseline]
-
-        def promise(unknowns: Unknowns) -> float:
-            return find_start(remainder, unknowns, quick=True).gain
-
-        def pair(unknowns: Unknowns) -> Fit:
-            start = find_start(remainder, unknowns)
-            return fit(alone.problem, unknowns, start.x, rounds=2, frozen=frozen)
-
-        both = [(baseline.with_effects([name, one], forms),) for one in singles if one != name]
-        order = np.argsort(in_threads(promise, both), kind="stable")[::-1][:_PARTNERS]
-        return in_threads(pair, [both[k] for k in order])
+        (name,), (own,) = alone.unknowns.effects, alone.unknowns.forms
+        frozen = alone.derivatives[:, : baseline.baseline]
+        kinds = [
+            baseline.with_effects([name, one], {name: own, one: form})
+            for one in singles if one != name for form in ("", *tuple(EFFECTS[one].forms or ())[1:])
+        ]
+        promising: dict[str, tuple[Unknowns, Start]] = {}
+        for kind, start in _starts(kinds, alone):
+            promising.setdefault(kind.effects[-1], (kind, start))
+        return in_threads(
+            lambda kind, start: fit(alone.problem, kind, start.x, rounds=2, frozen=frozen),
+            list(promising.values())[:_PARTNERS],
+        )  # fmt: skip
 
     for name in ranked[:_MOST_PAIRED]:
         if gains[name] < max(_WORTH_PAIRING, _HOPELESS * gains[ranked[0]]):
@@ -414,9 +415,9 @@ def _of_records(fitted: Fit) -> dict[str, tuple[float, ...]]:
             "effect.supply_drop.knee": tuple(amperes * p for p in _KNEES)}  # fmt: skip
 
 
-def find_start(remainder: Remainder, unknowns: Unknowns, quick: bool = False) -> Start:
+def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
     """Best of the tried sizes of the last effect, added to a fit. `remainder`: of the fit without
-    this effect; `unknowns`: with its numbers last; `quick`: every shape at its default."""
+    this effect; `unknowns`: with its numbers last."""
     fitted, bounds, effect = remainder.fitted, unknowns.bounds(), EFFECTS[unknowns.effects[-1]]
     own = effect.numbers(unknowns.forms[-1])
     first = len(unknowns.names) - len(own)
@@ -424,7 +425,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns, quick: bool = False) ->
 
     # One switch at a time, every shape.
     numbers, off = [number_of_effect(p) for p in own], start_off(fitted, unknowns)
-    known = {} if quick else _SHAPES | _of_records(fitted)
+    known = _SHAPES | _of_records(fitted)
     shapes = [
         [off[first + k]] if first + k in switches else
         [number.x_of(value) for value in known.get(number.name, (number.mean,))]

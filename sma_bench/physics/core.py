@@ -40,7 +40,15 @@ from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, 
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
 from sma_bench.physics.effects.residual_strain import passes_most
 from sma_bench.physics.effects.side_heat_coupling import in_plume, look_across
-from sma_bench.physics.effects.slack import contact, gone_astray, pulls, straight_on
+from sma_bench.physics.effects.slack import (
+    contact,
+    gone_astray,
+    hanging_bending,
+    hangs,
+    pulls,
+    slide,
+    straight_on,
+)
 from sma_bench.physics.effects.supply_drop import power
 from sma_bench.physics.effects.temperature_dependent_convection import loss
 from sma_bench.physics.effects.temperature_lag import read
@@ -130,8 +138,8 @@ def set_regime(sides, side):
         stiffness += passive_stiffness
         load -= passive_load
     sides[side, at.BEAM_STIFFNESS], sides[side, at.BEAM_LOAD] = stiffness, load
-    if sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] == 0.0:
-        stiffness, load = 0.0, 0.0
+    if hangs(sides, side):
+        stiffness, load = 0.0, sides[side, at.SLIDES] * sides[side, at.RUBBING]
     elif sides[side, at.SLACK] + sides[side, at.SOFT_SLACK] > 0.0:
         straight_on(sides, side)
         slope = sides[side, at.PULLED_SLOPE]
@@ -143,8 +151,8 @@ def set_regime(sides, side):
 @borrowing
 def bending(sides, side):
     """Bending of a side's beam at its present contraction and regime."""
-    if sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] == 0.0:
-        return -sides[side, at.BEAM_LOAD] / sides[side, at.BEAM_STIFFNESS]
+    if hangs(sides, side):
+        return hanging_bending(sides, side)
     return pulls(sides, side, sides[side, at.CONTRACTION])[0]
 
 
@@ -164,7 +172,13 @@ def change_regime(wires, sides, side):
             sides[side, at.YIELDING] = sign
             set_regime(sides, side)
             return True
-    if sides[side, at.SLACK] > 0.0:
+    if sides[side, at.RUBBING] > 0.0:
+        slides = slide(sides, side)
+        if slides != sides[side, at.SLIDES]:
+            sides[side, at.SLIDES] = slides
+            set_regime(sides, side)
+            return True
+    elif sides[side, at.SLACK] > 0.0:
         taut = contact(sides, side)
         if taut != sides[side, at.TAUT]:
             sides[side, at.TAUT] = taut
@@ -180,6 +194,8 @@ def change_regime(wires, sides, side):
 def finish_side(sides, side, step):
     """Bending of a side after a step, and what relaxes and detwins with it."""
     bent = bending(sides, side)
+    if sides[side, at.SLIDES] != 0.0:
+        sides[side, at.PLAY_TAKEN] = sides[side, at.CONTRACTION] - bent
     if sides[side, at.ENGAGEMENT] > 0.0:
         sides[side, at.PASSIVE_BENDING] = give_way(sides, side, bent)
         bent += sides[side, at.ENGAGEMENT] * sides[side, at.PASSIVE_BENDING]

@@ -236,15 +236,19 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     for mark, switch, own in _MARKS["side"]:
         if parameters[switch] != 0.0:
             sides[bends if own else slice(None), mark] = 1.0
+    sides[:, at.ENGAGEMENT] = np.minimum(sides[:, at.ENGAGEMENT] + sides[:, at.BUCKLED], 1.0)
+    sides[:, at.GAP] *= sides[:, at.BUCKLED] > 0.0
+    sides[:, at.SLACK] += sides[:, at.RUBBING_SLACK]
     # The load draws the wires straight.
-    for column in (at.SLACK, at.SOFT_SLACK):
+    for column in (at.SLACK, at.RUBBING_SLACK, at.SOFT_SLACK):
         sides[load > 0.0, column] = 0.0
+    sides[:, at.RUBBING] *= sides[:, at.RUBBING_SLACK] > 0.0
     return sides
 
 
 # --- The core's calls.
 
-_SUMS_OF_STRESSES = [at.STIFFNESS, at.LOAD, at.OWN_STIFFNESS, at.OWN_LOAD, at.FRICTION]
+_SUMS_OF_STRESSES = [at.STIFFNESS, at.LOAD, at.OWN_STIFFNESS, at.OWN_LOAD, at.FRICTION, at.RUBBING]
 
 
 @lru_cache(maxsize=64)

@@ -361,6 +361,26 @@ def test_beyond_the_detwinning_stress_passive_wires_yield_and_stay_stretched(ste
     assert stretch.max() > 1e-3
 
 
+@pytest.mark.parametrize("step", [0.005, 0.1])
+@pytest.mark.parametrize("detwinning", [1e9, 20e6])
+def test_buckled_wires_resist_once_they_are_straight_and_never_push(step, detwinning):
+    gap, (time, voltage) = 6e-3, pulses(step)
+    rig = effect(COMPOSITE, f"opposing_wires: buckled=0.5 gap={gap} detwinning_stress={detwinning}")
+    run = simulate(rig, time, voltage * FRONT_ONLY)
+    modulus = 4.0e9 * 2 * E_M / (4.0e9 + (1.0 - 0.5**2) * 2 * E_M)
+    force, stretch = np.zeros(len(time)), 0.0
+    for k, felt in enumerate(0.5 * (run.contraction[:, 0] - gap)):
+        force[k] = max(modulus * (felt - stretch), 0.0)
+        if force[k] > 2 * (detwinning + HARDENING * stretch):
+            force[k] = modulus / (modulus + 2 * HARDENING) * 2 * (HARDENING * felt + detwinning)
+            stretch = felt - force[k] / modulus
+    pulled, stiffness = sides(run)
+    expected = stiffness[0] * run.contraction[:, 0] + 0.5 * stiffness[0] / stiffness[1] * force
+    assert pulled[:, 0] == pytest.approx(expected, abs=20.0)
+    assert min(np.sum(force > 0.0), np.sum((force == 0.0) & (run.contraction[:, 0] > 1e-3))) > 5
+    assert (stretch > 1e-3) == (detwinning < 1e9)
+
+
 def test_wires_that_rub_hold_their_side_back_by_as_much_against_each_motion():
     run = simulate(effect(COMPOSITE, "opposing_wires: channel_friction=4e6"), *pulses(0.05))
     pulled, stiffness = sides(run)
@@ -411,6 +431,25 @@ def test_slack_is_taken_up_little_by_little(step, hard):
     assert b[pulls] == pytest.approx(expected[pulls], abs=1e-8)
     assert min(np.sum(beyond[pulls] < 6e-3), np.sum(beyond[pulls] > 6e-3)) > 5
     assert np.all(beyond[~pulls] < 2e-5)
+
+
+@pytest.mark.parametrize("step", [0.005, 0.1])
+def test_wires_that_rub_in_their_sleeves_slide_at_the_friction_and_stick_below_it(step):
+    slack, friction = 3e-3, 5e6
+    numbers = f"rubbing_strain={slack} friction={friction}"
+    run = simulate(effect(COMPOSITE, f"slack: {numbers}"), *pulses(step))
+    pulled, stiffness = sides(run)
+    play = run.contraction - run.bending
+    assert pulled == pytest.approx(stiffness * run.bending, abs=10.0)
+    assert np.all((play > -1e-12) & (play < slack + 1e-12))
+    inside, slid = (play > 1e-9) & (play < slack - 1e-9), np.diff(play, axis=0, prepend=0.0)
+    assert np.abs(pulled[inside]).max() < friction + 10.0
+    slides = inside & (np.abs(slid) > 1e-9)
+    assert pulled[slides] == pytest.approx(friction * np.sign(slid[slides]), abs=10.0)
+    # It goes to either end, beyond the friction only there.
+    assert np.all(pulled[play <= 1e-9] < friction + 10.0)
+    assert np.all(pulled[play >= slack - 1e-9] > -friction - 10.0)
+    assert min(np.sum(pulled > 2.0 * friction), np.sum(inside & ~slides), np.sum(slid < -1e-9)) > 2
 
 
 # --- sensors

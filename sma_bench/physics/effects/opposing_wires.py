@@ -9,6 +9,8 @@ without contraction of its own, is pulled along until its wires' force F balance
 
 Beyond sigma_d the martensite gives way along a plateau that rises by H: p follows, and stays as a
 stretch until that side is heated, which recovers it: p falls with xi_j.
+Wires that lie buckled at rest resist once a bending g has straightened them: e - g in place of e,
+and F = 0 as long as k (e - g) < p.
 Wires that only rub in their channels hold the sum of stresses back by +- sigma_f, as a slider does.
 Source: balance of both sides; Coulomb's friction; plasticity with linear kinematic hardening, H of
 NiTi from Brinson (1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067.
@@ -18,6 +20,7 @@ from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
 HARDENING = (170e6 - 100e6) / 0.067  # Pa
+LOOSE = 2.0  # of YIELDING: buckled; else 0 while elastic, or the sign of what yields
 
 
 @borrowing
@@ -27,7 +30,8 @@ def look_at_passive(wires, sides, side):
     for j in range(wires.shape[0]):
         if int(wires[j, at.SIDE]) != side:
             xi = wires[j, at.FRACTION]
-            modulus += wires[j, at.AUSTENITE_MODULUS] + xi * wires[j, at.MODULUS_CHANGE]
+            stiff = wires[j, at.AUSTENITE_STIFF]  # no law's own moduli of one step
+            modulus += stiff + xi * (wires[j, at.MARTENSITE_STIFF] - stiff)
             fraction += xi
             count += 1
     if count > 0:
@@ -50,8 +54,16 @@ def passive_beam(sides, side):
 
 
 @borrowing
+def felt_of(sides, side, contraction):
+    """k e, or k (e - g)."""
+    return sides[side, at.ENGAGEMENT] * (contraction - sides[side, at.GAP])
+
+
+@borrowing
 def passive_force(sides, side, felt):
-    """F [Pa] where the passive wires feel the stretch `felt` = k e, in the regime that is noted."""
+    """F [Pa] where the passive wires feel the stretch `felt`, in the regime that is noted."""
+    if sides[side, at.YIELDING] == LOOSE:
+        return 0.0
     modulus, hardening = sides[side, at.PASSIVE_MODULUS], sides[side, at.PASSIVE_HARDENING]
     if sides[side, at.YIELDING] == 0.0:
         return modulus * (felt - sides[side, at.DETWINNED])
@@ -62,27 +74,33 @@ def passive_force(sides, side, felt):
 @borrowing
 def resist(sides, side):
     """Stiffness and load [Pa] with which they resist: k (K/K_o) F = stiffness e - load."""
-    engagement = sides[side, at.ENGAGEMENT]
-    share = engagement * sides[side, at.MATRIX_STIFFNESS] / passive_beam(sides, side)
-    at_rest = passive_force(sides, side, 0.0)
-    return share * (passive_force(sides, side, engagement) - at_rest), -share * at_rest
+    share = sides[side, at.MATRIX_STIFFNESS] / passive_beam(sides, side)
+    share *= sides[side, at.ENGAGEMENT]
+    at_rest = passive_force(sides, side, felt_of(sides, side, 0.0))
+    strained = passive_force(sides, side, felt_of(sides, side, 1.0))
+    return share * (strained - at_rest), -share * at_rest
 
 
 @borrowing
 def stretch(sides, side, felt):
     """p where the passive wires feel the stretch `felt`."""
-    if sides[side, at.YIELDING] == 0.0:
+    if sides[side, at.YIELDING] == 0.0 or sides[side, at.YIELDING] == LOOSE:
         return sides[side, at.DETWINNED]
     return felt - passive_force(sides, side, felt) / sides[side, at.PASSIVE_MODULUS]
 
 
 @borrowing
 def yield_sign(sides, side, contraction):
-    """Sign of the yielding that fits e = `contraction`: 0 while the passive wires are elastic."""
+    """Sign of the yielding that fits e = `contraction`: 0 while the passive wires are elastic,
+    LOOSE while they are buckled."""
     if sides[side, at.PASSIVE_MODULUS] <= 0.0:
         return 0.0
-    felt = sides[side, at.ENGAGEMENT] * contraction
+    felt = felt_of(sides, side, contraction)
     yielding, left = sides[side, at.YIELDING], sides[side, at.DETWINNED]
+    if sides[side, at.GAP] > 0.0 and felt < left:
+        return LOOSE
+    if yielding == LOOSE:
+        return 0.0
     if yielding != 0.0:
         return yielding if (stretch(sides, side, felt) - left) * yielding >= 0.0 else 0.0
     beyond = passive_force(sides, side, felt) - sides[side, at.PASSIVE_HARDENING] * left
@@ -96,7 +114,7 @@ def give_way(sides, side, contraction):
     """After a step with e = `contraction`: keep p; the bending u_o of the passive side."""
     if sides[side, at.PASSIVE_MODULUS] <= 0.0:
         return 0.0
-    felt = sides[side, at.ENGAGEMENT] * contraction
+    felt = felt_of(sides, side, contraction)
     force = passive_force(sides, side, felt)
     sides[side, at.DETWINNED] = stretch(sides, side, felt)
     return force / passive_beam(sides, side)

@@ -7,9 +7,13 @@ Or they become taut little by little: of the contraction y beyond s
 
     b = y^2/(4 q) up to 2 q, y - q beyond
 
+Or they rub in their sleeves: the play e - b, from 0 to s, stays as long as |sum sigma| <= sigma_f,
+and slides at +- sigma_f.
+
 Wires that a spring's preload or a weight draws straight at rest have none.
 Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire; fibres of a
-strand, or stretches of a sleeve, that come straight evenly over 0 to 2 q (Lanir 1983).
+strand, or stretches of a sleeve, that come straight evenly over 0 to 2 q (Lanir 1983); play with
+Coulomb's friction (Armstrong-Helouvry et al. 1994).
 """
 
 from sma_bench.compiled import borrowing
@@ -21,14 +25,50 @@ ASTRAY = 1e-9  # of contraction
 @borrowing
 def pulls(sides, side, contraction):
     """Bending of a side whose wires do not hang, and its slope along their contraction."""
-    taut = sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] > 0.0
-    beyond = contraction - sides[side, at.SLACK] if taut else contraction
+    beyond = contraction
+    if sides[side, at.RUBBING] > 0.0:
+        beyond -= sides[side, at.PLAY_TAKEN]
+    elif sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] > 0.0:
+        beyond -= sides[side, at.SLACK]
     soft = sides[side, at.SOFT_SLACK]
     if soft <= 0.0 or beyond <= 0.0:
         return beyond, 1.0
     if beyond >= 2.0 * soft:
         return beyond - soft, 1.0
     return beyond * beyond / (4.0 * soft), beyond / (2.0 * soft)
+
+
+@borrowing
+def hangs(sides, side):
+    """Whether the play takes all contraction: no stress but that of rubbing."""
+    if sides[side, at.RUBBING] > 0.0:
+        return sides[side, at.SLIDES] != 0.0
+    return sides[side, at.SLACK] > 0.0 and sides[side, at.TAUT] == 0.0
+
+
+@borrowing
+def hanging_bending(sides, side):
+    """Bending of a side whose wires hang, or slide."""
+    rubs = sides[side, at.SLIDES] * sides[side, at.RUBBING]
+    return (rubs - sides[side, at.BEAM_LOAD]) / sides[side, at.BEAM_STIFFNESS]
+
+
+@borrowing
+def slide(sides, side):
+    """After a solution: the direction in which rubbing wires slide, 0 where they stick."""
+    here, taken = sides[side, at.CONTRACTION], sides[side, at.PLAY_TAKEN]
+    slack, going = sides[side, at.SLACK], sides[side, at.SLIDES]
+    if going != 0.0:
+        play = here - hanging_bending(sides, side)
+        if not 0.0 < play < slack:  # to the end of the play, where they stick
+            sides[side, at.PLAY_TAKEN] = slack if going > 0.0 else 0.0
+            return 0.0
+        return going if (play - taken) * going >= 0.0 else 0.0
+    bent = pulls(sides, side, here)[0]
+    stress = sides[side, at.BEAM_STIFFNESS] * bent + sides[side, at.BEAM_LOAD]
+    if stress > sides[side, at.RUBBING] and taken < slack:
+        return 1.0
+    return -1.0 if stress < -sides[side, at.RUBBING] and taken > 0.0 else 0.0
 
 
 @borrowing
