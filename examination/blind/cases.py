@@ -277,6 +277,9 @@ IN_FORMS = range(2700, 4000)
 WITH_CLAMPED = range(2800, 4000)
 # Seeds whose labels say where the inner loops of spread grains show.
 WITH_LOOPS = range(2900, 4000)
+# Seeds whose labels take no zero for evidence, no bench for a straight line, and every form of a
+# rival for a rival.
+WITH_REFITS = range(2950, 4000)
 
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.

@@ -110,7 +110,7 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     today = dict(zip(utilities.names, utilities.probabilities().round(6).tolist(), strict=True))
     wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
               "distinguishable", "load", "forms", "law_distance", "transformation_law",
-              "loops_distance", "inner_loops")  # fmt: skip
+              "loops_distance", "inner_loops", "beyond_parameters")  # fmt: skip
     return {
         "label": {name: label[name] for name in wanted}, "today": today,
         "plain": plain, "records": len(names), "stated": len(nominal.given),

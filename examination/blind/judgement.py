@@ -25,12 +25,18 @@ SET_MASS = 0.9
 CONFIDENT = 0.8
 MOVED = 2.0
 WORTH_NAMING = 1.0  # gap over noise, of seeds that have forms: of less that there is none is right
+SEEN_FROM = 3.0  # standard deviations beyond other parameters, of less likewise
 _BENIGN = frozenset((NO_GAP, RECALIBRATION))
 _SILENCE = files.Answer("", (), (), None, {}, None)
 # What is right to say of a case without an effect of the library. Where nothing is wrong, the
 # parameters still differ from the truth by their uncertainty, and saying that is no error.
 _RIGHT_NAMES = {"none": _BENIGN, "recalibration": frozenset((RECALIBRATION,)),
                 "outside": frozenset((UNEXPLAINED,))}  # fmt: skip
+
+
+def unseen(beyond_parameters: float | None) -> bool:
+    """Whether other parameters do what is hidden."""
+    return beyond_parameters is not None and beyond_parameters < SEEN_FROM
 
 
 @dataclass(frozen=True)
@@ -51,6 +57,7 @@ class Label:
     wrong: dict[str, float] = field(default_factory=dict)
     transformation_law: bool = False
     inner_loops: bool = False
+    beyond_parameters: float | None = None
     forms: dict[str, str] = field(default_factory=dict)  # of seeds that have them, from 2700 on
 
     @property
@@ -69,11 +76,12 @@ class Label:
     @property
     def names(self) -> frozenset[str]:
         """All that is right to say: another law too, where it shows beside what was hidden, and the
-        inner loops of grains that are spread; that there is no gap, where there is next to none."""
+        inner loops of grains that are spread; that there is no gap, where there is next to none, or
+        none that other parameters leave."""
         law = {"transformation_law"} if self.transformation_law else set()
         law |= {"partial_transformation"} if self.inner_loops else set()
-        small = self.forms and self.effects and self.severity < WORTH_NAMING
-        return self.hidden | law | (_BENIGN if small else set())
+        small = self.severity < WORTH_NAMING or unseen(self.beyond_parameters)
+        return self.hidden | law | (_BENIGN if self.forms and self.effects and small else set())
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from scipy.special import softmax
 
 from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
 from examination.blind.cases import EFFECTS, frozen_shares
-from examination.blind.judgement import WORTH_NAMING
+from examination.blind.judgement import WORTH_NAMING, unseen
 from examination.blind.score import as_markdown, stated_and_right
 from sma_bench.diagnose.facts import Weighed
 from sma_bench.diagnose.result import JOIN
@@ -76,9 +76,11 @@ def right_names(
     loops = {"partial_transformation"} if label["inner_loops"] else set[str]()
     if kind == "none":
         return {RECALIBRATION, NO_GAP} | loops
-    # What does less than the noise is not worth a name: that there is no gap is right as well.
-    if effects and label["severity"] < WORTH_NAMING:
-        return {RECALIBRATION, NO_GAP} | right_names({**label, "severity": np.inf}, names, small)
+    # What does less than the noise, or no more than other parameters do, is not worth a name: that
+    # there is no gap is right as well.
+    if next_to_none(label):
+        shown = {**label, "severity": np.inf, "beyond_parameters": None}
+        return {RECALIBRATION, NO_GAP} | right_names(shown, names, small)
     if kind == "recalibration":
         return {RECALIBRATION}
     if kind == "outside":
@@ -93,6 +95,12 @@ def right_names(
         beside = {JOIN.join(sorted({main, other})) for other in loops}
         return {main} | beside | {pair for pair, half in small.items() if half == main}
     return {whole} if whole in names else set(effects)
+
+
+def next_to_none(label: dict[str, Any]) -> bool:
+    """Whether what is hidden shows next to nothing."""
+    small = label["severity"] < WORTH_NAMING or unseen(label["beyond_parameters"])
+    return bool(label["effects"]) and small
 
 
 def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Array, Array]:
@@ -196,8 +204,8 @@ def truths(case: Known) -> set[str]:
     """What is right to say first."""
     label = case.label
     kinds = {"none": {BENIGN}, "recalibration": {BENIGN}, "outside": {UNEXPLAINED}}
-    small = label["effects"] and label["severity"] < WORTH_NAMING
-    right = kinds.get(label["kind"], set(label["effects"])) | ({BENIGN} if small else set())
+    right = kinds.get(label["kind"], set(label["effects"]))
+    right |= {BENIGN} if next_to_none(label) else set()
     return right | ({"partial_transformation"} if label["inner_loops"] else set())
 
 

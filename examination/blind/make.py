@@ -124,7 +124,8 @@ def measured(
 # The difference that an effect makes is whitened by the true noise and compared with every rival:
 # each other effect of the contract, refitted in size and shape, and wrong parameters alone, the
 # parameters being refitted under their stated uncertainty each time. What no refit takes away, in
-# standard deviations, is the distance to that rival.
+# standard deviations, is the distance to that rival. From cases.WITH_REFITS on no zero of a
+# deflection is evidence, no bench is taken for a straight line, and rivals have all their forms.
 
 # Squared distance above which two explanations are distinguishable: five standard deviations.
 DISTINCT = 25.0
@@ -132,18 +133,22 @@ _WINDOW = 10  # samples of 20 ms to a mean: 5 Hz
 _STEP = 0.5  # stated standard deviations
 _TINY = 1e-12
 _SHAPES = (0.25, 0.75)  # places within the range of a setting
+_ZERO = 1e-3  # m, of a deflection's sensor
+_REFITS, _BETTER = 8, 0.99  # steps of Gauss and Newton, halved where the squares do not fall so far
 
 
 def separation(
     stage: Stage, base: Features, truth: Readings, without: Readings, quantities: tuple[str, ...],
-    own: str = "", nominal: Parameters | None = None,
+    own: str = "", nominal: Parameters | None = None, refits: int = 0,
 ) -> dict[str, Any]:  # fmt: skip
     """Distances [standard deviations] of one difference from every rival explanation, the closest
     rival with its own, and whether every rival is out of reach. `base`: features without the
     effect; `truth`, `without`: noise-free readings of each record that is given, with and without
     what is hidden; `own`: the effect itself, no rival of its own; `nominal`: what is believed, if
-    not every number as its owners do."""
+    not every number as its owners do; `refits`: steps to where the parameters do best, with free
+    zeros."""
     records, sensors, width = tuple(truth), stage.sensors, _WINDOW * rigs.COMMAND_PERIOD
+    load = load_kind(stage.truth)
 
     def whitened(one: Readings, other: Readings) -> Array:
         """(m,) difference in windows of all signals of both records, of unit white noise."""
@@ -162,36 +167,71 @@ def separation(
                 parts.append(noise.whiten_means(means, width, samples))
         return np.concatenate(parts)
 
-    origin = {record: stage.read(base, record, COARSE) for record in records}
-    difference, load = whitened(truth, without), load_kind(stage.truth)
-    # What a stated standard deviation of each parameter does, all under their uncertainty.
-    columns = []
-    for name in rigs.recalibrated(load):
-        std = rigs.numbers(load)[name].stated_std(stage.truth[name])
-        step, wider = _STEP * std, nominal.std(name) / std if nominal else 1.0
+    names = rigs.recalibrated(load)
+    stated = [rigs.numbers(load)[n].stated_std(stage.truth[n]) for n in names]
+    stds = [nominal.std(n) if nominal else std for n, std in zip(names, stated, strict=True)]
+
+    def read(features: Features, numbers: Parameters) -> Readings:
+        return {r: stage.read(features, r, COARSE, parameters=numbers) for r in records}
+
+    def moved(numbers: Parameters, name: str, by: float) -> Parameters:
         twins = (rigs.FRONT, rigs.BACK) if name == rigs.FRONT else (name,)
-        moved = stage.truth.replace({n: stage.truth[n] + step for n in twins})
-        changed = {r: stage.read(base, r, COARSE, parameters=moved) for r in records}
-        columns.append(whitened(changed, origin) * wider / _STEP)
-    prior = np.vstack([np.column_stack(columns), np.eye(len(columns))])
-    free = np.linalg.qr(prior)[0]
+        return numbers.replace({n: numbers[n] + by for n in twins})
+
+    def directions(numbers: Parameters, here: Readings) -> Array:
+        """(m, k) what a standard deviation of each parameter does, then of each zero."""
+        found = []
+        for name, std, wide in zip(names, stated, stds, strict=True):
+            changed = read(base, moved(numbers, name, _STEP * std))
+            found.append(whitened(changed, here) * wide / (_STEP * std))
+        for r, signals in here.items() if refits else ():
+            for signal in signals:
+                if quantity_of(signal) == "deflection":
+                    there = {n: v + _ZERO * (n == signal) for n, v in signals.items()}
+                    found.append(whitened({**here, r: there}, here))
+        return np.column_stack(found)
+
+    # All parameters under their uncertainty, from those of the bench to where they do best.
+    numbers, origin, difference = stage.truth, read(base, stage.truth), whitened(truth, without)
+    here, columns = origin, directions(numbers, origin)
+    x, prior = np.zeros(columns.shape[1]), np.eye(columns.shape[1])
+    rest = np.concatenate([difference, x])
+    share = 1.0
+    for _ in range(refits):
+        step = np.linalg.lstsq(np.vstack([columns, prior]), rest, rcond=None)[0]
+        moves, there = x + share * step, stage.truth
+        try:
+            for name, wide, value in zip(names, stds, moves[: len(names)].tolist(), strict=True):
+                there = moved(there, name, wide * value)
+            found = read(base, there)
+        except InputError:  # beyond all benches
+            share *= 0.5
+            continue
+        left = difference - whitened(found, origin) - columns[:, len(names):] @ moves[len(names):]
+        if left @ left + moves @ moves > _BETTER * (rest @ rest):
+            share *= 0.5
+            continue
+        numbers, here, x, rest = there, found, moves, np.concatenate([left, -moves])
+        columns, share = directions(numbers, here), 1.0
+    free = np.linalg.qr(np.vstack([columns, prior]))[0]
 
     def beyond_parameters(columns: Array) -> Array:
         """What a refit of the parameters under their uncertainty leaves of (m, k) columns."""
-        padded = np.vstack([columns, np.zeros((prior.shape[1], columns.shape[1]))])
+        padded = np.pad(columns, ((0, len(free) - len(columns)), (0, 0)))
         return padded - free @ (free.T @ padded)
 
-    rest = beyond_parameters(difference[:, None])[:, 0]
+    rest = beyond_parameters(rest[:, None])[:, 0]
     distances = {RECALIBRATION: float(np.linalg.norm(rest))}
     for name in cases.possible(EFFECTS, load):
         symptom = EFFECTS[name]
         if name == own or not (symptom.in_deflection or "temperature" in quantities):
             continue
-        columns = [
-            whitened({r: stage.read(features, r, COARSE) for r in records}, origin)
-            for features in _varieties(symptom, base)
+        forms = [symptom.in_form(form) for form in (symptom.forms if refits else ("",))]
+        does = [
+            whitened(read(features, numbers), here)
+            for form in forms for features in _varieties(form, base)
         ]
-        free_of = beyond_parameters(np.column_stack(columns))
+        free_of = beyond_parameters(np.column_stack(does))
         # What the columns cannot explain, those of one direction in that direction only.
         if free_of.shape[1] == 1:
             square = float(np.sum(free_of**2))
@@ -319,7 +359,8 @@ def make_label(
     if card.kind not in (NONE, RECALIBRATION):
         own = card.effects[0] if len(card.effects) == 1 else ""
         seen = {r: truth[r] for r in records}
-        apart = separation(case, sized.base, seen, without, quantities, own, nominal)
+        refits = _REFITS if case.seed in cases.WITH_REFITS else 0
+        apart = separation(case, sized.base, seen, without, quantities, own, nominal, refits)
     # Where it shows in the record that a diagnosis sees: signal of the largest gap; phase and side
     # of most of that signal's share; stage of the largest effect; the twelve largest cells.
     place: dict[str, Any] | None = None
@@ -344,6 +385,8 @@ def make_label(
         if case.seed in cases.WITH_LOOPS:
             of_forms["loops_distance"] = round(loops, 4)
             of_forms["inner_loops"] = of_forms["loops_distance"] > WORTH_NAMING
+        if case.seed in cases.WITH_REFITS:
+            of_forms["beyond_parameters"] = apart.get("distances", {}).get(RECALIBRATION)
     return {
         "id": case.name, "kind": card.kind, "effects": list(card.effects), "stages": stages,
         "signals": card.signals, "noise": card.noise, "kinetics": card.mild_kinetics,

@@ -67,6 +67,20 @@ def test_a_label_says_what_the_given_records_and_numbers_can_tell():
     )
 
 
+def test_a_label_takes_no_zero_for_evidence_and_no_bench_for_a_straight_line():
+    """A slack that the preload takes up at once is the sensor's zero."""
+    cases = draw_cases(3000, 60, "spring")
+    slack = next(c for c in cases if c.card.effects == ("slack",))
+    sized = size(slack)
+    new, older = make_label(slack, sized), make_label(replace(slack, seed=2900), sized)
+    assert older["separation"]["distance"] > 5.0 > new["separation"]["distance"]
+    assert not new["distinguishable"] and new["severity"] == older["severity"]
+    bent = next(c for c in cases if c.card.effects == ("stress_dependent_transition",))
+    sized = size(bent)
+    new, older = (make_label(replace(bent, seed=s), sized)["separation"] for s in (3000, 2900))
+    assert new["distances"]["recalibration"] < 0.95 * older["distances"]["recalibration"]
+
+
 def test_clamped_wires_are_dealt_with_what_their_current_and_temperature_show():
     assert "clamped" not in {load_kind(c.truth) for c in draw_cases(2799, 40, "all")}
     assert "clamped" in {load_kind(c.truth) for c in draw_cases(2800, 40, "all")}
@@ -118,7 +132,8 @@ def line(index, rng):
     }  # fmt: skip
     form = list(EFFECTS[true].forms)[(index // 3) % 3]
     label = {"kind": "single", "effects": [true], "severity": 10.0, "severities": {true: 10.0},
-             "forms": {true: form}, "distinguishable": True, "inner_loops": False}  # fmt: skip
+             "forms": {true: form}, "distinguishable": True, "inner_loops": False,
+             "beyond_parameters": 50.0}  # fmt: skip
     return {"index": index, "label": label, "facts": facts, "library": "none",
             "today": dict.fromkeys((*names, "recalibration", "no_gap", "unexplained"), 1 / 6)}
 

@@ -64,7 +64,7 @@ def test_what_is_right_to_say():
     def label(kind, loops=False, **severities):
         return {"kind": kind, "effects": list(severities), "severities": severities,
                 "severity": max(severities.values(), default=0.0),
-                "inner_loops": loops}  # fmt: skip
+                "inner_loops": loops, "beyond_parameters": None}  # fmt: skip
 
     names = ["slack", "latent_heat", "latent_heat+slack"]
     assert right_names(label("none"), names, {}) == {"recalibration", "no_gap"}
@@ -75,6 +75,8 @@ def test_what_is_right_to_say():
     assert right_names(label("outside", friction=9.0), names, {}) == {"unexplained"}
     assert right_names(label("single", slack=9.0), names, {}) == {"slack"}
     assert right_names(label("single", slack=0.5), names, {}) >= {"slack", "no_gap"}
+    as_parameters = {**label("single", slack=9.0), "beyond_parameters": 2.0}
+    assert right_names(as_parameters, names, {}) >= {"slack", "recalibration"}
     assert right_names(label("pair", slack=9.0, latent_heat=5.0), names, {}) == {names[2]}
     assert right_names(label("pair", slack=90.0, latent_heat=5.0), names, {}) == {"slack", names[2]}
 

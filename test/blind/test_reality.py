@@ -58,6 +58,22 @@ def test_wires_with_a_load_are_the_papers_too(load):
     assert all(left[n] < 3.0 * most for n, most in LEFT.items()), left
 
 
+def test_buckled_wires_do_nothing_before_they_are_straight_and_no_wire_pushes_through_them():
+    time, voltage = drive(34.0)
+    front = voltage * [1.0, 1.0, 0.0, 0.0]
+    plain = happen(World(RIG, {}), time, front).deflection
+    buckled = {"detwinning_stress": 1e9, "opposing": 0.3}
+    # The front's wires push as they warm, and have no buckles of their own.
+    loose = happen(World(RIG, {**buckled, "opposing_gap": 0.02}), time, front).deflection
+    assert plain.min() < -1e-4 and np.abs(loose - plain)[plain > 0.0].max() < 1e-7
+    assert np.abs(loose - plain).max() < -0.3 * plain.min()
+    tight = happen(World(RIG, {**buckled, "opposing_gap": 0.002}), time, front).deflection
+    felt = 0.3 * plain / RIG["composite.deflection_per_strain"]
+    first = (time < 10.0) & (plain > 1e-4)  # before what was resisted is remembered
+    assert np.abs((plain - tight)[first & (felt < 0.002)]).max() < 1e-7
+    assert (plain - tight)[first & (felt > 0.004)].min() > 1e-3
+
+
 def test_film_of_a_steam_pipe_is_as_worked_out_by_hand():
     # Pipe of 0.1 m at 165 in air of 23 degC: at 367 K tables of air give k = 0.0313 W/(m K),
     # nu = 22.8e-6 and alpha = 32.8e-6 m2/s, so Ra = 5.07e6, Nu = 23.1, h = 7.23 W/(m2 K).

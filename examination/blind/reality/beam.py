@@ -137,10 +137,6 @@ def wire_stress(beam, pull, i, xi, temperature, contraction):
     """Stress of wire i, its slopes along xi and contraction, its detwinned strain, and how far it
     lies loose."""
     austenite, straight = 1.0 - xi, 1.0
-    if beam.opposing > 0.0 and beam.features.opposing_gap > 0.0 and contraction < 0.0:
-        # Passive wires lie buckled: they are straightened before they resist.
-        contraction = min(contraction + beam.features.opposing_gap, 0.0)
-        straight = 1.0 if contraction < 0.0 else 0.0
     share, share_slope = austenite, -1.0
     if austenite < pull.transformed[i]:
         stays = beam.features.unrecovered_strain * pull.settled[i]
@@ -151,6 +147,11 @@ def wire_stress(beam, pull, i, xi, temperature, contraction):
     stretch = beam.recoverable * share - pull.elongation[i] - pull.detwinned[i] - contraction
     stretch += beam.prestretch[beam.side[i]]
     strain = stretch + thermal / modulus
+    if beam.opposing > 0.0 and beam.features.opposing_gap > 0.0 and contraction < 0.0 < strain:
+        # Passive wires lie buckled: they are straightened before they resist.
+        taken = min(beam.features.opposing_gap, -contraction, strain)
+        straight = 1.0 if taken == beam.features.opposing_gap else 0.0
+        stretch, strain, contraction = stretch - taken, strain - taken, contraction + taken
     elastic, grip, loose = forms.taken_up(beam.features, strain, modulus, pull.loose[i])
     stress = modulus * elastic
     along_xi = modulus * beam.recoverable * share_slope
