@@ -54,8 +54,7 @@ _COOLER = 10.0  # K below the bench's limit, as simulated
 _PERIOD = 0.2  # s of the simulation
 _STEP = 0.05
 _A_MINUTE = 0.002  # of probability: of equal drives the shorter one
-# Nats of a record that an effect which is not there keeps by taking up what the model misses: the
-# mean of 11 rivals after further records of four cases of the development split.
+# Nats of a record that an effect which is not there keeps: mean of 11 rivals in development cases.
 _TAKEN_UP = 3.5
 # A sensor that is not there yet: noise and time of a bin, and minutes until it is mounted.
 _MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
