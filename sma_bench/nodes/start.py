@@ -6,6 +6,7 @@ at once and in silence, as nothing is driven yet.
 """
 
 import contextlib
+import faulthandler
 import gc
 import os
 import signal
@@ -145,6 +146,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
             _end_within(_LEAVING)
             gc.collect()  # one that was half made leaves the graph with its last reference
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        faulthandler.cancel_dump_traceback_later()
     return 0
 
 
@@ -188,7 +190,9 @@ def contained(arguments: Sequence[str]) -> tuple[dict[str, list[str]], list[str]
 
 
 def _end_within(seconds: float) -> None:
-    """Have the kernel end this process, whatever holds it, unless it is over by then."""
+    """Have the kernel end this process, whatever holds it, unless it is over by then; what does is
+    said before."""
+    faulthandler.dump_traceback_later(0.8 * seconds)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
 

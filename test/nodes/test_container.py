@@ -95,7 +95,7 @@ def test_one_end_is_that_of_all_at_0_v_with_a_whole_bag(bench, tmp_path, how):
     node = container(bench, tmp_path, WARM, "diagnosis", speed=4.0)
     bench.until(lambda: commands and commands[-1].data[0] == 3.0, PATIENCE)
     if how == "a signal":
-        assert node.end(signal.SIGTERM) == 0
+        assert node.end(signal.SIGTERM) == 0, node.output
         bench.until(lambda: states[-1].data == "aborted: the node was ended")
     else:
         other = bench.node.create_publisher(Clock, "/clock", 10)
