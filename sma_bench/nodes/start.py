@@ -192,9 +192,10 @@ def contained(arguments: Sequence[str]) -> tuple[dict[str, list[str]], list[str]
 def _end_within(seconds: float) -> None:
     """Have the kernel end this process, whatever holds it, unless it is over by then; what does is
     said before."""
-    faulthandler.dump_traceback_later(0.8 * seconds)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
+    with contextlib.suppress(RuntimeError, ValueError, OSError):  # no terminal to say it on
+        faulthandler.dump_traceback_later(0.8 * seconds)
 
 
 def node_help(node: str) -> str:

@@ -172,16 +172,12 @@ def change_regime(wires, sides, side):
             sides[side, at.YIELDING] = sign
             set_regime(sides, side)
             return True
-    if sides[side, at.RUBBING] > 0.0:
-        slides = slide(sides, side)
-        if slides != sides[side, at.SLIDES]:
-            sides[side, at.SLIDES] = slides
-            set_regime(sides, side)
-            return True
-    elif sides[side, at.SLACK] > 0.0:
-        taut = contact(sides, side)
-        if taut != sides[side, at.TAUT]:
-            sides[side, at.TAUT] = taut
+    if sides[side, at.SLACK] > 0.0:
+        rubs = sides[side, at.RUBBING] > 0.0
+        column = at.SLIDES if rubs else at.TAUT
+        regime = slide(sides, side) if rubs else contact(sides, side)
+        if regime != sides[side, column]:
+            sides[side, column] = regime
             set_regime(sides, side)
             return True
     if gone_astray(sides, side):

@@ -51,7 +51,7 @@ _COMMENT = re.compile(r"(?:#+|%+|//+|!+)\s*")
 _RULE = "-/|:=,"  # signs that part titles and are none
 LARGEST_FILE = 200 * MEGABYTE
 _LIBRARIES = 512 * MEGABYTE  # of addresses: what the reader of a format needs for itself
-# What libraries reserve for each of their threads, how many a machine runs at once decides.
+# Libraries reserve memory for each of their threads, of which a busy machine has more at once.
 _ONE_THREAD = {
     "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system",
 }  # fmt: skip
