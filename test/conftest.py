@@ -110,6 +110,19 @@ def both_cores(monkeypatch):
     monkeypatch.setattr(compiled, "_THREADS", 2)
 
 
+@pytest.fixture
+def as_any_process(monkeypatch):
+    """Nodes that are made in the test's own process leave it scheduled as it was: later tests, and
+    all that these start, would run before the nodes of other workers."""
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *given: None)
+
+
+@pytest.fixture(autouse=True)
+def _scheduled_as_before():
+    yield
+    assert os.sched_getscheduler(0) == os.SCHED_OTHER, "ask for as_any_process"
+
+
 @pytest.fixture(autouse=True)
 def _no_progress_lines(monkeypatch):
     """On a loaded machine any command may be slow enough to say so; errors are counted by line."""

@@ -72,7 +72,9 @@ def test_no_reading_is_stamped_before_the_command_that_it_shows(bench):
     assert shown(3.0) >= 0
 
 
-def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(bench, monkeypatch):
+def test_a_command_acts_when_it_comes_and_a_late_simulator_catches_up(
+    bench, monkeypatch, as_any_process
+):
     """Not at a reading: of a ramp's steps the readings would be late by half their period."""
     wall, found, milli, looks = 7_000_000_000, [], 1_000_000, count()  # a clock goes on
     monkeypatch.setattr(simulator, "time", SimpleNamespace(

@@ -9,7 +9,7 @@ from sma_bench.parameters.node_tables import NODE_TABLES  # noqa: E402
 
 
 @pytest.mark.slow
-def test_every_node_may_do_what_it_does_and_no_more(ros_domain) -> None:
+def test_every_node_may_do_what_it_does_and_no_more(ros_domain, as_any_process) -> None:
     found = policy.nodes_rules()
     allowed = policy.read_policy()
     assert policy.missing_rules(found, allowed) == {}
