@@ -150,11 +150,16 @@ def scales(cases: Sequence[Known]) -> Array:
     return np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
 
 
-def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float) -> list[Array]:
-    """(c,) shares that weights which have not seen its fold give the explanations of every case."""
+def left_out(
+    cases: Sequence[Known], folds: Array, ridge: float, lapse: float, share: float = 1.0
+) -> list[Array]:
+    """(c,) shares that weights which have not seen its fold give the explanations of every case;
+    learnt from a share of the others, drawn."""
     found: list[Array] = [np.zeros(0)] * len(cases)
+    chosen = np.random.default_rng(_SEED).permutation(len(cases)) < share * len(cases)
     for fold in np.unique(folds):
-        seen = [case for case, own in zip(cases, folds, strict=True) if own != fold]
+        of_others = chosen & (folds != fold)
+        seen = [case for case, own in zip(cases, of_others, strict=True) if own]
         weights = fit_weights(seen, ridge, lapse)[0]
         for k in np.flatnonzero(folds == fold).tolist():
             found[k] = softmax(cases[k].x @ weights + cases[k].fixed)
@@ -340,21 +345,20 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         error = np.std(gain) / np.sqrt(len(cases))
         text += [f"Log probability over that when stored, {name}: {np.mean(gain):+.3f} "
                  f"+- {error:.3f}.", ""]  # fmt: skip
-    # How it falls with the number of cases.
-    some = np.random.default_rng(_SEED).permutation(len(cases))
+    # How it falls with the number of cases that are learnt from, always asked of all cases.
     curve = []
-    for part in (4, 2):
-        own = some[: len(cases) // part].tolist()
-        few = [left_out([cases[k] for k in own], folds[own], ridge, lapse) for folds in
-               (forms, rigs)]  # fmt: skip
-        mean = [
-            np.average(log_probability([cases[k] for k in own], lapsed(shares, last)),
-                       weights=weights_of([cases[k] for k in own]))
-            for shares in few
-        ]  # fmt: skip
-        curve.append((f"{len(own)}", *(f"{value:.3f}" for value in mean)))
-    curve.append((f"{len(cases)}", *(f"{likely(shares, last):.3f}" for shares in both)))
-    text += ["Learning curve, log probability of the truth:", "",
+    for part in (8, 4, 2, 1):
+        few = [left_out(cases, folds, ridge, lapse, 1.0 / part) for folds in (forms, rigs)]
+        found = [log_probability(cases, lapsed(shares, last)) for shares in few]
+        more = [log_probability(cases, own) - here for own, here in
+                zip((by_forms, by_rigs), found, strict=True)]  # fmt: skip
+        curve.append((f"{len(cases) // part}", *(
+            f"{np.average(here, weights=counts):.3f} ({np.mean(counts * gain):+.3f} +- "
+            f"{np.std(counts * gain) / np.sqrt(len(cases)):.3f})"
+            for here, gain in zip(found, more, strict=True)
+        )))  # fmt: skip
+    text += ["Learning curve, log probability of the truth of all cases, learnt from so many; what "
+             "all of them add to it:", "",
              *as_markdown(("cases", "forms left out", "rigs left out"), curve), ""]  # fmt: skip
     # By the number of the form, the first being the one that all seeds before 2700 have.
     rows = []
