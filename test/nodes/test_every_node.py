@@ -38,7 +38,7 @@ CHANGES = yaml.safe_load(Path(__file__).with_name("changes.yaml").read_text())
 
 
 @pytest.fixture
-def make(ros_domain, tmp_path, monkeypatch):
+def make(ros_domain, tmp_path, monkeypatch, as_any_process):
     """Makes a node by its name; arguments after it are of its command line."""
     monkeypatch.chdir(tmp_path)
     made = []
