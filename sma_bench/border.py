@@ -38,6 +38,10 @@ _LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
 _LONGEST_INTEGER, _LONGEST_REASON = 80, 150  # characters
 _STILL_HELD = 2.0  # s for which a name may still be held by a process that is ending
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
+_TELLING = (  # signs of units and letters that an encoding makes out of bytes
+    r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
+    r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])"
+)
 
 
 class OverBudget(InputError):
@@ -108,6 +112,19 @@ def read_text(path: str | Path, largest: int) -> str:
         return read_bytes(path, largest).decode("utf-8")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file") from None
+
+
+def decoded_lines(content: bytes) -> list[str]:
+    """Lines of a text, whose accents and degree signs tell its encoding; InputError if binary."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", "replace").splitlines()
+    if b"\0" in content:
+        raise InputError("holds zero bytes, expected a text file in UTF-8, or UTF-16 with its mark")
+    with contextlib.suppress(UnicodeDecodeError):
+        return content.decode("utf-8-sig").splitlines()
+
+    texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman")]
+    return max(texts, key=lambda text: len(re.findall(_TELLING, text[:400_000]))).splitlines()
 
 
 def require_there(path: Path) -> None:

@@ -277,6 +277,17 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
     return np.where(np.isfinite(values), values, np.nan), own, bad
 
 
+def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
+    """Values (n,) whose units stand beside them, in the first of these, and it; None where a text
+    is no unit of the same."""
+    known = {text: parse_unit(str(text)) for text in set(texts)}
+    first = known[texts[0]]
+    if first is None or {u and (u.quantity, u.offset) for u in known.values()} != {first[::2]}:
+        return None
+    factors = [unit.factor for text in texts if (unit := known[text])]
+    return values * np.array(factors) / first.factor, str(texts[0])
+
+
 _MOMENT = re.compile(
     r"(?:(?P<date>(?P<a>\d{1,4}|[^\W\d_]{3,10})\.?(?P<mark>[-/. ]+)(?P<b>\d{1,2}|[^\W\d_]{3,10})\.?"
     r"[-/., ]+(?P<c>\d{2}|\d{4}))(?:[T,\s]+|\Z))?"

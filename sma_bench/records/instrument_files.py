@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from sma_bench.arrays import Array
-from sma_bench.border import read_bytes
+from sma_bench.border import decoded_lines, read_bytes
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding, Severity
 from sma_bench.records import cells, instruments
 from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, plain_title
 from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
-from sma_bench.records.tables import Account, Column, Table, TableFile, decoded_lines
+from sma_bench.records.tables import Account, Column, Table, TableFile
 
 _BLOCK = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
 _STEP = re.compile(
@@ -39,6 +39,7 @@ _STILL = 0.3  # of the slowest ramp
 # of less than a hundredth of that is no transformation.
 _LARGEST_SPAN = 0.12
 _CONSTANCY = 0.05  # of the stress
+_WARMING = 4.0  # times the smallest cycle: less is a wire's own where its stress is not held
 _HOTTEST = 1500.0  # K
 # Coldest point of a cycle in degC: above, the values are K or degF as well.
 _COLDEST = (-150.0, 60.0)
@@ -75,24 +76,26 @@ class Sheet:
 
     def find(self, *roles: str) -> tuple[Column, str] | None:
         """The best column of the first of these roles that the table has, and that role."""
-        for role in roles:
-            row, is_flow, found = QUANTITIES[role], role == "heat flow", []
-            for column in self.table.columns:
-                plain, unit = plain_title(column.title), parse_unit(column.unit)
-                meant = cells.meanings(column.title, column.unit)
-                if meant in (("setpoint",), ("ambient",)) and "temp" in plain:
-                    meant = ("temperature",)  # if there is no other
-                fits = unit.quantity in row["units"] if unit else not (column.unit or is_flow)
-                if role in meant and fits and (is_flow or cells.title_meanings(column.title)):
-                    words = set(re.findall(r"[a-z]+", plain))
-                    better, worse = (
-                        sum(w in words or (len(w) > 3 and w in plain) for w in row.get(key, ()))
-                        for key in ("better", "worse")
-                    )
-                    found.append((better - 2 * worse, column))
-            if found:
-                return max(found, key=lambda pair: pair[0])[1], role
-        return None
+        found = ((self.ranked(role), role) for role in roles)
+        return next(((ranked[0][1], role) for ranked, role in found if ranked), None)
+
+    def ranked(self, role: str) -> list[tuple[int, Column]]:
+        """Columns that may have a role, the best first."""
+        row, is_flow, found = QUANTITIES[role], role == "heat flow", []
+        for column in self.table.columns:
+            plain, unit = plain_title(column.title), parse_unit(column.unit)
+            meant = cells.meanings(column.title, column.unit)
+            if meant in (("setpoint",), ("ambient",)) and "temp" in plain:
+                meant = ("temperature",)  # if there is no other
+            fits = unit.quantity in row["units"] if unit else not (column.unit or is_flow)
+            if role in meant and fits and (is_flow or cells.title_meanings(column.title)):
+                words = set(re.findall(r"[a-z]+", plain))
+                better, worse = (
+                    sum(w in words or (len(w) > 3 and w in plain) for w in row.get(key, ()))
+                    for key in ("better", "worse")
+                )
+                found.append((better - 2 * worse, column))
+        return sorted(found, key=lambda pair: -pair[0])
 
     def lacks(self, kind: str, beside: Sequence[str] = ()) -> list[str]:
         """What a kind of test has (`instruments` in words.yaml) and the table has not."""
@@ -105,7 +108,13 @@ class Sheet:
             title = f"{lacked.capitalize()} ({QUANTITIES[lacked]['example']})"
             raise self.refusal("no_column", what=lacked, titles=self.titles or "none", title=title)
         found = {what: self.find(*roles) for what, roles in WORDS["instruments"][kind].items()}
-        return {what: column for what, column in found.items() if column}
+        chosen = {what: column for what, column in found.items() if column}
+        for what, (column, role) in chosen.items():
+            (best, _), *others = self.ranked(role)
+            other = [c.name for score, c in others if score == best and _differ(column, c)]
+            if other:
+                self.remark("warning", what, "or_another", name=column.name, other=other[0])
+        return chosen
 
     def titled(self, names: Sequence[str]) -> "Sheet":
         """The table under titles that its file states elsewhere, or not at all."""
@@ -127,18 +136,33 @@ class Sheet:
         return unit.si(column.values)
 
     def noted(self, name: str) -> float | None:
-        """A number of `stated` in words.yaml in SI units: given, or in a line above the table."""
+        """A number of `stated` in words.yaml in SI units: given, or in a line of text above or in
+        the table; raises InputError where lines say several."""
         if name in self.given:
             return self.given[name]
-        quantity = WORDS["stated"][name]["quantity"]
-        words = "|".join(map(re.escape, WORDS["stated"][name]["words"]))
-        for text in (" ".join(line).lstrip("#% ") for line in self.table.above):
+        found = self.statements(name)
+        if len(found) > 1:
+            first, second, *_ = found.values()
+            raise self.refusal("several", what=name, first=first[:40], second=second[:40])
+        return next(iter(found), None)
+
+    def statements(self, name: str) -> dict[float, str]:
+        """What lines of text say a number is, and the first of these lines each; of the room, the
+        grips only if no other does."""
+        row, found = WORDS["stated"][name], dict[float, str]()
+        lines = [*map(" ".join, self.table.above), *(text for _, text in self.table.marks)]
+
+        def speaks(text: str, key: str) -> bool:
+            words = "|".join(map(re.escape, row.get(key, ())))
+            return bool(words and re.search(rf"(?<![a-z])(?:{words})", plain_title(text)))
+
+        for text in (line.lstrip("#% ") for line in lines):
             in_key = re.match(r"[^:]*[/(\[]\s*([^\s)\]:]+)[^:]*:\D*(\d+(?:[.,]\d+)?)", text)
             again = f" {in_key[2]} {in_key[1]}" if in_key else ""  # Mass/mg: 12
-            value = cells.number_with_unit(text + again, quantity)
-            if value and re.search(rf"(?<![a-z])(?:{words})", plain_title(text)):
-                return value
-        return None
+            value = cells.number_with_unit(text + again, row["quantity"])
+            if value and speaks(text, "words") and not speaks(text, "never"):
+                found.setdefault(value, text)
+        return {v: t for v, t in found.items() if not speaks(t, "worse")} or found
 
     def account(self, columns: dict[str, tuple[Column, str]], rows: int) -> Account:
         """What became of the table's rows and columns."""
@@ -285,23 +309,42 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
 def is_isobaric(sheet: Sheet) -> bool:
     """Whether a table has a temperature that changes, strain or extension, and a load; or without
     titles a first column that goes up and down, a second one, and a third that is held."""
-    columns, load = sheet.table.columns, _load_beside(sheet)
+    columns = sheet.table.columns
+    has_load = bool("stress" in sheet.given or sheet.statements("stress")) or (
+        cells.number_with_unit(sheet.table.name, "stress") is not None
+    )
     if sheet.titles:
-        found = sheet.find("temperature")
-        has_all = found is not None and not sheet.lacks("isobaric", ["stress"] if load else [])
-        varies = found is not None and np.ptp(found[0].values) > instruments.SMALLEST_RANGE
-        return bool(has_all and varies and not sheet.is_driven())
-    if len(columns) != (3 if load is None else 2) or len(columns[0].values) < 2:
+        found, loaded = sheet.find("temperature"), sheet.find("stress")
+        has_all = found is not None and not sheet.lacks("isobaric", ["stress"] if has_load else [])
+        span = 0.0 if found is None else float(np.ptp(found[0].values))
+        is_held = loaded is None or _held(loaded[0])
+        varies = span > instruments.SMALLEST_RANGE * (1.0 if is_held else _WARMING)
+        return has_all and varies and not sheet.is_driven()
+    if len(columns) != (2 if has_load else 3) or len(columns[0].values) < 2:
         return False
-    first, last = columns[0].values, np.abs(columns[-1].values)
-    steps, level = np.diff(first), float(np.median(last))
-    held = load is not None or np.mean(np.abs(last - level) < 0.2 * level) > 0.5
-    varies = np.ptp(first) > instruments.SMALLEST_RANGE and steps.max() > 0.0 > steps.min()
-    return bool(held and varies)
+    steps, held = np.diff(columns[0].values), has_load or _held(columns[-1])
+    both_ways = steps.max() > 0.0 > steps.min()
+    return bool(held and both_ways and np.ptp(columns[0].values) > instruments.SMALLEST_RANGE)
+
+
+def _held(column: Column) -> bool:
+    """Whether most values of a load are about one."""
+    values = np.abs(column.values)
+    level = float(np.median(values))
+    return bool(np.mean(np.abs(values - level) < 0.2 * level) > 0.5)
+
+
+def _differ(one: Column, other: Column) -> bool:
+    """Whether two columns are more than one, perhaps in two units."""
+    there = np.isfinite(one.values) & np.isfinite(other.values)
+    both = one.values[there], other.values[there]
+    if one.unit == other.unit or min(map(np.ptp, both), default=0.0) == 0.0:
+        return not np.allclose(*both, rtol=1e-3, atol=1e-3 * float(np.ptp(both[0])))
+    return bool(np.corrcoef(*both)[0, 1] < 0.9999)
 
 
 def _load_beside(sheet: Sheet) -> float | None:
-    """A stress that is stated, in a line above the table or by the name of its sheet."""
+    """A stress that is stated, in a line of text or by the name of the sheet."""
     stated = sheet.noted("stress")
     return stated if stated is not None else cells.number_with_unit(sheet.table.name, "stress")
 
@@ -325,12 +368,13 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord:
         sheet.remark("warning", "strain unit", "strain_unit", span=span, unit=pulled.unit)
     temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
     stress = sheet.values(*columns["stress"]) if "stress" in columns else np.full(len(strain), load)
-    span, gauge = float(np.ptp(strain)), sheet.noted("gauge_length")
+    span = float(np.ptp(strain))
+    gauge = sheet.noted("gauge_length") if role == "length" else None
     is_relative = role == "length" and gauge is None
     if is_relative:
         sheet.remark("warning", "strain", "relative", name=pulled.name, extension_range=span,
                      millimetres=f"{span * 1e3:.4g}")
-    elif gauge is not None and role == "length":
+    elif gauge is not None:
         strain = strain / gauge
     elif span > _LARGEST_SPAN:
         unit = pulled.unit
@@ -414,11 +458,11 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
     strain, stress = sheet.values(*pulled), sheet.values(*loaded)
 
     # Extension counts from the first row, over the gauge length; force over the section.
-    length, section = sheet.noted("gauge_length"), sheet.noted("area")
-    diameter = sheet.noted("diameter")
-    if section is None and diameter is not None:
-        section = 0.25 * np.pi * diameter**2
     is_extension, is_force = pulled[1] == "length", loaded[1] == "force"
+    length = sheet.noted("gauge_length") if is_extension else None
+    section = sheet.noted("area") if is_force else None
+    if is_force and section is None and (diameter := sheet.noted("diameter")) is not None:
+        section = 0.25 * np.pi * diameter**2
     if is_extension:
         start = float(strain[0])
         if abs(start) > 0.01 * float(np.ptp(strain)):
@@ -437,8 +481,9 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
         if np.ptp(values) == 0.0:
             raise sheet.refusal("constant", what=what, value=values[0])
 
-    temperature, measured = sheet.noted("temperature"), sheet.find("temperature")
-    if "temperature" not in sheet.given and measured is not None:
+    measured = None if "temperature" in sheet.given else sheet.find("temperature")
+    temperature = sheet.noted("temperature") if measured is None else None
+    if measured is not None:
         kelvin = sheet.values(*measured)
         columns["temperature"] = measured
         if np.ptp(kelvin) > instruments.STEADY:

@@ -2,7 +2,6 @@
 Cells are taken as they are written; what unfolds is read in a process of its own (`unfold.py`).
 """
 
-import contextlib
 import csv
 import hashlib
 import math
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from sma_bench.arrays import Array, IntArray
-from sma_bench.border import MEGABYTE, printable, read_bytes, reading_budget
+from sma_bench.border import MEGABYTE, decoded_lines, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError, errors_in
 from sma_bench.records.cells import (
     MISSING,
@@ -30,14 +29,17 @@ from sma_bench.records.cells import (
     cell_kind,
     decimal_of,
     decimal_signs,
+    in_units,
     is_number_row,
     moment_of,
     moments_of,
+    number_with_unit,
     numbers_of,
     parse_unit,
     plain_numbers,
     said,
     split_title,
+    title_meanings,
 )
 
 Row = tuple[int, list[Any]]  # line number from 1, cells
@@ -55,12 +57,9 @@ _LIBRARIES = 512 * MEGABYTE  # of addresses: what the reader of a format needs f
 _ONE_THREAD = {
     "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system",
 }  # fmt: skip
+_TESTS = "stress", "force", "mass", "length"  # of which a line states one for each test
 _LOOK_AT = 400  # rows, for the separator
 _LONGEST_CELL = 4  # lines that a quoted cell may run over
-_TELLING = (  # signs of units and letters that an encoding makes out of bytes
-    r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
-    r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])"
-)
 _MEANS = {text: key for key, texts in WORDS["attributes"].items() for text in texts}
 _FORMATS = {  # what a file begins with, and its reader in unfold.py
     b"PK\x03\x04": "Excel", b"\x89HDF\r\n\x1a\n": "HDF5", b"MATLAB 7.3": "HDF5",
@@ -278,19 +277,6 @@ def _unfolded(content: bytes, reader: str) -> list[Any]:
     return found
 
 
-def decoded_lines(content: bytes) -> list[str]:
-    """Lines of a text, whose accents and degree signs tell its encoding; InputError if binary."""
-    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        return content.decode("utf-16", "replace").splitlines()
-    if b"\0" in content:
-        raise InputError("holds zero bytes, expected a text file in UTF-8, or UTF-16 with its mark")
-    with contextlib.suppress(UnicodeDecodeError):
-        return content.decode("utf-8-sig").splitlines()
-
-    texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman")]
-    return max(texts, key=lambda text: len(re.findall(_TELLING, text[:400_000]))).splitlines()
-
-
 def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
     """Stripped cells of lines, quoted as in RFC 4180; a line quoted as a whole is unwrapped."""
     if separator is None:  # a date and its clock are one cell, as are a clock and its AM or PM
@@ -442,9 +428,18 @@ class _Block:
         if not between and row[0] == self.rows[-1][0] + 1:
             return True
         width = len(self.rows[0][1])
-        again = self.titles(between, width)[0]
-        is_same = not any(again) or again == self.titles(self.heads, width)[0]
+        again, units, notes = self.titles(between, width)
+        is_same = not any(again) or self.goes_on(again, units, notes, width)
         return len(row[1]) == width and is_same
+
+    def goes_on(
+        self, again: list[str], units: list[str], notes: Sequence[Row], width: int
+    ) -> bool:
+        """Whether titles that come again, under notes, part a table and begin none: neither other
+        units nor another number, as the next load, go with them."""
+        titles, before, _ = self.titles(self.heads, width)
+        stated = any(number_with_unit(_text(cells), q) for _, cells in notes for q in _TESTS)
+        return again == titles and (units == before or not any(units)) and not stated
 
     def begins_with_index(self) -> bool:
         """Whether rows begin with a number that counts them, or with a name."""
@@ -457,18 +452,23 @@ class _Block:
     def titles(self, heads: Sequence[Row], width: int) -> tuple[list[str], list[str], list[Row]]:
         """Titles (moved behind an index without one), units, and the lines above them."""
         texts = [self.title_cells(row, width) for row in heads[-3:]][::-1]
+        remarks: list[Row] = []  # between titles and numbers
         for back, titles in enumerate(texts):
             is_narrow = sum(map(bool, titles)) < max(2, width / 2)
             if _units(titles) and not (is_narrow and back):
                 continue
             if is_narrow:
+                remarks.insert(0, heads[-1 - back])
+                continue
+            known = [bool(title_meanings(t)) for t in titles if cell_kind(t) == "t"]
+            if remarks and (sum(known) < width / 2 or "n" in map(cell_kind, titles)):
                 break
-            units = _units(texts[back - 1]) if back else []
+            units = next(filter(None, map(_units, texts[:back][::-1])), [])
             shift = len(titles) - len(units) if self.separator is None else 0
             units = [*[""] * shift, *units, *[""] * width][: len(titles)]
             if width - len(titles) == 1 and self.begins_with_index():
                 titles, units = ["", *titles], ["", *units]
-            return titles, units, list(heads[: len(heads) - back - 1])
+            return titles, units, [*heads[: len(heads) - back - 1], *remarks]
         return [], [], list(heads)
 
     def title_cells(self, row: Row, width: int) -> list[str]:
@@ -488,6 +488,13 @@ class _Block:
         if self.separator is None:
             texts = [text for text in texts if text.strip(_RULE)]
         return texts
+
+    def note(self, row: Row) -> tuple[str, ...]:
+        """Cells of a line above the table, in which 12,3 is one number whatever parts the rows."""
+        line, cells = row
+        if self.separator == "," and '"' not in (text := self.lines[line - 1]):
+            cells = [cell.strip() for cell in re.split(r"(?<!\d),|,(?!\d)", text)]
+        return tuple(str(cell) for cell in cells if cell != "")
 
     def table(self, name: str) -> Table:
         """The table of the block, with what is left out of it."""
@@ -526,8 +533,7 @@ class _Block:
         if any(titles) and not titles[0] and self.begins_with_index():
             made = [column for column in made if column.name != "column 1"]
             ignored = {"column 1": "row number", **ignored}
-        texts = tuple(tuple(str(c) for c in cells if c != "") for _, cells in above)
-        more = (texts, tuple(self.marks), tuple(left_out), tuple(notes))
+        more = (tuple(map(self.note, above)), tuple(self.marks), tuple(left_out), tuple(notes))
         return Table(name, tuple(made), lines, len(self.rows), ignored, *more)
 
 
@@ -561,6 +567,12 @@ def _columns(
         title, unit = (titles[k], units[k]) if units[k] else split_title(titles[k])
         clock, bad = next((c for c in clocks if c > k), None), -1
         if kinds[k] in ("", "t"):
+            is_unit = _MEANS.get(titles[k].lower()) == "unit" and label != labels[0]
+            beside = made[-1] if is_unit and made and made[-1].name == labels[k - 1] else None
+            if beside and not beside.unit and (scaled := in_units(beside.values, cells)):
+                made[-1] = replace(beside, values=scaled[0], unit=scaled[1])
+                ignored[label] = f"units of {beside.name}"  # 0.5 mV, 3.24 V
+                continue
             example = next((str(c) for c in cells if cell_kind(c) in ("t", "d")), "")
             ignored[label] = f"text such as {printable(example)[:40]!r}" if example else "empty"
         elif k in dates and clock is not None:

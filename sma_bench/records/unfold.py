@@ -25,10 +25,13 @@ def excel(file: BytesIO) -> Found:
     """Rows of every sheet: numbers, truth values and texts, moments as ISO 8601."""
     import openpyxl
 
-    def plain(cell: Any) -> Any:
+    def plain(shown: Any) -> Any:
+        cell, is_number = shown.value, isinstance(shown.value, (int, float))
+        if is_number and not isinstance(cell, bool) and "%" in (shown.number_format or ""):
+            return f"{100.0 * cell:.15g}%"  # as it is read: 4.2 % is kept as 0.042
         if cell is None or isinstance(cell, bool):
             return "" if cell is None else cell
-        if isinstance(cell, (int, float)):
+        if is_number:
             return cell if abs(cell) < 1 << 53 else float(cell)
         if isinstance(cell, dt.timedelta):
             minutes, seconds = divmod(cell.total_seconds(), 60.0)
@@ -38,7 +41,7 @@ def excel(file: BytesIO) -> Found:
 
     for sheet in openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets:
         sheet.reset_dimensions()  # what a file claims of its size is not believed
-        rows = [list(map(plain, row)) for row in sheet.iter_rows(values_only=True)]
+        rows = [list(map(plain, row)) for row in sheet.iter_rows()]
         yield (sheet.title,), rows, {}
 
 

@@ -118,6 +118,14 @@ def test_file_cut_inside_a_row_is_read_up_to_there(write):
 PARTED = universal().replace("\n10.000000\t", "\n-2\t-2\t-2\t-2\n10.000000\t")
 
 
+@pytest.mark.parametrize("lines", [
+    f"Pan mass: 48.2 mg\nSample mass: {MASS} mg", f"Sample mass: {MASS} mg\nReference mass: 30 mg",
+    f"Sample mass: {MASS} mg\nCrucible mass: 38 mg", "Sample mass: 10,2 mg",
+])  # fmt: skip
+def test_the_mass_is_the_samples(write, lines):
+    assert open_record(write(f"{lines}\n{titled()}", "utf-8")).mass == pytest.approx(MASS * 1e-6)
+
+
 @pytest.mark.parametrize("text", [PARTED, universal(-1.0), trios(), titled()], ids=range(4))
 def test_steps_and_onsets_come_back_from_every_program(write, text):
     record = open_record(write(text, "utf-8"))

@@ -312,3 +312,14 @@ def test_the_file_that_parameters_writes_is_a_rig_whose_zero_length_says_nothing
     lab.write_text(RIG.replace("0.38", "-1"))
     with pytest.raises(InputError, match="wire.length is -1 m, expected 0 to 100"):
         load(source, params=lab)
+
+
+def test_units_in_the_column_behind_are_each_numbers_own(tmp_path):
+    """As a multimeter writes that chooses its range."""
+    path = tmp_path / "dmm.csv"
+    path.write_text("Time (s),Voltage,Unit\n0,0.5,mV\n1,3.24,V\n2,120,mV\n3,3.3,V\n")
+    _, voltage = read_table_file(path).columns
+    assert voltage.unit == "mV"
+    assert voltage.values == pytest.approx([0.5, 3240.0, 120.0, 3300.0])
+    path.write_text("Time (s),Voltage,Unit\n0,0.5,mV\n1,3.24,lot 7\n2,120,mV\n")
+    assert read_table_file(path).columns[1].unit == ""

@@ -10,6 +10,7 @@ from sma_bench.identify.tensile import identify_tensile
 from sma_bench.parameters import Parameters
 from sma_bench.records import open_record
 from sma_bench.records.instruments import IsobaricRecord, TensileRecord, find_cycles
+from sma_bench.records.open import open_records
 
 
 def loop(points=60, step=0.03):
@@ -191,6 +192,103 @@ def test_tensile_file_with_force_is_divided_by_what_the_specimen_measures(write)
     record = open_record(path, stated={"gauge_length": 0.1, "area": 7.07e-8})
     assert record.strain[-1] == pytest.approx(0.02)
     assert record.stress[-1] == pytest.approx(30.0 / 7.07e-8)
+
+
+KSI = (1.0, 100.0, 1.0 / 6.894757)  # % and ksi of loop()
+IN_KSI = "Temperature,Strain,Stress\nC,%,ksi"
+
+
+@pytest.mark.parametrize("head", [
+    f"{IN_KSI}\nwire A,,", "Temperature (C),Strain (%),Stress (ksi)\n[Data]",
+    "Temperature (C),Strain (%),Stress (ksi)\nwire of batch 3 at 100 MPa stress",
+])  # fmt: skip
+def test_a_line_between_titles_and_numbers_leaves_titles_and_units(write, head):
+    record = open_record(write(loop() * KSI, head))
+    assert record.stress == pytest.approx(100e6, rel=1e-4)
+    assert heights(record) == pytest.approx([0.03, 0.03], rel=1e-3)
+    # Without titles that are known it is no title that lies above.
+    record = open_record(write(loop(), "Operator,Smith,lab 3\n[Data]"))
+    assert record.stress == pytest.approx(100e6)
+
+
+def test_blocks_of_other_loads_or_units_are_tests_of_their_own(write):
+    def block(rows):
+        return "\n".join(",".join(f"{v:.9e}" for v in row) for row in rows)
+
+    titles, rows = "Temperature (C),Strain (%)", in_percent(loop())[:, :2]
+    blocks = (f"Stress: {load} MPa\n{titles}\n{block(rows)}" for load in (100, 200, 300))
+    records = open_records(write([], "\n".join(blocks)))
+    assert [r.stress for r in records] == pytest.approx([100e6, 200e6, 300e6])
+    assert [len(r.cycles) for r in records] == [1, 1, 1]
+    again = write([], f"Stress: 100 MPa\n{titles}\n{block(rows)}\n\n{titles}\n{block(rows)}")
+    assert [len(r.cycles) for r in open_records(again)] == [2]
+    other = IN_KSI.replace("%,ksi", "mm/mm,MPa")
+    text = f"{IN_KSI}\n{block(loop() * KSI)}\n{other}\n{block(loop())}"
+    for record in open_records(write([], text)):
+        assert record.stress == pytest.approx(100e6, rel=1e-4)
+        assert heights(record) == pytest.approx([0.03, 0.03], rel=1e-3)
+
+
+def test_of_lines_that_differ_the_telling_one_counts_else_it_is_asked(write):
+    pulled = "Extension (mm),Load (N)"
+    force = STRETCHED * (1.0, 0.075)
+    for lines, gauge in (("Gauge length: 60 mm", 60.0), ("Area: 0.1 mm2", None),
+                         ("Grip distance L0: 80 mm\nGauge length: 60 mm", 60.0)):  # fmt: skip
+        record = open_record(write(force, f"{lines}\n{pulled}"))
+        assert record.is_extension == (gauge is None)
+        if gauge:
+            assert record.strain[-1] == pytest.approx(2.0 / gauge)
+    with pytest.raises(InputError, match="gauge_length is stated in lines that differ"):
+        open_record(write(force, f"Gauge length: 60 mm\nGauge length 2: 50 mm\n{pulled}"))
+    strained = "Strain (%),Stress (MPa)"
+    lines = "Room temperature: 22 C\nTest temperature: 90 C"
+    for head, celsius in ((lines, 90.0), (lines.partition("\n")[0], 22.0)):
+        record = open_record(write(STRETCHED, f"{head}\n{strained}"))
+        assert record.temperature == pytest.approx(celsius + 273.15)
+    with pytest.raises(InputError, match="temperature is stated in lines that differ"):
+        open_record(write(STRETCHED, f"{lines}\nTemperature of bath: 80 C\n{strained}"))
+    # A load that is not the test's, and a decimal comma where commas part the columns.
+    rows, heated = in_percent(loop())[:, :2], "Temperature (C),Strain (%)"
+    for head, load in (("Preload stress: 7 MPa\nTest stress: 150 MPa", 150e6),
+                       ("Stress: 12,5 MPa", 12.5e6)):  # fmt: skip
+        assert open_record(write(rows, f"{head}\n{heated}")).stress == pytest.approx(load)
+    with pytest.raises(InputError, match="no stress column"):
+        open_record(write(rows, f"Stress limit: 800 MPa\n{heated}"))
+
+
+def test_of_columns_alike_the_specimens_is_taken_and_another_is_named(write):
+    rows = in_percent(loop())
+    wide = np.column_stack([rows[:, 0] + 9.0, rows[:, 0], -0.4 * rows[:, 1], rows[:, 1:]])
+    titles = "Chamber Temp (C),Wire TC (C),Transverse Strain (%),Axial Strain (%),Stress (MPa)"
+    record = open_record(write(wide, titles))
+    assert record.cycles[0].branches[0].temperature[0] == pytest.approx(293.15)
+    assert heights(record) == pytest.approx([0.03, 0.03], rel=1e-3) and record.findings == ()
+    twice = np.column_stack([rows, rows[:, 0], 1.1 * rows[:, 1], rows[:, 2]])
+    both = ",".join([*["Temperature (C),Strain (%),Stress (MPa)"] * 2])
+    (finding,) = open_record(write(twice, both)).findings
+    assert "'Strain (%)' is taken, 'Strain (%) (2)' could be it" in finding.text
+    # One column in two units is one.
+    kelvin = np.column_stack([rows, rows[:, 0] + 273.15])
+    heads = "Temperature (C),Strain (%),Stress (MPa),Temperature (K)"
+    assert open_record(write(kelvin, heads)).findings == ()
+
+
+def test_a_tensile_test_that_warms_the_wire_a_little_is_tensile(write):
+    warmed = np.column_stack([STRETCHED, np.linspace(23.0, 31.0, len(STRETCHED))])
+    record = open_record(write(warmed, "Strain (%),Stress (MPa),Temperature (C)"))
+    assert isinstance(record, TensileRecord)
+    assert any("changes by 8.0 K" in f.text for f in record.findings)
+
+
+def test_percents_of_a_workbook_are_as_they_are_seen(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    book = openpyxl.Workbook()
+    book.active.append(["Temperature (C)", "Strain (%)", "Stress (MPa)"])
+    for row in loop().tolist():
+        book.active.append(row)
+        book.active.cell(book.active.max_row, 2).number_format = "0.00%"
+    book.save(tmp_path / "seen.xlsx")
+    assert heights(open_record(tmp_path / "seen.xlsx")) == pytest.approx([0.03, 0.03], rel=1e-3)
 
 
 def test_measured_sets_and_the_seven_cycles_of_a_load_frame_are_read(measured_data):

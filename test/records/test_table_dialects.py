@@ -33,7 +33,7 @@ def test_a_plain_table_is_read_right_and_a_lost_row_found_out(tmp_path, number):
 READERS = "cells tables import_map instrument_files instruments"
 # Functions, and which of their arguments is a sentence.
 SAYING = {"said": 0, "sheet.refusal": 0, "self.refusal": 0, "ask": 1, "self.ask": 1}
-SAYING |= {"sheet.remark": 2}
+SAYING |= {"sheet.remark": 2, "self.remark": 2}
 
 
 def test_every_sentence_is_said_with_the_values_that_it_has():
