@@ -19,7 +19,7 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.records import import_map as maps
     from sma_bench.records.bag_writer import write_record
     from sma_bench.records.check import check_record
-    from sma_bench.records.tables import read_table_file, runs_of, together
+    from sma_bench.records.tables import read_table_file
 
     given = maps.read_map(args.map_file) if args.map_file else None
     bench = read_parameters(args.params) if args.params else Parameters.defaults()
@@ -27,8 +27,8 @@ def run(args: SimpleNamespace) -> int:
     # Each file, and each sheet that is a run of its own, has a bag and a map. Maps lie beside the
     # folder of bags, where `identify week/*` does not trip over them.
     out, tables = Path(args.out), [read_table_file(file) for file in args.files]
-    runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in runs_of(t)]
-    runs = [(args.files[0], "", together(tables))] if args.together else runs
+    runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in maps.runs_of(t)]
+    runs = [(args.files[0], "", maps.together(tables))] if args.together else runs
     stems = [re.sub(r"[^\w.-]+", "_", f"{Path(file).stem} {sheet}".strip()).strip(".") or "run"
              for file, sheet, _ in runs]  # fmt: skip
     if twice := next((stem for stem in stems if stems.count(stem) > 1), ""):

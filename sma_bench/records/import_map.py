@@ -3,6 +3,7 @@ column it is, in which unit, on which clock, and how its zero and sign are to be
 makes one, with a question wherever titles, units and ranges leave room; `convert` follows it."""
 
 import contextlib
+import hashlib
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -494,3 +495,34 @@ class _Proposal:
             if abs(along) > 0.3:
                 return {"sign": 1 if along > 0.0 else -1}
         return {**found, "sign": self.ask(name, "which_sign")}
+
+
+# --- the runs of files
+
+
+def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:
+    """Runs of a file and their names: sheets of the same titles are one each, else all are one."""
+    shapes = [tuple((c.title, c.unit) for c in table.columns) for table in file.tables]
+    alike = [t for t, shape in zip(file.tables, shapes, strict=True) if shapes.count(shape) > 1]
+    outside = [*file.outside, *(f"sheet {t.name}" for t in file.tables if t not in alike)]
+    runs = []
+    for k, table in enumerate(alike):
+        if k:  # names that differ in the file only are the same again
+            own = (replace(c, name=re.sub(r" \(\d+\)\Z", "", c.name)) for c in table.columns)
+            table = replace(table, columns=tuple(own))
+        runs.append((table.name or f"{k + 1}", file.with_tables([table], () if k else outside)))
+    return runs or [("", file)]
+
+
+def together(files: Sequence[TableFile]) -> TableFile:
+    """Files of one run as one file, whose columns are named after them."""
+    tables = []
+    for file in files:
+        stem = file.path.stem
+        for table in file.tables:
+            columns = tuple(replace(c, name=f"{stem}: {c.name}", group=stem) for c in table.columns)
+            ignored = {f"{stem}: {name}": reason for name, reason in table.ignored.items()}
+            tables.append(replace(table, columns=columns, ignored=ignored))
+    digest = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
+    outside = [f"{file.path.name}: {line}" for file in files for line in file.outside]
+    return replace(files[0], sha256=digest).with_tables(tables, outside)

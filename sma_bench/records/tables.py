@@ -49,6 +49,7 @@ _FEWEST = 3  # rows of a table beside a larger one
 _SHORT = 0.05  # of the rows: as many without their last cells are sparse, not damaged
 _SAMPLE = 1000  # cells, for what a column holds
 _PLAIN = re.compile(r"[+-]?\d[\d.,:/T +-]*(?:e[+-]\d+)?\Z", re.IGNORECASE)
+_END_OF_HEADER = "***End_of_Header***"
 _COMMENT = re.compile(r"(?:#+|%+|//+|!+)\s*")
 _RULE = "-/|:=,"  # signs that part titles and are none
 LARGEST_FILE = 200 * MEGABYTE
@@ -187,34 +188,6 @@ class TableFile:
         return Account(rows, rows_used, used, ignored, tuple(asked), tuple(left_out), sheet)
 
 
-def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:
-    """Runs of a file and their names: sheets of the same titles are one each, else all are one."""
-    shapes = [tuple((c.title, c.unit) for c in table.columns) for table in file.tables]
-    alike = [t for t, shape in zip(file.tables, shapes, strict=True) if shapes.count(shape) > 1]
-    outside = [*file.outside, *(f"sheet {t.name}" for t in file.tables if t not in alike)]
-    runs = []
-    for k, table in enumerate(alike):
-        if k:  # names that differ in the file only are the same again
-            own = (replace(c, name=re.sub(r" \(\d+\)\Z", "", c.name)) for c in table.columns)
-            table = replace(table, columns=tuple(own))
-        runs.append((table.name or f"{k + 1}", file.with_tables([table], () if k else outside)))
-    return runs or [("", file)]
-
-
-def together(files: Sequence[TableFile]) -> TableFile:
-    """Files of one run as one file, whose columns are named after them."""
-    tables = []
-    for file in files:
-        stem = file.path.stem
-        for table in file.tables:
-            columns = tuple(replace(c, name=f"{stem}: {c.name}", group=stem) for c in table.columns)
-            ignored = {f"{stem}: {name}": reason for name, reason in table.ignored.items()}
-            tables.append(replace(table, columns=columns, ignored=ignored))
-    digest = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
-    outside = [f"{file.path.name}: {line}" for file in files for line in file.outside]
-    return replace(files[0], sha256=digest).with_tables(tables, outside)
-
-
 def read_table_file(path: str | Path) -> TableFile:
     """Read a table whose format its content decides; raises InputError where it cannot be read."""
     path = Path(path)
@@ -292,7 +265,7 @@ def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
     before = 0
     try:
         for cells in reader:
-            if reader.line_num > before + _LONGEST_CELL:
+            if reader.line_num > before + _LONGEST_CELL * max(len(cells), 1):
                 raise csv.Error("a quote without end")
             if len(cells) == 1 and separator in cells[0]:
                 cells = next(csv.reader(cells, delimiter=separator, skipinitialspace=True), [])
@@ -372,7 +345,11 @@ def tables_of(
     blocks: list[_Block] = []
     between: list[Row] = []
     width = 0
-    for row in rows:
+    headers = _headers(rows)
+    for k, row in enumerate(rows):
+        if k in headers:
+            between.append(row)
+            continue
         if len(row[1]) == width and not between and all(
             isinstance(c, float) or (isinstance(c, str) and _PLAIN.match(c)) for c in row[1][:2]
         ):
@@ -400,6 +377,16 @@ def tables_of(
         tables.append(block.table(name))
     unused = [*heads, *between] if tables else []
     return tables, [f"line {line} ({_text(cells)[:40]})" for line, cells in unused]
+
+
+def _headers(rows: Sequence[Row]) -> set[int]:
+    """Which of the rows are of LabVIEW's headers, which hold numbers of their own."""
+    found, start = set[int](), 0
+    for k, (_, cells) in enumerate(rows):
+        first = str(cells[0]) if cells else ""
+        start = k if first == "Channels" else start
+        found |= set(range(start, k + 1)) if first == _END_OF_HEADER else set()
+    return found
 
 
 def _text(cells: Sequence[Any]) -> str:
@@ -508,6 +495,10 @@ class _Block:
         if width > MOST_COLUMNS:
             raise InputError(f"{width} columns, expected at most {MOST_COLUMNS}")
         titles, units, above = self.titles(self.heads, width)
+        of_labview = {str(cells[0]): list(map(str, cells[1:])) for _, cells in self.heads if cells}
+        if titles and _END_OF_HEADER in of_labview:
+            units = ["s", *of_labview.get("Y_Unit_Label", [])]
+            titles = [*of_labview.get("X_Dimension", titles)[:1], *titles[1:width]]
         # A file cut within its last line, rows without their last cells, and damaged ones.
         if not is_sheet and len(body) > 1 and len(body[-1][1]) < width <= len(body[-2][1]):
             left_out.append(f"line {body[-1][0]}, the last one, is cut short and left out")
@@ -522,6 +513,8 @@ class _Block:
                 left_out.append(f"line {line}: {_text(cells[width:])!r} beside the table, left out")
         # Titles and cells must go together.
         columns = list(zip_longest(*(cells[:width] for _, cells in body), fillvalue=""))
+        if len(titles) == width + 1 and title_meanings(titles[-1]) == ("counter",):
+            titles = titles[:-1]  # a comment that no row has
         if titles and len(titles) != width and not is_sheet:
             line, cells = body[0]
             hint = said("commas" if self.separator == "," and width > len(titles) else "one_title")

@@ -12,8 +12,8 @@ from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.records import describe, open_records, read_record
-from sma_bench.records.import_map import account_of, propose
-from sma_bench.records.tables import read_table_file, runs_of
+from sma_bench.records.import_map import account_of, propose, runs_of
+from sma_bench.records.tables import read_table_file
 
 FIELD = Path(__file__).parents[1] / "data" / "field"
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -323,3 +323,42 @@ def test_units_in_the_column_behind_are_each_numbers_own(tmp_path):
     assert voltage.values == pytest.approx([0.5, 3240.0, 120.0, 3300.0])
     path.write_text("Time (s),Voltage,Unit\n0,0.5,mV\n1,3.24,lot 7\n2,120,mV\n")
     assert read_table_file(path).columns[1].unit == ""
+
+
+LABVIEW = """LabVIEW Measurement
+Separator\tTab
+Decimal_Separator\t,
+Multi_Headings\tYes
+Date\t2026/03/01
+Time\t10:00:00,123
+***End_of_Header***
+
+Channels\t2
+Samples\t4\t4
+Date\t2026/03/01\t2026/03/01
+Time\t10:00:00\t10:00:00
+Y_Unit_Label\tVolts\tmm
+X_Dimension\tTime\tTime
+X0\t0,0E+0\t0,0E+0
+Delta_X\t0,5\t0,5
+***End_of_Header***
+X_Value\tDrive\tPosition\tComment
+0,0\t0,25\t20,5
+0,5\t1,25\t20,25
+1,0\t1,25\t19,5
+1,5\t0,0\t19,75
+"""
+
+
+@pytest.mark.parametrize("text", [LABVIEW, LABVIEW.replace(",", ".")])
+def test_labviews_header_is_no_table_and_has_the_units(tmp_path, text):
+    path = tmp_path / "run.lvm"
+    path.write_text(text)
+    (table,) = read_table_file(path).tables
+    assert [(c.title, c.unit) for c in table.columns] == [
+        ("Time", "s"), ("Drive", "Volts"), ("Position", "mm")
+    ]  # fmt: skip
+    assert table.columns[2].values.tolist() == [20.5, 20.25, 19.5, 19.75]
+    # Without a header too, the comment is a title that no row has.
+    path.write_text(text.partition("***\nX")[2].replace("_Value", "X_Value", 1))
+    assert [c.title for c in read_table_file(path).columns] == ["X_Value", "Drive", "Position"]
