@@ -26,6 +26,9 @@ _AGAINST = 0.9  # of a current's readings that have not its voltage's sign
 # Standard deviations, and share of the usual range, that a single reading lies off both beside it;
 # most of them in a record, as more are a sensor's way.
 _OUTLYING, _OUT_OF_RANGE, _MOST_OUTLIERS = 12.0, 0.05, 5
+# Of the range within a sample, which neither heat nor a beam does, and of all readings.
+_DROP, _MOST_DROPPED = 0.2, 0.1
+_DROPS_OUT = ("temperature", "deflection", "range")
 _FEW_STEPS = 3  # of the reading's last digit
 _FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
@@ -84,7 +87,7 @@ def _values(record: Record) -> Iterator[Finding]:
             yield _said("against", name, share=share)
         if len(off):  # they decide nothing
             finite = np.delete(finite, off)
-            values = ", ".join(f"{signal.values[i]:.4g}" for i in off.tolist())
+            values = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
             yield _said("single", name, outliers=len(off), values=values, unit=unit)
         if not len(finite):
             continue
@@ -118,8 +121,9 @@ def _against_voltage(record: Record, current: Signal) -> float:
 
 
 def _outliers(signal: Signal) -> IntArray:
-    """Where single readings of a sensor lie far off both beside them, which agree; none where there
-    are more of them than a mishap makes. A command, a voltage and its current may pulse."""
+    """Where single readings of a sensor lie far off both beside them, which agree, none where there
+    are more of them than a mishap makes; and where it drops out for some, all of one value. A
+    command, a voltage and its current may pulse, and what a machine imposes."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
     pulses = signal.name.endswith(("voltage", "voltage_command", "current"))
     if values.ndim != 1 or len(values) < _FEWEST or pulses or not np.isfinite(values).all():
@@ -133,7 +137,22 @@ def _outliers(signal: Signal) -> IntArray:
         _FEW_STEPS * _resolution(values),
     )
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
-    return found if len(found) <= _MOST_OUTLIERS else none
+    found = found if len(found) <= _MOST_OUTLIERS else none
+    return np.union1d(found, _dropouts(values)) if _kind(signal.name) in _DROPS_OUT else found
+
+
+def _dropouts(values: Array) -> IntArray:
+    """Where (n,) readings are one number for a while, between others that agree and are far off."""
+    begins = np.append(0, np.flatnonzero(np.diff(values)) + 1)
+    ends = np.append(begins[1:], len(values))  # the first reading after each
+    inside = (begins > 0) & (ends < len(values)) & (ends - begins > 1)
+    begins, ends = begins[inside], ends[inside]
+    level, before, after = values[begins], values[begins - 1], values[ends % len(values)]
+    jump = np.minimum(np.abs(level - before), np.abs(level - after))
+    off = (jump > _DROP * float(np.ptp(values))) & (np.abs(after - before) < 0.25 * jump)
+    spans = [np.arange(b, e) for b, e in zip(begins[off], ends[off], strict=True)]
+    found = np.concatenate(spans) if spans else np.zeros(0, dtype=np.int64)
+    return found if len(found) < _MOST_DROPPED * len(values) else found[:0]
 
 
 def _resolution(values: Array) -> float:
@@ -377,7 +396,7 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
             moved[name] = signal = replace(signal, values=-signal.values)
             found.append(_said("turned", name, share=share))
         if len(off := _outliers(signal)):
-            shown = ", ".join(f"{signal.values[i]:.4g}" for i in off.tolist())
+            shown = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
             left: dict[str, Any] = {
                 field: np.delete(values, off) for field in ("time", "values", "received", "std")
                 if (values := getattr(signal, field)) is not None

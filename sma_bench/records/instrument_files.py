@@ -267,8 +267,10 @@ def dsc_of(sheet: Sheet) -> DscRecord:
     # Which way exothermic is.
     lines = [f"{key} {value}" for key, value in header.items() if key.lower().startswith("exo")]
     text = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
-    up = re.search(r"exo\w*( direction)? (up|1)\b|\^ ?exo|endo\w* down", text)
-    down = re.search(r"exo\w*( direction)? (down|-1)\b|\^ ?endo|endo\w* up", text)
+    up = re.search(r"exo\w*( direction)? (up|1)\b(?! (no|false|0)\b)|\^ ?exo|endo\w* down", text)
+    down = re.search(
+        r"exo\w*( direction)? (down|-1)\b|exo\w* up (no|false|0)\b|\^ ?endo|endo\w* up", text
+    )
     exotherm = "up" if up else "down" if down else ""
     names = ("Instrument", "INSTRUMENT", "Instrument Type")
     default = "PerkinElmer Pyris DSC" if blocks else "DSC"

@@ -286,6 +286,7 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         if key in ("unit", "title") and isinstance(value, str):
             beside.setdefault(path[:-1], {})[key] = value
     columns: dict[int, list[Column]] = {}
+    notes: dict[int, list[str]] = {}
     outside: list[str] = []
     for path, value, about in leaves:
         folder, last, label = path[:-1], path[-1], mark.join(path)
@@ -304,6 +305,9 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         # Attributes that scale, and what stands for a missing value.
         known = {_MEANS[key]: v for key, v in about.items() if key in _MEANS}
         scale = {key: v for key, v in known.items() if isinstance(v, float)}
+        said_so = [f"{key} {scale[key]:g}" for key in ("scale", "offset") if key in scale]
+        said_so = [f"{label}: {' and '.join(said_so)} of its attributes applied"] if said_so else []
+        notes.setdefault(len(array), []).extend(said_so)
         array = np.where(array == scale.get("fill"), np.nan, array)
         array = array * scale.get("scale", 1.0) + scale.get("offset", 0.0)
 
@@ -331,7 +335,11 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         )
     if sum(map(len, columns.values())) > MOST_COLUMNS:
         raise InputError(f"more than {MOST_COLUMNS} columns, expected at most that")
-    return [Table("", tuple(c), np.arange(1, n + 1), n) for n, c in columns.items()], outside
+    tables = [
+        Table("", tuple(c), np.arange(1, n + 1), n, notes=tuple(notes.get(n, ())))
+        for n, c in columns.items()
+    ]
+    return tables, outside
 
 
 # --- rows to tables

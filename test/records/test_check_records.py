@@ -66,6 +66,8 @@ THREE = record(wire_voltage=TRIANGLE, wire_temperature=settling(), deflection=TR
 FLAT = np.full(len(CLOCK), 296.0)
 SPIKE = settling()
 SPIKE[700] = 999.9
+DROPPED = settling()
+DROPPED[700:712] = 273.15
 # Name -> a record, and what is said of which subject: severity, and numbers.
 WRONG = {
     "a gap": (record(wire_voltage=(CLOCK[GAP], TRIANGLE[GAP])), "wire.voltage", "warning",
@@ -100,6 +102,8 @@ WRONG = {
                            "warning", {"share": 1.0}),
     "a single reading far off": (record(wire_temperature=SPIKE), "wire.temperature", "warning",
                                  {"outliers": 1}),
+    "a camera that drops out": (record(wire_temperature=DROPPED), "wire.temperature", "warning",
+                                {"outliers": 12}),
     "a dead sensor": (record(wire_voltage=TRIANGLE, wire_temperature=FLAT), "wire.temperature",
                       "warning", {"value": 296.0}),
     "a dead elongation": (record(wire_voltage=TRIANGLE, elongation=0.0 * CLOCK), "elongation",

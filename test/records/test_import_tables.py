@@ -362,3 +362,15 @@ def test_labviews_header_is_no_table_and_has_the_units(tmp_path, text):
     # Without a header too, the comment is a title that no row has.
     path.write_text(text.partition("***\nX")[2].replace("_Value", "X_Value", 1))
     assert [c.title for c in read_table_file(path).columns] == ["X_Value", "Drive", "Position"]
+
+
+def test_a_scale_that_an_attribute_states_is_applied_and_said(tmp_path):
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "daq.h5"
+    with h5py.File(path, "w") as file:
+        file["time"] = np.arange(5.0)
+        file["voltage"] = np.arange(5.0)
+        file["voltage"].attrs["gain"] = 2.0
+    found = read_table_file(path)
+    assert found.columns[1].values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
+    assert found.notes == ("voltage: scale 2 of its attributes applied",)
