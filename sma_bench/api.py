@@ -27,11 +27,13 @@ from sma_bench.records.import_map import record_of_table
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay, overlay
 from sma_bench.records.record import (
+    as_calibrated,
     drive_of,
     frame_from_record,
     record_from_arrays,
     record_from_frame,
     require_pandas,
+    with_stated_lag,
 )
 from sma_bench.synthetic import bench_records
 
@@ -224,9 +226,12 @@ def compare(records: Any, models: Any = ()) -> Overlay:
         raise InputError("compare: no record, expected at least one")
     shown = dict(zip(given, _bags([load(one) for one in given.values()]), strict=True))
     first = next(iter(shown.values()))
-    modelled = {}
+    modelled: dict[str, Record] = {}
     for name, model in named(models, "model").items():
-        run = bench_records.simulate_finely(*drive_of(first, load_parameters(model)))
+        bench = load_parameters(model)
+        if not modelled:  # readings as the first model's owner knows his sensors
+            shown = {key: as_calibrated(record, bench) for key, record in shown.items()}
+        run = bench_records.simulate_finely(*drive_of(first, with_stated_lag(bench)))
         own = name if name not in shown else f"{name} (model)"
         modelled[own] = _recorded(bench_records.signals_of(run), name)
     return overlay(shown | modelled, tuple(modelled))

@@ -39,7 +39,7 @@ from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records.check import check_response, mended, under_suspicion
-from sma_bench.records.record import Record, fingerprint
+from sma_bench.records.record import Record, as_calibrated, fingerprint, with_stated_lag
 
 SURPRISING = 2.0  # prior deviations
 _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
@@ -104,7 +104,8 @@ def diagnose(
     # Clocks are mended; signals under suspicion are named, and hold effects back.
     progress("records")
     pairs = [mended(record) for record in (*records, *hold_out)]
-    whole = [record for record, _ in pairs]
+    whole = [as_calibrated(record, parameters) for record, _ in pairs]
+    parameters = with_stated_lag(parameters)
     known = [(record, finding) for record, found in pairs for finding in found]
     known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
     doubts = [

@@ -31,7 +31,7 @@ from sma_bench.records import DscRecord, Record
 from sma_bench.records.check import check_record, mended
 from sma_bench.records.instruments import IsobaricRecord, Phase, TensileRecord
 from sma_bench.records.open import AnyRecord, account_line
-from sma_bench.records.record import as_driven, has_samples, samples
+from sma_bench.records.record import as_calibrated, as_driven, has_samples, samples
 
 NEEDS = {
     "E0": "E0 any voltage that changes, with current or temperature",
@@ -89,7 +89,7 @@ def identify(
 
     # Bags put right, with what is remarked on them and on the wire's statements.
     sound = [mended(as_driven(r, parameters)) for r in records if isinstance(r, Record)]
-    bags = [signals.as_calibrated(record, parameters) for record, _ in sound]
+    bags = [as_calibrated(record, parameters) for record, _ in sound]
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)

@@ -1,7 +1,7 @@
 """What a record offers to each experiment."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,6 @@ from sma_bench.identify.result import refusal, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import NITI_DENSITY, wire_length
 from sma_bench.records import Record
-from sma_bench.records.contract import CELSIUS_ZERO
 from sma_bench.records.record import has_samples, samples
 
 RESISTANCE, COEFFICIENT = "wire.resistance", "wire.heat_transfer_coefficient"
@@ -36,7 +35,6 @@ _COLDEST, _HOTTEST = 5.0, 95.0  # %
 # What scales the wire's excess over the room.
 CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
           "sensor.temperature.spot_share")
-_CALIBRATED = ("current", "voltage", "temperature", "deflection")
 
 
 @dataclass(frozen=True)
@@ -153,25 +151,6 @@ def one_wire(parameters: Parameters, channel: str) -> Parameters:
     return parameters.replace({
         "bench.channels": (channel,), "bench.channel_sides": ("front",), "load.kind": "clamped",
     })
-
-
-def as_calibrated(record: Record, parameters: Parameters) -> Record:
-    """The record with its readings put right by the sensors' gains, offsets and spot."""
-    corrected = {}
-    for name, signal in record.signals.items():
-        quantity = name.rpartition(".")[2]
-        if quantity not in _CALIBRATED or name.startswith("ambient."):
-            continue
-        gain, offset = (parameters[f"sensor.{quantity}.{k}"] for k in ("gain", "offset"))
-        hot = quantity == "temperature"
-        share = parameters["sensor.temperature.spot_share"] if hot else 1.0
-        if (gain, offset, share) == (1.0, 0.0, 1.0):
-            continue
-        zero = CELSIUS_ZERO if hot else 0.0
-        values = gain * (signal.values - zero) + offset + zero
-        room = parameters["environment.ambient_temperature"] if hot else 0.0
-        corrected[name] = replace(signal, values=room + (values - room) / share)
-    return replace(record, signals={**record.signals, **corrected}) if corrected else record
 
 
 def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:

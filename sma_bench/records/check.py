@@ -308,6 +308,7 @@ def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
 _LAGS = (0.2, 1.0, 4.0, 16.0, 64.0)  # s
 _EXPLAINED = {"temperature": 0.93, "deflection": 0.7, "elongation": 0.55}
 _RESPONSE_SAMPLES = 2000
+_LENGTHENS = 0.7  # correlation of an elongation with the wire's temperature
 _LEAST_DRIVE = 0.1  # V
 _LEAST_MISSING = 1.0  # s
 _LEAST_RESPONSE = 25.0  # variance over that of the noise
@@ -334,7 +335,14 @@ def check_response(record: Record) -> Iterator[Finding]:
         if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
             yield _said("ends_early", name, missing=missing, volts=volts[-1])
 
-    # Readings that do not follow.
+    # Readings that do not follow, and a motion that follows the heat the wrong way.
+    hot = f"{driven[0]}.temperature"
+    if len(record.channels) == 1 and has_samples(record, "elongation") and hot in responses:
+        time, metres = samples(record, "elongation")
+        kelvin = np.interp(time, *samples(record, hot))
+        together = np.corrcoef(kelvin, metres)[0, 1] if np.ptp(kelvin) * np.ptp(metres) else 0.0
+        if together > _LENGTHENS:
+            yield _said("lengthens", "elongation", together=together)
     for name in responses:
         kind, channel = _kind(name), name.removesuffix(".temperature")
         if kind == "temperature" and channel not in driven:
@@ -357,7 +365,7 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
     noise = float(np.mean(np.diff(values, 2) ** 2)) / 6.0
     grid = np.linspace(time[0], time[-1], _RESPONSE_SAMPLES)
     wanted = np.interp(grid, time, values)
-    if np.var(wanted) < _LEAST_RESPONSE * noise or np.var(wanted) == 0.0:
+    if np.var(wanted) < _LEAST_RESPONSE * noise or np.ptp(wanted) == 0.0:
         return None
     columns = [np.ones_like(grid)]
     for name in voltages:
@@ -376,19 +384,21 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
 # --- Before a model is fitted: what can be mended, and signals under suspicion.
 
 # s. A camera's picture takes up to a second on its way, with a right stamp: no reason to move it.
+# s, for which a computer may be busy with a message; none has one before its stamp.
 _MOVED = 1.0
 _BELIEVED = 0.1  # of the scatter, least of a stated deviation
 # Share of readings that lie this near, of the range, to one of two values; jumps between these;
 # samples that the briefer of two levels is held.
 _SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
-_SUSPECT = {"value", "drift", "turns"}  # of the numbers of a finding
+_SUSPECT = {"value", "drift", "turns", "common"}  # of the numbers of a finding
 
 
 def mended(record: Record) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
-    constant time, over a second, off the drive's are moved onto it, by when the recorder got the
-    messages, currents that run against their voltage are turned, and single readings far off those
-    beside them, and deviations far below a reading's scatter, are left out."""
+    constant time off the drive's, over a second behind or ahead of their messages, are moved onto
+    it, by when the recorder got these, currents that run against their voltage are turned, and
+    readings far off those beside them, and deviations far below a reading's scatter, are left
+    out."""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():
@@ -416,7 +426,8 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
     drive = next((n for n in delays if n.endswith(".voltage")), None)
     for name, (delay, growth) in delays.items() if drive else ():
         late = delay - delays[str(drive)][0]
-        if abs(late) > _MOVED and abs(growth) < _DRIFT_TOLERANCE:
+        is_off = late > _MOVED or late < -_CLOCK_TOLERANCE
+        if is_off and abs(growth) < _DRIFT_TOLERANCE:
             own = moved.get(name, record.signals[name])
             moved[name] = replace(own, time=own.time + late)
             found.append(_said("clock_moved", name, offset=late, drive=drive))
@@ -425,7 +436,7 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
 
 def under_suspicion(record: Record) -> Iterator[Finding]:
     """Signals whose readings are not what they seem: clipped, of two values, on a clock that
-    drifts or jumps. The subject is the signal's name."""
+    drifts, jumps or lies off the others'. The subject is the signal's name."""
     by_topic = {s.topic: n for n, s in record.signals.items() if s.topic}
     for finding in check_record(record):
         if finding.severity != "info" and _SUSPECT & set(finding.numbers):

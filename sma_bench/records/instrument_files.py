@@ -164,6 +164,13 @@ class Sheet:
                 found.setdefault(value, text)
         return {v: t for v, t in found.items() if not speaks(t, "worse")} or found
 
+    def section(self) -> float | None:
+        """m2 of the specimen, as it is noted or by its diameter."""
+        if (area := self.noted("area")) is not None:
+            return area
+        diameter = self.noted("diameter")
+        return None if diameter is None else 0.25 * np.pi * diameter**2
+
     def account(self, columns: dict[str, tuple[Column, str]], rows: int) -> Account:
         """What became of the table's rows and columns."""
         used = {column.name: role for column, role in columns.values()}
@@ -316,7 +323,7 @@ def is_isobaric(sheet: Sheet) -> bool:
         cells.number_with_unit(sheet.table.name, "stress") is not None
     )
     if sheet.titles:
-        found, loaded = sheet.find("temperature"), sheet.find("stress")
+        found, loaded = sheet.find("temperature"), sheet.find("stress", "force")
         has_all = found is not None and not sheet.lacks("isobaric", ["stress"] if has_load else [])
         span = 0.0 if found is None else float(np.ptp(found[0].values))
         is_held = loaded is None or _held(loaded[0])
@@ -369,7 +376,13 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord:
         pulled = replace(pulled, unit="%" if span > _LARGEST_SPAN else "mm/mm")
         sheet.remark("warning", "strain unit", "strain_unit", span=span, unit=pulled.unit)
     temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
-    stress = sheet.values(*columns["stress"]) if "stress" in columns else np.full(len(strain), load)
+    loaded, is_force = columns.get("stress"), columns.get("stress", ("", ""))[1] == "force"
+    stress = np.full(len(strain), load or 0.0)
+    if loaded and (not is_force or load is None):
+        section = sheet.section() if is_force else 1.0
+        if section is None:
+            raise sheet.refusal("no_section", name=loaded[0].name)
+        stress = sheet.values(*loaded) / section
     span = float(np.ptp(strain))
     gauge = sheet.noted("gauge_length") if role == "length" else None
     is_relative = role == "length" and gauge is None
@@ -462,9 +475,7 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
     # Extension counts from the first row, over the gauge length; force over the section.
     is_extension, is_force = pulled[1] == "length", loaded[1] == "force"
     length = sheet.noted("gauge_length") if is_extension else None
-    section = sheet.noted("area") if is_force else None
-    if is_force and section is None and (diameter := sheet.noted("diameter")) is not None:
-        section = 0.25 * np.pi * diameter**2
+    section = sheet.section() if is_force else None
     if is_extension:
         start = float(strain[0])
         if abs(start) > 0.01 * float(np.ptp(strain)):

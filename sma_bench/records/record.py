@@ -15,11 +15,12 @@ from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import SOURCES
+from sma_bench.parameters.parameter import BY_NAME, SOURCES
 from sma_bench.parameters.parameters import as_recorded, load_kind
-from sma_bench.records.contract import unit_of
+from sma_bench.records.contract import CELSIUS_ZERO, unit_of
 
 _LONGEST_LIST = 400  # characters of names in one line
+_SHORTEST_LAG = 0.1  # s
 _LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
 
 
@@ -319,6 +320,35 @@ def as_driven(record: Record, parameters: Parameters) -> Record:
     """The record, of a source of power with the volts that stand for its watts alone: what it reads
     of the wire's resistance is in no experiment's reach."""
     return with_commands(record, parameters)[0] if parameters["bench.drive"] == "power" else record
+
+
+def as_calibrated(record: Record, parameters: Parameters) -> Record:
+    """The record with its readings put right by the sensors' gains, offsets and spot."""
+    corrected = {}
+    for name, signal in record.signals.items():
+        quantity = name.rpartition(".")[2]
+        if f"sensor.{quantity}.gain" not in BY_NAME or name.startswith("ambient."):
+            continue
+        gain, offset = (parameters[f"sensor.{quantity}.{k}"] for k in ("gain", "offset"))
+        hot = quantity == "temperature"
+        share = parameters["sensor.temperature.spot_share"] if hot else 1.0
+        if (gain, offset, share) == (1.0, 0.0, 1.0):
+            continue
+        zero = CELSIUS_ZERO if hot else 0.0
+        values = gain * (signal.values - zero) + offset + zero
+        room = parameters["environment.ambient_temperature"] if hot else 0.0
+        corrected[name] = replace(signal, values=room + (values - room) / share)
+    return replace(record, signals={**record.signals, **corrected}) if corrected else record
+
+
+def with_stated_lag(parameters: Parameters) -> Parameters:
+    """The same, the thermometer's own lag that is stated believed in as the effect that it is; of
+    less than a tenth of a second nothing shows."""
+    stated, number = "sensor.temperature.lag", "effect.temperature_lag.time_constant"
+    if parameters[stated] < _SHORTEST_LAG or parameters[number]:
+        return parameters
+    std = parameters.given_uncertainty.get(stated)
+    return parameters.replace({number: parameters[stated]}, {} if std is None else {number: std})
 
 
 def ohms_of_source(parameters: Parameters) -> float:

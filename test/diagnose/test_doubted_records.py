@@ -8,6 +8,7 @@ import pytest
 
 import sma_bench
 from sma_bench.records.check import mended, under_suspicion
+from sma_bench.records.record import first_order_lag
 
 LAB = {"bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind": "clamped",
        "wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0, "wire.specific_heat": 450.0,
@@ -43,7 +44,7 @@ def test_a_clock_of_another_time_is_moved_back_and_a_variance_that_scatter_contr
     record,
 ):
     own = record["wire.temperature"].time
-    for off in (37.0, -37.0):
+    for off in (37.0, -37.0, 0.4):  # of the last a message is there before its stamp
         sound, (found,) = mended(with_signals(record, temperature={"time": own + off}))
         assert found.subject == "wire.temperature"
         assert found.numbers["offset"] == pytest.approx(-off, abs=0.01)
@@ -51,6 +52,7 @@ def test_a_clock_of_another_time_is_moved_back_and_a_variance_that_scatter_contr
     # A picture that takes its time keeps its right stamp.
     sound, found = mended(with_signals(record, temperature={"received": own + 0.4}))
     assert not found and sound["wire.temperature"].time is own
+    assert [f.subject for f in under_suspicion(sound)] == ["wire.temperature"]  # or has a wrong one
     sound, (found,) = mended(with_signals(record, temperature={"std": np.full(len(own), 1e-6)}))
     assert sound["wire.temperature"].std is None and found.subject == "wire.temperature"
     honest = np.full(len(own), found.numbers["scatter"])
@@ -109,6 +111,19 @@ def test_a_diagnosis_says_what_is_wrong_with_a_record_and_names_no_effect_for_it
     assert said in line and line.split("held back")[0] in " ".join(str(found).split())
     assert not set(held_back) & {c.name for c in found.candidates}
     assert (changed is switched) == (len(found.candidates) == 3)
+
+
+def test_what_a_sensor_is_stated_to_do_is_no_cause(record):
+    """A thermocouple whose lag, and whose share of the wire's rise, its owner knows."""
+    own = record["wire.temperature"].values
+    slow = first_order_lag(own - 296.0, float(np.exp(-0.1 / 2.0)))
+    read = with_signals(record, temperature={"values": 296.0 + 0.85 * slow})
+    stated = {"sensor.temperature.lag": 2.0, "sensor.temperature.spot_share": 0.85}
+    found = sma_bench.diagnose(read, LAB | stated)
+    assert found.cause == () and found.verdict in ("no_gap", "recalibration")
+    left = sma_bench.compare(read, [LAB | stated]).differences
+    (kelvin,) = (d.rms for d in left if d.signal == "wire.temperature")
+    assert kelvin < 0.5 < 3.0 < np.ptp(own)
 
 
 def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_them():

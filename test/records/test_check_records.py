@@ -100,6 +100,9 @@ WRONG = {
                         "wire.current", "warning", {"value": 2.0}),
     "a reversed current": (record(wire_voltage=TRIANGLE, wire_current=-TRIANGLE), "wire.current",
                            "warning", {"share": 1.0}),
+    "an elongation of the wrong sign": (
+        record(wire_voltage=TRIANGLE, wire_temperature=settling(), elongation=1e-5 * settling()),
+        "elongation", "warning", {"together": 1.0}),
     "a single reading far off": (record(wire_temperature=SPIKE), "wire.temperature", "warning",
                                  {"outliers": 1}),
     "a camera that drops out": (record(wire_temperature=DROPPED), "wire.temperature", "warning",

@@ -273,6 +273,15 @@ def test_of_columns_alike_the_specimens_is_taken_and_another_is_named(write):
     assert open_record(write(kelvin, heads)).findings == ()
 
 
+def test_an_isobaric_test_in_newtons_needs_a_section(write):
+    newtons = in_percent(loop()) * (1.0, 1.0, 0.0707)
+    path = write(newtons, "Temperature (C),Strain (%),Force (N)")
+    with pytest.raises(InputError, match="force in Force \\(N\\), and no section"):
+        open_record(path)
+    record = open_record(path, stated={"diameter": 0.3e-3})
+    assert isinstance(record, IsobaricRecord) and record.stress == pytest.approx(100e6, rel=1e-3)
+
+
 def test_a_tensile_test_that_warms_the_wire_a_little_is_tensile(write):
     warmed = np.column_stack([STRETCHED, np.linspace(23.0, 31.0, len(STRETCHED))])
     record = open_record(write(warmed, "Strain (%),Stress (MPa),Temperature (C)"))
