@@ -283,8 +283,9 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
         keep = ~missing if count else slice(None)
         values = values[keep] + contract.CELSIUS_ZERO if unit == "K" else values[keep]
         time, received = (((ns - start) / 1e9)[keep] for ns in (samples.stamp, samples.received))
-        has_std = np.nanmax(stated, initial=0.0) > 0.0
-        std = np.sqrt(np.maximum(stated[keep], 0.0)) if has_std else None
+        known, std = stated > 0.0, None  # 0 is unknown: it counts as that of the others, if any
+        if known.any():
+            std = np.sqrt(np.where(known, stated, np.median(stated[known])))[keep]
         signals.append(Signal(name, unit, time, values, received, samples.topic, std))
     return signals
 

@@ -130,7 +130,7 @@ def test_invalid_ranges_are_kept_and_flagged(tmp_path, write_bag, messages):
 
 
 @pytest.mark.parametrize(
-    ("variances", "std"), [((0.25, 0.25, 1.0, 0.0), [0.5, 0.5, 1.0, 0.0]), ((0.0,) * 4, None)]
+    ("variances", "std"), [((0.25, 0.25, 1.0, 0.0), [0.5, 0.5, 1.0, 0.5]), ((0.0,) * 4, None)]
 )
 def test_variance_of_a_camera_comes_with_its_readings_and_none_is_none(
     tmp_path, write_bag, messages, variances, std
