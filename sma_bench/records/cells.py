@@ -258,26 +258,42 @@ def decimal_signs(cells: Iterable[Any]) -> set[str]:
 def decimal_of(label: str, shown: set[str], everywhere: set[str], cells: Sequence[Any]) -> str:
     """The decimal sign of a column, by its own cells or by the others' where those say one."""
     own, open_ = ({sign[-1] for sign in shown if len(sign) == size} for size in (1, 2))
+    is_open = open_ == {"."} and not everywhere and _may_count(cells)
     if len(own) == 2:
         raise InputError(f"{label} has decimal points and decimal commas, expected one of them")
-    if own or not open_ or (open_ == {"."} and everywhere <= {"."}):
+    if own or not open_ or (open_ == {"."} and everywhere <= {"."} and not is_open):
         return own.pop() if own else "."
     if open_ == {","} and len(everywhere) == 1:
         return next(iter(everywhere))
     marked = {cell for cell in set(cells) if decimal_signs([cell])}
     bare = {str(c).lstrip("-") for c in set(cells) - marked if cell_kind(c) == "n"}
-    if bare - {"0"} and max(map(len, bare)) < 4 and len(open_) == 1 and not everywhere & open_:
+    is_open |= len(open_) == 2 or bool(everywhere & open_)
+    if bare - {"0"} and max(map(len, bare)) < 4 and not is_open:
         return "." if open_ == {","} else ","  # 980 and 1,069: thousands
     raise InputError(said("open_sign", label=label, cell=min(marked)))
 
 
+_DOTTED = re.compile(r"[+-]?(?:(?P<dot>[1-9]\d{0,2}\.\d{3})|(?P<bare>\d{1,3}))\Z")
+
+
+def _may_count(cells: Sequence[Any]) -> bool:
+    """Whether the dots of a column may be of thousands: 985 and 1.069, and no other form."""
+    forms: set[Any] = set()
+    for cell in cells:
+        form = _DOTTED.match(cell) if isinstance(cell, str) else None
+        if form is None and str(cell).lower() not in MISSING:
+            return False
+        forms.add(form and form.lastgroup)
+    return forms >= {"dot", "bare"}
+
+
 def plain_numbers(cells: Sequence[Any]) -> Array | None:
-    """Values (n,) of cells that are all numbers as Python writes them, else None."""
+    """Values (n,) of cells that are all numbers as Python alone writes them, else None."""
     try:
         values = np.array([float(cell) for cell in cells])
     except (TypeError, ValueError):
         return None
-    return np.where(np.isfinite(values), values, np.nan)
+    return None if _may_count(cells) else np.where(np.isfinite(values), values, np.nan)
 
 
 def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, str, int]:
@@ -330,7 +346,7 @@ _MOMENT = re.compile(
 )
 _ISO = re.compile(r"(?:19[7-9]|20|21)\d\d?-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d+)?\Z")
 _MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
-_DAY = 86_400.0
+_DAY, _HOLE = 86_400.0, 14.0  # s; days that a run does not pause
 _EPOCH, _LAST_DAY = date(1970, 1, 1).toordinal(), date(2199, 12, 31).toordinal()
 
 
@@ -391,16 +407,20 @@ def moments_of(
     dated = [m for k in there if (m := moment_of(dates[k]))] if dates else found
     if not found or not len(found) == len(dated) == len(there):
         return None
-    # 03/10/2026 is October 3rd or March 10th: AM and PM, or an order that goes back, tell.
+    # 03/10/2026 is October 3rd or March 10th: AM and PM, or an order that goes back
+    # or leaves a hole of weeks, tell.
     first, second = np.array([m.days for m in dated]).T  # the day first, the month first
     day, remark = np.where(np.isnan(first), second, first), ""
     can_be = [bool(np.isfinite(order).all()) for order in (first, second)]
     forward = [bool(np.all(np.diff(order) >= 0.0)) for order in (first, second)]
-    if can_be[1] and (not can_be[0] or found[0].am_pm or forward == [False, True]):
+    holes = [np.diff(order).max(initial=0.0) for order in (first, second)]
+    is_next = all(forward) and holes[0] > _HOLE and holes[1] <= 1.0
+    if can_be[1] and (not can_be[0] or found[0].am_pm or forward == [False, True] or is_next):
         day = second
-    if all(can_be) and forward[0] == forward[1]:
-        taken = date.fromordinal(int(day[0]) + _EPOCH)
-        remark = f"{str((dates or cells)[there[0]])[:10]} is taken as {taken}"
+    text = str((dates or cells)[there[0]]).split()[0]
+    is_open = re.match(r"\d\d?([-/])\d\d?\1\d\d(?!\d)", text)  # 26/03/01: the year first or last
+    if is_open or (all(can_be) and forward[0] == forward[1]):
+        remark = f"{text} is taken as {date.fromordinal(int(day[0]) + _EPOCH)}"
     is_absolute = bool(np.isfinite(day).all())
     total = (_DAY * day if is_absolute else 0.0) + np.array([m.seconds or 0.0 for m in found])
     if not is_absolute:  # past midnight

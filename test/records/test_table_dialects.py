@@ -10,8 +10,10 @@ import pytest
 from examination.tables.dialects import HABITS, write
 from examination.tables.outcome import RIGHT, WRONG, outcome
 from examination.tables.truths import true_table
+from sma_bench.errors import InputError
 from sma_bench.records import cells
-from sma_bench.records.cells import WORDS, number_with_unit
+from sma_bench.records.cells import WORDS, moments_of, number_with_unit
+from sma_bench.records.tables import read_table_file
 
 PLAIN = {feature: habits[0] for feature, habits in HABITS.items()}
 
@@ -67,3 +69,32 @@ def test_every_sentence_is_said_with_the_values_that_it_has():
 def test_a_number_is_stated_whole_and_no_digits_of_a_name_are_one(text, quantity, value):
     """A number once more with the unit of its key is as `Sheet.noted` reads such a line."""
     assert number_with_unit(text, quantity) == (None if value is None else pytest.approx(value))
+
+
+def test_dates_are_taken_in_the_order_that_leaves_no_hole_and_two_digits_of_a_year_are_said():
+    seconds, epoch, _, remark = moments_of(["01/02/2026 23:59:59", "01/03/2026 00:00:00"])
+    assert list(seconds) == [0.0, 1.0] and epoch == 1767398399
+    assert remark == "01/02/2026 is taken as 2026-01-02"
+    european = moments_of(["01/02/2026 23:59:59", "02/02/2026 00:00:00"])
+    assert european[1] == 1769990399 and list(european[0]) == [0.0, 1.0]
+    assert moments_of(["26/03/01 10:00:00"])[3] == "26/03/01 is taken as 2001-03-26"
+    assert moments_of(["26.03.01 10:00:00"])[3] == moments_of(["2026-03-01 10:00"])[3] == ""
+
+
+@pytest.mark.parametrize(("cells", "is_asked"), [
+    (["0", "985", "1.069"], True), (["0", "1.200", "1.200"], True), (["0", "1.200", "1.5"], False),
+    (["0.123", "1.200", "2.000"], False), (["1.234", "1.200", "2.345"], False),
+    (["1000", "1.200", "0"], False),
+])  # fmt: skip
+def test_dots_that_may_be_of_thousands_are_asked_about_unless_another_cell_tells(
+    cells, is_asked, tmp_path
+):
+    for k, times in enumerate((("0", "1", "2"), ("0.0", "0.5", "1.0"))):
+        rows = "".join(f"{t};{cell}\n" for t, cell in zip(times, cells, strict=True))
+        path = tmp_path / f"{k}.csv"
+        path.write_text(f"Time (s);Voltage (mV)\n{rows}")
+        if is_asked and not k:
+            with pytest.raises(InputError, match="'1.[0-9]{3}' may have a decimal or a thousand"):
+                read_table_file(path)
+        else:
+            assert read_table_file(path).columns[1].values[1] == float(cells[1])
