@@ -141,6 +141,8 @@ def title_meanings(title: str) -> tuple[str, ...]:
         words = words_of(text)
         if text == "t" or words in (["t", "rel"], ["t", "abs"]):
             return ("time",)
+        if words in (["t", "f"], ["t", "b"]):  # of the front, of the back
+            return ("temperature",)
         if set(text) == {"#"} or (words and set(words) <= set(WORDS["counters"])):
             return ("counter",)
         joined = " ".join(["", *words])
@@ -164,17 +166,30 @@ def meanings(title: str, unit: str) -> tuple[str, ...]:
     meant, known = title_meanings(title), parse_unit(unit)
     if known is None:
         return meant
+    if known.quantity == "ratio" and any(word in plain_title(title) for word in WORDS["stretch"]):
+        return ("strain",)
     fitting = tuple(m for m in meant if fits(m, known.quantity))
     is_open = not meant or len(title) == 1 or meant[0] in ("ambient", "supply")
     told = (q for q, row in QUANTITIES.items() if row.get("by_unit") and fits(q, known.quantity))
     return fitting or (tuple(told) if is_open else ())
 
 
+# A factor behind the unit, or one of ten anywhere: (V) x2, *1000 (A), [x10 mA], (MPa)/10.
+_FACTOR = re.compile(
+    r"(?<=[)\]}])\s?[x×*·÷/]\s?\d[^\s)]*|/\s?10+(?![^\W_])|(?<![\w.,])10+\s?[x×*](?![^\W_])|"
+    r"(?:(?<![\w.,])(?<!\d\s)[x×]|[×*·÷])\s?(?:10+|0[.,]0*1|10?[eE^][+\-−]?\d+|10[⁻¹-⁹]+)(?![^\W_])"
+)
+
+
 @lru_cache(maxsize=4096)
 def split_title(title: str) -> tuple[str, str]:
     """Title and unit: in brackets, after a slash or comma, or after an underscore or blank if it
-    fits what the title says or is no single letter (LVDT_A is no current)."""
+    fits what the title says or is no single letter (LVDT_A is no current, T_f no Fahrenheit). With
+    a factor it is a unit that nothing knows: whether values are to be multiplied is not said."""
     text = " ".join(title.split())
+    if len(text) < 200 and (factor := _FACTOR.search(text)):
+        name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}")
+        return name, f"{unit} {factor[0].strip()}".strip()
     found = list(re.finditer(r"[\[({]((?:[^\[\](){}]|\([^()]*\))*)[\])}]", text))
     for match in reversed(found):
         if parse_unit(match[1]):
@@ -188,7 +203,9 @@ def split_title(title: str) -> tuple[str, str]:
         name, cut, unit = text.partition(mark) if mark == " / " else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
         known = parse_unit(unit) if cut and name else None
-        if known is None or name.count("(") != name.count(")"):
+        is_open = any(name.count(mark) != name.count(end) for mark, end in ("()", "[]", "{}"))
+        is_side = mark == "_" and len(name) == 1 and unit.lower() in ("f", "b")
+        if known is None or is_open or is_side or unit.lower() == "adc":  # counts of a converter
             continue
         meant = title_meanings(name)
         sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)

@@ -12,7 +12,7 @@ from examination.tables.outcome import RIGHT, WRONG, outcome
 from examination.tables.truths import true_table
 from sma_bench.errors import InputError
 from sma_bench.records import cells
-from sma_bench.records.cells import WORDS, moments_of, number_with_unit
+from sma_bench.records.cells import WORDS, moments_of, number_with_unit, parse_unit, split_title
 from sma_bench.records.tables import read_table_file
 
 PLAIN = {feature: habits[0] for feature, habits in HABITS.items()}
@@ -69,6 +69,30 @@ def test_every_sentence_is_said_with_the_values_that_it_has():
 def test_a_number_is_stated_whole_and_no_digits_of_a_name_are_one(text, quantity, value):
     """A number once more with the unit of its key is as `Sheet.noted` reads such a line."""
     assert number_with_unit(text, quantity) == (None if value is None else pytest.approx(value))
+
+
+@pytest.mark.parametrize(("title", "parts"), [
+    ("Current [x10 mA]", ("Current", "mA x10")), ("Current (A)*1000", ("Current", "A *1000")),
+    ("Temp (C)/10", ("Temp", "C /10")), ("Stress (MPa) /10", ("Stress", "MPa /10")),
+    ("Strain (%) x 100", ("Strain", "% x 100")), ("Voltage x10 (V)", ("Voltage", "V x10")),
+    ("Temp x2 (C)", ("Temp x2", "C")), ("T_f", ("T_f", "")), ("T_C", ("T", "C")),
+    ("Sensor_ADC", ("Sensor_ADC", "")),
+])  # fmt: skip
+def test_a_unit_with_a_factor_is_not_known_and_a_side_is_none(title, parts):
+    assert split_title(title) == parts
+    assert not any(mark in parts[1] for mark in "x*/") or parse_unit(parts[1]) is None
+
+
+def test_slips_of_units_are_read_where_nothing_else_can_be_meant():
+    for text, unit in (("VDC", "V"), ("ADC", "A"), ("oC", "degC"), ("Mpa", "MPa")):
+        assert parse_unit(text) == parse_unit(unit) is not None
+    assert parse_unit("10^-3").factor == 1e-3 and parse_unit("mPa") is None
+    for title, unit, meant in (
+        ("Elongation", "%", "strain"), ("Elongation", "mm", "length"), ("Tensão", "MPa", "stress"),
+        ("Tensão", "V", "voltage"), ("ひずみ", "%", "strain"), ("温度", "C", "temperature"),
+    ):  # fmt: skip
+        assert cells.meanings(title, unit) == (meant,)
+        assert cells.title_meanings(title)
 
 
 def test_dates_are_taken_in_the_order_that_leaves_no_hole_and_two_digits_of_a_year_are_said():
