@@ -72,13 +72,47 @@ def parse_unit(text: str) -> Unit | None:
     return None
 
 
+_AMOUNT = re.compile(
+    r"(?P<number>(?:(?<![\w)\]])[+\-−])?\d++(?:[.,'’]\d++)*+(?:[eE][+-]?\d++)?+)"
+    r"(?=\s*(?P<unit>[^\s\d,;:=_]{1,12}\d?))"
+)
+# Before a number: a name (d1, #3), a tolerance (±), a range (20-150), a number cut in two (: 12 3).
+_NO_AMOUNT = re.compile(
+    r"(?:[^\W_Øø]|[.,#/^*±]|± |\+/- ?|(?<![\w#\-.,])\d+(?:[.,]\d+)? ?(?:-|−|–|to|bis|\.\.) ?"
+    r"|(?:\A|[:=])\s*[+\-−]?\d[\d.,]*\s)\Z"
+)
+_THOUSANDS = re.compile(r"(\A\s*)?(?<![\w.,#])([+\-−]?\d{1,3}(?:[ \u00a0\u202f]\d{3})*)\s\Z")
+_STATED = {"mass": (1e-9, 1e-3), "stress": (5e6, 1e9)}  # by a test, in SI, where thousands may be
+
+
 def number_with_unit(text: str, quantity: str) -> float | None:
-    """The value in SI of the first number in a text with a unit of that quantity behind it."""
-    number = r"([+-]?\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?)\s*([^\s\d,;:=]{1,12}\d?)"
-    for found in re.finditer(number, text):
-        unit = parse_unit(found[2].strip(".\"'"))
-        if unit is not None and unit.quantity == quantity:
-            return float(found[1].replace(",", ".")) * unit.factor + unit.offset
+    """The value in SI of the first number in a text with a unit of that quantity behind it. Digits
+    of names and ends of ranges are none; of 1,000 and 12 345, which may be two numbers, the one
+    that a test states, None where that is not told."""
+    parted = (text.partition(mark) for mark in ":=")
+    key, value = next(((k, v) for k, _, v in parted if re.search(r"\d", v)), ("", text))
+    again = value.rsplit(" ", 2)  # a number once more, with the unit of its key: Mass/mg: 12 12 mg
+    if len(again) == 3 and re.search(rf"[/(\[]\s*{re.escape(again[2])}", key):
+        value = f"{again[0]} {again[2]}"
+    for found in _AMOUNT.finditer(value):
+        unit, number = parse_unit(found["unit"].strip(".\"'")), found["number"]
+        before = value[max(found.start() - 60, 0) : found.start()]
+        groups = _THOUSANDS.search(before) if re.match(r"\d{3}(?!\d)", number) else None
+        is_none = _NO_AMOUNT.search(before + number[: number[0] in "+-−"]) and not groups
+        if is_none or unit is None or unit.quantity != quantity:
+            continue
+        values, ways = [], [f"{groups[2]} {number}", number] if groups else [number]
+        if groups and (number[0] == "0" or len(groups[2]) > 4 or (key and groups[1] is not None)):
+            ways.pop()
+        for written in ways:
+            shown = decimal_signs([written])
+            is_open = shown == {"?,"} or (shown == {"?."} and quantity in _STATED)
+            for decimal in ",." if is_open else (*shown, ".")[0][-1]:
+                amount = float(numbers_of([written], decimal, "")[0][0])
+                values.append(amount * unit.factor + unit.offset)
+        least, most = _STATED.get(quantity, (math.inf, 0.0))
+        values = [v for v in values if len(values) == 1 or least <= v <= most]
+        return values[0] if len(values) == 1 and math.isfinite(values[0]) else None
     return None
 
 
@@ -107,6 +141,8 @@ def title_meanings(title: str) -> tuple[str, ...]:
         words = words_of(text)
         if text == "t" or words in (["t", "rel"], ["t", "abs"]):
             return ("time",)
+        if words in (["t", "f"], ["t", "b"]):  # of the front, of the back
+            return ("temperature",)
         if set(text) == {"#"} or (words and set(words) <= set(WORDS["counters"])):
             return ("counter",)
         joined = " ".join(["", *words])
@@ -130,17 +166,30 @@ def meanings(title: str, unit: str) -> tuple[str, ...]:
     meant, known = title_meanings(title), parse_unit(unit)
     if known is None:
         return meant
+    if known.quantity == "ratio" and any(word in plain_title(title) for word in WORDS["stretch"]):
+        return ("strain",)
     fitting = tuple(m for m in meant if fits(m, known.quantity))
     is_open = not meant or len(title) == 1 or meant[0] in ("ambient", "supply")
     told = (q for q, row in QUANTITIES.items() if row.get("by_unit") and fits(q, known.quantity))
     return fitting or (tuple(told) if is_open else ())
 
 
+# A factor behind the unit, or one of ten anywhere: (V) x2, *1000 (A), [x10 mA], (MPa)/10.
+_FACTOR = re.compile(
+    r"(?<=[)\]}])\s?[x×*·÷/]\s?\d[^\s)]*|/\s?10+(?![^\W_])|(?<![\w.,])10+\s?[x×*](?![^\W_])|"
+    r"(?:(?<![\w.,])(?<!\d\s)[x×]|[×*·÷])\s?(?:10+|0[.,]0*1|10?[eE^][+\-−]?\d+|10[⁻¹-⁹]+)(?![^\W_])"
+)
+
+
 @lru_cache(maxsize=4096)
 def split_title(title: str) -> tuple[str, str]:
     """Title and unit: in brackets, after a slash or comma, or after an underscore or blank if it
-    fits what the title says or is no single letter (LVDT_A is no current)."""
+    fits what the title says or is no single letter (LVDT_A is no current, T_f no Fahrenheit). With
+    a factor it is a unit that nothing knows: whether values are to be multiplied is not said."""
     text = " ".join(title.split())
+    if len(text) < 200 and (factor := _FACTOR.search(text)):
+        name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}")
+        return name, f"{unit} {factor[0].strip()}".strip()
     found = list(re.finditer(r"[\[({]((?:[^\[\](){}]|\([^()]*\))*)[\])}]", text))
     for match in reversed(found):
         if parse_unit(match[1]):
@@ -154,7 +203,9 @@ def split_title(title: str) -> tuple[str, str]:
         name, cut, unit = text.partition(mark) if mark == " / " else text.rpartition(mark)
         name, unit = name.strip(), unit.strip()
         known = parse_unit(unit) if cut and name else None
-        if known is None or name.count("(") != name.count(")"):
+        is_open = any(name.count(mark) != name.count(end) for mark, end in ("()", "[]", "{}"))
+        is_side = mark == "_" and len(name) == 1 and unit.lower() in ("f", "b")
+        if known is None or is_open or is_side or unit.lower() == "adc":  # counts of a converter
             continue
         meant = title_meanings(name)
         sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)
@@ -224,26 +275,42 @@ def decimal_signs(cells: Iterable[Any]) -> set[str]:
 def decimal_of(label: str, shown: set[str], everywhere: set[str], cells: Sequence[Any]) -> str:
     """The decimal sign of a column, by its own cells or by the others' where those say one."""
     own, open_ = ({sign[-1] for sign in shown if len(sign) == size} for size in (1, 2))
+    is_open = open_ == {"."} and not everywhere and _may_count(cells)
     if len(own) == 2:
         raise InputError(f"{label} has decimal points and decimal commas, expected one of them")
-    if own or not open_ or (open_ == {"."} and everywhere <= {"."}):
+    if own or not open_ or (open_ == {"."} and everywhere <= {"."} and not is_open):
         return own.pop() if own else "."
     if open_ == {","} and len(everywhere) == 1:
         return next(iter(everywhere))
     marked = {cell for cell in set(cells) if decimal_signs([cell])}
     bare = {str(c).lstrip("-") for c in set(cells) - marked if cell_kind(c) == "n"}
-    if bare - {"0"} and max(map(len, bare)) < 4 and len(open_) == 1 and not everywhere & open_:
+    is_open |= len(open_) == 2 or bool(everywhere & open_)
+    if bare - {"0"} and max(map(len, bare)) < 4 and not is_open:
         return "." if open_ == {","} else ","  # 980 and 1,069: thousands
     raise InputError(said("open_sign", label=label, cell=min(marked)))
 
 
+_DOTTED = re.compile(r"[+-]?(?:(?P<dot>[1-9]\d{0,2}\.\d{3})|(?P<bare>\d{1,3}))\Z")
+
+
+def _may_count(cells: Sequence[Any]) -> bool:
+    """Whether the dots of a column may be of thousands: 985 and 1.069, and no other form."""
+    forms: set[Any] = set()
+    for cell in cells:
+        form = _DOTTED.match(cell) if isinstance(cell, str) else None
+        if form is None and str(cell).lower() not in MISSING:
+            return False
+        forms.add(form and form.lastgroup)
+    return forms >= {"dot", "bare"}
+
+
 def plain_numbers(cells: Sequence[Any]) -> Array | None:
-    """Values (n,) of cells that are all numbers as Python writes them, else None."""
+    """Values (n,) of cells that are all numbers as Python alone writes them, else None."""
     try:
         values = np.array([float(cell) for cell in cells])
     except (TypeError, ValueError):
         return None
-    return np.where(np.isfinite(values), values, np.nan)
+    return None if _may_count(cells) else np.where(np.isfinite(values), values, np.nan)
 
 
 def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, str, int]:
@@ -296,7 +363,7 @@ _MOMENT = re.compile(
 )
 _ISO = re.compile(r"(?:19[7-9]|20|21)\d\d?-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d+)?\Z")
 _MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
-_DAY = 86_400.0
+_DAY, _HOLE = 86_400.0, 14.0  # s; days that a run does not pause
 _EPOCH, _LAST_DAY = date(1970, 1, 1).toordinal(), date(2199, 12, 31).toordinal()
 
 
@@ -357,16 +424,20 @@ def moments_of(
     dated = [m for k in there if (m := moment_of(dates[k]))] if dates else found
     if not found or not len(found) == len(dated) == len(there):
         return None
-    # 03/10/2026 is October 3rd or March 10th: AM and PM, or an order that goes back, tell.
+    # 03/10/2026 is October 3rd or March 10th: AM and PM, or an order that goes back
+    # or leaves a hole of weeks, tell.
     first, second = np.array([m.days for m in dated]).T  # the day first, the month first
     day, remark = np.where(np.isnan(first), second, first), ""
     can_be = [bool(np.isfinite(order).all()) for order in (first, second)]
     forward = [bool(np.all(np.diff(order) >= 0.0)) for order in (first, second)]
-    if can_be[1] and (not can_be[0] or found[0].am_pm or forward == [False, True]):
+    holes = [np.diff(order).max(initial=0.0) for order in (first, second)]
+    is_next = all(forward) and holes[0] > _HOLE and holes[1] <= 1.0
+    if can_be[1] and (not can_be[0] or found[0].am_pm or forward == [False, True] or is_next):
         day = second
-    if all(can_be) and forward[0] == forward[1]:
-        taken = date.fromordinal(int(day[0]) + _EPOCH)
-        remark = f"{str((dates or cells)[there[0]])[:10]} is taken as {taken}"
+    text = str((dates or cells)[there[0]]).split()[0]
+    is_open = re.match(r"\d\d?([-/])\d\d?\1\d\d(?!\d)", text)  # 26/03/01: the year first or last
+    if is_open or (all(can_be) and forward[0] == forward[1]):
+        remark = f"{text} is taken as {date.fromordinal(int(day[0]) + _EPOCH)}"
     is_absolute = bool(np.isfinite(day).all())
     total = (_DAY * day if is_absolute else 0.0) + np.array([m.seconds or 0.0 for m in found])
     if not is_absolute:  # past midnight

@@ -33,6 +33,7 @@ _LITTLE = 0.02  # beyond 0 to 1 that a duty may be read; of the largest drive th
 _FORMS = {"voltage": ("rms", "mean", "duty", "power"), "current": ("rms", "mean", "peak")}
 _DIRECT = ("rms", "power")  # not of a switched supply
 _SIGNAL = re.compile(r"(?!ask\b|voltage_command)[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-z]+)?\Z")
+_WORD = re.compile(r"\d+|[A-Z]+(?![^\W\d_A-Z])|[A-Z]?[^\W\d_A-Z]+")  # leftV: left, V
 _CLEAR = 3.0  # times as far one way as the other
 _AT_REST = 0.1  # of all its way, what a position scatters before the first drive
 Proposed = tuple["ImportMap", list[str], dict[str, str]]  # a map, questions, remarks by column
@@ -362,6 +363,13 @@ class _Proposal:
         self.remarks[where] = f"{self.remarks.get(where, '')} ASK: {question}".strip()
         return ASK
 
+    def channels_of(self, column: Column) -> list[str]:
+        """Channels that a title names, as whole words: r is none of current."""
+        names, title = self.bench["bench.channels"], cells.split_title(column.name)[0]
+        texts = (" ".join(_WORD.findall(text)) for text in (f"{column.title} {title}", *names))
+        whole, *own = (f" {text.lower()} " for text in texts)
+        return [name for name, text in zip(names, own, strict=True) if text in whole]
+
     def meaning(self, column: Column) -> str:
         """What a column is, "" where it makes no signal."""
         name, title = column.name, column.title
@@ -371,9 +379,15 @@ class _Proposal:
         found = cells.meanings(title, column.unit) or cells.meanings(name, column.unit) or meant
         named, words = found[0] if found else "", set(cells.words_of(title))
         unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
-        is_wire = any(c.lower() in name.lower() for c in self.bench["bench.channels"])
-        if not (meant or unused or is_wire or named == "time" or words & set(WORDS["wire"])):
+        is_wire = bool(self.channels_of(column) or words & set(WORDS["wire"]))
+        if not (meant or unused or is_wire or named == "time"):
             self.ask(name, "is_it", named=named)
+        other = min(words & {*WORDS["devices"], *WORDS["doubtful"]}, default="")
+        if other and not unused and named in (*_DRIVES, "power", "temperature"):
+            if other in WORDS["devices"] and not is_wire:
+                unused = f"of another device ({other}), not of a wire"
+            elif (named, other) != ("temperature", "sensor"):
+                self.ask(name, "which_device", word=other)
         if named in _DRIVES and words & set(WORDS["supplies"]):
             self.ask(name, "which_reading")
         if named == "temperature" and re.fullmatch(r"[tT][cC]?[\s_]?0*([2-9]|1\d)", title):
@@ -417,14 +431,13 @@ class _Proposal:
             return Entry("deflection" if is_pulled else signal, name, unit, clock, reference="rest")
         if signal:
             return Entry(signal, name, unit, clock)
-        plain = re.sub(r"\W+", "_", name.lower())
-        fitting = [c for c in channels if len(channels) == 1 or c.lower() in plain]
+        fitting = self.channels_of(column) if len(channels) > 1 else list(channels)
         if len(fitting) != 1:
             fitting = [self.ask(name, "which_channel", channels=", ".join(channels))]
         kind, form = ("voltage", meaning) if meaning in ("duty", "power") else (meaning, "rms")
         if meaning in _DRIVES:
             # Of a switched supply a meter may show the mean, an oscilloscope the peak.
-            text = " ".join(cells.words_of(f"{name} {column.title} {column.unit}"))
+            text = " ".join(["", *cells.words_of(f"{name} {column.title} {column.unit}"), ""])
             forms = [f for f in _FORMS[meaning] if f not in ("duty", "power")]
             named = [f for f in forms if any(word in text for word in WORDS["forms"][f])]
             if named or self.bench["bench.drive"] == "duty":

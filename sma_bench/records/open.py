@@ -62,14 +62,14 @@ def parse_stated(texts: Iterable[str]) -> dict[str, float]:
     known: dict[str, Any] = WORDS["stated"]
     found: dict[str, float] = {}
     for text in texts:
-        name, _, rest = text.partition("=")
+        name, _, _ = text.partition("=")
         name = name.strip().replace("-", "_")
         if name not in known:
             raise InputError(f"{text!r}: expected one of {', '.join(known)}, e.g. mass=12 mg")
         quantity = known[name]["quantity"]
-        value = number_with_unit(rest, quantity)
+        value = number_with_unit(text, quantity)
         if value is None or not 0.0 < value < np.inf:
-            raise InputError(f"{text!r}: expected a number with a unit of {quantity}")
+            raise InputError(f"{text!r}: expected a number with a unit of {quantity}, as 1000.5")
         found[name] = value
     return found
 

@@ -160,6 +160,17 @@ def test_a_supplys_own_readings_are_asked_about(tmp_path):
         assert f"{name!r}: what the supply gives, or what the wire gets?" in questions
 
 
+@pytest.mark.parametrize(("titles", "rig", "signals", "said"), CASES["whose"])
+def test_a_column_is_a_wires_or_a_channels_by_whole_words(titles, rig, signals, said, tmp_path):
+    path = tmp_path / "whose.csv"
+    rows = [[f"{k / 10}", *["0.5"] * (len(titles) - 1)] for k in range(30)]
+    path.write_text("\n".join(map(",".join, [titles, *rows])) + "\n")
+    made, questions, remarks = propose(read_table_file(path), Parameters(rig), {})
+    assert [entry.signal for entry in made.signals] == signals
+    texts = [f"{name!r}: {text}" for name, text in remarks.items()]
+    assert any(said in text for text in [*questions, *texts])
+
+
 TABLES = [p for folder in (FIELD, EXAMPLES) for p in sorted(folder.rglob("*")) if p.suffix in KINDS]
 
 

@@ -103,6 +103,8 @@ COLD = np.where(np.arange(360).reshape(120, 3) == 21, -300.0, loop())
     ("20.0\t0.01\n" * 50, "2 columns without titles"), (FLAT, "3 columns without titles"),
     (COLD, "line 8: temperature -26.85 K"), ("20.0,0.01", "100 MPa.txt: line 31"),
     ("20.0,abc,100.0", "100 MPa.txt: line 31"), ("20.0,nan,100.0", "100 MPa.txt: line 31"),
+    *((f"{TITLES[:-5]}{unit}\n" + "20,1,90\n90,2,90\n20,3,90\n" * 50, "no stress column")
+      for unit in ("(mPa)", "(MPa) /10", "[x10 MPa]")),
     *((f"{titles}\n" + "20,1\n90,2\n20,3\n" * 50, f"no {what} column") for titles, what in (
         ("Temperature (C),Strain (%)", "stress"), ("Strain (%),time (s)", "stress"),
         ("Stress (MPa),time (s)", "strain"),
