@@ -40,7 +40,7 @@ _STILL_HELD = 2.0  # s for which a name may still be held by a process that is e
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _TELLING = (  # signs of units and letters that an encoding makes out of bytes
     r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
-    r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])"
+    r"|(?<=[A-Za-z])[äöüßéèàçñíóúáùìòêîôâ]|[ÄÖÜÉ](?=[a-z])|[ぁ-んァ-ヶ一-龥]{2}"
 )
 
 
@@ -123,7 +123,7 @@ def decoded_lines(content: bytes) -> list[str]:
     with contextlib.suppress(UnicodeDecodeError):
         return content.decode("utf-8-sig").splitlines()
 
-    texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman")]
+    texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman", "cp932")]
     return max(texts, key=lambda text: len(re.findall(_TELLING, text[:400_000]))).splitlines()
 
 

@@ -182,14 +182,17 @@ _FACTOR = re.compile(
 
 
 @lru_cache(maxsize=4096)
-def split_title(title: str) -> tuple[str, str]:
-    """Title and unit: in brackets, after a slash or comma, or after an underscore or blank if it
-    fits what the title says or is no single letter (LVDT_A is no current, T_f no Fahrenheit). With
-    a factor it is a unit that nothing knows: whether values are to be multiplied is not said."""
+def split_title(title: str, below: str = "") -> tuple[str, str]:
+    """Title and unit: that in the row `below`, if any, else in brackets, after a slash or comma, or
+    after an underscore or blank if it fits what the title says or is no single letter (LVDT_A is no
+    current, T_f no Fahrenheit). With a factor it is a unit that nothing knows: whether values are
+    to be multiplied is not said."""
     text = " ".join(title.split())
     if len(text) < 200 and (factor := _FACTOR.search(text)):
-        name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}")
+        name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}", below)
         return name, f"{unit} {factor[0].strip()}".strip()
+    if below:
+        return title, below
     found = list(re.finditer(r"[\[({]((?:[^\[\](){}]|\([^()]*\))*)[\])}]", text))
     for match in reversed(found):
         if parse_unit(match[1]):

@@ -150,7 +150,10 @@ class Sheet:
         """What lines of text say a number is, and the first of these lines each; of the room, the
         grips only if no other does."""
         row, found = WORDS["stated"][name], dict[float, str]()
-        lines = [*map(" ".join, self.table.above), *(text for _, text in self.table.marks)]
+        # A key and its number may be two cells: Sample mass (mg), 12.
+        marks = [": " if len(c) == 2 and ":" not in c[0] else " " for c in self.table.above]
+        lines = [m.join(c) for m, c in zip(marks, self.table.above, strict=True)]
+        lines += [text for _, text in self.table.marks]
 
         def speaks(text: str, key: str) -> bool:
             words = "|".join(map(re.escape, row.get(key, ())))

@@ -90,7 +90,7 @@ def open_record(
 
 def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
     """What keeps a table from being an instrument's, or how a logger's becomes a record."""
-    from sma_bench.records.cells import QUANTITIES, WORDS
+    from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, title_meanings
     from sma_bench.records.instrument_files import Sheet
 
     sheet = Sheet(file, max(file.tables, key=lambda table: len(table.lines)), stated)
@@ -106,6 +106,11 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
     is_named = kind == "isobaric" or any(map(sheet.find, ("heat flow", "strain", "stress")))
     if len(lacks[kind]) == 1 and is_named and not sheet.is_driven():
         what = lacks[kind][0]
+        for column in sheet.table.columns:
+            if column.unit and not parse_unit(column.unit) and what in title_meanings(column.title):
+                example = f"{what.capitalize()} ({QUANTITIES[what]['example']})"
+                unit = f"unit {column.unit!r} of {column.name}"
+                return f"{unit} is not known: which, as in {example}?"
         how = f"write its title with a unit, {what.capitalize()} ({QUANTITIES[what]['example']})"
         if kind == "isobaric" and what == "stress":
             how += ", or state it: --state 'stress=200 MPa', a line 'Stress: 200 MPa' above"

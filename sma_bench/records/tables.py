@@ -565,7 +565,7 @@ def _columns(
     notes: list[str] = []
     labels = [title or f"column {k}" for k, title in enumerate(titles, 1)]
     for k, (cells, label) in enumerate(zip(texts, labels, strict=True)):
-        title, unit = (titles[k], units[k]) if units[k] else split_title(titles[k])
+        title, unit = split_title(titles[k], units[k])
         clock, bad = next((c for c in clocks if c > k), None), -1
         if kinds[k] in ("", "t"):
             is_unit = _MEANS.get(titles[k].lower()) == "unit" and label != labels[0]

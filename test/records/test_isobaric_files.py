@@ -103,7 +103,7 @@ COLD = np.where(np.arange(360).reshape(120, 3) == 21, -300.0, loop())
     ("20.0\t0.01\n" * 50, "2 columns without titles"), (FLAT, "3 columns without titles"),
     (COLD, "line 8: temperature -26.85 K"), ("20.0,0.01", "100 MPa.txt: line 31"),
     ("20.0,abc,100.0", "100 MPa.txt: line 31"), ("20.0,nan,100.0", "100 MPa.txt: line 31"),
-    *((f"{TITLES[:-5]}{unit}\n" + "20,1,90\n90,2,90\n20,3,90\n" * 50, "no stress column")
+    *((f"{TITLES[:-5]}{unit}\n" + "20,1,90\n90,2,90\n20,3,90\n" * 50, "of Stress.* is not known")
       for unit in ("(mPa)", "(MPa) /10", "[x10 MPa]")),
     *((f"{titles}\n" + "20,1\n90,2\n20,3\n" * 50, f"no {what} column") for titles, what in (
         ("Temperature (C),Strain (%)", "stress"), ("Strain (%),time (s)", "stress"),
@@ -235,6 +235,7 @@ def test_of_lines_that_differ_the_telling_one_counts_else_it_is_asked(write):
     pulled = "Extension (mm),Load (N)"
     force = STRETCHED * (1.0, 0.075)
     for lines, gauge in (("Gauge length: 60 mm", 60.0), ("Area: 0.1 mm2", None),
+                         ("Gauge length (mm),60", 60.0),
                          ("Grip distance L0: 80 mm\nGauge length: 60 mm", 60.0)):  # fmt: skip
         record = open_record(write(force, f"{lines}\n{pulled}"))
         assert record.is_extension == (gauge is None)
@@ -282,6 +283,18 @@ def test_an_isobaric_test_in_newtons_needs_a_section(write):
         open_record(path)
     record = open_record(path, stated={"diameter": 0.3e-3})
     assert isinstance(record, IsobaricRecord) and record.stress == pytest.approx(100e6, rel=1e-3)
+
+
+def test_a_factor_in_a_title_above_its_unit_is_asked(write):
+    with pytest.raises(InputError, match="unit 'MPa x10' of Stress.* is not known: which"):
+        open_record(write(in_percent(loop()), "Temperature,Strain,Stress x10\nC,%,MPa"))
+
+
+def test_japanese_of_windows_is_read(tmp_path):
+    rows = "\n".join(",".join(f"{v:.6e}" for v in row) for row in in_percent(loop()))
+    path = tmp_path / "shift_jis.csv"
+    path.write_bytes(f"温度 (C),ひずみ (%),応力 (MPa)\n{rows}\n".encode("cp932"))
+    assert open_record(path).stress == pytest.approx(100e6)
 
 
 def test_a_tensile_test_that_warms_the_wire_a_little_is_tensile(write):
