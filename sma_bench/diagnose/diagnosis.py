@@ -39,7 +39,7 @@ from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records.check import check_response, mended, under_suspicion
-from sma_bench.records.record import Record, as_calibrated, fingerprint, with_stated_lag
+from sma_bench.records.record import Record, as_calibrated, require_distinct, with_stated_lag
 
 SURPRISING = 2.0  # prior deviations
 _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
@@ -92,14 +92,7 @@ def diagnose(
     """
     if not records:
         raise InputError("diagnose: no record, expected at least one")
-    # A record that is fitted shows nothing of what a model predicts.
-    paths = {fingerprint(record): record.path for record in records}
-    for record in hold_out:
-        if path := paths.get(fingerprint(record)):
-            raise InputError(
-                f"{record.path}: holds the samples of {path}, which is fitted too; a hold-out must "
-                "be of a run that no fit sees"
-            )
+    require_distinct(records, hold_out)
 
     # Clocks are mended; signals under suspicion are named, and hold effects back.
     progress("records")

@@ -13,8 +13,9 @@ from sma_bench.estimation.noise_model import (
 )
 from sma_bench.estimation.voltage import FEWEST_SAMPLES, VoltageSegment, find_segments
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import wire_length, wire_section
+from sma_bench.parameters.parameters import wire_length
 from sma_bench.physics import Boundary
+from sma_bench.physics.bending import channel_section
 from sma_bench.records.record import Record, has_samples, samples
 
 LOAD_FRAME = ("elongation", "force")
@@ -44,7 +45,7 @@ class Hold:
         """What the wire pulls against, `error` (m or N) off."""
         if self.clamped:
             return Boundary.clamped(-(self.value + error) / wire_length(parameters))
-        return Boundary.held_stress((self.value + error) / wire_section(parameters))
+        return Boundary.held_stress((self.value + error) / channel_section(parameters))
 
 
 def has_load_frame(record: Record) -> bool:

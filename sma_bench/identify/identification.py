@@ -31,7 +31,13 @@ from sma_bench.records import DscRecord, Record
 from sma_bench.records.check import check_record, mended
 from sma_bench.records.instruments import IsobaricRecord, Phase, TensileRecord
 from sma_bench.records.open import AnyRecord, account_line
-from sma_bench.records.record import as_calibrated, as_driven, has_samples, samples
+from sma_bench.records.record import (
+    as_calibrated,
+    as_driven,
+    has_samples,
+    require_distinct,
+    samples,
+)
 
 NEEDS = {
     "E0": "E0 any voltage that changes, with current or temperature",
@@ -87,6 +93,8 @@ def identify(
     if not records:
         raise InputError("no record to identify from")
 
+    require_distinct([r for r in records if isinstance(r, Record)])
+
     # Bags put right, with what is remarked on them and on the wire's statements.
     sound = [mended(as_driven(r, parameters)) for r in records if isinstance(r, Record)]
     bags = [as_calibrated(record, parameters) for record, _ in sound]
@@ -105,9 +113,11 @@ def identify(
     reporter = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
     still = [r for r in bags if not (whole and signals.moves(r, parameters))]
     drives: list[tuple[Record, signals.ChannelDrive]] = []
+    read: list[Record] = []
     for record in still:
         try:
             drives += [(record, drive) for drive in signals.find_drives(record)]
+            read.append(record)
         except InputError as error:
             for name in ("E1", "E2", "E3"):
                 run.fail(name, str(error))
@@ -118,11 +128,8 @@ def identify(
     driven = None
     slow = not (run.of("E1") or run.of("E3") or _C_P in parameters.given)
     excited = [] if (run.of("E1") or run.of("E2")) and not slow or run.of("E9") else [
-        record for record in still
-        if any(
-            own is record and np.ptp(samples(own, f"{drive.channel}.voltage")[1]) > _LEAST_DRIVE
-            for own, drive in drives
-        ) and any(
+        record for record in read
+        if max(signals.driven(record, known).values(), default=0.0) > _LEAST_DRIVE and any(
             has_samples(record, f"{c}.{q}")
             for c in record.channels for q in ("current", "temperature")
         )
@@ -200,7 +207,7 @@ def _whole_model(
     bent = [record for record in bags if signals.moves(record, run.given)]
     framed = [
         r for r in bags
-        if signals.holds_frame(r)
+        if signals.holds_frame(r, run.given)
         and not any(r is moving for moving in bent)  # equal records would compare their arrays
         and (load_kind(run.given) == "displacement" or not find_pulls(r))
     ]
@@ -209,7 +216,8 @@ def _whole_model(
     if not (bent or framed) or name not in run.wanted:
         return None
     if not (bent or loaded or run.asked):  # E8 tells Theta_T by it in a second
-        run.notes.append(remark("force of a clamped wire"))
+        if any(has_samples(record, "force") for record in framed):
+            run.notes.append(remark("force of a clamped wire"))
         return None
     if bent or loaded:
         # Above A_s a clamped wire pulls with stresses that no real wire bears: they are better not
@@ -323,7 +331,7 @@ def _material(
             tensile += tensile_tests(record, run.improved())
         # Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same.
         alone = run.asked and "E6" in run.wanted and "E9" not in run.wanted
-        if alone and signals.holds_frame(record) and not is_clamped(record):
+        if alone and signals.holds_frame(record, run.given) and not is_clamped(record):
             from sma_bench.identify.isobaric import isobaric_tests
 
             try:
@@ -383,6 +391,11 @@ def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives
         if not drives and not every:
             held = sorted({s for r in records if isinstance(r, Record) for s in r.signals})
             found = [f"signals {', '.join(held) or 'none'}"]
+        found += [
+            f"{r.path}: no voltage of {', '.join(r.channels)}" for r in records
+            if isinstance(r, Record) and r.channels
+            and not any(has_samples(r, f"{c}.voltage") for c in r.channels)
+        ]
         what = "nothing to identify" if not run.experiments else f"no {', '.join(missing)}"
         raise InputError(
             f"{', '.join(str(r.path) for r in records)}: {what}: found "

@@ -33,7 +33,8 @@ from sma_bench.identify.estimate import (
 from sma_bench.identify.result import Experiment, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
-from sma_bench.parameters.parameters import wire_length, wire_section
+from sma_bench.parameters.parameters import wire_length
+from sma_bench.physics.bending import channel_section
 from sma_bench.records import instruments
 from sma_bench.records.instruments import Branch, IsobaricRecord
 from sma_bench.records.record import Record, samples
@@ -172,7 +173,8 @@ def identify_isobaric(
 
 def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
     """The loops of a load-frame bag as isobaric tests, one a held load: elongation over the wire's
-    length, force over its section. Raises InputError without voltage, temperature or elongation."""
+    length, force over the section of all that pull. Raises InputError without a drive, temperature
+    or elongation."""
     rig = find_rig(record, parameters)
     time, elongation = samples(record, "elongation")
     kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
@@ -182,7 +184,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
         short = hold.clamped or hold.stop - hold.start < _SHORTEST_TEST
         if short or np.ptp(kelvin[inside]) < instruments.SMALLEST_RANGE:
             continue
-        stress = hold.value / wire_section(parameters)
+        stress = hold.value / channel_section(parameters)
         name = f"{record.path.name} {stress / 1e6:.0f} MPa"
         strain = elongation[inside] / wire_length(parameters)
         held = np.full(len(strain), stress)

@@ -31,6 +31,7 @@ _BEHIND = {
     "wire.diameter": "Theta_T, C_A, C_M",
 }
 _DENSITY_STD, _LENGTH_STD = 0.01, 0.005  # shares
+_TOLD = 0.1  # error of a factor, beyond which a split of the product is the priors'
 # A file states errors by two digits: one that is as large may be this measurement's own.
 _ROUNDED = 1.06
 
@@ -97,9 +98,21 @@ class IdentificationRun:
 
     def take_sharper(self, whole: Experiment | None) -> None:
         """Of what an experiment of its own and the whole model both tell, the sharper number
-        counts. They may rest on the same samples, so they are not averaged."""
-        for name, estimate in (whole.estimates if whole else {}).items():
+        counts. They may rest on the same samples, so they are not averaged. Of a product, whose
+        other factor the experiment took as given, its number goes with that factor as found."""
+        told = whole.estimates if whole else {}
+        for name, estimate in told.items():
             other = self.estimates.get(name)
+            if other is not None and (factor := told.get(PRODUCTS.get(name, ""))):
+                times = self.given[PRODUCTS[name]] / factor.value
+                shares = {source: times * share for source, share in other.shares.items()}
+                shares[PRODUCTS[name]] = -times * other.value * factor.relative_std
+                other = replace(
+                    other, value=times * other.value, std=times * other.statistical, systematic=0.0
+                ).with_shares(shares)
+                other = self.estimates[name] = replace(
+                    other, method=f"{other.method}; then {PRODUCTS[name]} is {factor.value:.4g}"
+                )
             if other is not None:
                 apart = (estimate.value - other.value) / math.hypot(estimate.std, other.std)
                 if abs(apart) > _FAR_APART:
@@ -175,10 +188,13 @@ class IdentificationRun:
                     remark("camera off", subject=name, e=e, ratio=of_stated, stated=prior.value)
                 )
         for name, factor in PRODUCTS.items():
-            if name in self.estimates and factor not in given.given | self.estimates.keys():
+            default = Estimate(given[factor], given.std(factor), BY_NAME[factor].unit)
+            other = self.estimates.get(factor, default)
+            known = factor in given.given or (other is not default and other.relative_std < _TOLD)
+            if name in self.estimates and not known:
                 notes.append(remark(
                     "only a product", subject=name, factor=factor, e=self.estimates[name],
-                    default=given[factor], unit=BY_NAME[factor].unit,
+                    other=other,
                 ))
         if others := self.another_alloy():
             shown = ", ".join(

@@ -18,7 +18,7 @@ from sma_bench.identify.result import refusal, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import NITI_DENSITY, wire_length
 from sma_bench.records import Record
-from sma_bench.records.record import has_samples, samples
+from sma_bench.records.record import has_samples, samples, with_commands
 
 RESISTANCE, COEFFICIENT = "wire.resistance", "wire.heat_transfer_coefficient"
 SPECIFIC_HEAT, AMBIENT = "wire.specific_heat", "environment.ambient_temperature"
@@ -116,11 +116,18 @@ def moves(record: Record, parameters: Parameters) -> bool:
     return any(has_samples(record, n) for n in ("deflection", "front.range", "back.range", *own))
 
 
-def holds_frame(record: Record) -> bool:
+def driven(record: Record, parameters: Parameters) -> dict[str, float]:
+    """By channel the range [V] of what drives it: its volts, or those that stand for the amperes of
+    a source of current whose volts nobody measured."""
+    record, _ = with_commands(record, parameters)
+    names = {c: f"{c}.voltage" for c in record.channels if has_samples(record, f"{c}.voltage")}
+    return {c: float(np.ptp(samples(record, name)[1])) for c, name in names.items()}
+
+
+def holds_frame(record: Record, parameters: Parameters) -> bool:
     """Whether a record shows one driven wire in a load frame."""
-    channels = record.channels
-    alone = len(channels) == 1 and has_load_frame(record)
-    return alone and has_samples(record, f"{channels[0]}.voltage")
+    alone = len(record.channels) == 1 and has_load_frame(record)
+    return alone and bool(driven(record, parameters))
 
 
 def is_clamped_wire(record: Record) -> bool:

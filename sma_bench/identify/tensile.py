@@ -38,6 +38,7 @@ from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.identify.signals import about_length
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import wire_length, wire_section
+from sma_bench.physics.bending import channel_section
 from sma_bench.records.instruments import FEWEST_ROWS, PHASES, STEADY, Phase, TensileRecord
 from sma_bench.records.record import Record, has_samples, samples
 
@@ -303,7 +304,8 @@ def identify_tensile(
 
 
 def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord:
-    """Strain and stress, of elongation and force by the wire's own length and section."""
+    """Strain and stress, of elongation and force by the length and section of one wire: a file is
+    of a specimen, a bag of a bench with all wires of its channel."""
     if record.is_extension and not {"wire.length", "wire.mass"} & parameters.given:
         raise InputError(f"{record.path}: elongation instead of strain, give wire.length")
     if record.is_force and "wire.diameter" not in parameters.given:
@@ -389,7 +391,7 @@ def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord
         strain, stress = (
             np.array([values[row].mean() for row in rows]) / unit
             for values, unit in (
-                (elongation, wire_length(parameters)), (force, wire_section(parameters))
+                (elongation, wire_length(parameters)), (force, channel_section(parameters))
             )
         )
         tests.append(TensileRecord(record.path / f"pull {number}", strain, stress, kelvin))

@@ -18,6 +18,7 @@ from sma_bench.identify.signals import CAMERA, means
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION
+from sma_bench.physics.bending import channel_section
 from sma_bench.records.record import Record, samples
 
 PARAMETER = SYMBOLS["Theta_T"]
@@ -32,13 +33,13 @@ _BAD_MISFIT = 9.0  # chi square per degree of freedom
 
 def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
     """Evaluate clamped staircases of temperature. `records`: each of one wire, with its temperature
-    [K] and `force` [N]; `parameters`: diameter (area), A_s and C_A (above which the wire
+    [K] and `force` [N]; `parameters`: diameter and count (area), A_s and C_A (above which the wire
     transforms), moduli (check). Raises InputError: a signal is absent, or fewer than three
     temperatures remain below A_s."""
     # A point (K, Pa, with errors) a plateau of each record, and which of them count.
     findings: list[Finding] = []
     points, used, total = [], [], 0
-    area, a_s = 0.25 * math.pi * parameters[_DIAMETER] ** 2, parameters[_START]
+    area, a_s = channel_section(parameters), parameters[_START]
     for index, record in enumerate(records):
         temperature = f"{record.channels[0]}.temperature"
         time, kelvin = samples(record, temperature)

@@ -17,7 +17,7 @@ from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.findings import Finding
-from sma_bench.identify.estimate import Line, fit_linear, mean_of_repeats, straight_line
+from sma_bench.identify.estimate import Line, fit_linear, mean_of_repeats, scatter, straight_line
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import DscRecord, DscSegment
@@ -38,6 +38,7 @@ _SMOOTHINGS = (4.0, 2.0, 6.0)  # K
 _ON_BASELINE, _FACTORS = 0.003, (1.0, 0.3, 3.0)  # of the scan's height
 _BASELINE = 5.0  # K, at least
 _LONGEST_START_UP, _STRAIGHT = 180.0, 0.0015  # s, of the scan's height
+_LARGEST_NOISE = 4.0  # standard deviations, of a hundred readings
 _FLANK_HEIGHT, _FLANK_PROMINENCE = 0.05, 0.05  # of the peak, of the steepest slope
 _PEAK_PROMINENCE = 0.002
 _SMALLEST_PEAK = 20.0  # of the noise
@@ -83,6 +84,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
         span = np.ptp(temperature)
         raise refusal("short scan", n=len(time), span=span, least=4.0 * _BASELINE)
     # An even grid of the furthest temperature so far: an instrument's start and noise turn back.
+    spread = _LARGEST_NOISE * scatter(flow)
     sign = 1.0 if temperature[-1] > temperature[0] else -1.0
     reached = np.maximum.accumulate(sign * temperature)
     keep = np.concatenate([[True], np.diff(reached) > 0.0])
@@ -90,9 +92,9 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     stamps, flow = (np.interp(steps, reached[keep], v[keep]) for v in (time, flow))
     measured_rate = float((reached[-1] - reached[0]) / (time[-1] - time[0]))
 
-    # From where the next kelvins are straight, as only a settled instrument draws.
+    # From where the next kelvins are straight, as only a settled instrument draws, but for noise.
     width = round(_BASELINE / _GRID)
-    limit = _STRAIGHT * float(np.ptp(flow[len(flow) // 10 : -len(flow) // 10]))
+    limit = max(_STRAIGHT * float(np.ptp(flow[len(flow) // 10 : -len(flow) // 10])), spread)
     last = min(int(np.searchsorted(stamps, stamps[0] + _LONGEST_START_UP)), len(flow) - width)
     for first in range(0, last, round(0.5 / _GRID)):
         x, piece = steps[first : first + width], flow[first : first + width]
@@ -105,7 +107,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     height, noise = float(np.ptp(flow)), float(np.std(np.diff(flow, 2))) / math.sqrt(6.0)
     if height < _SMALLEST_PEAK * noise or height <= 0.0:
         raise InputError(f"DSC scan: no peak, its {height:.3g} W/kg are noise")
-    ends = {"start": _onset(t, flow), "finish": _onset(t[::-1], flow[::-1])}
+    ends = {"start": _onset(t, flow, spread), "finish": _onset(t[::-1], flow[::-1], spread)}
     (begin, _, before, _, head), (end, _, after, _, tail) = ends.values()
     if (end - begin) * sign <= 0.0:
         raise refusal("tangents in the wrong order", begin=begin, end=end)
@@ -156,9 +158,10 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     return Scan(run, segment, cycle, rate, values, details, curves, peaks)
 
 
-def _onset(t: Array, flow: Array) -> tuple[float, float, Line, Line, float]:
-    """Where the outermost flank's tangent meets the baseline at the beginning of a scan: K, its
-    error from other smoothings and baselines, baseline, tangent, and K to which that is fitted."""
+def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Line, float]:
+    """Where the outermost flank's tangent meets the baseline at the beginning of a scan, whose
+    noise stays within `spread`: K, its error from other smoothings and baselines, baseline,
+    tangent, and K to which that is fitted."""
     from scipy.signal import find_peaks, savgol_filter  # half a second to load
 
     # Lines through the scan's beginning, extended while the scan stays on them.
@@ -167,7 +170,7 @@ def _onset(t: Array, flow: Array) -> tuple[float, float, Line, Line, float]:
         count = shortest
         for _ in range(10):
             line = straight_line(t[:count], flow[:count])
-            away = np.abs(flow - line(t)) > factor * _ON_BASELINE * height
+            away = np.abs(flow - line(t)) > max(factor * _ON_BASELINE * height, spread)
             reach = int(np.argmax(away)) if away.any() else len(away)
             longer = max(min(reach, len(away) // 2), shortest)
             if longer <= count:

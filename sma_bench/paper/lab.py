@@ -126,7 +126,7 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
     uses: list[tuple[str, object]] = []
     if is_clamped_wire(record):
         uses.append(("clamped", record))
-    elif holds_frame(record):
+    elif holds_frame(record, parameters):
         with suppress(InputError):
             uses += [("isobaric", test) for test in isobaric_tests(record, parameters)]
 

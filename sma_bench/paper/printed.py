@@ -88,9 +88,12 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
         [change * factor * (limit * of_xi + sign * strain) for sign in signs]
         for factor, of_xi, signs in ((1.0, 1.0 - 2.0 * xi, (-1, 1)), (xi, xi, (1, -1)))
     )
-    # Eq. (19), of the heating V^2/R: as printed it cools and adds a number to a voltage.
+    # Eq. (19), of the heating V^2/R: as printed it cools and adds a number to a voltage. Corrected
+    # it is that of the drive, of a duty V V_supply/R.
     ohm = heated_resistance(parameters)
-    heat, per_volt = volt**2 / ohm, 2.0 * volt / ohm
+    heat = float(material.heating_voltage(volt, parameters)) ** 2 / ohm
+    per_volt = float(material.power_per_volt(volt, parameters))
+    drive = "" if parameters["bench.drive"] != "duty" else ", and a duty heats by V V_supply/R"
     # Eqs. (20), (21), of the kinetics.
     b1, b1_kelvin, b1_pascal = kinetics_slopes("heating", kelvin, sigma, parameters)
     b3, b3_kelvin, b3_pascal = kinetics_slopes("cooling", kelvin, sigma, parameters)
@@ -104,8 +107,8 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
         ("a_2", "(18)", "Pa", *a2, sign),
         ("a_3", "(18)", "Pa", *a3, sign),
         ("heating at V*", "(19)", "W", -volt / ohm * (1.0 + 2.0 * volt), heat,
-         "+(V*/R)(2V - V*), not -(V*/R)(1 + 2V)"),
-        ("heating per volt", "(19)", "W/V", -per_volt, per_volt, "sign"),
+         f"+(V*/R)(2V - V*), not -(V*/R)(1 + 2V){drive}"),
+        ("heating per volt", "(19)", "W/V", -2.0 * volt / ohm, per_volt, f"sign{drive}"),
         ("b_1", "(20)", "1/K", b1, b1_kelvin, "factor pi/(A_f - A_s)"),
         ("b_1 of stress", "(20)", "1/Pa", b1, b1_pascal, "sigma needs 1/C_A"),
         ("b_2", "(20)", "1", b2, b2, "right"),

@@ -114,6 +114,20 @@ def fingerprint(record: Record) -> bytes:
     return found.digest()
 
 
+def require_distinct(records: Sequence[Record], hold_out: Sequence[Record] = ()) -> None:
+    """InputError where two hold the same samples: one run that counts twice seems surer than it is,
+    and one that is fitted shows nothing of what a model predicts."""
+    paths: dict[bytes, Path] = {}
+    for index, record in enumerate((*records, *hold_out)):
+        if path := paths.get(own := fingerprint(record)):
+            text = "; give the run once"
+            if index >= len(records):
+                text = ", which is fitted too; a hold-out must be of a run that no fit sees"
+            raise InputError(f"{record.path}: holds the samples of {path}{text}")
+        if index < len(records):
+            paths[own] = record.path
+
+
 def samples(record: Record, name: str) -> tuple[Array, Array]:
     """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say. Raises
     InputError: the signal is absent or holds no finite value."""

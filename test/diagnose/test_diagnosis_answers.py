@@ -131,6 +131,8 @@ def test_no_record_one_that_ends_early_and_a_hold_out_that_is_fitted_too_are_ref
     copy = read_record(tmp_path / "copy")
     with pytest.raises(InputError, match=r"copy: holds the samples of .*bag, which is fitted too"):
         diagnose([record], believed(), [copy])
+    with pytest.raises(InputError, match=r"copy: holds the samples of .*bag; give the run once"):
+        diagnose([record, copy], believed())
 
 
 def test_a_record_whose_runs_are_swapped_is_told(wire_rig, tmp_path):

@@ -1,6 +1,7 @@
 """E0: what a drive that was made for something else tells of R, h and c_p."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from wire_records import Sensors, Wire, record_of
 
 import sma_bench
 from sma_bench.errors import InputError
-from sma_bench.records.record import first_order_lag
+from sma_bench.records.record import Signal, first_order_lag
 
 TRUTH = {"wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0,
          "wire.specific_heat": 500.0}  # fmt: skip
@@ -52,6 +53,29 @@ def test_any_drive_that_excites_gives_resistance_loss_and_heat(drive):
     alone = sma_bench.identify(record_read(drive, ("voltage", "current")), LAB).estimates
     assert set(alone) == {"wire.resistance"}  # of a current comes no heat loss
     assert alone["wire.resistance"].value == pytest.approx(3.0, rel=0.03)
+
+
+def test_a_source_of_current_without_volts_drives_a_fit():
+    record = record_read(random_binary, ("current", "temperature"))
+    found = sma_bench.identify(record, LAB | {"bench.drive": "current"})
+    loss = found.estimates["wire.heat_transfer_coefficient"].value
+    assert loss / found.parameters["wire.resistance"] == pytest.approx(80.0 / 3.0, rel=0.05)
+    with pytest.raises(InputError, match="no voltage of wire"):
+        sma_bench.identify(record, LAB)
+
+
+def test_a_run_that_is_given_twice_is_refused():
+    record = record_read(random_binary)
+    with pytest.raises(InputError, match="copy: holds the samples of"):
+        sma_bench.identify([record, replace(record, path=Path("copy"))], LAB)
+
+
+def test_a_wire_that_stands_still_has_no_force_unless_it_was_read():
+    record = record_read(random_binary)
+    time = record["wire.voltage"].time
+    still = Signal("elongation", "m", time, np.zeros(len(time)))
+    record = replace(record, signals={**record.signals, "elongation": still})
+    assert "force of a clamped wire" not in str(sma_bench.identify(record, LAB).notes)
 
 
 def test_a_wire_at_rest_or_not_read_has_nothing_to_identify():

@@ -11,8 +11,10 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 from examination.check.rigs import FINE, WORK, draw_record, draw_rig, try_rig
 from examination.simulated_lab import draw_bench, measured
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import find_holds
+from sma_bench.estimation.load_frame import Hold, find_holds
 from sma_bench.identify import identify
+from sma_bench.identify.isobaric import isobaric_tests
+from sma_bench.identify.signals import holds_frame
 from sma_bench.identify.whole_model import identify_load_frame
 from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import Record, Signal
@@ -68,6 +70,23 @@ def test_experiment_6_alone_is_done_where_it_is_asked_for(lab):
     for name, symbol in TRANSITIONS.items():
         estimate = found.estimates[symbol]
         assert abs(estimate.value - bench.truth[symbol]) < 3.0 * estimate.std, name
+
+
+def test_wires_in_parallel_share_the_force_of_a_frame(lab):
+    bench, records = lab
+    one, two = (bench.known.replace({"wire.count": count}) for count in (1, 2))
+    hold = Hold(0.0, 1.0, clamped=False, value=25.0, std=0.0)
+    assert hold.boundary(0.0, two).load == 0.5 * hold.boundary(0.0, one).load
+    alone, shared = ([t.stress for t in isobaric_tests(records["isobaric"], p)] for p in (one, two))
+    assert alone and shared == pytest.approx(0.5 * np.array(alone))
+
+
+def test_a_source_of_current_without_volts_drives_a_frame(lab):
+    bench, records = lab
+    read = {n: s for n, s in records["isobaric"].signals.items() if not n.endswith(".voltage")}
+    record = replace(records["isobaric"], signals=read)
+    assert holds_frame(record, bench.known.replace({"bench.drive": "current"}))
+    assert not holds_frame(record, bench.known)
 
 
 def test_a_force_that_is_neither_held_nor_clamped_is_refused(lab):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.identify.result import Experiment
 from sma_bench.identify.run import IdentificationRun
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
@@ -52,6 +53,27 @@ def test_a_default_that_nobody_stated_is_never_averaged_with_a_measurement():
         found, notes = weighed(LOSS, (80.0, 2.0, "W/(m2 K)", "", 9), **stated)
         assert found.value == 80.0
         assert any(AREA in n.text for n in notes if n.severity == "warning") == noted
+
+
+@pytest.mark.parametrize(("area_std", "own", "sharper"), [
+    (120e-6, 0.002, False), (1e-6, 0.06, True),
+])  # fmt: skip
+def test_factors_of_a_product_go_with_each_other(area_std, own, sharper):
+    """E2 has h with the area that the file does not state, the whole model another area."""
+    run = IdentificationRun(Parameters({}), frozenset())
+    alone = Estimate(36.0, 1.0, "W/(m2 K)", "E2", 9)
+    area = Estimate(150e-6, area_std, "m2")
+    both = {LOSS: Estimate(94.0, 94.0 * np.hypot(own, area.relative_std), "W/(m2 K)"), AREA: area}
+    run.estimates = {LOSS: alone}
+    run.take_sharper(Experiment("E9", "", both))
+    loss = run.estimates[LOSS]
+    assert (loss is not both[LOSS]) == sharper
+    product = alone.value * run.given[AREA]
+    assert loss.value * run.estimates[AREA].value == pytest.approx(product, rel=0.02)
+    least = min(own, 1.0 / 36.0)
+    assert loss.relative_std == pytest.approx(np.hypot(least, area.relative_std))
+    run.weigh_priors(None)
+    assert any(AREA in note.text for note in run.notes) == (not sharper)
 
 
 def test_transition_temperatures_keep_their_order():

@@ -48,6 +48,14 @@ def test_factor_comes_back_and_is_judged_plausible() -> None:
     assert stds[1] == pytest.approx(math.hypot(stds[0], 0.1 * abs(THETA)), rel=0.05)
 
 
+def test_wires_in_parallel_share_the_force() -> None:
+    one, two = (
+        identify_thermal_expansion([record()], PAPER.replace({"wire.count": count})).estimates[NAME]
+        for count in (1, 2)
+    )
+    assert (two.value, two.std) == pytest.approx((0.5 * one.value, 0.5 * one.std), rel=0.02)
+
+
 def test_plateaus_above_the_austenite_start_are_left_out_and_said() -> None:
     levels = list(np.arange(298.15, 365.0, 5.0))
     hot = record(levels=levels, preload=30e6, transform_above=336.1)

@@ -49,7 +49,7 @@ def test_a_powders_tangents_are_those_drawn_by_hand_with_peaks_and_latent_heat_b
     assert found.details["cycle 1, 10 K/min: A_s"].value == found.details["segment_4/start"].value
 
 
-def scan(number, per_minute, start, finish, drift=0.0, height=300.0, lag=0.0):
+def scan(number, per_minute, start, finish, drift=0.0, height=300.0, lag=0.0, noise=0.05):
     """A scan from 273.15 to 453.15 K or back whose tangents meet the base at start and finish, all
     late by `lag` s; the base drifts by so many W/kg. W for 10 mg."""
     rate = per_minute / 60.0
@@ -60,8 +60,8 @@ def scan(number, per_minute, start, finish, drift=0.0, height=300.0, lag=0.0):
     knots = sign * (start + (finish - start) / 3.0 * np.arange(4) + lag * rate)
     peak = np.interp(sign * temperature, knots, [0.0, height, height, 0.0])
     bent = drift * ((temperature - 273.15) / 180.0) ** 2
-    noise = np.random.default_rng(number).normal(0.0, 0.05, len(time))
-    flow = sign * (200.0 + peak) + bent + noise
+    flow = sign * (200.0 + peak) + bent
+    flow += np.random.default_rng(number).normal(0.0, noise, len(time))
     courses = (time, flow * 1e-5, np.zeros(len(time)), temperature, temperature)
     return DscSegment(number, rate, *courses)
 
@@ -79,8 +79,11 @@ def run(*cycles, drift=0.0):
     return record_of(*segments)
 
 
-def test_trapezoidal_peaks_give_their_corners_and_area():
-    scans = scan(1, 5.0, 320.0, 350.0), scan(2, -5.0, 335.0, 305.0)
+@pytest.mark.parametrize("noise", [0.05, 0.3, 2.0])  # W/kg, of a height of 300
+def test_trapezoidal_peaks_give_their_corners_and_area(noise):
+    scans = (
+        scan(1, 5.0, 320.0, 350.0, noise=noise), scan(2, -5.0, 335.0, 305.0, noise=noise)
+    )
     found = identify_transition_temperatures(record_of(*scans))
     kelvin = [found.estimates[name].value for name in TRANSITIONS.values()]
     assert kelvin == pytest.approx([320.0, 350.0, 335.0, 305.0], abs=0.3)

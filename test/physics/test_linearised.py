@@ -142,6 +142,15 @@ def test_latent_heat_slows_the_linear_model_as_it_slows_the_nonlinear_one():
     assert with_heat[early, 0] < 0.5 * without[early, 0]
 
 
+def test_a_duty_heats_the_corrected_coefficients_as_it_heats_the_wire():
+    bench = WIRE.replace({"bench.drive": "duty", "bench.supply_voltage": 24.0})
+    point = OperatingPoint.at_temperature(bench, 340.0, "heating")
+    table = {row.name: row.corrected for row in coefficient_table(point)}
+    loss = material.heat_loss(bench) * (340.0 - bench["environment.ambient_temperature"])
+    assert table["heating at V*"] == pytest.approx(loss)
+    assert table["heating per volt"] == pytest.approx(24.0 / bench["wire.resistance"])
+
+
 def test_printed_and_corrected_coefficients_at_half_of_the_maximum_deflection():
     point = OperatingPoint.at_deflection(COMPOSITE, 0.5 * maximum_deflection(COMPOSITE), "heating")
     table = {row.name: row for row in coefficient_table(point)}
