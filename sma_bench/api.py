@@ -5,21 +5,25 @@ ValueError of one line. Nothing is computed here: see the room that each functio
 """
 
 import os
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose import diagnose as _diagnose
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.identify import Identification
 from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.yaml_file import flatten
 from sma_bench.physics import Simulation
-from sma_bench.physics.effects import effect_values
+from sma_bench.physics.effects import with_effect
 from sma_bench.protocols import load_protocol, parse_protocol, protocol_names
 from sma_bench.records import Record, Signal, open_record, open_records
 from sma_bench.records.bag_writer import write_record
@@ -109,8 +113,9 @@ def simulate(
     Args:
         drive: name of a protocol or path of its file; the mapping of such a file (`steps`);
             a pair of time (n,) s and voltage (n, w) V, one column a channel, each held to the next
-            sample, and third, under `load.kind` displacement, the imposed elongation (n,) m; or
-            anything that `load` takes, whose measured voltages (and elongation) then drive it.
+            sample, and third, under `load.kind` displacement, the imposed elongation (n,) m (else
+            a warning says that it stands); or anything that `load` takes, whose measured voltages
+            (and elongation) then drive it, whatever the bench's limit.
         parameters: as for `load_parameters`; `bench.channels` says which rig it is.
         effects: size by name, `{"latent_heat": 12e3}`, beyond those in the parameters; other
             numbers of an effect by `name.number`.
@@ -118,17 +123,21 @@ def simulate(
 
     The simulation has `time` (n,) s, `voltage`, `current`, `temperature`, `martensite_fraction`,
     `stress` (n, w), `deflection` (n,) m; `measure` makes a record of it. Raises InputError: no such
-    protocol or effect, wrong shapes, a voltage above the bench's limit, or one that is not there.
+    protocol or effect, one beside its loads, wrong shapes, a voltage above the limit, or a lack.
     """
     bench = load_parameters(parameters)
     for name, size in (effects or {}).items():
-        bench = bench.replace(effect_values(name, float(size)), where="effects")
+        with errors_in(f"effects: {name}"):
+            bench = with_effect(bench, name, size)
     is_path = isinstance(drive, str | Path)
     protocol = None
     if is_path and (drive in protocol_names() or Path(drive).suffix == ".yaml"):
         protocol = load_protocol(drive, bench)
     elif isinstance(drive, Mapping) and "steps" in drive:
         protocol = parse_protocol(drive, bench)
+    stands = protocol is not None or (isinstance(drive, tuple) and len(drive) == 2)
+    if stands and load_kind(bench) == "displacement":
+        warnings.warn("simulate: no motion given, the elongation is held at 0", stacklevel=2)
     if protocol is not None:
         if not 0.0 < rate <= 10_000.0:
             raise InputError(f"simulate: rate is {rate:g} Hz, expected 0 to 10000")
@@ -136,6 +145,12 @@ def simulate(
     if isinstance(drive, tuple):
         if len(drive) not in (2, 3):
             raise InputError(f"simulate: {len(drive)} arrays given, expected time and voltage")
+        try:
+            highest = np.abs(np.asarray(drive[1], dtype=np.float64)).max(initial=0.0)
+        except (TypeError, ValueError):
+            raise InputError("simulate: voltage: expected an array of numbers") from None
+        if highest > (limit := bench["bench.maximum_voltage"]):
+            raise InputError(f"simulate: voltage is {highest:g} V, expected at most {limit:g} V")
         return bench_records.simulate_finely(bench, *drive)
     if isinstance(drive, str) and not os.path.exists(drive):
         raise InputError(
@@ -148,9 +163,11 @@ def simulate(
 
 def measure(simulation: Simulation, seed: int = 1) -> Record:
     """A synthetic record: a simulation read through the simulator node's instruments. The same
-    `seed` of the noise, 0 or more, gives the same record."""
-    if seed < 0:
-        raise InputError(f"measure: seed is {seed}, expected 0 or more")
+    `seed` of the noise, 0 or more, gives the same record. InputError: no simulation or seed."""
+    if not isinstance(simulation, Simulation):
+        raise InputError(f"measure: {type(simulation).__name__} given, expected a simulation")
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(f"measure: seed is {seed!r}, expected a whole number of 0 or more")
     signals = bench_records.signals_of(simulation)
     return _recorded(bench_records.read_signals(signals, seed), "synthetic record")
 
@@ -163,13 +180,14 @@ def identify(
     Args:
         records: one of what `load` takes, or a list of them; they are combined.
         parameters: what is known beforehand (mass, area, ...), as for `load_parameters`.
-        experiments: of E0 to E10; all that the records allow when None.
+        experiments: one of E0 to E10, or several; all that the records allow when None.
 
     `estimates` by name have `value`, `std`, `unit`; `parameters` are the given ones improved;
     `warnings` are to be read before the numbers are used. Raises InputError: nothing to identify,
     or an experiment asked for that the records do not allow.
     """
-    return _identify(_records(records), load_parameters(parameters), experiments)
+    wanted = [experiments] if isinstance(experiments, str) else experiments
+    return _identify(_records(records), load_parameters(parameters), wanted)
 
 
 def diagnose(
@@ -210,8 +228,11 @@ def compare(records: Any, models: Any = ()) -> Overlay:
 
     def named(given: Any, kind: str) -> dict[str, Any]:
         """Things by name: their own, that of their file, or a number."""
+        groups = {"uncertainty", *(name.partition(".")[0] for name in BY_NAME)}
         if isinstance(given, Mapping) and not set(given) & set(BY_NAME) and all(
-            isinstance(v, str | Path | Record | Parameters | Simulation) for v in given.values()
+            isinstance(v, str | Path | Record | Parameters | Simulation)
+            or (isinstance(v, Mapping) and name not in groups)
+            for name, v in given.items()
         ):
             return dict(given)
         found: dict[str, Any] = {}

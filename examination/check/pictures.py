@@ -29,7 +29,7 @@ from sma_bench.dashboard import live_state as live  # noqa: E402
 from sma_bench.live.virtual_bench import VirtualBench  # noqa: E402
 from sma_bench.parameters import read_parameters  # noqa: E402
 from sma_bench.parameters.node_tables import SIMULATOR  # noqa: E402
-from sma_bench.physics.effects import effect_values  # noqa: E402
+from sma_bench.physics.effects import with_effect  # noqa: E402
 from sma_bench.protocols import load_protocol  # noqa: E402
 
 FOLDER = ROOT / "docs" / "pictures"
@@ -69,7 +69,7 @@ def source_hash(patterns: Sequence[str]) -> str:
 def live_bench(folder: Path) -> StandIn:
     """The synthetic bench of the tutorial in the middle of its protocol, the model beside it."""
     lab, now = read_parameters(folder / "lab.yaml"), [0.0]
-    hidden = read_parameters(RIG).replace(effect_values(*EFFECT))
+    hidden = with_effect(read_parameters(RIG), *EFFECT)
     protocol = load_protocol("composite_triangle", lab)
     settings = {parameter.name: parameter.default for parameter in SIMULATOR}
     quiet = {name: 0.0 if name.endswith(("_noise", "_resolution")) else value

@@ -7,11 +7,12 @@ from types import SimpleNamespace
 
 from sma_bench.border import make_folder
 from sma_bench.commands import options
+from sma_bench.commands.identify import MISFIT
 from sma_bench.commands.terminal import print_findings, print_table, progress, write_json
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 from sma_bench.lifeline import interrupts_held
-from sma_bench.parameters import write_parameters
+from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import counted
 from sma_bench.tasks.batch import IDENTIFY, Outcome, Task, do_tasks
 
@@ -20,10 +21,11 @@ _BAD_INPUT = 2
 
 @options.command("batch")
 def run(args: SimpleNamespace) -> int:
-    """Do every record, print a table in their order; 2 where one failed, the others unharmed."""
+    """Do every record, print a table in their order; 2 where one failed, 3 where one misfits."""
     parameters = options.parameters_from_options(args)
     paths = [str(Path(path).absolute()) for path in args.records]
-    tasks, names = [Task(args.kind, path, parameters) for path in paths], file_names(paths)
+    params = args.params and str(Path(args.params).absolute())
+    tasks, names = [Task(args.kind, p, parameters, params) for p in paths], file_names(paths)
     if args.out:
         files = [Path(args.out) / f"{name}{end}" for name in names for end in (".json", ".yaml")]
         given = options.paths_in([*paths, args.params])
@@ -38,12 +40,11 @@ def run(args: SimpleNamespace) -> int:
             count = counted(report, len(tasks), "record")
             for k, outcome in work:
                 outcomes[k] = outcome
-                if args.out and outcome.result is not None and outcome.parameters is not None:
-                    comment = f"By sma-bench batch from {outcome.path}".replace("\n", " ")
+                if args.out and outcome.result is not None:
                     file = str(Path(args.out) / names[k])
                     with interrupts_held():  # both or none
                         write_json(f"{file}.json", outcome.result)
-                        write_parameters(f"{file}.yaml", outcome.parameters, comment)
+                        write_text_atomically(f"{file}.yaml", outcome.yaml)
                 count(len(outcomes))
     except (KeyboardInterrupt, InputError) as error:
         if outcomes:
@@ -51,8 +52,7 @@ def run(args: SimpleNamespace) -> int:
             lost = (Outcome(path, error=f"not done: {reason}") for path in paths)
             _print_outcomes(args, [outcomes.get(k, other) for k, other in enumerate(lost)])
         raise
-    _print_outcomes(args, [outcome for _, outcome in sorted(outcomes.items())])
-    return _BAD_INPUT if any(outcome.error for outcome in outcomes.values()) else 0
+    return _print_outcomes(args, [outcome for _, outcome in sorted(outcomes.items())])
 
 
 def file_names(paths: list[str]) -> list[str]:
@@ -65,7 +65,7 @@ def file_names(paths: list[str]) -> list[str]:
     return names
 
 
-def _print_outcomes(args: SimpleNamespace, outcomes: list[Outcome]) -> None:
+def _print_outcomes(args: SimpleNamespace, outcomes: list[Outcome]) -> int:
     from sma_bench.report.tables import Table
 
     entries = [
@@ -73,16 +73,19 @@ def _print_outcomes(args: SimpleNamespace, outcomes: list[Outcome]) -> None:
         for o in outcomes
     ]
     write_json(args.json, {"kind": args.kind, "records": entries})
-    rows = []
+    rows, misfit = [], False
     for given, o in zip(args.records, outcomes, strict=True):
-        said = ""
+        said, state = "", "failed" if o.error else "done"
         if o.result is not None and args.kind == IDENTIFY:
             found = o.result["parameters"].items()
             said = ", ".join(f"{name} {entry['value']:.5g}" for name, entry in found)
+            if any(fit["verdict"] == "misfit" for fit in o.result["fit"].values()):
+                state, misfit, said = "misfit", True, f"{o.result['card'][0][1]}. {said}"
         elif o.result is not None:
             said = ": ".join(filter(None, (o.result["verdict"], ", ".join(o.result["cause"]))))
-        rows.append((given, "failed" if o.error else "done", said, f"{o.seconds:.1f}"))
+        rows.append((given, state, said, f"{o.seconds:.1f}"))
     print_table(Table(("record", "", "result", "s"), rows, frozenset({3})))
     failed = [o for o in outcomes if o.error]
     print_findings(Finding("error", "batch", o.error) for o in failed)
     print(f"\n{len(outcomes) - len(failed)} of {len(outcomes)} records done")
+    return _BAD_INPUT if failed else MISFIT if misfit else 0

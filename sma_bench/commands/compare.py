@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 from sma_bench.commands import options
 from sma_bench.commands.terminal import print_table, progress, say, write_json
+from sma_bench.errors import InputError
 
 _LEAST_SHIFT = 1e-3  # s, worth a line
 
@@ -15,6 +16,8 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.report.tables import Table
 
     column = options.column_of(args)
+    if args.signals and not args.out:
+        raise InputError("--signals is what the page shows, expected --out DIR with it")
     with progress("compare") as report:
         report(0.1, "reading and simulating")
         found = compare([load(path, args.namespace) for path in args.records], args.models)

@@ -23,8 +23,9 @@ def run(args: SimpleNamespace) -> int:
     channels = parameters["bench.channels"]
     name = "voltage" if args.voltage else "temperature"
     if given := args.voltage or args.temperature:
-        if len(given) not in (1, len(channels)):
-            raise InputError(f"--{name}: {len(given)} numbers, expected 1 or {len(channels)}")
+        if len(given) not in (1, len(channels)) or not np.isfinite(given).all():
+            shown = " ".join(f"{number:g}" for number in given)
+            raise InputError(f"--{name} {shown}: expected 1 or {len(channels)} finite numbers")
         at = OperatingPoint.at_voltage if args.voltage else OperatingPoint.at_temperature
         point = at(parameters, given[0] if len(given) == 1 else given, args.branch)
     else:

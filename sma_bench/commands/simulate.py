@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, progress, say, write_json
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.parameters import Parameters
 from sma_bench.progress import part
 
@@ -23,8 +23,8 @@ def run(args: SimpleNamespace) -> int:
     from sma_bench.estimation.bands import band_of
     from sma_bench.findings import Finding
     from sma_bench.live.virtual_bench import STANDS
-    from sma_bench.parameters.parameters import load_kind
-    from sma_bench.physics.effects import effect_values
+    from sma_bench.parameters.parameters import idle_effects, load_kind
+    from sma_bench.physics.effects import with_effect
     from sma_bench.protocols import load_protocol
     from sma_bench.records import read_record
     from sma_bench.records.bag_writer import write_record
@@ -35,12 +35,8 @@ def run(args: SimpleNamespace) -> int:
     parameters = options.parameters_from_options(args)
     for text in args.effects:
         name, value = options.pair("--effect", text)
-        try:
-            parameters = parameters.replace(effect_values(name, float(value)), where="--effect")
-        except InputError as error:
-            raise InputError(f"--effect {text}: {error}") from None
-        except ValueError:
-            raise InputError(f"--effect {text}: {value!r} is not a number") from None
+        with errors_in(f"--effect {text}"):
+            parameters = with_effect(parameters, name, value)
     if not 0.0 < args.rate <= LARGEST_RATE:
         raise InputError(f"--rate is {args.rate:g} Hz, expected 0 to {LARGEST_RATE:g}")
     if args.noise is not None and args.noise < 0:
@@ -77,7 +73,9 @@ def run(args: SimpleNamespace) -> int:
             noise = f"synthetic noise, seed {args.noise}"
         start_ns, writing = record.start_ns if record else 0, part(report, _INSTRUMENTS[1], 1.0)
         write_record(Path(args.out), signals, start_ns=start_ns, report=writing, replace=args.force)
-    findings = bench.limits_passed(simulation)
+    findings = bench.limits_passed(simulation, parameters)
+    idle = idle_effects(parameters).items()
+    findings += [Finding("warning", name, f"does nothing: {fault}") for name, fault in idle]
     if protocol is not None and load_kind(simulation.parameters) == "displacement":
         findings.append(Finding("warning", "load.kind", STANDS))
     write_json(args.json, {

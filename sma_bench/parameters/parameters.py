@@ -48,6 +48,16 @@ def load_kind(parameters: Mapping[str, Any]) -> str:
     return parameters["load.kind"] or default
 
 
+def idle_effects(parameters: Mapping[str, Any]) -> dict[str, str]:
+    """Effects that are on under a load that cannot have them, with what was expected."""
+    kind = load_kind(parameters)
+    return {
+        name: f"effect {name} with load.kind {kind}, expected {' or '.join(effect.loads)}"
+        for name, effect in EFFECTS.items()
+        if kind not in effect.loads and effect.is_on(parameters)
+    }
+
+
 def hysteresis(parameters: Mapping[str, Any]) -> tuple[float, float, float]:
     """Deviations [K] of the heating and of the cooling branch of wire.law normal, and the mean half
     width [K] of its hysteresis."""
@@ -186,12 +196,8 @@ class Parameters(Mapping[str, Value]):
                 return f"{value} with load.kind {kind}, expected 0"
             if EFFECTS["slack"].is_on(self):
                 return f"{value} with effect slack, expected one of them at 0"
-        if kind == "displacement":  # what is imposed neither drifts nor hangs
-            for effect in EFFECTS.values():
-                if kind not in effect.loads and effect.is_on(self):
-                    others = " or ".join(effect.loads)
-                    return f"effect {effect.name} with load.kind {kind}, expected {others}"
-        return ""
+        # What is imposed neither drifts nor hangs.
+        return next(iter(idle_effects(self).values()), "") if kind == "displacement" else ""
 
     def _fault_of_law(self) -> str:
         """What cannot be beside `wire.law`, or ""."""

@@ -35,7 +35,9 @@ def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str,
             f"{path}: no section for {node or 'every node'}, found {found}, expected {wanted}"
         )
     for key, values in fitting:
-        for name, value in flatten(values).items():
+        with errors_in(f"{path}: {key}"):
+            flat = flatten(values)
+        for name, value in flat.items():
             if name in merged and merged[name] != value:
                 raise InputError(
                     f"{path}: {name} is {merged[name]!r} in {origin[name]} and {value!r} in {key}"
@@ -251,11 +253,14 @@ def write_text_atomically(path: str | Path, text: str) -> None:
 
 
 def flatten(nested: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested mapping to dotted names, as ROS does it."""
+    """Nested mapping to dotted names, as ROS does it. Raises InputError: a name stands twice."""
     flat: dict[str, Any] = {}
     for key, value in nested.items():
         name = f"{prefix}{key}"
-        flat |= flatten(value, name + ".") if isinstance(value, Mapping) else {name: value}
+        own = flatten(value, name + ".") if isinstance(value, Mapping) else {name: value}
+        if twice := own.keys() & flat.keys():
+            raise InputError(f"{min(twice)} stands twice")
+        flat |= own
     return flat
 
 

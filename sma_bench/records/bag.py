@@ -159,6 +159,10 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
             if joints.index(joint) < found.shape[1]:
                 with np.errstate(invalid="ignore"):  # a NaN of another kind than Python's
                     samples.columns[name][batch.rows] = found[:, joints.index(joint)]
+    for joint in contract.JOINT_SIGNALS if raw.type == contract.JOINT_STATE else ():
+        if twice := sum(len(b.rows) for b in batches if b.texts["name"].count(joint) > 1):
+            text = f"{twice} of {n} messages name {joint} twice; the first is taken"
+            bag.remark(raw.name, text, messages=twice)
 
     # What was decoded, has a possible stamp, and is whole where it is a command.
     def keep(rows: Mask, what: str) -> None:

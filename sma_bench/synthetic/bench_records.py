@@ -128,16 +128,19 @@ def played(protocol: Protocol, parameters: Parameters, period: float) -> tuple[A
             bench.advance(rows[-1], period / parts)
 
 
-def limits_passed(simulation: Simulation) -> list[Finding]:
+def limits_passed(simulation: Simulation, parameters: Parameters) -> list[Finding]:
     """Where a real bench of these parameters would have gone to 0 V."""
-    limits = Limits.from_parameters(simulation.parameters)
+    limits = Limits.from_parameters(parameters)
+    volts = np.abs(direct_reading(simulation.parameters, simulation.voltage, simulation.current)[0])
     findings = []
     for k, channel in enumerate(simulation.parameters["bench.channels"]):
         kelvin, ampere = simulation.temperature[:, k], np.abs(simulation.current[:, k])
         wire = Wire(channel, ampere=float(ampere.max()), kelvin=float(kelvin.max()))
+        driven = Wire(channel, volt=float(volts[:, k].max()))
         for values, limit, rules in (
             (kelvin, limits.maximum_temperature, temperature_rules(wire, limits)),
             (ampere, limits.maximum_current, power_rules(wire, limits)),
+            (volts[:, k], limits.highest_reading, power_rules(driven, limits)),
         ):
             for line in broken(rules).values():
                 first = simulation.time[np.argmax(values > limit)]

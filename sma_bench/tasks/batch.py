@@ -4,11 +4,13 @@ import asyncio
 import logging
 import os
 import re
+import tempfile
 import time
 from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
+from pathlib import Path
 from typing import Any
 
 import joblib
@@ -28,39 +30,43 @@ _CONNECTING = 3.0  # s
 @dataclass(frozen=True)
 class Task:
     """A record to identify or diagnose (`kind`), by the path at which the worker sees it; with the
-    priors, or what the diagnosis holds against the record. Travels to the process that does it."""
+    priors, or what the diagnosis holds against it, and their file. Travels to who does it."""
 
     kind: str
     path: str
     parameters: Parameters
+    template: str | None = None  # whose comments the identified ones keep
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one record: the document that its command writes as JSON and the parameters
-    identified or improved, or why it failed, in one line; and how long it took [s]."""
+    """What came of one record: the document that its command writes as JSON and the text of the
+    parameter file that it writes, or why it failed, in one line; and how long it took [s]."""
 
     path: str
     result: dict[str, Any] | None = None
-    parameters: Parameters | None = None
+    yaml: str = ""
     error: str = ""
     seconds: float = 0.0
 
 
 def run_task(task: Task) -> Outcome:
     """Do one task; whatever goes wrong with its record stays with it."""
-    from sma_bench.tasks.work import diagnose_files, identify_files
+    from sma_bench.tasks import work
 
     begin = time.perf_counter()
     try:
-        found = {IDENTIFY: "parameters", DIAGNOSE: "improved"}[task.kind]
-        result: Any
-        if task.kind == IDENTIFY:
-            result = identify_files([task.path], task.parameters)
-        else:
-            result = diagnose_files([task.path], [], task.parameters)
-        seconds = time.perf_counter() - begin
-        return Outcome(task.path, result.to_json(), getattr(result, found), "", seconds)
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "found.yaml"
+            result: Any
+            if task.kind == IDENTIFY:
+                result = work.identify_files([task.path], task.parameters)
+                work.write_identified(file, result, "sma-bench batch", [task.path], task.template)
+            else:
+                result = work.diagnose_files([task.path], [], task.parameters)
+                work.write_improved(file, result, "sma-bench batch")
+            text = file.read_text(encoding="utf-8")
+        return Outcome(task.path, result.to_json(), text, "", time.perf_counter() - begin)
     except InputError as error:
         reason = str(error)
     except Exception as error:  # noqa: BLE001 (one record must not end the others)

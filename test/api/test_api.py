@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import warnings
 
 import numpy as np
 import pytest
@@ -88,6 +89,20 @@ def test_diagnosis_of_frames_is_that_of_the_bags(planted_diagnosis):
         assert found.shrinkage[quantity].fraction == pytest.approx(numbers.fraction, abs=1e-6)
 
 
+def test_models_have_names_an_experiment_may_be_one_and_a_machine_that_stands_says_so(staircase):
+    model = {"wire.resistance": 3.0}
+    assert list(sma_bench.compare(staircase, {"m": model}).records)[1:] == ["m"]
+    assert list(sma_bench.compare(staircase, {"wire": {"resistance": 3.0}}).records)[1:] == [
+        "model 1"
+    ]
+    assert {e.name for e in sma_bench.identify(staircase, {}, "E1").experiments} == {"E1"}
+    machine, moved = {"load.kind": "displacement"}, ([0.0, 1.0], [0.0, 0.0], [0.0, 1e-4])
+    with pytest.warns(UserWarning, match="the elongation is held at 0"):
+        sma_bench.simulate(moved[:2], machine)
+    with warnings.catch_warnings(action="error"):
+        sma_bench.simulate(moved, machine)
+
+
 def test_what_was_not_measured_is_left_out():
     time = np.arange(4.0)
     record = sma_bench.load({
@@ -132,6 +147,7 @@ def test_dates_become_seconds_since_the_first(zone, as_column):
 
 
 GOOD = {"time": [0.0, 1.0, 2.0], "wire.voltage": [0.0, 1.0, 2.0]}
+STILL = sma_bench.simulate(([0.0, 1.0], [0.0, 0.0]))
 
 
 @pytest.mark.parametrize(("call", "given", "said"), [
@@ -147,6 +163,14 @@ GOOD = {"time": [0.0, 1.0, 2.0], "wire.voltage": [0.0, 1.0, 2.0]}
     (lambda size: sma_bench.simulate("ramp", effects={"laten_heat": size}), 1, "latent_heat"),
     (lambda given: sma_bench.simulate("ramp", given), {"wire.mas": 1.0}, "mean wire.mass"),
     (lambda names: sma_bench.diagnose(GOOD, signals=names), "current", "signals 'current'"),
+    (sma_bench.simulate, ([0.0, 1.0], [20.0, 0.0]), "voltage is 20 V, expected at most 10 V"),
+    (sma_bench.simulate, ([0.0, 1.0], ["a", "b"]), "expected an array of numbers"),
+    (lambda size: sma_bench.simulate("ramp", effects={"latent_heat": size}), "x", "not a number"),
+    (lambda size: sma_bench.simulate("ramp", effects={"slack": size}), 0.01, "expected beam or sp"),
+    (sma_bench.measure, None, "NoneType given, expected a simulation"),
+    (sma_bench.measure, sma_bench.load(GOOD), "Record given, expected a simulation"),
+    (lambda seed: sma_bench.measure(STILL, seed), 1.5, "seed is 1.5, expected a whole number"),
+    (sma_bench.load_parameters, {"wire.mass": 1e-4, "wire": {"mass": 1e-4}}, "mass stands twice"),
 ])  # fmt: skip
 def test_mistakes_get_one_clear_line(call, given, said):
     with pytest.raises(InputError, match=said) as caught:

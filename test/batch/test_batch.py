@@ -101,11 +101,10 @@ def test_its_end_ends_all_processes_and_keeps_what_is_done(bags, tmp_path, numbe
 
 
 class Deadly(str):
-    """A kind of task that ends its process: looking it up does."""
+    """A kind of task that ends its process: asking for it does."""
 
-    def __hash__(self):
+    def __eq__(self, other):
         os.kill(os.getpid(), signal.SIGKILL)
-        return 0
 
     def __reduce__(self):
         return Deadly, (str(self),)
@@ -119,7 +118,7 @@ def test_a_killed_process_costs_only_the_record_that_kills_it(bags):
     done = dict(do_tasks([Task(*one, Parameters.of_paper()) for one in given], 2))
     assert done[0].error == f"{paths[0]}: its process was killed (out of memory?)"
     assert not done[1].error and not done[2].error
-    assert done[2].result["verdict"] and done[2].parameters is not None
+    assert done[2].result["verdict"] and done[2].yaml.startswith("# Improved by sma-bench batch")
     with pytest.raises(InputError, match="jobs 0: expected 1 to"):
         list(do_tasks([], 0))
 

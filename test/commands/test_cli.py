@@ -50,8 +50,14 @@ def test_simulated_bag_holds_the_protocol_and_its_steady_state(tmp_path, capsys)
     assert read_record(again)["wire.temperature"].values == pytest.approx(
         record["wire.temperature"].values, abs=1e-4
     )
-    # Parameters of another rig say which rig either is; whatever names are in it, a line is read.
+    # Voltages above the limit, and effects of other loads, are said.
     capsys.readouterr()
+    words = ["--set", "bench.maximum_voltage=1.5", "--set", "effect.slack.strain=0.003", "--force"]
+    assert main(["simulate", "--input", str(bag), *words, "--out", str(again)]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "over-voltage: wire gets 2.68 V, limit 1.5 V" in said
+    assert "slack: does nothing: effect slack with load.kind clamped" in said
+    # Parameters of another rig say which rig either is; whatever names are in it, a line is read.
     four = ["--set", "bench.channels=[a, b]", "--set", "bench.channel_sides=[front, back]"]
     line = refuse(capsys, "simulate", "--input", bag, *four, "--out", tmp_path / "other")
     assert "a bench of a, b" in line and "one of wire" in line

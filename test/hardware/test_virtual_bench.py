@@ -13,7 +13,7 @@ from sma_bench.live.virtual_bench import NANOSECONDS, Lockstep, VirtualBench
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.physics import simulate
-from sma_bench.physics.effects import effect_values
+from sma_bench.physics.effects import with_effect
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["simulator"]}
 PERFECT = SETTINGS | {name: 0.0 for name in SETTINGS if name.endswith(("_noise", "_resolution"))}
@@ -111,10 +111,9 @@ def test_noise_and_steps_are_those_of_the_hardware_and_a_seeds_one_by_one_and_ma
 
 def test_instruments_show_the_effects_that_are_on():
     sizes = {"supply_drop": 0.3, "ambient_drift": 0.01, "temperature_underfill": 0.4}
-    effects = {}
+    rig, volts = COMPOSITE, (3.0, 0.0, 0.0, 0.0)
     for effect, size in (sizes | {"deflection_drift": 1e-5}).items():
-        effects |= effect_values(effect, size)
-    rig, volts = COMPOSITE.replace(effects), (3.0, 0.0, 0.0, 0.0)
+        rig = with_effect(rig, effect, size)
     last = {kind: found[-1] for kind, found in run(VirtualBench(rig, PERFECT), volts, 20.0).items()}
     volt, ampere = last["power"].values[0]
     assert ampere == pytest.approx(volt / (2.6987 + 0.3))

@@ -16,7 +16,9 @@ from wire_records import ramp
 
 import sma_bench
 from sma_bench.cli import main
+from sma_bench.commands import batch
 from sma_bench.records import Record
+from sma_bench.tasks.batch import run_task
 
 LAG = "sensor.temperature.lag"
 
@@ -59,6 +61,17 @@ def test_the_verdict_on_the_fit_comes_first_and_the_file_is_written_in_any_case(
     assert ("my lab.yaml" in advice) == (verdict == "misfit")
     assert ("found.yaml" in advice) == (verdict != "misfit")
     assert "--out" not in advice
+    # The batch says and writes the same.
+    monkeypatch.setattr(batch, "do_tasks", lambda tasks, *_: (
+        (k, run_task(task)) for k, task in enumerate(tasks)
+    ))  # fmt: skip
+    words = ["batch", "identify", "bag", "--params", "my lab.yaml", "--out", "many"]
+    assert main(words) == status
+    line = capsys.readouterr().out.splitlines()[1].split()
+    assert line[1] == ("misfit" if verdict == "misfit" else "done")
+    alone, many = (Path(name).read_text().splitlines() for name in ("found.yaml", "many/bag.yaml"))
+    apart = [pair for pair in zip(alone, many, strict=True) if pair[0] != pair[1]]
+    assert all("Identified by" in line for pair in apart for line in pair) and len(apart) == 1
 
 
 def test_a_lag_of_the_thermometer_has_a_line_of_its_own(staircase):

@@ -190,6 +190,11 @@ def test_stored_runs_or_channels_swapped_are_noticed_and_the_right_ones_are_not(
         assert all("explained" in numbers for numbers in told.values())
 
 
+def test_a_reading_that_never_changes_follows_nothing():
+    still = record(wire_voltage=TRIANGLE, deflection=np.full(len(CLOCK), 0.002))
+    assert list(check_response(still)) == []
+
+
 def test_voltages_that_end_before_the_readings_are_a_finding():
     whole = record(wire_voltage=TRIANGLE, wire_temperature=settling())
     assert "wire.voltage" not in found(whole)

@@ -117,6 +117,19 @@ def test_commands_of_the_wrong_length_or_with_nan_are_left_out(tmp_path, write_b
     assert said(record, "/bench/voltage_command") == [("warning", {"messages": 4})]
 
 
+def test_a_joint_that_a_message_names_twice_is_its_first_and_is_said_once(
+    tmp_path, write_bag, messages
+):
+    content = []
+    for stamp in range(messages.start, messages.start + 3 * 10**9, 10**9):
+        arrays = {name: np.array([1.0, 2.0]) for name in ("position", "velocity", "effort")}
+        joints = messages.stamped("JointState", stamp, name=["wire", "wire"], **arrays)
+        content.append(("/bench/joint_states", joints, stamp))
+    record = read_record(write_bag(tmp_path / "bag", content))
+    assert record["elongation"].values.tolist() == record["force"].values.tolist() == [1.0] * 3
+    assert said(record, "/bench/joint_states") == [("warning", {"messages": 3})]
+
+
 def test_invalid_ranges_are_kept_and_flagged(tmp_path, write_bag, messages):
     values = [0.1, float("inf"), -float("inf"), 0.3, float("nan")]
     limits, content = {"min_range": 0.05, "max_range": 0.2}, []

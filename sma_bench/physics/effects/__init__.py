@@ -3,26 +3,35 @@
 An effect's numbers (parameters/effects.yaml) are ordinary parameters, which every simulation, node
 and file takes:
 
-    parameters.replace(effect_values("side_heat_coupling", 0.01))
+    parameters = with_effect(parameters, "side_heat_coupling", 0.01)
     simulate(parameters, time, voltage).temperature_reading
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 from sma_bench.errors import InputError
 from sma_bench.parameters.parameter import EFFECTS as EFFECTS
-from sma_bench.parameters.parameters import unknown_parameter_message
+from sma_bench.parameters.parameters import Parameters, idle_effects, unknown_parameter_message
 
 
-def effect_values(name: str, size: float) -> dict[str, float]:
-    """Parameters that switch one effect on. `name`: of the effect, or `effect.number` for another
-    number than its size; `size`: in the unit of the parameter table. InputError: unknown name."""
+def with_effect(parameters: Parameters, name: str, size: Any) -> Parameters:
+    """Parameters with an effect on. `name`: of the effect, or `effect.number` for another number
+    than its size; `size`: in the table's unit. InputError: unknown, no number, or another load."""
     effect_name, _, number = name.partition(".")
     if effect_name not in EFFECTS:
         message = unknown_parameter_message(effect_name, EFFECTS)
         raise InputError(message.replace("parameter", "effect", 1))
     effect = EFFECTS[effect_name]
-    return {(effect.named(number) if number else effect.size).name: size}
+    entry = effect.named(number) if number else effect.size
+    try:
+        value = float(size)
+    except (TypeError, ValueError):
+        raise InputError(f"{size!r} is not a number") from None
+    found = parameters.replace({entry.name: value})
+    if fault := idle_effects(found).get(effect_name):
+        raise InputError(fault)
+    return found
 
 
 def active_effects(parameters: Mapping[str, object]) -> tuple[str, ...]:
