@@ -117,7 +117,11 @@ def number_with_unit(text: str, quantity: str) -> float | None:
 
 
 _DESCRIPTION = re.compile(WORDS["description"], re.IGNORECASE)
-_LONE_T = re.compile(r"[tT](?:[cCsSrR]?\d*|[\s_]?(?:[a-zA-Z]{1,9})?\d*)\Z")
+# T1, T_wire, TWire and Tamb; Test and Torque are words.
+_LONE_T = re.compile(
+    r"[tT](?:[cCsSrR]?\d*|[\s_](?:[a-zA-Z]{1,9})?\d*|[A-Z][a-zA-Z]{0,8}\d*"
+    r"|(?:air|amb|cold|draht|env|hot|probe|room|sample|tip|wire)\d*)\Z"
+)
 
 
 def plain_title(title: str) -> str:

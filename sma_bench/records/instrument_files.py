@@ -49,6 +49,18 @@ _LARGEST = {"strain": 0.5, "stress": 3e9}  # of a tensile test, in SI units
 _PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(martensite|austenite)\b", re.IGNORECASE)
 
 
+def _clauses(cells: Sequence[str]) -> list[str]:
+    """What a line states, each key with its number, in cells of their own or not:
+    gauge length 60 mm, diameter 0.5 mm."""
+    found: list[str] = []
+    for part in (part for cell in cells for part in re.split(r"[,;]\s+(?=[^\W\d])", cell)):
+        if not found or re.match(r"[^\W\d]{3,}[^\d]*\s.*\d", part):
+            found.append(part)
+        else:
+            found[-1] += (" " if ":" in found[-1] or len(cells) != 2 else ": ") + part
+    return found
+
+
 @dataclass(frozen=True)
 class Sheet:
     """One table of an instrument's file, with what was stated of it in SI."""
@@ -109,6 +121,11 @@ class Sheet:
             raise self.refusal("no_column", what=lacked, titles=self.titles or "none", title=title)
         found = {what: self.find(*roles) for what, roles in WORDS["instruments"][kind].items()}
         chosen = {what: column for what, column in found.items() if column}
+        for column in self.table.columns:  # 1, 1, 2, 2: a text is no column of numbers
+            is_id = set(cells.words_of(column.title)) <= {*WORDS["specimens"], "id", "no", "nr"}
+            count = len(np.unique(column.values[np.isfinite(column.values)]))
+            if is_id and column.title and 1 < count == 1 + np.count_nonzero(np.diff(column.values)):
+                raise self.refusal("specimens", count=f"{count}", name=column.name)
         for what, (column, role) in chosen.items():
             (best, _), *others = self.ranked(role)
             other = [c.name for score, c in others if score == best and _differ(column, c)]
@@ -150,10 +167,8 @@ class Sheet:
         """What lines of text say a number is, and the first of these lines each; of the room, the
         grips only if no other does."""
         row, found = WORDS["stated"][name], dict[float, str]()
-        # A key and its number may be two cells: Sample mass (mg), 12.
-        marks = [": " if len(c) == 2 and ":" not in c[0] else " " for c in self.table.above]
-        lines = [m.join(c) for m, c in zip(marks, self.table.above, strict=True)]
-        lines += [text for _, text in self.table.marks]
+        lines = [c for cells in self.table.above for c in _clauses(cells)]
+        lines += [c for _, text in self.table.marks for c in _clauses([text])]
 
         def speaks(text: str, key: str) -> bool:
             words = "|".join(map(re.escape, row.get(key, ())))
@@ -228,8 +243,11 @@ def dsc_of(sheet: Sheet) -> DscRecord:
         raise sheet.refusal("time_back", line=sheet.table.lines[kept][back[0] + 1])
 
     # The mass; heat flow for a gram needs none: one of 1 mg gives the same.
-    unit, mass = parse_unit(columns["heat flow"][0].unit), sheet.noted("mass")
-    if unit is not None and unit.quantity == "specific power":
+    unit = parse_unit(columns["heat flow"][0].unit)
+    is_specific = unit is not None and unit.quantity == "specific power"
+    is_open = "mass" not in sheet.given and len(sheet.statements("mass")) > 1
+    mass = None if is_specific and is_open else sheet.noted("mass")
+    if is_specific:
         if mass is None:
             mass = 1e-6
             sheet.remark("warning", "sample mass", "for_a_gram")
@@ -275,7 +293,8 @@ def dsc_of(sheet: Sheet) -> DscRecord:
         sheet.remark("warning", path.name, "cut_short", points=len(time), announced=announced)
 
     # Which way exothermic is.
-    lines = [f"{key} {value}" for key, value in header.items() if key.lower().startswith("exo")]
+    lines = [" ".join(re.split(r"[:\s]+", text.lstrip("# "))) for text in above]
+    lines = [text for text in lines if text.lower().startswith(("exo", "endo"))]
     text = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
     up = re.search(r"exo\w*( direction)? (up|1)\b(?! (no|false|0)\b)|\^ ?exo|endo\w* down", text)
     down = re.search(
@@ -321,10 +340,7 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
 def is_isobaric(sheet: Sheet) -> bool:
     """Whether a table has a temperature that changes, strain or extension, and a load; or without
     titles a first column that goes up and down, a second one, and a third that is held."""
-    columns = sheet.table.columns
-    has_load = bool("stress" in sheet.given or sheet.statements("stress")) or (
-        cells.number_with_unit(sheet.table.name, "stress") is not None
-    )
+    columns, has_load = sheet.table.columns, _has_load(sheet)
     if sheet.titles:
         found, loaded = sheet.find("temperature"), sheet.find("stress", "force")
         has_all = found is not None and not sheet.lacks("isobaric", ["stress"] if has_load else [])
@@ -355,21 +371,21 @@ def _differ(one: Column, other: Column) -> bool:
     return bool(np.corrcoef(*both)[0, 1] < 0.9999)
 
 
-def _load_beside(sheet: Sheet) -> float | None:
-    """A stress that is stated, in a line of text or by the name of the sheet."""
-    stated = sheet.noted("stress")
-    return stated if stated is not None else cells.number_with_unit(sheet.table.name, "stress")
+def _has_load(sheet: Sheet) -> bool:
+    """Whether a stress is stated, in a line of text or by the name of the sheet."""
+    named = cells.number_with_unit(sheet.table.name, "stress") is not None
+    return named or "stress" in sheet.given or bool(sheet.statements("stress"))
 
 
 def isobaric_of(sheet: Sheet) -> IsobaricRecord:
     """The test in a table that `is_isobaric`, without titles in degC and MPa or in the units of a
     note beside the file, such as "Data Source.txt"; `gauge_length` that of an extension. Raises
     InputError for a malformed line (named), and without a thermal cycle."""
-    path, table, load = sheet.file.path, sheet.table, _load_beside(sheet)
+    path, table, has_load = sheet.file.path, sheet.table, _has_load(sheet)
     if len(table.lines) < instruments.FEWEST_ROWS:
         raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)
-    sheet = sheet if sheet.titles else _named(sheet, load is not None)
-    columns = sheet.columns("isobaric", ["stress"] if load is not None else [])
+    sheet = sheet if sheet.titles else _named(sheet, has_load)
+    columns = sheet.columns("isobaric", ["stress"] if has_load else [])
     pulled, role = columns["strain"]
     span = float(np.ptp(pulled.values))
     if span == 0.0:
@@ -379,13 +395,15 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord:
         pulled = replace(pulled, unit="%" if span > _LARGEST_SPAN else "mm/mm")
         sheet.remark("warning", "strain unit", "strain_unit", span=span, unit=pulled.unit)
     temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
-    loaded, is_force = columns.get("stress"), columns.get("stress", ("", ""))[1] == "force"
-    stress = np.full(len(strain), load or 0.0)
-    if loaded and (not is_force or load is None):
-        section = sheet.section() if is_force else 1.0
-        if section is None:
-            raise sheet.refusal("no_section", name=loaded[0].name)
+    loaded = columns.get("stress")
+    section = sheet.section() if loaded and loaded[1] == "force" else 1.0
+    if loaded and section is not None:
         stress = sheet.values(*loaded) / section
+    elif loaded and not has_load:
+        raise sheet.refusal("no_section", name=loaded[0].name)
+    else:
+        load = sheet.noted("stress") or cells.number_with_unit(table.name, "stress") or 0.0
+        stress = np.full(len(strain), load)
     span = float(np.ptp(strain))
     gauge = sheet.noted("gauge_length") if role == "length" else None
     is_relative = role == "length" and gauge is None
@@ -403,8 +421,13 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord:
 
     # Rows between loading and unloading, where stress is at its level.
     level = float(np.median(stress))
+    if level < 0.0:
+        raise sheet.refusal("compressed", level=f"{level / 1e6:.4g}")
     away = np.abs(stress - level) > max(_CONSTANCY * abs(level), 1e6)
     inside = np.flatnonzero(~away)
+    if len(inside) < 0.5 * len(stress):
+        low, high = np.quantile(stress, [0.05, 0.95]) / 1e6
+        raise sheet.refusal("levels", low=low, high=high)
     held = slice(int(inside[0]), int(inside[-1]) + 1)
     if rows := len(stress) - (held.stop - held.start):
         sheet.remark("info", "stress", "loading", rows=rows)

@@ -10,7 +10,7 @@ import re
 import signal
 import subprocess
 import sys
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -286,7 +286,7 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         if key in ("unit", "title") and isinstance(value, str):
             beside.setdefault(path[:-1], {})[key] = value
     columns: dict[int, list[Column]] = {}
-    notes: dict[int, list[str]] = {}
+    notes: dict[int, list[str]] = defaultdict(list)
     outside: list[str] = []
     for path, value, about in leaves:
         folder, last, label = path[:-1], path[-1], mark.join(path)
@@ -306,8 +306,8 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         known = {_MEANS[key]: v for key, v in about.items() if key in _MEANS}
         scale = {key: v for key, v in known.items() if isinstance(v, float)}
         said_so = [f"{key} {scale[key]:g}" for key in ("scale", "offset") if key in scale]
-        said_so = [f"{label}: {' and '.join(said_so)} of its attributes applied"] if said_so else []
-        notes.setdefault(len(array), []).extend(said_so)
+        if said_so:
+            notes[len(array)].append(f"{label}: {' and '.join(said_so)} of its attributes applied")
         array = np.where(array == scale.get("fill"), np.nan, array)
         array = array * scale.get("scale", 1.0) + scale.get("offset", 0.0)
 
@@ -335,11 +335,8 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         )
     if sum(map(len, columns.values())) > MOST_COLUMNS:
         raise InputError(f"more than {MOST_COLUMNS} columns, expected at most that")
-    tables = [
-        Table("", tuple(c), np.arange(1, n + 1), n, notes=tuple(notes.get(n, ())))
-        for n, c in columns.items()
-    ]
-    return tables, outside
+    lines = ((n, tuple(c), np.arange(1, n + 1)) for n, c in columns.items())
+    return [Table("", c, k, n, notes=tuple(notes[n])) for n, c, k in lines], outside
 
 
 # --- rows to tables
@@ -424,7 +421,8 @@ class _Block:
             return True
         width = len(self.rows[0][1])
         again, units, notes = self.titles(between, width)
-        is_same = not any(again) or self.goes_on(again, units, notes, width)
+        is_row = not any(again) or "n" in map(cell_kind, again)  # a number's neighbour overflowed
+        is_same = is_row or self.goes_on(again, units, notes, width)
         return len(row[1]) == width and is_same
 
     def goes_on(
@@ -455,15 +453,15 @@ class _Block:
             if is_narrow:
                 remarks.insert(0, heads[-1 - back])
                 continue
-            known = [bool(title_meanings(t)) for t in titles if cell_kind(t) == "t"]
-            if remarks and (sum(known) < width / 2 or "n" in map(cell_kind, titles)):
+            known = sum(bool(title_meanings(t)) for t in titles if cell_kind(t) == "t")
+            if remarks and (known < width / 2 or "n" in map(cell_kind, titles)):
                 break
             units = next(filter(None, map(_units, texts[:back][::-1])), [])
             shift = len(titles) - len(units) if self.separator is None else 0
             units = [*[""] * shift, *units, *[""] * width][: len(titles)]
             if width - len(titles) == 1 and self.begins_with_index():
                 titles, units = ["", *titles], ["", *units]
-            return titles, units, [*heads[: len(heads) - back - 1], *remarks]
+            return titles, units, [*heads[: -back - 1], *remarks]
         return [], [], list(heads)
 
     def title_cells(self, row: Row, width: int) -> list[str]:

@@ -27,7 +27,8 @@ def excel(file: BytesIO) -> Found:
 
     def plain(shown: Any) -> Any:
         cell, is_number = shown.value, isinstance(shown.value, (int, float))
-        if is_number and not isinstance(cell, bool) and "%" in (shown.number_format or ""):
+        form = re.sub(r'"[^"]*"|\\.', "", shown.number_format or "")  # without texts
+        if is_number and not isinstance(cell, bool) and "%" in form:
             return f"{100.0 * cell:.15g}%"  # as it is read: 4.2 % is kept as 0.042
         if cell is None or isinstance(cell, bool):
             return "" if cell is None else cell

@@ -121,6 +121,7 @@ PARTED = universal().replace("\n10.000000\t", "\n-2\t-2\t-2\t-2\n10.000000\t")
 @pytest.mark.parametrize("lines", [
     f"Pan mass: 48.2 mg\nSample mass: {MASS} mg", f"Sample mass: {MASS} mg\nReference mass: 30 mg",
     f"Sample mass: {MASS} mg\nCrucible mass: 38 mg", "Sample mass: 10,2 mg",
+    f"Tare mass: 48 mg; sample mass: {MASS} mg",
 ])  # fmt: skip
 def test_the_mass_is_the_samples(write, lines):
     assert open_record(write(f"{lines}\n{titled()}", "utf-8")).mass == pytest.approx(MASS * 1e-6)

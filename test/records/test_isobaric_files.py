@@ -259,6 +259,50 @@ def test_of_lines_that_differ_the_telling_one_counts_else_it_is_asked(write):
         open_record(write(rows, f"Stress limit: 800 MPa\n{heated}"))
 
 
+@pytest.mark.parametrize("line", [
+    "gauge length 50 mm, wire diameter 0.3 mm", "wire diameter 0.3 mm; gauge length 50 mm",
+    "Diameter: 0.3 mm\nPre-load: 10 MPa\nTrained 20 cycles at 300 MPa stress",
+    "Pulley diameter: 30 mm\nDiameter,0.3,mm",
+])  # fmt: skip
+def test_what_is_stated_is_the_specimens_each_behind_its_own_key(write, line):
+    newtons = in_percent(loop()) * (1.0, 1.0, 0.0707)
+    record = open_record(write(newtons, f"{line}\nTemperature (C),Strain (%),Force (N)"))
+    assert record.stress == pytest.approx(100e6, rel=1e-3)
+
+
+@pytest.mark.parametrize(("rows", "titles", "said"), [
+    (np.vstack([in_percent(loop()), in_percent(loop()) * (1, 1, 2)]),
+     "Temperature (C),Strain (%),Stress (MPa)", "several levels \\(100 to 200 MPa"),
+    (in_percent(loop()) * (1, 1, -1), "Temperature (C),Strain (%),Stress (MPa)", "in compression"),
+    (np.column_stack([np.repeat([1, 2], 120), np.vstack([in_percent(loop())] * 2)]),
+     "Specimen,Temperature (C),Strain (%),Stress (MPa)", "2 specimens by Specimen"),
+])  # fmt: skip
+def test_several_tests_in_one_column_and_those_in_compression_are_refused(
+    write, rows, titles, said
+):
+    with pytest.raises(InputError, match=said):
+        open_record(write(rows, titles))
+
+
+@pytest.mark.parametrize("line", [
+    "Annealing temperature: 500 C", "Austenite finish temperature: 15 C",
+])  # fmt: skip
+def test_a_temperature_of_the_alloy_is_not_the_tests(write, line):
+    titles = "Strain (%),Stress (MPa),Test"
+    counted = np.column_stack([STRETCHED, np.ones(len(STRETCHED))])
+    assert open_record(write(counted, f"{line}\n{titles}")).temperature is None
+
+
+def test_cells_that_overflow_part_no_table(write):
+    path = write(in_percent(loop()), "Temperature (C),Strain (%),Stress (MPa)")
+    lines = path.read_text().splitlines()
+    lines[30:34] = [f"{line.partition(',')[0]},****,****" for line in lines[30:34]]
+    path.write_text("\n".join(lines))
+    record = open_record(path)
+    assert record.account.rows == 116 and "4 lines of text" in str(record.account)
+    assert [len(cycle.branches) for cycle in record.cycles] == [2]
+
+
 def test_of_columns_alike_the_specimens_is_taken_and_another_is_named(write):
     rows = in_percent(loop())
     wide = np.column_stack([rows[:, 0] + 9.0, rows[:, 0], -0.4 * rows[:, 1], rows[:, 1:]])
