@@ -60,10 +60,14 @@ def run(args: SimpleNamespace) -> int:
             say(str(account))
             more = f" (and {len(asked) - 1} more)" if len(asked) > 1 else ""
             raise InputError(f"{source}: unsure of {asked[0]}{more}: fill it in, then --map {path}")
-        read.append((source, path, table, used, text, account, *maps.convert(table, used, bag)))
+        # What is assumed is said, not only written into the map.
+        assumed = [f"{name}: {remark}" for name, remark in remarks.items() if " as " in remark]
+        converted = maps.convert(table, used, bag)
+        read.append((source, path, table, used, text, account, assumed, *converted))
     entries = []
     imposed = "elongation" if load_kind(bench) == "displacement" else ""  # as no wire moves
-    for source, path, table, used, text, account, record, how in read:
+    for source, path, table, used, text, account, assumed, record, how in read:
+        notes = [*table.notes, *assumed]
         if given is None:
             write_map(path, text)
         clocks = [column.values for column in table.columns if column.name in used.time]
@@ -73,7 +77,7 @@ def run(args: SimpleNamespace) -> int:
         write_record(record.path, record, replace=args.force, provenance=about)
         map_file = args.map_file or str(path)
         say("\n  ".join([f"{record.path}: from {source} by {map_file}", *how]))
-        print_findings([Finding("warning", source, note) for note in table.notes])
+        print_findings([Finding("warning", source, note) for note in notes])
         found = [f for f in check_record(record) if f.severity != "info"]
         print_findings(f for f in found if f.subject != imposed)
         say(str(account))
@@ -81,7 +85,7 @@ def run(args: SimpleNamespace) -> int:
                         "max": float(s.values.max())} for name, s in record.signals.items()}
         entries.append({
             **about, "source": source, "format": table.format, "bag": str(record.path),
-            "map": map_file, "signals": spans, "notes": list(table.notes), "account": vars(account),
+            "map": map_file, "signals": spans, "notes": notes, "account": vars(account),
         })
     write_json(args.json, {"imported": entries})
     return 0

@@ -374,3 +374,13 @@ def test_a_scale_that_an_attribute_states_is_applied_and_said(tmp_path):
     found = read_table_file(path)
     assert found.columns[1].values.tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
     assert found.notes == ("voltage: scale 2 of its attributes applied",)
+
+
+def test_a_unit_that_is_guessed_is_said(tmp_path, capsys):
+    path = tmp_path / "log.csv"
+    path.write_text("Time (s),Voltage (V),Current\n" + "".join(
+        f"{k},{1.2 * (k % 4 > 1)},{0.6 * (k % 4 > 1)}\n" for k in range(20)
+    ))  # fmt: skip
+    assert main(["import", str(path), "--out", str(tmp_path / "bag")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "warning" in said and "Current: no unit is given; 0 to 0.6 is taken as 'A'" in said
