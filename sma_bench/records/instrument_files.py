@@ -100,8 +100,9 @@ class Sheet:
             if meant in (("setpoint",), ("ambient",)) and "temp" in plain:
                 meant = ("temperature",)  # if there is no other
             fits = unit.quantity in row["units"] if unit else not (column.unit or is_flow)
+            words = set(re.findall(r"[a-z]+", plain))
+            fits = fits and not words & set(row.get("never", ()))
             if role in meant and fits and (is_flow or cells.title_meanings(column.title)):
-                words = set(re.findall(r"[a-z]+", plain))
                 better, worse = (
                     sum(w in words or (len(w) > 3 and w in plain) for w in row.get(key, ()))
                     for key in ("better", "worse")
@@ -122,6 +123,11 @@ class Sheet:
         found = {what: self.find(*roles) for what, roles in WORDS["instruments"][kind].items()}
         chosen = {what: column for what, column in found.items() if column}
         for column in self.table.columns:  # 1, 1, 2, 2: a text is no column of numbers
+            known, meant = parse_unit(column.unit), cells.title_meanings(column.title)
+            if known and meant == ("temperature",) and known.quantity != "temperature":
+                raise self.refusal(
+                    "other_unit", unit=column.unit, quantity=known.quantity, meaning=meant[0]
+                )
             is_id = set(cells.words_of(column.title)) <= {*WORDS["specimens"], "id", "no", "nr"}
             count = len(np.unique(column.values[np.isfinite(column.values)]))
             if is_id and column.title and 1 < count == 1 + np.count_nonzero(np.diff(column.values)):

@@ -334,6 +334,15 @@ def test_a_factor_in_a_title_above_its_unit_is_asked(write):
         open_record(write(in_percent(loop()), "Temperature,Strain,Stress x10\nC,%,MPa"))
 
 
+@pytest.mark.parametrize(("titles", "said"), [
+    ("Temperature (deg),Strain (%),Stress (MPa)", "'deg' is a unit of angle, the title says temp"),
+    ("Temperature (C),Shear Strain (%),Shear Stress (MPa)", "a table of another logger"),
+])  # fmt: skip
+def test_degrees_of_an_angle_and_shear_are_refused(write, titles, said):
+    with pytest.raises(InputError, match=said):
+        open_record(write(in_percent(loop()), titles))
+
+
 def test_japanese_of_windows_is_read(tmp_path):
     rows = "\n".join(",".join(f"{v:.6e}" for v in row) for row in in_percent(loop()))
     path = tmp_path / "shift_jis.csv"
