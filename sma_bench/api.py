@@ -123,7 +123,7 @@ def simulate(
 
     The simulation has `time` (n,) s, `voltage`, `current`, `temperature`, `martensite_fraction`,
     `stress` (n, w), `deflection` (n,) m; `measure` makes a record of it. Raises InputError: no such
-    protocol or effect, one beside its loads, wrong shapes, a voltage above the limit, or a lack.
+    protocol or effect, one that the load cannot have, wrong shapes, a voltage above the limit.
     """
     bench = load_parameters(parameters)
     for name, size in (effects or {}).items():

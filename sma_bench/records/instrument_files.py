@@ -363,15 +363,17 @@ def is_isobaric(sheet: Sheet) -> bool:
 
 def _held(column: Column) -> bool:
     """Whether most values of a load are about one."""
-    values = np.abs(column.values)
-    level = float(np.median(values))
-    return bool(np.mean(np.abs(values - level) < 0.2 * level) > 0.5)
+    values = np.abs(column.values[np.isfinite(column.values)])
+    level = float(np.median(values)) if len(values) else np.nan
+    return bool(np.sum(np.abs(values - level) < 0.2 * level) > 0.5 * len(values))
 
 
 def _differ(one: Column, other: Column) -> bool:
     """Whether two columns are more than one, perhaps in two units."""
     there = np.isfinite(one.values) & np.isfinite(other.values)
     both = one.values[there], other.values[there]
+    if not there.any():
+        return True
     if one.unit == other.unit or min(map(np.ptp, both), default=0.0) == 0.0:
         return not np.allclose(*both, rtol=1e-3, atol=1e-3 * float(np.ptp(both[0])))
     return bool(np.corrcoef(*both)[0, 1] < 0.9999)
