@@ -91,9 +91,8 @@ def number_with_unit(text: str, quantity: str) -> float | None:
     that a test states, None where that is not told."""
     parted = (text.partition(mark) for mark in ":=")
     key, value = next(((k, v) for k, _, v in parted if re.search(r"\d", v)), ("", text))
-    again = value.rsplit(" ", 2)  # a number once more, with the unit of its key: Mass/mg: 12 12 mg
-    if len(again) == 3 and re.search(rf"[/(\[]\s*{re.escape(again[2])}", key):
-        value = f"{again[0]} {again[2]}"
+    units = (unit for unit in re.findall(r"[/(\[]\s*([^\s)\]:]+)", key) if parse_unit(unit))
+    value = f"{value} {next(units, '')}"  # Mass/mg: 12
     for found in _AMOUNT.finditer(value):
         unit, number = parse_unit(found["unit"].strip(".\"'")), found["number"]
         before = value[max(found.start() - 60, 0) : found.start()]
@@ -352,8 +351,8 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
 
 
 def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
-    """Values (n,) whose units stand beside them, in the first of these, and it; None where a text
-    is no unit of the same."""
+    """Values (n,) of which each has its unit, all in the first one, and that; None where a text is
+    no unit of the same quantity."""
     known = {text: parse_unit(str(text)) for text in set(texts)}
     first = known[texts[0]]
     if first is None or {u and (u.quantity, u.offset) for u in known.values()} != {first[::2]}:

@@ -121,7 +121,7 @@ def _against_voltage(record: Record, current: Signal) -> float:
 
 
 def _outliers(signal: Signal) -> IntArray:
-    """Where single readings of a sensor lie far off both beside them, which agree, none where there
+    """Where single readings of a sensor lie far off both neighbours, which agree, none where there
     are more of them than a mishap makes; and where it drops out for some, all of one value. A
     command, a voltage and its current may pulse, and what a machine imposes."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
@@ -397,7 +397,7 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
     constant time off the drive's, over a second behind or ahead of their messages, are moved onto
     it, by when the recorder got these, currents that run against their voltage are turned, and
-    readings far off those beside them, and deviations far below a reading's scatter, are left
+    readings far off their neighbours, and deviations far below a reading's scatter, are left
     out."""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []

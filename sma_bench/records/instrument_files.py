@@ -181,9 +181,7 @@ class Sheet:
             return bool(words and re.search(rf"(?<![a-z])(?:{words})", plain_title(text)))
 
         for text in (line.lstrip("#% ") for line in lines):
-            in_key = re.match(r"[^:]*[/(\[]\s*([^\s)\]:]+)[^:]*:\D*(\d+(?:[.,]\d+)?)", text)
-            again = f" {in_key[2]} {in_key[1]}" if in_key else ""  # Mass/mg: 12
-            value = cells.number_with_unit(text + again, row["quantity"])
+            value = cells.number_with_unit(text, row["quantity"])
             if value and speaks(text, "words") and not speaks(text, "never"):
                 found.setdefault(value, text)
         return {v: t for v, t in found.items() if not speaks(t, "worse")} or found

@@ -567,10 +567,10 @@ def _columns(
         clock, bad = next((c for c in clocks if c > k), None), -1
         if kinds[k] in ("", "t"):
             is_unit = _MEANS.get(titles[k].lower()) == "unit" and label != labels[0]
-            beside = made[-1] if is_unit and made and made[-1].name == labels[k - 1] else None
-            if beside and not beside.unit and (scaled := in_units(beside.values, cells)):
-                made[-1] = replace(beside, values=scaled[0], unit=scaled[1])
-                ignored[label] = f"units of {beside.name}"  # 0.5 mV, 3.24 V
+            last = made[-1] if is_unit and made and made[-1].name == labels[k - 1] else None
+            if last and not last.unit and (scaled := in_units(last.values, cells)):
+                made[-1] = replace(last, values=scaled[0], unit=scaled[1])
+                ignored[label] = f"units of {last.name}"  # 0.5 mV, 3.24 V
                 continue
             example = next((str(c) for c in cells if cell_kind(c) in ("t", "d")), "")
             ignored[label] = f"text such as {printable(example)[:40]!r}" if example else "empty"

@@ -58,16 +58,15 @@ def test_every_sentence_is_said_with_the_values_that_it_has():
     ("150MPa_run2", "stress", 150e6), ("Run 2 150MPa", "stress", 150e6),
     ("Run 2-150 MPa stress", "stress", None), ("Stress: 150 ± 5 MPa", "stress", None),
     ("Sample: NiTi #3-12.0 mg weight", "mass", 12e-6), ("mass=12 345 µg", "mass", 12.345e-6),
-    ("Sample Mass 1 (mg): 12.00 12.00 mg", "mass", 12e-6), ("Mass: 12,345 mg", "mass", 12.345e-6),
+    ("Sample Mass 1 (mg): 12.00", "mass", 12e-6), ("Mass: 12,345 mg", "mass", 12.345e-6),
     ("Sample mass: 12 3 mg", "mass", None), ("Mass 1 234 567 µg", "mass", 1.234567e-3),
-    ("Durchmesser d1 (mm): 0,90 0,90 mm", "length", 0.9e-3),
-    ("Gauge length L0 [mm]: 60 60 mm", "length", 0.06), ("L [mm]: 100 100 mm", "length", 0.1),
-    ("L [mm]: 1 200 1 mm", "length", 1.2), ("gauge_length=1,000 mm", "length", None),
+    ("Durchmesser d1 (mm): 0,90", "length", 0.9e-3),
+    ("Gauge length L0 [mm]: 60", "length", 0.06), ("L [mm]: 100", "length", 0.1),
+    ("L [mm]: 1 200", "length", 1.2), ("gauge_length=1,000 mm", "length", None),
     ("stress=1.200,5 MPa", "stress", 1200.5e6), ("stress=1.200 MPa", "stress", None),
-    ("Temperature (C): -20 20 C", "temperature", 253.15),
+    ("Temperature (C): -20", "temperature", 253.15),
 ])  # fmt: skip
 def test_a_number_is_stated_whole_and_no_digits_of_a_name_are_one(text, quantity, value):
-    """A number once more with the unit of its key is as `Sheet.noted` reads such a line."""
     assert number_with_unit(text, quantity) == (None if value is None else pytest.approx(value))
 
 
