@@ -263,6 +263,7 @@ def test_of_lines_that_differ_the_telling_one_counts_else_it_is_asked(write):
     "gauge length 50 mm, wire diameter 0.3 mm", "wire diameter 0.3 mm; gauge length 50 mm",
     "Diameter: 0.3 mm\nPre-load: 10 MPa\nTrained 20 cycles at 300 MPa stress",
     "Pulley diameter: 30 mm\nDiameter,0.3,mm",
+    "Crosshead area limit 10 mm2\nSurface area: 47 mm2\nDiameter: 0.3 mm",
 ])  # fmt: skip
 def test_what_is_stated_is_the_specimens_each_behind_its_own_key(write, line):
     newtons = in_percent(loop()) * (1.0, 1.0, 0.0707)
