@@ -26,7 +26,7 @@ from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.search import search
 from sma_bench.diagnose.utilities import Utilities
 from sma_bench.errors import InputError
-from sma_bench.estimation.observation import observe, shared_bin
+from sma_bench.estimation.observation import observe_all
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
 from sma_bench.records.check import mended
@@ -103,8 +103,7 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
 
     records = [mended(record)[0] for record in recorded(case, sized.features, names)]
     quantities = QUANTITIES[card.signals]
-    shortest = shared_bin(records, nominal)
-    found = search([observe(r, nominal, shortest, quantities) for r in records], nominal)
+    found = search(observe_all(records, nominal, quantities), nominal)
     looked_at = weighed(found)
     utilities = Utilities(looked_at)
     today = dict(zip(utilities.names, utilities.probabilities().round(6).tolist(), strict=True))

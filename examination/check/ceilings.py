@@ -35,7 +35,7 @@ from examination.blind.score import as_markdown, handed_in, open_labels, score, 
 from examination.blind.sensors import measure
 from examination.pieces import options_of
 from sma_bench.diagnose.search import Remainder, find_start, search
-from sma_bench.estimation.observation import observe, shared_bin
+from sma_bench.estimation import observation
 from sma_bench.estimation.solver import fit
 from sma_bench.parameters import read_parameters, write_parameters
 from sma_bench.parameters.paper_tests import least_stds
@@ -176,8 +176,7 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
     found, and those that it gains over the truth without its (second) effect."""
     believed = read_parameters(case / blind.NOMINAL)
     records = [read_record(case / name) for name in (blind.RECORD, blind.HOLD_OUT)]
-    shortest = shared_bin(records, believed)
-    found = search([observe(r, believed, shortest) for r in records], believed)
+    found = search(observation.observe_all(records, believed, observation.QUANTITIES), believed)
     effects = [name for name in label["effects"] if name in found.singles]
     if len(effects) < len(label["effects"]):
         return 0.0, 0.0  # nothing that is measured shows one

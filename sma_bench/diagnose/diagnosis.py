@@ -28,7 +28,7 @@ from sma_bench.diagnose.sizes import contribution, locate, sensors_noise, shrink
 from sma_bench.diagnose.utilities import Utilities, learnt
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
-from sma_bench.estimation.observation import QUANTITIES, Observation, observe, shared_bin
+from sma_bench.estimation.observation import QUANTITIES, Observation, observe_all
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit
 from sma_bench.estimation.unknowns import SHAPES, Unknowns
@@ -38,6 +38,7 @@ from sma_bench.parameters.audit import audit
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.effects.residual_strain import FRESH_START
 from sma_bench.records.check import check_response, mended, under_suspicion
 from sma_bench.records.record import Record, as_calibrated, require_distinct, with_stated_lag
 
@@ -119,12 +120,9 @@ def diagnose(
         whole = [
             replace(r, signals={n: s for n, s in r.signals.items() if n != "force"}) for r in whole
         ]
-    shortest = shared_bin(whole, parameters)
-    observations = [observe(record, parameters, shortest, quantities) for record in whole]
-    seen, unseen = observations[: len(records)], observations[len(records) :]
 
     # The verdict, and the most probable model that can be simulated.
-    found = search(observations, parameters, progress, doubted)
+    found = search(observe_all(whole, parameters, quantities), parameters, progress, doubted)
     utilities = Utilities(weighed(found))
     decided = decision.decide(found, utilities)
     candidates = decision.with_law(decided)
@@ -135,6 +133,8 @@ def diagnose(
     improved = parameters if no_gap else _improved(model, parameters)
 
     progress("shrinkage on data that no fit saw")
+    observations = model.problem.observations  # switched when the fit has found that they were
+    seen, unseen = observations[: len(records)], observations[len(records) :]
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     moved = _fitted_to(fitted, recalibrated)
     blind = moved if model is recalibrated else _fitted_to(fitted, model)
@@ -239,11 +239,10 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
 
 
 def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
-    """The same model fitted to other records."""
-    if not model.unknowns.items:
-        return model
-    problem = Problem(tuple(observations), model.problem.noise, ()).with_nuisances(model.parameters)
-    return fit(problem, model.unknowns, model.x, rounds=1, keep_noise=True)
+    """The same model fitted to other records; how each begins is no number of the bench."""
+    problem = replace(Problem.of(observations), noise=model.problem.noise)
+    problem = problem.with_nuisances(model.parameters)
+    return fit(problem, *model.unknowns.holding(FRESH_START, model.x), rounds=1, keep_noise=True)
 
 
 def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float]:

@@ -30,6 +30,7 @@ from sma_bench.estimation.unknowns import (
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.effects.residual_strain import CARRIED_OVER
 
 _CLOSE = 0.35  # of the best gain in evidence: what lies this near is fitted carefully
 _NEAR = 15.0  # nats
@@ -66,6 +67,7 @@ _STRETCH = (0.3, 2.0)  # of a tried size that is still believed
 _SHAPES = {
     "effect.matrix_thermal_mass.inner_share": (0.25, 0.5, 0.8),
     "effect.viscoelastic_matrix.time_constant": (4.0, 20.0, 90.0),
+    "effect.residual_strain.fresh_start": (0.0,),
     "effect.transition_drift.cycles": (1.0, 6.0),
     "effect.matrix_thermal_mass.clamp_time": (8.0, 40.0),
     "effect.ambient_drift.fading": (30.0, 150.0),
@@ -142,15 +144,12 @@ def search(
     fresh = Problem.of(observations)
     tries = [*starts(baseline, 0), *_where_it_moves(fresh, baseline, parameters)]
     recalibrated, _ = recalibrate(fresh, parameters, baseline, tries)
-    problem = replace(fresh, nuisances=recalibrated.problem.nuisances)
+    where = recalibrated.problem
+    problem = replace(fresh, observations=where.observations, nuisances=where.nuisances)
     # As believed: every parameter exact.
     nominal = fit(problem, unknowns_of(parameters, (), shapes={}), np.zeros(0), rounds=2)
-    held = held_back(doubted)
-    names = [name for name in possible_effects(parameters, quantities) if name not in held]
-    kinds = [
-        baseline.with_effects([name], {name: form})
-        for name in names for form in ("", *tuple(EFFECTS[name].forms or ())[1:])
-    ]
+    names = [n for n in possible_effects(parameters, quantities) if n not in held_back(doubted)]
+    kinds = [baseline.with_effects([n], {n: f}) for n in names for f in _forms(n, observations)]
     singles = _singles(kinds, recalibrated, progress)
 
     def keep(fits: Iterable[Fit]) -> None:
@@ -221,6 +220,13 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
         if name not in known and load in effect.loads and law in effect.laws
         and set(effect.acts_on) & set(quantities)
     ]
+
+
+def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
+    """Of an effect, the usual one first; one that hands over to the next record needs a next."""
+    others = list(EFFECTS[name].forms or ())[1:]
+    follows = any(observation.before is not None for observation in observations)
+    return ["", *(form for form in others if form != CARRIED_OVER or follows)]
 
 
 def _where_it_moves(
@@ -311,7 +317,7 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
 
 def _refined(found: Fit) -> Fit:
     """The same model once more, with what its own jumps and delays do, not recalibration's."""
-    problem = found.problem.with_nuisances(found.parameters)
+    problem = found.problem.about(found.parameters, found.z)
     return fit(problem, found.unknowns, found.x, rounds=2, predicted=found.predicted)
 
 
@@ -350,7 +356,7 @@ def _pairs(
         frozen = alone.derivatives[:, : baseline.baseline]
         kinds = [
             baseline.with_effects([name, one], {name: own, one: form})
-            for one in singles if one != name for form in ("", *tuple(EFFECTS[one].forms or ())[1:])
+            for one in singles if one != name for form in _forms(one, alone.problem.observations)
         ]
         promising: dict[str, tuple[Unknowns, Start]] = {}
         for kind, start in _starts(kinds, alone):

@@ -18,7 +18,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
-STATE = "state"
+TICK, STATE = "tick", "state"
 # What differs from run to run of one bench, one standard deviation: K of its room, shares of its
 # draught and stroke.
 STATES = {
@@ -27,6 +27,7 @@ STATES = {
     "wire.maximum_recoverable_strain": 0.025,
 }
 _LAST = 0.49  # of the time between two samples
+_SLOW = 0.3  # s between samples of a logger whose loop may switch always at the same part of it
 # What may be off this far apart is so in one simulation, if the one is forgotten by the next.
 _FORGOTTEN = 60.0  # s
 _TRACE, _LAST_PART = 1e-3, 0.25  # of the largest change; of these seconds, before the next
@@ -69,14 +70,17 @@ def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
 def moved_to(observation: Observation, own: Nuisances, z: Array) -> tuple[Observation, Array]:
     """The record with its jumps and stamps where a fit has found them, which no straight line goes
     to from where they were; and these values, 0 for what is linear."""
-    kept = np.array([item.kind in (JUMP, DELAY) for item in own.items], dtype=bool) * z
-    jumps = [k for k, item in enumerate(own.items) if item.kind == JUMP]
-    place = np.clip(JUMP_STD * kept[jumps], -_LAST, _LAST)
+    kept = np.array([item.kind in (JUMP, TICK, DELAY) for item in own.items], dtype=bool) * z
+    jumps, ticks = (
+        [k for k, item in enumerate(own.items) if item.kind == kind] for kind in (JUMP, TICK)
+    )
+    together = kept[ticks].sum()
+    place = np.clip(JUMP_STD * (kept[jumps] + together), -_LAST, _LAST)
     delays = {
         item.subject: float(at * item.std)
         for at, item in zip(kept, own.items, strict=True) if item.kind == DELAY
     }
-    kept[jumps] = place / JUMP_STD
+    kept[jumps] = place / JUMP_STD - together
     volts = observation.drive.on_grid(observation.grid, place)
     return replace(observation, voltage=volts, place=place, delays=delays), kept
 
@@ -127,6 +131,10 @@ def nuisances_about(
             moves.append(_Move(kind, at.min(), at.max(), errors=errors))
     items += [Nuisance(move.kind) for move in moves]
     columns.append(_responses(observation, moves, lambda drive: moved(drive, None)))
+    jumps, apart = len(drive.early), drive.late - drive.early
+    if jumps > 1 and np.median(apart) > _SLOW:
+        items.append(Nuisance(TICK))
+        columns.append(columns[-1][:, :jumps].sum(axis=1, keepdims=True))
 
     # One standard error of each held load in turn.
     loads = [row for row in np.diag([hold.std for hold in observation.holds]) if row.any()]

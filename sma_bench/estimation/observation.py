@@ -16,28 +16,21 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import Hold, find_holds
+from sma_bench.estimation.load_frame import LOAD_FRAME, Hold
 from sma_bench.estimation.noise_model import Array, noise_floor
-from sma_bench.estimation.unknowns import LOADS
-from sma_bench.estimation.voltage import AppliedVoltage, alike_by_side, applied_voltage, commands_of
+from sma_bench.estimation.rig import Measured, Rig, find_rig
+from sma_bench.estimation.voltage import AppliedVoltage, alike_by_side
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import as_recorded, load_kind, wire_length
+from sma_bench.parameters.parameters import as_recorded, wire_length
 from sma_bench.physics import Boundary, simulate
-from sma_bench.physics.boundary import moves_tip
+from sma_bench.physics.effects.residual_strain import carried_over, carries_over
 from sma_bench.physics.kernel import at_rest
 from sma_bench.physics.material import current, time_constant
 from sma_bench.physics.simulate import Bench, Simulation, simulate_from_rest
-from sma_bench.records.record import (
-    Record,
-    has_samples,
-    imposed_elongation,
-    ohms_of_source,
-    require_channels,
-    samples,
-    with_commands,
-)
+from sma_bench.records.record import Record, ohms_of_source
 
 QUANTITIES = ("current", "temperature", "deflection")
+EVERYTHING = (*QUANTITIES, *LOAD_FRAME)
 
 _CELL = 0.02  # s of the simulation; the voltages' energy over it is exact
 _LONG_CELL = 0.1
@@ -45,27 +38,22 @@ _LONG_CELL = 0.1
 _FINE_CELL, _FINE_SPAN = 0.0075, 0.45
 _CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
 _FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
-_FAR_APART = 0.03  # s, samples between which a jump needs more than a cell
+_FAR_APART = 0.03, 1.0  # s, samples between which a jump needs more than a cell
 _NARROW = 1e-3  # s
 _HELD = 2e-4  # of the largest voltage, from cell to cell
 _SETTLED = 3.0  # s without a change after which the long cell will do
 _BIN = 0.2  # s, shorter than any time constant of a wire in air
-_MOST_BINS = 1500  # a signal
 _FULL = 0.5  # of the usual number of samples
 _MOST_CELLS = 12_000
 _CELLS_A_SAMPLE = 50  # what lies between readings so far apart is not to be known
 _END_OF_CELLS = 4_000_000  # whatever the stamps
-_SAMPLES_A_BIN = 2.0
 _WORTHWHILE = 0.7  # of the cells
-_FEWEST_SAMPLES = 20
 MOVED = ("deflection", "elongation")
 _SOME, RETURNS = 3, 0.012  # bins; of a stroke, to which a bench returns from run to run
 _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
-_ZERO_STD = 1e-4  # m, of where a testing machine's elongation is 0, by a careful hand
 _NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is right to less
-_MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
 _HISTORIES = (
     "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction", "bending",
     "temperature_reading",
@@ -148,6 +136,8 @@ class Observation:
             then its zero.
         place: (e,) of the jumps between their two samples; delays: s, by quantity, of stamps.
         ohms: volts for an ampere, where what a source holds stands for its voltage; or 0.
+        epoch: s, of the grid's 0 on the clock of the day; before: the record of the same bench that
+            ended last before this one began.
     """
 
     path: str
@@ -163,6 +153,8 @@ class Observation:
     place: Array | float = 0.0
     delays: Mapping[str, float] = field(default_factory=dict)
     ohms: float = 0.0
+    epoch: float = 0.0
+    before: "Observation | None" = None
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -193,7 +185,10 @@ class Observation:
         signals = tuple(replace(s, average=s.average @ onto) for s in self.signals)
         imposed = None if self.imposed is None else np.interp(grid, self.grid, self.imposed)
         alike = alike_by_side(volts, self.sides)
-        return replace(self, grid=grid, voltage=alike, signals=signals, imposed=imposed)
+        before = self.before and self.before._on_cells(share)
+        return replace(
+            self, grid=grid, voltage=alike, signals=signals, imposed=imposed, before=before
+        )
 
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
@@ -210,7 +205,13 @@ class Observation:
             ratio = ohms_of_source(parameters) / self.ohms
             volts = volts * (ratio if parameters["bench.drive"] == "current" else math.sqrt(ratio))
         if not self.holds:
-            return simulate_from_rest(parameters, self.grid, volts, Boundary.of(parameters))
+            load, most = Boundary.of(parameters), None
+            if self.before is not None and carries_over(parameters):
+                pause = self.epoch + self.grid[0] - self.before.epoch - self.before.grid[-1]
+                most = carried_over(
+                    parameters, self.before.simulate(parameters).most_austenite, float(pause)
+                )
+            return simulate_from_rest(parameters, self.grid, volts, load, most)
         if self.imposed is not None:
             moved = self.imposed + (0.0 if loads is None else float(loads[0]))
             load = Boundary.imposed(parameters, float(moved[0]))
@@ -345,133 +346,6 @@ def _course(quantity: str, simulation: Simulation) -> Array:
 # --- from a record ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Samples of one signal that a model can be held to; `wire` is the column of its wire."""
-
-    name: str
-    quantity: str
-    wire: int
-    time: Array
-    values: Array
-
-    def where(self, keep: NDArray[np.bool_]) -> "Measured":
-        """Some of its samples."""
-        return replace(self, time=self.time[keep], values=self.values[keep])
-
-    @property
-    def bin(self) -> float:
-        """Shortest bin, in s, that suits it."""
-        apart = float(np.median(np.diff(self.time)))
-        return max(float(np.ptp(self.time)) / _MOST_BINS, _SAMPLES_A_BIN * apart)
-
-
-@dataclass(frozen=True)
-class Rig:
-    """What a record holds of a rig: its wires, what drives them, and everything measured."""
-
-    record: Record
-    channels: tuple[str, ...]
-    sides: tuple[str, ...]
-    voltage: AppliedVoltage
-    start: float
-    stop: float
-    holds: tuple[Hold, ...]
-    measured: tuple[Measured, ...]
-    ohms: float
-    moved: tuple[Array, Array] | None  # s and m, of a testing machine
-
-
-def find_rig(record: Record, parameters: Parameters) -> Rig:
-    """The rig that a record is of.
-
-    Raises:
-        InputError: as `observe`.
-    """
-    # Its wires: those of the bench, or the only one that the record has.
-    record, ohms = with_commands(record, parameters)
-    driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
-    channels, sides = tuple(parameters["bench.channels"]), tuple(parameters["bench.channel_sides"])
-    if set(channels).difference(driven) and len(driven) == len(record.channels) == 1:
-        channels, sides = (driven[0],), ("front",)
-    else:
-        require_channels(record, channels, driven)
-    voltages = [samples(record, f"{channel}.voltage") for channel in channels]
-    commands = commands_of(record, channels, tuple(parameters["bench.channels"]))
-    voltage = applied_voltage(voltages, commands)
-    start = min(float(time[0]) for time, _ in voltages)
-    stop = max(float(time[-1]) for time, _ in voltages)
-    moves, moved = pulls_a_load(record, parameters), None
-    if load_kind(parameters) == "displacement":
-        time, metres = imposed_elongation(record)
-        if len(time) < _FEWEST_SAMPLES:
-            raise InputError(f"{record.path}: {len(time)} samples of elongation, too few to impose")
-        # Ramps and holds are freed of their noise as those of a voltage; in tenths of the stroke.
-        unit = 0.1 * float(np.ptp(metres)) or 1.0
-        moved = time, unit * applied_voltage([(time, metres / unit)]).channels[0].voltage
-        holds: tuple[Hold, ...] = (Hold(start, stop, True, 0.0, _ZERO_STD),)
-    else:
-        holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
-
-    # What is measured. Of a record with one wire of a beam, or a bare one of the same alloy, the
-    # tip is not asked.
-    wanted = [
-        (f"{channel}.{quantity}", f"{channel}.{quantity}", quantity, wire)
-        for wire, channel in enumerate(channels) for quantity in ("current", "temperature")
-    ]
-    tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
-    if tip:
-        wanted.append(("deflection", "deflection", "deflection", 0))
-    elif moves:
-        wanted += [("deflection", "elongation", "deflection", 0), ("force", "force", "force", 0)]
-    elif holds:
-        response = "force" if holds[0].clamped else "elongation"
-        wanted.append((response, response, response, 0))
-    found = [
-        Measured(name, quantity, wire, *samples(record, signal))
-        for name, signal, quantity, wire in wanted if has_samples(record, signal)
-    ]
-    looking = [s for s in ("front", "back") if has_samples(record, f"{s}.range")]
-    if tip and looking and not has_samples(record, "deflection"):
-        # The tip's position from the range sensors that look at it from both sides.
-        time = samples(record, f"{looking[0]}.range")[0]
-        signed = [
-            (-1.0 if side == "front" else 1.0) * np.interp(time, *samples(record, f"{side}.range"))
-            for side in looking
-        ]
-        away: Array = np.asarray(np.mean(signed, axis=0), dtype=np.float64)
-        found.append(Measured("deflection", "deflection", 0, time, away - away[0]))
-
-    # A current read while the voltage jumps says nothing, as only the jump's bounds are known; nor
-    # does an elongation while the load changes, as the wire follows a force known too roughly.
-    measured = []
-    for one in found:
-        if len(one.time) < _FEWEST_SAMPLES:
-            continue
-        known = np.ones(len(one.time), dtype=bool)
-        if one.quantity == "current":
-            known = ~voltage.is_jumping(one.time)
-        elif one.quantity == "elongation":
-            for hold in holds:
-                if not hold.steady:
-                    begin, end = hold.start - _MARGIN, hold.stop + _MARGIN
-                    known &= (one.time < begin) | (one.time > end)
-        measured.append(one.where(known))
-    if not measured:
-        raise InputError(
-            f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
-        )
-    return Rig(record, channels, sides, voltage, start, stop, holds, tuple(measured), ohms, moved)
-
-
-def pulls_a_load(record: Record, parameters: Parameters) -> bool:
-    """Whether the wires move a load of their own: no beam, no clamps, no frame that measures what
-    it holds."""
-    kind = load_kind(parameters)
-    held = kind == "force" and has_samples(record, "force")
-    return kind in LOADS and not held
-
-
 def shared_bin(
     records: Sequence[Record], parameters: Parameters, shortest: float = _BIN
 ) -> float:
@@ -524,7 +398,7 @@ def observe(
     after = np.add.outer(late, fine).ravel()
     within = [
         np.linspace(a, b, int((b - a) / _FINE_CELL) + 1)[1:-1]
-        for a, b in zip(early, late, strict=True) if _FAR_APART < b - a < _LONG_CELL
+        for a, b in zip(early, late, strict=True) if _FAR_APART[0] < b - a < _FAR_APART[1]
     ]
     others = np.concatenate([even, after[(after > start) & (after < even[-1])], *within])
     around = np.concatenate([[-np.inf], jumps, [np.inf]])
@@ -561,7 +435,27 @@ def observe(
         rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
         tuple(m.name for m in rig.measured if m.quantity not in quantities), rig.holds,
         None if rig.moved is None else np.interp(grid, *rig.moved), ohms=rig.ohms,
+        epoch=record.start_ns * 1e-9,
     )
+
+
+def observe_all(
+    records: Sequence[Record], parameters: Parameters, quantities: Collection[str] = EVERYTHING
+) -> list[Observation]:
+    """Records of one bench, in bins that suit all; each knows the one before it by the clock of
+    the day. Raises InputError: as `observe`."""
+    shortest = shared_bin(records, parameters) if records else 0.0
+    found = [observe(record, parameters, shortest, quantities) for record in records]
+    ends = [one.epoch + one.grid[-1] for one in found]
+    earlier = [
+        [k for k, end in enumerate(ends) if one.epoch > 0.0 and end <= one.epoch + one.grid[0]]
+        for one in found
+    ]
+    last = [max(own, key=lambda k: ends[k], default=None) for own in earlier]
+    return [
+        one if k is None or found[k].channels != one.channels else replace(one, before=found[k])
+        for one, k in zip(found, last, strict=True)
+    ]
 
 
 def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> BinnedSignal:

@@ -17,7 +17,7 @@ from scipy.linalg import block_diag, cho_factor
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess, whiten
-from sma_bench.estimation.nuisances import Nuisances, moved_to, nuisances_about
+from sma_bench.estimation.nuisances import TICK, Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
@@ -77,10 +77,23 @@ class Problem:
         return cls(tuple(observations), noise, none, voltage_noise)
 
     def with_nuisances(self, parameters: Parameters, states: float = 0.0) -> Self:
-        """Nuisances about the model at these parameters; `states`: as the attribute."""
+        """Nuisances about the model at these parameters, and about where they were `moved`;
+        `states`: as the attribute."""
         asked = [(o, parameters, self.voltage_noise, states) for o in self.observations]
-        found = tuple(in_threads(nuisances_about, asked))
-        return replace(self, nuisances=found, states=states, shared={})
+        found = [
+            replace(new, about=own.about) if len(new.items) == len(own.items) else new
+            for new, own in zip(in_threads(nuisances_about, asked), self.nuisances, strict=True)
+        ]
+        return replace(self, nuisances=tuple(found), states=states, shared={})
+
+    @property
+    def ticks(self) -> NDArray[np.bool_]:
+        """(q,) which nuisances move all jumps of a slow logger's record."""
+        return np.array([item.kind == TICK for own in self.nuisances for item in own.items])
+
+    def about(self, parameters: Parameters, z: Array) -> Self:
+        """`with_nuisances`; where jumps may be far from where they were taken to be, `moved`."""
+        return self.moved(parameters, z) if self.ticks.any() else self.with_nuisances(parameters)
 
     def moved(self, parameters: Parameters, z: Array) -> Self:
         """Nuisances about where a fit has found them (q,) and the model at its parameters."""

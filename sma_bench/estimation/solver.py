@@ -27,6 +27,8 @@ from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
 
 _MOST_STEPS, _FAR_STEPS = 10, 30
+# Where between its samples a slow logger's voltage jumps: prior deviations, and rounds.
+_TICKS, _TICK_ROUNDS = (-1.3, 0.0, 1.3), 3
 _WEIGHT_ROUNDS, _MOST_ROUNDS = 5, 15  # weights found again, more while they change
 _USUAL_STATES, _LEAST_STATE = 0.5, 0.05
 _RADIUS = 8.0  # prior deviations a step
@@ -217,6 +219,17 @@ def recalibrate(
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
+    if first.ticks.any():
+        # No straight line goes from a jump that comes late to one that comes early.
+        there = np.where(first.ticks, np.array(_TICKS)[:, np.newaxis], 0.0)
+        begun = [(first.moved(best.parameters, z), best.x) for z in there]
+        best = max(
+            in_threads(lambda there, x: fit(there, unknowns, x, rounds=1), begun),
+            key=lambda fitted: fitted.evidence,
+        )
+        for _ in range(_TICK_ROUNDS):
+            best = fit(best.problem.moved(best.parameters, best.z), unknowns, best.x, rounds=1)
+        first = best.problem
     last = (best.problem if keep_noise else first).with_nuisances(best.parameters)
     return fit(last, unknowns, best.x, rounds=2, predicted=best.predicted), tried
 

@@ -37,6 +37,7 @@ from sma_bench.parameters.parameters import (
 )
 from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
+from sma_bench.physics.effects.residual_strain import FRESH_START
 
 HEAT = (
     "wire.resistance",
@@ -337,6 +338,15 @@ class Unknowns:
             return self.parameters(there)
         return bench.replace(dict.fromkeys((item.name, *item.tied), item.value(x[i] + step)))
 
+    def holding(self, name: str, x: Array) -> tuple["Unknowns", Array]:
+        """Without one number of an effect, which stays where it is at x; and x of the others."""
+        if name not in self.names:
+            return self, x
+        k = self.names.index(name)
+        base = self.base.replace({name: self.items[k].value(float(x[k]))})
+        items = self.items[:k] + self.items[k + 1 :]
+        return replace(self, base=base, items=items), np.delete(x, k)
+
     def start(self, spread: float = 0.3) -> Array:
         """What is believed, effects off; `spread` in its prior's deviations, at 0 of which its
         slope vanishes."""
@@ -434,13 +444,16 @@ def as_in_the_field(parameters: Parameters) -> Parameters:
 
 def stated_effects(parameters: Parameters) -> list[str]:
     """Numbers of effects that somebody believes in, or of which he states what is unknown; and of
-    these effects those that have a value where nobody gives one."""
+    these effects those that have a value where nobody gives one, but how a record begins."""
     stated = {
         p.name for p in EFFECT_TABLE
         if parameters[p.name] != p.default or p.name in parameters.given_uncertainty
     }
     on = [e for e in EFFECTS.values() if stated & {p.name for p in e.parameters}]
-    return [p.name for e in on for p in e.parameters if p.name in stated or p not in e.switches]
+    return [
+        p.name for e in on for p in e.parameters
+        if p.name in stated or (p not in e.switches and p.name != FRESH_START)
+    ]
 
 
 def unknowns_of(

@@ -28,7 +28,9 @@ _TOLERANCE_STD = 8.0
 _TOLERANCE_STEPS = 2.5
 _SMALLEST_TOLERANCE = 1e-3
 _MOST_PIECES = 20_000
-_SMALLEST_JUMP = 0.05  # of the largest voltage; less heats too little to be misplaced
+# Of the largest voltage, where samples are so far apart [s] or nearer; less heats too little to be
+# misplaced, the longer a slow logger does not look the less.
+_SMALLEST_JUMP, _OFTEN_READ = 0.05, 0.1
 _STRAIGHT = 1.3
 _FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
@@ -476,7 +478,8 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     hidden = float(np.sqrt(2.0 * quantisation_variance(within, step)))
     knots = np.searchsorted(time, [before for before, _ in segments.edges])
     size = np.abs(smooth[np.minimum(knots + 1, len(smooth) - 1)] - smooth[knots])
-    knots = knots[size > _SMALLEST_JUMP * float(np.max(np.abs(smooth), initial=0.0))]
+    least = _SMALLEST_JUMP * min(1.0, _OFTEN_READ / float(np.median(np.diff(time))))
+    knots = knots[size > least * float(np.max(np.abs(smooth), initial=0.0))]
     jumps = np.unique(knots).astype(np.float64)
     return Polygon(time, smooth, jumps, tuple(lines), hidden, step, commanded)
 

@@ -12,7 +12,7 @@ from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.load_frame import find_pulls, is_clamped
 from sma_bench.estimation.noise_model import noise_floor
 from sma_bench.estimation.nuisances import UNITS
-from sma_bench.estimation.observation import Observation, observe, shared_bin
+from sma_bench.estimation.observation import Observation, observe, observe_all, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit
 from sma_bench.estimation.unknowns import Unknowns
@@ -426,7 +426,7 @@ def _fits(
     }
     sets: list[list[Observation]] = []
     if records := [record for record in bags if str(record.path) in used]:
-        sets.append(signals.observe_all(records, model))
+        sets.append(observe_all(records, model))
     quantities = {_PREDICTS[e.name] for e in run.experiments if e.name in _PREDICTS}
     for record, drive in drives:
         head, rig = f"{drive.channel}.", signals.one_wire(model, drive.channel)

@@ -17,7 +17,7 @@ import numpy as np
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.observation import find_rig
+from sma_bench.estimation.rig import find_rig
 from sma_bench.findings import Finding
 from sma_bench.identify import branches
 from sma_bench.identify.branches import BranchCosine, Number, StrainTangents

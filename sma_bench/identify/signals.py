@@ -8,9 +8,9 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
-from sma_bench.estimation import noise_model, observation
-from sma_bench.estimation.load_frame import LOAD_FRAME, has_load_frame, is_clamped
-from sma_bench.estimation.observation import Observation
+from sma_bench.estimation import noise_model
+from sma_bench.estimation.load_frame import has_load_frame, is_clamped
+from sma_bench.estimation.rig import pulls_a_load
 from sma_bench.estimation.voltage import Segments, VoltageSegment, find_segments, protocol_spans
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import straight_line
@@ -112,7 +112,7 @@ def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
 
 def moves(record: Record, parameters: Parameters) -> bool:
     """Whether a record shows the composite bending, or wires moving their load."""
-    own = ("elongation",) if observation.pulls_a_load(record, parameters) else ()
+    own = ("elongation",) if pulls_a_load(record, parameters) else ()
     return any(has_samples(record, n) for n in ("deflection", "front.range", "back.range", *own))
 
 
@@ -144,13 +144,6 @@ def about_length(parameters: Parameters) -> Finding:
     if parameters["wire.length"]:
         source = "as given"
     return remark("gauge length", length=wire_length(parameters), source=source)
-
-
-def observe_all(records: Sequence[Record], parameters: Parameters) -> list[Observation]:
-    """Everything that the records measure, in bins that suit all of them."""
-    shortest = observation.shared_bin(records, parameters) if records else 0.0
-    quantities = (*observation.QUANTITIES, *LOAD_FRAME)
-    return [observation.observe(r, parameters, shortest, quantities) for r in records]
 
 
 def one_wire(parameters: Parameters, channel: str) -> Parameters:

@@ -20,7 +20,7 @@ from sma_bench.estimation.laws import (
     starts,
     weigh_laws,
 )
-from sma_bench.estimation.observation import MOVED, Observation, observe, shared_bin
+from sma_bench.estimation.observation import MOVED, Observation, observe_all
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of, scale_errors
 from sma_bench.estimation.solver import Fit, fit_imperfect, recalibrate
@@ -39,7 +39,7 @@ from sma_bench.estimation.unknowns import (
 from sma_bench.findings import Finding
 from sma_bench.identify.resistance import lead_std
 from sma_bench.identify.result import Correlation, Experiment, refusal, remark
-from sma_bench.identify.signals import CAMERA_LAG, LAG, LEADS, RESISTANCE, about_length, observe_all
+from sma_bench.identify.signals import CAMERA_LAG, LAG, LEADS, RESISTANCE, about_length
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
@@ -100,8 +100,7 @@ def identify_driven_wires(
 ) -> Experiment:
     """R, h and c_p from whatever drive excites them, as far as the records tell them better than
     was known. InputError without a voltage of some channel, or where the drive tells nothing."""
-    shortest = shared_bin(records, parameters)
-    observations = [observe(record, parameters, shortest, _THERMAL) for record in records]
+    observations = observe_all(records, parameters, _THERMAL)
     title = "Joint fit of a drive that was made for something else"
     fitted = fit_experiment("E0", title, observations, parameters, report, most_starts=2)
     found = {n: e for n, e in fitted.estimates.items()

@@ -12,7 +12,7 @@ import numpy as np
 from sma_bench.arrays import Array
 from sma_bench.border import read_yaml
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.observation import find_rig
+from sma_bench.estimation.rig import find_rig
 from sma_bench.findings import Finding
 from sma_bench.identify.result import Experiment
 from sma_bench.paper.errata import HEADER, Erratum

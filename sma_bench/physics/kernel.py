@@ -248,6 +248,7 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
 
 # --- The core's calls.
 
+_AT_ONCE = 1e-6  # s, in which nothing but the balance of stresses changes
 _SUMS_OF_STRESSES = [at.STIFFNESS, at.LOAD, at.OWN_STIFFNESS, at.OWN_LOAD, at.FRICTION, at.RUBBING]
 
 
@@ -300,6 +301,15 @@ class Kernel:
             given = per_side("contraction", self.boundary.contraction, len(sides))
             sides[:, at.CONTRACTION], sides[:, at.CONTRACTION_CHANGE] = given, 0.0
         return wires, sides
+
+    def carry_over(self, memory: tuple[Array, Array], most_austenite: Array) -> None:
+        """Rows at rest of wires that were so austenitic at most (w,) before, settled with what of
+        their strain stayed."""
+        wires, sides = memory
+        wires[:, at.MOST_AUSTENITE] = most_austenite
+        self.run(np.array([0.0, _AT_ONCE]), np.zeros((2, self.wires)), memory)
+        for column in range(at.RELAXED, at.RELAXED + 3):
+            sides[:, column] = sides[:, at.CONTRACTION]
 
     def run(
         self, time: Array, voltage: Array, memory: tuple[Array, Array],

@@ -99,6 +99,12 @@ class Simulation(Readings, Drawn):
         """(n,) s since the bench's start, summed as the core does, step by step."""
         return np.cumsum(np.concatenate([[self.started], np.diff(self.time)]))
 
+    @property
+    def most_austenite(self) -> Array:
+        """(w,) largest share of austenite so far, less what residual strain has crept back."""
+        assert self.final.memory is not None
+        return self.final.memory[0][:, at.MOST_AUSTENITE - at.WIRE_STATE]
+
     @cached_property
     def current(self) -> Array:
         """(n, w) A, eq. (3)."""
@@ -138,12 +144,16 @@ def simulate(
 
 
 def simulate_from_rest(
-    parameters: Parameters, time: Array, voltage: Array, boundary: Boundary
+    parameters: Parameters, time: Array, voltage: Array, boundary: Boundary,
+    most_austenite: Array | None = None,
 ) -> Simulation:
     """As `simulate`, of a bench at rest, possible or not, and of arrays that are known to be right:
-    a fit simulates one record thousands of times."""
+    a fit simulates one record thousands of times. `most_austenite` (w,): how far its wires have
+    transformed before, not at all when not given."""
     kernel = Kernel(parameters, boundary)
     memory = kernel.memory(None)
+    if most_austenite is not None:
+        kernel.carry_over(memory, most_austenite)
     courses = kernel.run(time, voltage, memory)
     return _simulated(kernel, time, voltage, courses, kernel.state(memory), 0.0)
 

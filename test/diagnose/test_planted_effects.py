@@ -2,18 +2,37 @@
 is, none is declared, whatever colour the noise has."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from planted import ALL, FEW, believed, few_effects, planted_pair, planted_record
+from planted import (
+    ALL,
+    CHANNELS,
+    DURATION,
+    FEW,
+    FINER,
+    NOISE,
+    ONE_WIRE,
+    RATE,
+    believed,
+    drive,
+    few_effects,
+    planted_pair,
+    planted_record,
+    true_bench,
+)
 
 from sma_bench.diagnose import diagnose
 from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.next_experiment import next_experiment
 from sma_bench.diagnose.utilities import Utilities
+from sma_bench.estimation.observation import observe_all
 from sma_bench.estimation.unknowns import LAW_EFFECT
+from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.protocols import parse_protocol
+from sma_bench.records import Record, Signal
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
@@ -59,6 +78,64 @@ def test_a_planted_effect_is_named_and_measured(numbers, quantities, library, tm
     shown = {name for name in library if set(EFFECTS[name].acts_on) & set(quantities)}
     competing = {c.name for c in result.candidates} | {LAW_EFFECT}  # which all of them have
     assert shown | {"recalibration", "no_gap", "unexplained"} <= competing
+
+
+@pytest.mark.slow
+def test_a_record_begins_with_what_stayed_in_the_bench_in_the_one_before():
+    """Two records of one run, which rests between them: no wire of the second is new any more."""
+    numbers, random = {"effect.residual_strain.share": 0.12}, np.random.default_rng(3)
+    bench, fine = true_bench(numbers), FINER * RATE
+    (time, volts), (_, turned) = drive(rate=fine), drive(turned=True, rate=fine)
+    both = np.vstack([volts, turned])
+    steps = 0.5 * (both + np.vstack([both[1:], both[-1:]]))
+    tip = simulate(bench, np.append(time, 2 * DURATION + time), steps).deflection
+    records, begin = [], 1_760_000_000
+    halves = zip(("first", "second"), (volts, turned), np.split(tip, 2), strict=True)
+    for name, driven, moved in halves:
+        noise = NOISE["deflection"] * random.standard_normal(len(moved))
+        read = {"deflection": ("m", moved + noise)}
+        read |= {f"{c}.voltage": ("V", v) for c, v in zip(CHANNELS, driven.T, strict=True)}
+        signals = {n: Signal(n, unit, time[::FINER], v[::FINER]) for n, (unit, v) in read.items()}
+        records.append(Record(Path(name), begin * 10**9, signals))
+        begin += int(2 * DURATION)
+    carried = bench.replace({"effect.residual_strain.fresh_start": 0.0})
+    _, second = observe_all(records, believed())
+    (there,) = second.readings(second.simulate(carried))
+    assert np.std(second.signals[0].value - there) < 2.0 * second.signals[0].noise
+    (anew,) = second.readings(second.simulate(bench))
+    assert np.std(second.signals[0].value - anew) > 10.0 * second.signals[0].noise
+
+    with few_effects(("residual_strain", "transition_drift", "viscoelastic_matrix")):
+        found = diagnose(records[:1], believed(), records[1:])
+    expect(found, numbers)
+    assert found.shrinkage["deflection"].fraction > 0.8
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("switched", "lag"), [(0.04, 0.0), (0.46, 0.0), (0.46, 1.5)])
+def test_a_slow_loggers_loop_is_no_lag_of_a_sensor(switched, lag):
+    """It reads volts twice a second, and always switches at the same moment between two readings,
+    its lag found all the same."""
+    lab = believed().replace(ONE_WIRE)
+    bench, records = lab.replace({"effect.temperature_lag.time_constant": lag}), []
+    for name, seed in (("seen", 1), ("unseen", 2)):
+        random, time = np.random.default_rng(seed), np.arange(0.0, 100.0, 0.005)
+        levels = np.append(0.0, random.uniform(0.5, 3.0, 10))
+        volts = levels[np.searchsorted(np.arange(5.0, 100.0, 10.0) + switched, time, "right")]
+        read = simulate(bench, time, volts).temperature_reading[::10, 0]
+        read = read + NOISE["temperature"] * random.standard_normal(len(read))
+        signals = {"wire.voltage": Signal("wire.voltage", "V", time[::100], volts[::100]),
+                   "wire.temperature": Signal("wire.temperature", "K", time[::10], read)}
+        records.append(Record(Path(name), 0, signals))
+    with few_effects(("temperature_lag", "latent_heat", "supply_drop")):
+        found = diagnose(records[:1], lab, records[1:])
+    if lag:
+        assert found.candidates[0].effects == ("temperature_lag",)
+        size = found.to_json()["candidates"][0]["parameters"]
+        assert size["effect.temperature_lag.time_constant"]["value"] == pytest.approx(lag, rel=0.1)
+    else:
+        assert found.verdict in ("no_gap", "recalibration")
+        assert found.effects["temperature_lag"] < 0.05
 
 
 def test_sides_that_heat_each_other_are_found_with_every_sensor_and_where(planted_diagnosis):

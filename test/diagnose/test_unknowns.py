@@ -23,7 +23,8 @@ def test_numbers_begin_at_what_is_believed_and_come_back_from_their_deviations()
     for number in (number for effect in EFFECTS.values() for number in effect.parameters):
         unknown = of_fits.number_of_effect(number)
         assert unknown.value(0.0) == number.default
-        for x in (0.2, 0.7):
+        inward = -1.0 if unknown.high == number.default else 1.0
+        for x in (0.2 * inward, 0.7 * inward):
             assert unknown.x_of(unknown.value(x)) == pytest.approx(x)
     given = {"wire.transition_spread": 2.0, "wire.transition_tail": 0.15}
     unknowns = unknowns_of_records(believed().replace(given), QUANTITIES)

@@ -4,15 +4,35 @@
     m = max over the past of (1 - xi), less k (m - (1 - xi)) a second
 
 The first heating is the paper's; after it, r of the strain stays at rest, or creeps back at the
-rate k. Source: two-way memory and incomplete reorientation (detwinning) of the martensite under too
-small a load. Laws of which that load decides the strain (brinson, extended) have it by themselves:
-it is refused beside them.
+rate k. A record that follows another of the same bench may begin with what stayed in that one
+(`fresh_start`). Source: two-way memory and incomplete reorientation (detwinning) of the martensite
+under too small a load. Laws of which that load decides the strain (brinson, extended) have it by
+themselves: it is refused beside them.
 """
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
+
+CARRIED_OVER = "carried_over"  # the form that needs a record before
+_SIZE, _RATE, FRESH_START = (
+    f"effect.residual_strain.{number}" for number in ("share", "recovery", "fresh_start")
+)
+
+
+def carries_over(parameters: Mapping[str, Any]) -> bool:
+    """Whether what a wire did in one record matters in the next one."""
+    return bool(parameters[_SIZE] != 0.0 and parameters[FRESH_START] < 1.0)
+
+
+def carried_over(parameters: Mapping[str, Any], most: Array, pause: float) -> Array:
+    """m (w,) at the start of a record, from that at the end of the one before, `pause` s ago."""
+    kept: float = (1.0 - parameters[FRESH_START]) * math.exp(-parameters[_RATE] * pause)
+    return kept * most
 
 
 @borrowing
