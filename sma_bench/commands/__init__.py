@@ -2,6 +2,7 @@
 
 COMMANDS = {
     "example": "the files of a documentation page, or a rig's parameters, in a new folder",
+    "try": "from a logger's table, an instrument's file or a bag to one page",
     "info": "what a record holds and whether it can be trusted",
     "import": "tables of other loggers (CSV, Excel, MATLAB, HDF5, Parquet) to bags",
     "identify": "parameters of Table I from bags and instrument files",

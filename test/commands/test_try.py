@@ -1,0 +1,77 @@
+"""From files as they come to one page: `sma-bench try`."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sma_bench.cli import main
+from sma_bench.installation import share_directory
+from sma_bench.parameters import read_parameters
+
+EXAMPLES = share_directory() / "examples"
+TABLE, LAB = EXAMPLES / "ten_tasks" / "run.csv", EXAMPLES / "ten_tasks" / "lab.yaml"
+
+
+@pytest.fixture
+def asked(tmp_path, monkeypatch):
+    """What `try` answers in an empty folder: exit status and JSON."""
+    monkeypatch.chdir(tmp_path)
+
+    def ask(*words):
+        path = Path("answer.json")
+        path.unlink(missing_ok=True)
+        status = main(["try", *map(str, words), "--json", str(path)])
+        return status, json.loads(path.read_text()) if path.is_file() else None
+
+    return ask
+
+
+def test_a_loggers_table_and_what_its_lab_believes_become_one_page(asked, tmp_path):
+    status, answer = asked(TABLE, "--params", LAB)
+    assert status == 0
+    assert answer["records"] == ["run_tried/run"] and Path("run_tried/run/metadata.yaml").is_file()
+    assert "wire.resistance" in answer["identified"]["parameters"]
+    assert answer["diagnosis"]["verdict"] in ("effect", "recalibration", "ambiguous")
+    page = Path(answer["page"]).read_text()
+    for shown in ("wire.resistance", answer["diagnosis"]["candidates"][0]["name"], "run_tried/run"):
+        assert shown in page
+    for name in ("identified", "improved"):
+        assert read_parameters(tmp_path / f"run_tried/{name}.yaml")["wire.resistance"] > 0.0
+
+
+def test_without_beliefs_there_is_no_gap_and_what_an_older_run_found_goes(asked):
+    asked(TABLE, "--params", LAB, "--out", "first_look")
+    old = Path("first_look/diagnosis.json").read_bytes()
+    assert asked(TABLE, "--out", "first_look")[0] == 2
+    assert Path("first_look/diagnosis.json").read_bytes() == old
+    status, answer = asked(TABLE, "--out", "first_look", "--force")
+    assert status == 0 and "diagnosis" not in answer
+    assert not Path("first_look/diagnosis.json").exists()
+
+
+def test_an_instruments_file_needs_no_import(asked):
+    status, answer = asked(EXAMPLES / "instruments" / "DSC.txt")
+    assert status == 0
+    assert answer["records"] == [str(EXAMPLES / "instruments" / "DSC.txt")]
+    assert "wire.austenite_start_temperature" in answer["identified"]["parameters"]
+
+
+def test_a_column_in_doubt_is_asked_about_and_the_map_answers(asked, capsys):
+    text = TABLE.read_text().replace("time [s]", "time")
+    Path("mine.csv").write_text("\n".join(
+        f"{1000 * float(row.split(',')[0]):.0f},{row.partition(',')[2]}" if k else row
+        for k, row in enumerate(text.splitlines())
+    ))  # fmt: skip
+    assert asked("mine.csv")[0] == 2
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if "unsure" in line]
+    assert "mine_tried/mine.map.yaml" in said and not Path("mine_tried/page").exists()
+    status, answer = asked("mine.csv", "--unit", "time=ms", "--force")
+    assert status == 0 and "wire.resistance" in answer["identified"]["parameters"]
+
+
+def test_what_is_no_table_ends_in_one_line_and_leaves_no_page(asked, capsys):
+    Path("notes.txt").write_text("remember to buy wire\n")
+    assert asked("notes.txt")[0] == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "notes.txt" in line and not Path("notes_tried/page").exists()
