@@ -11,7 +11,7 @@ import yaml
 
 from examination.blind import rigs
 from examination.blind.case_files import RECALIBRATION
-from examination.blind.reality import BY_NAME
+from examination.blind.reality import BY_NAME, Outcome
 from examination.blind.rigs import RECORDS, Stage
 from examination.blind.sensors import NOISE_MODELS, Noise, Sensors
 from sma_bench.parameters import Parameters
@@ -280,10 +280,13 @@ WITH_LOOPS = range(2900, 4000)
 # Seeds whose labels take no zero for evidence, no bench for a straight line, and every form of a
 # rival for a rival.
 WITH_REFITS = range(2950, 4000)
+# Seeds whose benches are not quite the same in the second record.
+WITH_STATES = range(2960, 4000)
 
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.
-_STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS, "forms")
+_STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS, "forms",
+            "states")  # fmt: skip
 DECK = 2**31 - 1
 
 # Gap over noise that all nuisances together stay below.
@@ -296,7 +299,8 @@ class Case(Stage):
     hides, what its owners believe, where they are mistaken (in stated standard deviations),
     features that every rig has a little of, wanted gaps of those and of mild kinetics, the bags:
     storage, namespace, starts [ns since the epoch]; the forms that effects, and what every rig has,
-    take here, and features that these have whatever is hidden."""
+    take here, and features that these have whatever is hidden; true numbers of the second record's
+    run that differ from the first one's."""
 
     seed: int
     index: int
@@ -312,6 +316,13 @@ class Case(Stage):
     starts: Mapping[str, int]
     forms: Mapping[str, str] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
+    second_run: Mapping[str, float] = field(default_factory=dict)
+
+    def recorded(self, features: Mapping[str, float], record: str) -> Outcome:
+        """As `play`, the bench in the state of that record's run."""
+        if record == RECORDS[0] or not self.second_run:
+            return self.play(features, record)
+        return self.play(features, record, parameters=self.truth.replace(dict(self.second_run)))
 
     def stream(self, purpose: str) -> np.random.Generator:
         return _stream(self.seed, self.index, purpose)
@@ -362,6 +373,13 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         nuisances |= {n: float(own.uniform(*ends)) for n, ends in _DEALT["further"].items()}
         mild = bool(own.random() < _DEALT["other_law_share"])
         card = replace(card, mild_kinetics=mild and load != CLAMPED)  # which does not show it
+    state = stream("states")
+    away = state.standard_normal(len(_DEALT["states"]))
+    second_run = {
+        n: truth[n] + std * z if n.endswith("temperature") else truth[n] * float(np.exp(std * z))
+        for (n, std), z in zip(_DEALT["states"].items(), away.tolist(), strict=True)
+        if seed in WITH_STATES
+    } if state.random() < _DEALT["states_share"] else {}
     storage, namespace = (str(bag.choice(_DEALT[k])) for k in ("storages", "namespaces"))
     # Some working day, the second record after the first.
     day = _DEALT["first_day"] + 86400 * int(bag.integers(_DEALT["days"]))
@@ -387,7 +405,7 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         mild_gap=float(np.exp(little.uniform(*np.log(_DEALT["mild_gap"])))),
         storage=storage, namespace=namespace,
         starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
-        forms=forms, fixed=fixed,
+        forms=forms, fixed=fixed, second_run=second_run,
     )  # fmt: skip
 
 

@@ -121,7 +121,7 @@ def recorded(case: Case, features: dict[str, float], names: tuple[str, ...]) -> 
     """What the instruments of a case record of its world, without a bag."""
     world, found = world_of(case.truth, features), []
     for name in names:
-        outcome, random = case.play(features, name), case.stream(name)
+        outcome, random = case.recorded(features, name), case.stream(name)
         signals = measure(
             outcome, world, case.sensors, case.channels, random, QUANTITIES[case.card.signals]
         )

@@ -399,6 +399,7 @@ def make_label(
         "load": load, "truth": rigs.true_values(case.truth), "sensors": asdict(case.sensors),
         "drives": {name: vars(drive) for name, drive in case.drives.items()},
         "starts": dict(case.starts), "version": VERSION, **of_forms,
+        **({"second_run": dict(case.second_run)} if case.second_run else {}),
     }  # fmt: skip
 
 
@@ -411,7 +412,7 @@ def make_case(case: Case, folder: Path) -> dict[str, Any]:
     place.mkdir()
     world, quantities = rigs.world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
     for record in RECORDS:
-        outcome, random = case.play(sized.features, record), case.stream(record)
+        outcome, random = case.recorded(sized.features, record), case.stream(record)
         signals = measure(outcome, world, case.sensors, case.channels, random, quantities)
         write_record(place / record, signals, case.namespace, case.starts[record])
         if case.storage == "sqlite3":

@@ -133,7 +133,12 @@ def diagnose(
     improved = parameters if no_gap else _improved(model, parameters)
 
     progress("shrinkage on data that no fit saw")
-    observations = model.problem.observations  # switched when the fit has found that they were
+    # Switched when the fit has found that they were, each in the state of its run.
+    observations = [
+        replace(one, away=away) for one, away in zip(
+            model.problem.observations, model.problem.states_found(model.z), strict=True
+        )
+    ]
     seen, unseen = observations[: len(records)], observations[len(records) :]
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     moved = _fitted_to(fitted, recalibrated)
@@ -240,7 +245,7 @@ def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list
 
 def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
     """The same model fitted to other records; how each begins is no number of the bench."""
-    problem = replace(Problem.of(observations), noise=model.problem.noise)
+    problem = replace(Problem.of(observations, later=1.0), noise=model.problem.noise)
     problem = problem.with_nuisances(model.parameters)
     return fit(problem, *model.unknowns.holding(FRESH_START, model.x), rounds=1, keep_noise=True)
 

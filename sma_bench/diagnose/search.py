@@ -141,7 +141,7 @@ def search(
     quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
     baseline = unknowns_of_records(parameters, quantities, other_laws=True)
     progress("recalibration")
-    fresh = Problem.of(observations)
+    fresh = Problem.of(observations, later=1.0)
     tries = [*starts(baseline, 0), *_where_it_moves(fresh, baseline, parameters)]
     recalibrated, _ = recalibrate(fresh, parameters, baseline, tries)
     where = recalibrated.problem

@@ -5,7 +5,7 @@ converter holds between two of its steps, straight stretches of a noisy voltage,
 held. A fit takes them along; those of a sensor are worth telling when they are found.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,19 +13,18 @@ import numpy as np
 
 from sma_bench.compiled import in_threads
 from sma_bench.estimation.noise_model import Array
-from sma_bench.estimation.observation import JUMP_STD, BinnedSignal, Observation
+from sma_bench.estimation.observation import (
+    JUMP_STD,
+    STATES,
+    BinnedSignal,
+    Observation,
+    in_state,
+)
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
 TICK, STATE = "tick", "state"
-# What differs from run to run of one bench, one standard deviation: K of its room, shares of its
-# draught and stroke.
-STATES = {
-    "environment.ambient_temperature": 1.5,
-    "wire.heat_transfer_coefficient": 0.07,
-    "wire.maximum_recoverable_strain": 0.025,
-}
 _LAST = 0.49  # of the time between two samples
 _SLOW = 0.3  # s between samples of a logger whose loop may switch always at the same part of it
 # What may be off this far apart is so in one simulation, if the one is forgotten by the next.
@@ -148,16 +147,6 @@ def nuisances_about(
         items.append(Nuisance(STATE, name, off, BY_NAME[name].unit))
         columns.append((observation.predict([there])[:, 0] - base)[:, np.newaxis])
     return Nuisances(tuple(items), np.hstack(columns))
-
-
-def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:
-    """The bench in a run whose `STATES` are so many standard deviations away."""
-    there = {}
-    for name, far in away.items():
-        unit = 1.0 if BY_NAME[name].unit == "K" else parameters[name]
-        value = parameters[name] + far * STATES[name] * unit
-        there[name] = min(max(value, BY_NAME[name].low), BY_NAME[name].high)
-    return parameters.replace(there)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from sma_bench.estimation.noise_model import Array, noise_floor
 from sma_bench.estimation.rig import Measured, Rig, find_rig
 from sma_bench.estimation.voltage import AppliedVoltage, alike_by_side
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import as_recorded, wire_length
 from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.effects.residual_strain import carried_over, carries_over
@@ -54,10 +55,27 @@ _DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 _NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is right to less
+# What differs from run to run of one bench, one standard deviation: K of its room, shares of its
+# draught and stroke.
+STATES = {
+    "environment.ambient_temperature": 1.5,
+    "wire.heat_transfer_coefficient": 0.07,
+    "wire.maximum_recoverable_strain": 0.025,
+}
 _HISTORIES = (
     "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction", "bending",
     "temperature_reading",
 )
+
+
+def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:
+    """The bench in a run whose `STATES` are so many standard deviations away."""
+    there = {}
+    for name, far in away.items():
+        unit = 1.0 if BY_NAME[name].unit == "K" else parameters[name]
+        value = parameters[name] + far * STATES[name] * unit
+        there[name] = min(max(value, BY_NAME[name].low), BY_NAME[name].high)
+    return parameters.replace(there)
 
 
 @dataclass(frozen=True)
@@ -138,6 +156,7 @@ class Observation:
         ohms: volts for an ampere, where what a source holds stands for its voltage; or 0.
         epoch: s, of the grid's 0 on the clock of the day; before: the record of the same bench that
             ended last before this one began.
+        away: in which state its run was, standard deviations of `STATES` from the parameters'.
     """
 
     path: str
@@ -155,6 +174,7 @@ class Observation:
     ohms: float = 0.0
     epoch: float = 0.0
     before: "Observation | None" = None
+    away: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -251,6 +271,7 @@ class Observation:
         own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
         if tuple(parameters["bench.channels"]) != self.channels:
             parameters = parameters.replace(own)
+        parameters = in_state(parameters, self.away) if self.away else parameters
         return parameters if self.ohms else as_recorded(parameters)
 
     def readings(self, simulation: Simulation) -> list[Array]:

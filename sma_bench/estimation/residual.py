@@ -17,7 +17,7 @@ from scipy.linalg import block_diag, cho_factor
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess, whiten
-from sma_bench.estimation.nuisances import TICK, Nuisances, moved_to, nuisances_about
+from sma_bench.estimation.nuisances import STATE, TICK, Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
@@ -52,7 +52,8 @@ class Problem:
             a straight stretch, and differences are taken on the records' own cells: for estimates
             whose errors count.
         weights: one per block, in place of the noise of its sensor: what an imperfect model leaves.
-        states: by how many times the usual the states of the runs differ, 0 of one run.
+        states: by how many times the usual the states of the runs differ, 0 of one run; later: the
+            same, of runs after the first from that one, which is as the parameters have it.
         shared: of problems that differ in their noise only: what does not depend on it.
     """
 
@@ -63,9 +64,12 @@ class Problem:
     shared: dict[tuple[Nuisances, ...], Array] = field(default_factory=dict)
     weights: tuple[Noise, ...] = ()
     states: float = 0.0
+    later: float = 0.0
 
     @classmethod
-    def of(cls, observations: Sequence[Observation], voltage_noise: bool = False) -> Self:
+    def of(
+        cls, observations: Sequence[Observation], voltage_noise: bool = False, later: float = 0.0
+    ) -> Self:
         """Noise as yet unknown, nuisances none."""
         noise = {
             s.name: first_guess(s.noise, s.period, s.usual_drift)
@@ -74,12 +78,15 @@ class Problem:
         none = tuple(
             Nuisances((), np.zeros((sum(len(s.time) for s in o.signals), 0))) for o in observations
         )
-        return cls(tuple(observations), noise, none, voltage_noise)
+        return cls(tuple(observations), noise, none, voltage_noise, later=later)
 
     def with_nuisances(self, parameters: Parameters, states: float = 0.0) -> Self:
         """Nuisances about the model at these parameters, and about where they were `moved`;
         `states`: as the attribute."""
-        asked = [(o, parameters, self.voltage_noise, states) for o in self.observations]
+        asked = [
+            (o, parameters, self.voltage_noise, states or (self.later if k else 0.0))
+            for k, o in enumerate(self.observations)
+        ]
         found = [
             replace(new, about=own.about) if len(new.items) == len(own.items) else new
             for new, own in zip(in_threads(nuisances_about, asked), self.nuisances, strict=True)
@@ -97,11 +104,12 @@ class Problem:
 
     def moved(self, parameters: Parameters, z: Array) -> Self:
         """Nuisances about where a fit has found them (q,) and the model at its parameters."""
-        observations, nuisances, first = [], [], 0
+        observations, nuisances, first = [], list[Nuisances](), 0
         for observation, own in zip(self.observations, self.nuisances, strict=True):
             there, about = moved_to(observation, own, z[first : first + len(own.items)])
             first += len(own.items)
-            found = nuisances_about(there, parameters, self.voltage_noise)
+            differs = self.later if nuisances else 0.0
+            found = nuisances_about(there, parameters, self.voltage_noise, differs)
             observations.append(there)
             nuisances.append(replace(found, about=about))
         return replace(
@@ -167,6 +175,15 @@ class Problem:
         for left in (residual[block.rows] for block in self.blocks):
             power = float(left @ left)
             found.append(max(float(left[1:] @ left[:-1]) / power, 0.0) if power > 0.0 else 0.0)
+        return found
+
+    def states_found(self, z: Array) -> list[dict[str, float]]:
+        """Of every record, how far the state of its run is from the parameters' by nuisances z."""
+        items = [(k, item) for k, own in enumerate(self.nuisances) for item in own.items]
+        found: list[dict[str, float]] = [{} for _ in self.observations]
+        for (k, item), at in zip(items, z.tolist(), strict=True):
+            if item.kind == STATE:
+                found[k][item.subject] = at * (self.states or self.later)
         return found
 
     def for_effects(self, effects: Sequence[str]) -> Self:
