@@ -18,7 +18,7 @@ from scipy.sparse import block_diag, csr_array
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import LOAD_FRAME, Hold
 from sma_bench.estimation.noise_model import Array, noise_floor
-from sma_bench.estimation.rig import Measured, Rig, find_rig
+from sma_bench.estimation.rig import DRIVEN, Measured, Rig, begins_warm, find_rig
 from sma_bench.estimation.voltage import AppliedVoltage, alike_by_side
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
@@ -38,7 +38,8 @@ _LONG_CELL = 0.1
 # After a jump a wire is fast: what is read turns within a few hundredths of a second.
 _FINE_CELL, _FINE_SPAN = 0.0075, 0.45
 _CELLS = 80  # a time constant at least, then: latent heat acts at the end of a cell
-_FORGOTTEN = 5.0  # time constants after which a wire does not tell how it was heated before
+# Time constants after which a wire does not tell how it was heated before, nor how hot it was.
+_FORGOTTEN, _COOLED = 5.0, 7.0
 _FAR_APART = 0.03, 1.0  # s, samples between which a jump needs more than a cell
 _NARROW = 1e-3  # s
 _HELD = 2e-4  # of the largest voltage, from cell to cell
@@ -51,7 +52,6 @@ _END_OF_CELLS = 4_000_000  # whatever the stamps
 _WORTHWHILE = 0.7  # of the cells
 MOVED = ("deflection", "elongation")
 _SOME, RETURNS = 3, 0.012  # bins; of a stroke, to which a bench returns from run to run
-_DRIVEN = 0.02  # of the largest voltage
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 _NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is right to less
@@ -156,7 +156,8 @@ class Observation:
         ohms: volts for an ampere, where what a source holds stands for its voltage; or 0.
         epoch: s, of the grid's 0 on the clock of the day; before: the record of the same bench that
             ended last before this one began.
-        away: in which state its run was, standard deviations of `STATES` from the parameters'.
+        away: in which state its run was, standard deviations of `STATES` from the parameters';
+            skipped: s at its beginning that are not compared, as the bench had not settled.
     """
 
     path: str
@@ -175,6 +176,7 @@ class Observation:
     epoch: float = 0.0
     before: "Observation | None" = None
     away: Mapping[str, float] = field(default_factory=dict)
+    skipped: float = 0.0
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -316,7 +318,7 @@ class Observation:
 
     def phase_of(self, time: Array) -> NDArray[np.str_]:
         """`initial`, `drive` or `rest` at each time: before, during, and after driving."""
-        driven = self.voltage.max(axis=1) > _DRIVEN * max(float(self.voltage.max()), 1e-9)
+        driven = self.voltage.max(axis=1) > DRIVEN * max(float(self.voltage.max()), 1e-9)
         first = self.grid[np.argmax(driven)] if driven.any() else np.inf
         at = np.clip(np.searchsorted(self.grid, time, side="right") - 1, 0, len(self.grid) - 1)
         return np.where(time < first, "initial", np.where(driven[at], "drive", "rest"))
@@ -429,19 +431,24 @@ def observe(
     grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
     grid = grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
 
-    # What was measured; of a record that begins under voltage, after that has been forgotten.
-    known = list(rig.measured)
+    # What was measured; of a record that begins under voltage, or with wires that still cool, after
+    # that has been forgotten.
+    known, skipped = list(rig.measured), 0.0
     level = np.array([c.voltage[0] for c in rig.voltage.channels])
-    if np.max(np.abs(level)) > _DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
-        begin = start + _FORGOTTEN * forgets
+    if np.max(np.abs(level)) > DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
+        skipped = _FORGOTTEN * forgets
+    elif begins_warm(rig, parameters):
+        skipped = _COOLED * forgets
+    if skipped:
+        begin = start + skipped
         known = [m.where(m.time >= begin) for m in known if np.sum(m.time >= begin) > 1]
     if rig.moved is not None and "deflection" in quantities:  # of which the force tells instead
         quantities = {*quantities, "force"}
     known = [m for m in known if m.quantity in quantities]
     if not known and any(m.quantity in quantities for m in rig.measured):
         raise InputError(
-            f"{record.path}: begins under voltage, expected 0 V at first, or more than the "
-            f"{_FORGOTTEN * forgets:.3g} s in which a wire of the stated time constant forgets "
+            f"{record.path}: begins under voltage or warm, expected a rest first, or more than the "
+            f"{skipped:.3g} s in which a wire of the stated time constant forgets "
             "what was before"
         )
     if not known:
@@ -456,7 +463,7 @@ def observe(
         rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
         tuple(m.name for m in rig.measured if m.quantity not in quantities), rig.holds,
         None if rig.moved is None else np.interp(grid, *rig.moved), ohms=rig.ohms,
-        epoch=record.start_ns * 1e-9,
+        epoch=record.start_ns * 1e-9, skipped=skipped,
     )
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import Hold, find_holds
+from sma_bench.estimation.noise_model import noise_floor
 from sma_bench.estimation.unknowns import LOADS
 from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage, commands_of
 from sma_bench.parameters import Parameters
@@ -26,6 +27,11 @@ _MOST_BINS = 1500  # a signal
 _SAMPLES_A_BIN = 2.0
 _FEWEST_SAMPLES = 20
 _ZERO_STD = 1e-4  # m, of where a testing machine's elongation is 0, by a careful hand
+DRIVEN = 0.02  # of the largest voltage
+# What readings change by at 0 V before the first drive where a bench has not settled: in their unit
+# and of their range, more than noise explains; and K that a wire is warmer than the room.
+_SETTLES = {"temperature": (2.0, 0.0), "deflection": (0.0, 0.02)}
+_CLEAR, _WARM, _SOME = 10.0, 15.0, 5  # times the noise; K; samples
 _MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
 
 
@@ -146,6 +152,26 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
             f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
         )
     return Rig(record, channels, sides, voltage, start, stop, holds, tuple(measured), ohms, moved)
+
+
+def begins_warm(rig: Rig, parameters: Parameters) -> bool:
+    """Whether wires cool, or what they move still moves, when the record begins without voltage."""
+    channels = rig.voltage.channels
+    least = DRIVEN * max(float(np.max(np.abs(c.voltage))) for c in channels)
+    driven = [c.time[np.abs(c.voltage) > least] for c in channels]
+    first_drive = min((float(time[0]) for time in driven if len(time)), default=rig.stop)
+    for one in rig.measured:
+        rest = one.values[one.time < first_drive]
+        some = min(_SOME, len(rest) // 2)
+        if one.quantity not in _SETTLES or some == 0:
+            continue
+        first, last = float(np.median(rest[:some])), float(np.median(rest[-some:]))
+        absolute, share = _SETTLES[one.quantity]
+        limit = max(absolute, share * np.ptp(one.values), _CLEAR * noise_floor(one.values))
+        above = first - parameters["environment.ambient_temperature"]
+        if abs(first - last) > limit or (one.quantity == "temperature" and above > _WARM):
+            return True
+    return False
 
 
 def pulls_a_load(record: Record, parameters: Parameters) -> bool:
