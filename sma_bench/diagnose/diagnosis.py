@@ -133,12 +133,8 @@ def diagnose(
     improved = parameters if no_gap else _improved(model, parameters)
 
     progress("shrinkage on data that no fit saw")
-    # Switched when the fit has found that they were, each in the state of its run.
-    observations = [
-        replace(one, away=away) for one, away in zip(
-            model.problem.observations, model.problem.states_found(model.z), strict=True
-        )
-    ]
+    observations = model.problem.in_states(model.z)
+    lines += [text for one in observations for text in one.remarks]
     seen, unseen = observations[: len(records)], observations[len(records) :]
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)
     moved = _fitted_to(fitted, recalibrated)

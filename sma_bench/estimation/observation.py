@@ -9,6 +9,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,6 +25,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import as_recorded, wire_length
 from sma_bench.physics import Boundary, simulate
+from sma_bench.physics.boundary import moves_tip
 from sma_bench.physics.effects.residual_strain import carried_over, carries_over
 from sma_bench.physics.kernel import at_rest
 from sma_bench.physics.material import current, time_constant
@@ -62,6 +64,13 @@ STATES = {
     "wire.heat_transfer_coefficient": 0.07,
     "wire.maximum_recoverable_strain": 0.025,
 }
+_OF_A_RUN = {
+    "environment.ambient_temperature": ("room", 1.0, "K"),
+    "wire.heat_transfer_coefficient": ("draught", 100.0, "%"),
+    "wire.maximum_recoverable_strain": ("stroke", 100.0, "%"),
+}
+_UNSET = 5.0  # of what a zero that was set is off by
+_WORTH_SAYING = 0.5  # standard deviations
 _HISTORIES = (
     "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction", "bending",
     "temperature_reading",
@@ -157,6 +166,7 @@ class Observation:
         epoch: s, of the grid's 0 on the clock of the day; before: the record of the same bench that
             ended last before this one began.
         away: in which state its run was, standard deviations of `STATES` from the parameters';
+            zeros: by signal, what was taken off its readings;
             skipped: s at its beginning that are not compared, as the bench had not settled.
     """
 
@@ -176,12 +186,31 @@ class Observation:
     epoch: float = 0.0
     before: "Observation | None" = None
     away: Mapping[str, float] = field(default_factory=dict)
+    zeros: Mapping[str, float] = field(default_factory=dict)
     skipped: float = 0.0
 
     @property
     def quantities(self) -> tuple[str, ...]:
         """What is measured, each once."""
         return tuple(dict.fromkeys(s.quantity for s in self.signals))
+
+    @property
+    def remarks(self) -> list[str]:
+        """What of it is not compared, and in which state its run was."""
+        found, name = [], Path(self.path).name
+        if self.skipped:
+            text = f"its first {self.skipped:.3g} s are left out"
+            found.append(f"{name}: begins before the bench has settled: {text}")
+        for signal, off in self.zeros.items():
+            found.append(f"{name}: {signal} is {off:+.3g} m at rest, taken for 0")
+        far = [
+            f"{what} {away * STATES[name] * factor:+.2g} {unit}"
+            for name, away in self.away.items() if abs(away) > _WORTH_SAYING
+            for what, factor, unit in [_OF_A_RUN[name]]
+        ]
+        if far:
+            found.append(f"{name}: its run differs from the first record's: {', '.join(far)}")
+        return found
 
     @cached_property
     def coarse(self) -> "Observation":
@@ -336,6 +365,21 @@ class Observation:
             signals.append(s)
         return replace(self, signals=tuple(signals))
 
+    def unset_zeros(self) -> dict[str, float]:
+        """By signal, where a motion was before the drive, if nobody has set that to 0."""
+        found = {}
+        for s in self.signals:
+            before = s.value[self.phase_of(s.time) == "initial"]
+            off = float(np.mean(before)) if len(before) > _SOME else 0.0
+            if s.quantity in MOVED and abs(off) > _UNSET * s.sensor.zero_std:
+                found[s.name] = off
+        return found
+
+    def less(self, zeros: Mapping[str, float]) -> "Observation":
+        """With these taken off its signals."""
+        less = tuple(replace(s, value=s.value - zeros.get(s.name, 0.0)) for s in self.signals)
+        return replace(self, signals=less, zeros=zeros) if zeros else self
+
     @property
     def strokes(self) -> int:
         """How often the drive begins."""
@@ -475,15 +519,18 @@ def observe_all(
     shortest = shared_bin(records, parameters) if records else 0.0
     found = [observe(record, parameters, shortest, quantities) for record in records]
     ends = [one.epoch + one.grid[-1] for one in found]
-    earlier = [
-        [k for k, end in enumerate(ends) if one.epoch > 0.0 and end <= one.epoch + one.grid[0]]
-        for one in found
-    ]
-    last = [max(own, key=lambda k: ends[k], default=None) for own in earlier]
-    return [
-        one if k is None or found[k].channels != one.channels else replace(one, before=found[k])
-        for one, k in zip(found, last, strict=True)
-    ]
+    for k in np.argsort(ends).tolist():
+        one = found[k]
+        earlier = [
+            i for i, end in enumerate(ends) if one.epoch > 0.0 and end <= one.epoch + one.grid[0]
+            if found[i].channels == one.channels
+        ]
+        if earlier:
+            last = found[max(earlier, key=lambda i: ends[i])]
+            found[k] = replace(one.less(last.zeros), before=replace(last, before=None))
+        elif moves_tip(parameters):
+            found[k] = one.less(one.unset_zeros())
+    return found
 
 
 def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> BinnedSignal:

@@ -177,14 +177,14 @@ class Problem:
             found.append(max(float(left[1:] @ left[:-1]) / power, 0.0) if power > 0.0 else 0.0)
         return found
 
-    def states_found(self, z: Array) -> list[dict[str, float]]:
-        """Of every record, how far the state of its run is from the parameters' by nuisances z."""
+    def in_states(self, z: Array) -> list[Observation]:
+        """The records, switched when nuisances z (q,) have it, each in the state of its run."""
         items = [(k, item) for k, own in enumerate(self.nuisances) for item in own.items]
-        found: list[dict[str, float]] = [{} for _ in self.observations]
+        away: list[dict[str, float]] = [{} for _ in self.observations]
         for (k, item), at in zip(items, z.tolist(), strict=True):
             if item.kind == STATE:
-                found[k][item.subject] = at * (self.states or self.later)
-        return found
+                away[k][item.subject] = at * (self.states or self.later)
+        return [replace(one, away=own) for one, own in zip(self.observations, away, strict=True)]
 
     def for_effects(self, effects: Sequence[str]) -> Self:
         """The same, the deflection's zero wandering if that is one of the effects."""

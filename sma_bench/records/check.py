@@ -31,6 +31,7 @@ _DROP, _MOST_DROPPED = 0.2, 0.1
 _DROPS_OUT = ("temperature", "deflection", "range")
 _FEW_STEPS = 3  # of the reading's last digit
 _FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
+_STEADY = 0.95  # of a sensor's readings, each published as often as the others or once more or less
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
 _TEXTS: dict[str, Any] = read_yaml(Path(__file__).with_suffix(".yaml"))
@@ -393,25 +394,40 @@ _SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
 _SUSPECT = {"value", "drift", "turns", "common"}  # of the numbers of a finding
 
 
+def _published_again(signal: Signal) -> IntArray:
+    """Where readings are what the sensor read before, published again at a fixed rate; none where
+    that is not told from a reading of few digits, or of a voltage, which may be held."""
+    values, none = signal.values, np.zeros(0, dtype=np.int64)
+    if values.ndim != 1 or len(values) < _FEWEST or _kind(signal.name).startswith("voltage"):
+        return none
+    new = np.flatnonzero(np.diff(values) != 0.0)
+    times = np.diff(new)
+    if len(times) < _FEWEST:
+        return none
+    usual = float(np.median(times))
+    alike = (times > 1) & (np.abs(times - usual) <= 1.0)
+    return np.flatnonzero(np.diff(values) == 0.0) + 1 if np.mean(alike) > _STEADY else none
+
+
 def mended(record: Record) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
     constant time off the drive's, over a second behind or ahead of their messages, are moved onto
     it, by when the recorder got these, currents that run against their voltage are turned, and
-    readings far off their neighbours, and deviations far below a reading's scatter, are left
-    out."""
+    readings far off their neighbours, or published again, and deviations far below a reading's
+    scatter, are left out."""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():
         if name.endswith(".current") and (share := _against_voltage(record, signal)):
             moved[name] = signal = replace(signal, values=-signal.values)
             found.append(_said("turned", name, share=share))
+        if len(again := _published_again(signal)):
+            times = len(signal) / (len(signal) - len(again))
+            moved[name] = signal = _without(signal, again)
+            found.append(_said("again", name, times=times))
         if len(off := _outliers(signal)):
             shown = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
-            left: dict[str, Any] = {
-                field: np.delete(values, off) for field in ("time", "values", "received", "std")
-                if (values := getattr(signal, field)) is not None
-            }
-            moved[name] = signal = replace(signal, **left)
+            moved[name] = signal = _without(signal, off)
             facts = {"values": shown, "unit": signal.unit}
             found.append(_said("left_out", name, outliers=len(off), **facts))
         if signal.std is None or len(signal) < _FEWEST:
@@ -432,6 +448,14 @@ def mended(record: Record) -> tuple[Record, list[Finding]]:
             moved[name] = replace(own, time=own.time + late)
             found.append(_said("clock_moved", name, offset=late, drive=drive))
     return replace(record, signals=record.signals | moved), found
+
+
+def _without(signal: Signal, which: IntArray) -> Signal:
+    left: dict[str, Any] = {
+        field: np.delete(values, which) for field in ("time", "values", "received", "std")
+        if (values := getattr(signal, field)) is not None
+    }
+    return replace(signal, **left)
 
 
 def under_suspicion(record: Record) -> Iterator[Finding]:

@@ -27,7 +27,7 @@ from sma_bench.diagnose import diagnose
 from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.next_experiment import next_experiment
 from sma_bench.diagnose.utilities import Utilities
-from sma_bench.estimation.observation import observe_all
+from sma_bench.estimation.observation import STATES, observe_all
 from sma_bench.estimation.unknowns import LAW_EFFECT
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
@@ -225,3 +225,51 @@ def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_di
                                found.observations, found.parameters)  # fmt: skip
     assert proposed.separates == () and "what no effect explains" in proposed.why
     assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0
+
+
+ROOM, DRAUGHT, STROKE = (
+    "environment.ambient_temperature", "wire.heat_transfer_coefficient",
+    "wire.maximum_recoverable_strain",
+)  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "away", [{ROOM: 2.0}, {DRAUGHT: 5.0}, {STROKE: 0.0008}], ids=["room", "draught", "stroke"]
+)
+def test_a_run_of_another_day_is_no_cause(away, tmp_path):
+    """Rooms, draughts and strokes differ from run to run; sides that are driven in one record each
+    would take the difference for their own."""
+    bench, records = true_bench(), []
+    for name, more in (("monday", {}), ("tuesday", {n: bench[n] + d for n, d in away.items()})):
+        there, turned = bench.replace(more), bool(more)
+        seed = 2 if turned else 1
+        records.append(planted_record(tmp_path / name, bench=there, turned=turned, seed=seed))
+    found = diagnose(records[:1], believed(), records[1:])
+    assert found.verdict == "recalibration" and not found.cause
+    assert max(found.effects.values()) < 0.1
+    for quantity in ("temperature", "deflection"):
+        shrunk = found.shrinkage[quantity]
+        assert shrunk.rmse_recalibrated < 1.5 * shrunk.noise_floor
+    (name,) = away
+    (second,) = found.held_out
+    size = 1.0 if name == ROOM else bench[name]
+    assert second.away[name] * STATES[name] * size == pytest.approx(away[name], rel=0.5)
+    assert any("tuesday" in line for line in found.record)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effect", [{}, COUPLING], ids=["none", "coupling"])
+def test_a_record_that_begins_with_warm_wires_is_looked_at_when_they_have_cooled(effect, tmp_path):
+    (seen,), (unseen,) = planted_pair(tmp_path, effect)
+    records = []
+    for record in (seen, unseen):
+        late = {
+            n: Signal(n, s.unit, s.time[s.time >= 5.2] - 5.2, s.values[s.time >= 5.2])
+            for n, s in record.signals.items()
+        }  # the first side has just been driven
+        records.append(replace(record, signals=late))
+    found = diagnose(records[:1], believed(), records[1:])
+    assert found.effects["deflection_drift"] < 0.05 and found.effects["ambient_drift"] < 0.1
+    assert (found.candidates[0].name == "side_heat_coupling") == bool(effect)
+    assert any("left out" in line for line in found.record)
