@@ -38,7 +38,7 @@ from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.utilities import Utilities, learnt
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
-from sma_bench.estimation.nuisances import offsets
+from sma_bench.estimation.nuisances import of_planned
 from sma_bench.estimation.observation import SENSORS, BinnedSignal, Observation
 from sma_bench.estimation.residual import DRIFT_EFFECT, Problem
 from sma_bench.estimation.solver import Fit
@@ -324,10 +324,9 @@ def _planned(
             average=average, count=np.full(len(rows), signal.usual_count),
         ))  # fmt: skip
     noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more}
-    stands = None if like.imposed is None else np.full(len(time), like.imposed[0])
     obs = replace(
         like, grid=time, voltage=voltage, signals=tuple(signals), path=document["name"], delays={},
-        imposed=stands,
+        imposed=None if like.imposed is None else np.full(len(time), like.imposed[0]), before=None,
     )
     # Where a level is held for longer than ever, the wires get hotter than they were.
     simulation = obs.simulate(fitted.parameters)
@@ -337,8 +336,9 @@ def _planned(
         raise InputError(
             f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}"
         )
-    planned = Problem((obs,), noise | fitted.problem.noise, (offsets(signals),))
-    return planned, np.concatenate(obs.readings(simulation))
+    read = np.concatenate(obs.readings(simulation))
+    unknown = of_planned(obs, fitted.parameters, read)
+    return Problem((obs,), noise | fitted.problem.noise, (unknown,)), read
 
 
 def _directions(fitted: Fit) -> Array:

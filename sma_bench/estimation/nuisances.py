@@ -141,12 +141,29 @@ def nuisances_about(
     columns += [
         column[:, np.newaxis] for column in in_threads(moved, [(None, error) for error in loads])
     ]
-    for name in STATES if states else ():
-        there = in_state(parameters, {name: states})
-        off = there[name] - parameters[name]
-        items.append(Nuisance(STATE, name, off, BY_NAME[name].unit))
-        columns.append((observation.predict([there])[:, 0] - base)[:, np.newaxis])
+    if states:
+        run = _states_of_run(observation, parameters, states, base)
+        items, columns = [*items, *run.items], [*columns, run.columns]
     return Nuisances(tuple(items), np.hstack(columns))
+
+
+def of_planned(observation: Observation, parameters: Parameters, predicted: Array) -> Nuisances:
+    """What will be off in a record that is planned, with readings (n,): zeros, and the state of its
+    run."""
+    zeros = offsets(observation.signals)
+    run = _states_of_run(observation, parameters, 1.0, predicted)
+    return Nuisances((*zeros.items, *run.items), np.hstack([zeros.columns, run.columns]))
+
+
+def _states_of_run(
+    observation: Observation, parameters: Parameters, states: float, base: Array
+) -> Nuisances:
+    there = {name: in_state(parameters, {name: states}) for name in STATES}
+    items = tuple(
+        Nuisance(STATE, name, bench[name] - parameters[name], BY_NAME[name].unit)
+        for name, bench in there.items()
+    )
+    return Nuisances(items, observation.predict([*there.values()]) - base[:, np.newaxis])
 
 
 @dataclass(frozen=True, eq=False)
