@@ -31,7 +31,10 @@ _DROP, _MOST_DROPPED = 0.2, 0.1
 _DROPS_OUT = ("temperature", "deflection", "range")
 _FEW_STEPS = 3  # of the reading's last digit
 _FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
-_STEADY = 0.95  # of a sensor's readings, each published as often as the others or once more or less
+# Of a sensor's readings, each published as often as the others; times, from which once more or less
+# can be told from chance.
+_STEADY, _TWO_CLOCKS = 0.95, 5
+_IMPOSED = ("voltage", "elongation")
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
 _TEXTS: dict[str, Any] = read_yaml(Path(__file__).with_suffix(".yaml"))
@@ -396,17 +399,27 @@ _SUSPECT = {"value", "drift", "turns", "common"}  # of the numbers of a finding
 
 def _published_again(signal: Signal) -> IntArray:
     """Where readings are what the sensor read before, published again at a fixed rate; none where
-    that is not told from a reading of few digits, or of a voltage, which may be held."""
+    that is not told from a reading of few digits, or of what is imposed, which may be held."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
-    if values.ndim != 1 or len(values) < _FEWEST or _kind(signal.name).startswith("voltage"):
+    if values.ndim != 1 or len(values) < _FEWEST or _kind(signal.name).startswith(_IMPOSED):
         return none
     new = np.flatnonzero(np.diff(values) != 0.0)
     times = np.diff(new)
     if len(times) < _FEWEST:
         return none
-    usual = float(np.median(times))
-    alike = (times > 1) & (np.abs(times - usual) <= 1.0)
-    return np.flatnonzero(np.diff(values) == 0.0) + 1 if np.mean(alike) > _STEADY else none
+    # Whole multiples, as a sensor may read the same twice; of two clocks now and then one more.
+    usual = int(np.quantile(times, 0.1, method="lower"))
+    off = np.abs(times - usual * np.rint(times / usual)) > (usual >= _TWO_CLOCKS)
+    steady = usual > 1 and np.mean(~off) > _STEADY
+    if not steady:
+        return none
+    # A stretch of one value is so many readings, the first of which come in even parts of it.
+    begins = np.append(0, new + 1)
+    length = np.diff(np.append(begins, len(values)))
+    stretch = np.repeat(np.arange(len(begins)), length)
+    count, place = np.maximum(np.rint(length / usual), 1)[stretch], np.arange(len(values))
+    part = (place - begins[stretch]) * count // length[stretch]
+    return np.flatnonzero((np.diff(part) == 0.0) & (np.diff(stretch) == 0)) + 1
 
 
 def mended(record: Record) -> tuple[Record, list[Finding]]:

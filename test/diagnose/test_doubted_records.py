@@ -59,6 +59,19 @@ def test_a_clock_of_another_time_is_moved_back_and_a_variance_that_scatter_contr
     assert not mended(with_signals(record, temperature={"std": honest}))[1]
 
 
+def test_readings_that_are_published_again_count_once_and_those_of_few_digits_all(record):
+    """A node that sends the last reading ten times a second, of a sensor that reads twice."""
+    own = record["wire.temperature"].values
+    sound, (found,) = mended(with_signals(record, temperature={"values": np.repeat(own[::5], 5)}))
+    assert found.subject == "wire.temperature" and found.numbers["times"] == pytest.approx(5.0)
+    kept = sound["wire.temperature"]
+    assert np.array_equal(kept.values, own[::5]) and len(kept.received) == len(kept.time)
+    assert np.array_equal(kept.time, record["wire.temperature"].time[::5])
+    coarse = with_signals(record, temperature={"values": np.round(own)})
+    assert not mended(coarse)[1]
+
+
+
 @pytest.mark.parametrize("wrong", [999.9, 0.0])
 def test_single_readings_far_off_are_left_out_and_named(record, wrong):
     own, at = record["wire.temperature"].values, [200, 700]

@@ -273,3 +273,22 @@ def test_a_record_that_begins_with_warm_wires_is_looked_at_when_they_have_cooled
     assert found.effects["deflection_drift"] < 0.05 and found.effects["ambient_drift"] < 0.1
     assert (found.candidates[0].name == "side_heat_coupling") == bool(effect)
     assert any("left out" in line for line in found.record)
+
+
+def test_a_zero_that_nobody_has_set_is_that_of_the_first_records_rest(tmp_path):
+    records, set_up = [], 0.006  # m, of a laser's housing
+    for name, begin in (("first", 1_760_000_000), ("second", 1_760_000_600)):
+        record = planted_record(tmp_path / name, quantities=("deflection",))
+        tip = record["deflection"]
+        # The second rests bent: that is the bench's doing.
+        bent = 0.003 if records else 0.0
+        signals = record.signals | {"deflection": replace(tip, values=tip.values + set_up + bent)}
+        records.append(replace(record, start_ns=begin * 10**9, signals=signals))
+    first, second = observe_all(records, believed())
+    assert first.zeros["deflection"] == pytest.approx(set_up, abs=1e-4)
+    assert abs(first.signals[0].value[:3].mean()) < 1e-4
+    assert second.signals[0].value[:3].mean() == pytest.approx(0.003, abs=1e-4)
+    assert "deflection" in first.remarks[0]
+    zeroed = planted_record(tmp_path / "set", quantities=("deflection",))
+    (alone,) = observe_all([zeroed], believed())
+    assert not alone.zeros and not alone.remarks
