@@ -5,7 +5,7 @@ converter holds between two of its steps, straight stretches of a noisy voltage,
 held. A fit takes them along; those of a sensor are worth telling when they are found.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from sma_bench.parameters.parameter import BY_NAME
 
 OFFSET, DELAY, JUMP, LEVEL, LINE, LOAD = "offset", "delay", "jump", "level", "line", "load"
 TICK, STATE = "tick", "state"
+BENT = (JUMP, TICK, DELAY, STATE)
 _LAST = 0.49  # of the time between two samples
 _SLOW = 0.3  # s between samples of a logger whose loop may switch always at the same part of it
 # What may be off this far apart is so in one simulation, if the one is forgotten by the next.
@@ -66,10 +67,19 @@ def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
     return Nuisances(items, np.column_stack([np.zeros((len(rows), 0)), *columns]))
 
 
-def moved_to(observation: Observation, own: Nuisances, z: Array) -> tuple[Observation, Array]:
-    """The record with its jumps and stamps where a fit has found them, which no straight line goes
-    to from where they were; and these values, 0 for what is linear."""
-    kept = np.array([item.kind in (JUMP, TICK, DELAY) for item in own.items], dtype=bool) * z
+def moved_to(
+    observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = BENT,
+    states: float = 0.0,
+) -> tuple[Observation, Array]:
+    """The record with its jumps, its stamps and the state of its run, or only those `kinds` of
+    them, where a fit has found them, which no straight line goes to from where they were; and
+    these values, 0 for what is linear. `states`: deviations that one of a state's stands for."""
+    kept = np.array([item.kind in kinds for item in own.items], dtype=bool) * z
+    away = {i.subject: float(at) * states
+            for i, at in zip(own.items, kept, strict=True) if i.kind == STATE and states}
+    observation = replace(observation, away=away) if STATE in kinds else observation
+    if JUMP not in kinds:
+        return observation, kept
     jumps, ticks = (
         [k for k, item in enumerate(own.items) if item.kind == kind] for kind in (JUMP, TICK)
     )

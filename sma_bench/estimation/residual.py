@@ -5,7 +5,7 @@
 A row is a bin of a signal of a record. Whitened, rows are independent of unit variance.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
@@ -17,7 +17,14 @@ from scipy.linalg import block_diag, cho_factor
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess, whiten
-from sma_bench.estimation.nuisances import STATE, TICK, Nuisances, moved_to, nuisances_about
+from sma_bench.estimation.nuisances import (
+    BENT,
+    STATE,
+    TICK,
+    Nuisances,
+    moved_to,
+    nuisances_about,
+)
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
@@ -99,16 +106,21 @@ class Problem:
         return np.array([item.kind == TICK for own in self.nuisances for item in own.items])
 
     def about(self, parameters: Parameters, z: Array) -> Self:
-        """`with_nuisances`; where jumps may be far from where they were taken to be, `moved`."""
-        return self.moved(parameters, z) if self.ticks.any() else self.with_nuisances(parameters)
+        """`with_nuisances`, but `moved` is what may be far from where it was taken to be: the state
+        of a run, the jumps of a slow logger."""
+        return self.moved(parameters, z, BENT if self.ticks.any() else (STATE,))
 
-    def moved(self, parameters: Parameters, z: Array) -> Self:
-        """Nuisances about where a fit has found them (q,) and the model at its parameters."""
+    def moved(
+        self, parameters: Parameters, z: Array, kinds: Collection[str] = BENT
+    ) -> Self:
+        """Nuisances of these kinds about where a fit has found them (q,), and all about the model
+        at its parameters."""
         observations, nuisances, first = [], list[Nuisances](), 0
         for observation, own in zip(self.observations, self.nuisances, strict=True):
-            there, about = moved_to(observation, own, z[first : first + len(own.items)])
-            first += len(own.items)
             differs = self.later if nuisances else 0.0
+            here = z[first : first + len(own.items)]
+            there, about = moved_to(observation, own, here, kinds, differs)
+            first += len(own.items)
             found = nuisances_about(there, parameters, self.voltage_noise, differs)
             observations.append(there)
             nuisances.append(replace(found, about=about))

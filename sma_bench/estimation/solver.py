@@ -27,8 +27,9 @@ from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
 
 _MOST_STEPS, _FAR_STEPS = 10, 30
-# Where between its samples a slow logger's voltage jumps: prior deviations, and rounds.
-_TICKS, _TICK_ROUNDS = (-1.3, 0.0, 1.3), 3
+# Where between its samples a slow logger's voltage jumps, prior deviations.
+_TICKS = -1.3, 0.0, 1.3
+_MOVES = 3  # of what no straight line goes to
 _WEIGHT_ROUNDS, _MOST_ROUNDS = 5, 15  # weights found again, more while they change
 _USUAL_STATES, _LEAST_STATE = 0.5, 0.05
 _RADIUS = 8.0  # prior deviations a step
@@ -227,8 +228,9 @@ def recalibrate(
             in_threads(lambda there, x: fit(there, unknowns, x, rounds=1), begun),
             key=lambda fitted: fitted.evidence,
         )
-        for _ in range(_TICK_ROUNDS):
-            best = fit(best.problem.moved(best.parameters, best.z), unknowns, best.x, rounds=1)
+    if first.ticks.any() or (first.later and len(first.observations) > 1):
+        for _ in range(_MOVES):
+            best = fit(best.problem.about(best.parameters, best.z), unknowns, best.x, rounds=1)
         first = best.problem
     last = (best.problem if keep_noise else first).with_nuisances(best.parameters)
     return fit(last, unknowns, best.x, rounds=2, predicted=best.predicted), tried
