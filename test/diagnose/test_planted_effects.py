@@ -135,7 +135,7 @@ def test_a_slow_loggers_loop_is_no_lag_of_a_sensor(switched, lag):
         assert size["effect.temperature_lag.time_constant"]["value"] == pytest.approx(lag, rel=0.1)
     else:
         assert found.verdict in ("no_gap", "recalibration")
-        assert found.effects["temperature_lag"] < 0.05
+        assert found.effects["temperature_lag"] < 0.1
 
 
 def test_sides_that_heat_each_other_are_found_with_every_sensor_and_where(planted_diagnosis):
