@@ -14,6 +14,7 @@ from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
 from sma_bench.diagnose.process_noise import process_noise
 from sma_bench.estimation.laws import nearest_starts, starts
+from sma_bench.estimation.nuisances import STATE
 from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
@@ -165,9 +166,10 @@ def search(
         # From surprising parameters the way back to those believed can be long and winding, so the
         # most promising effects are fitted from these.
         progress("effects instead of surprising parameters")
-        believed = fit(recalibrated.problem, baseline, baseline.start(), rounds=0)
+        alike = recalibrated.problem.about(parameters, np.zeros(len(recalibrated.z)))
+        believed = fit(alike, baseline, baseline.start(), rounds=0)
         keep(in_threads(
-            lambda kind, start: fit(problem, kind, start.x, far=True),
+            lambda kind, start: fit(alike, kind, start.x, far=True),
             _starts(kinds, believed)[:_MOST_FROM_BELIEF],
         ))  # fmt: skip
 
@@ -243,8 +245,9 @@ def _where_it_moves(
 
 
 def _surprises(fitted: Fit) -> bool:
-    """Whether a number of the bench went further than anyone believes."""
-    return bool(np.max(np.abs(fitted.x[: fitted.unknowns.bench]), initial=0.0) > _SURPRISING)
+    """Whether a number of the bench, or the state of a run, went further than anyone believes."""
+    far = np.abs([*fitted.x[: fitted.unknowns.bench], *fitted.z[fitted.problem.of_kind(STATE)]])
+    return bool(np.max(far, initial=0.0) > _SURPRISING)
 
 
 def _starts(kinds: Sequence[Unknowns], fitted: Fit) -> list[tuple[Unknowns, Start]]:

@@ -113,14 +113,14 @@ def nuisances_about(
     items, columns = [*zeros.items], [zeros.columns]
     rates = observation.rates(simulation)
     for quantity in observation.quantities:
-        late = np.concatenate([
-            -s.sensor.clock_std * rate if s.quantity == quantity else np.zeros(len(rate))
-            for s, rate in zip(observation.signals, rates, strict=True)
-        ])  # fmt: skip
-        if late.any():
-            std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
+        std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
+        if std > 0.0:
+            late = [
+                -std * rate if s.quantity == quantity else np.zeros(len(rate))
+                for s, rate in zip(observation.signals, rates, strict=True)
+            ]
             items.append(Nuisance(DELAY, quantity, std, "s"))
-            columns.append(late[:, np.newaxis])
+            columns.append(np.concatenate(late)[:, np.newaxis])
 
     # Each jump once, not the drives, of which an hour has hundreds; held levels of which the
     # converter's steps hide something; what noise hides of straight stretches.

@@ -100,15 +100,14 @@ class Problem:
         ]
         return replace(self, nuisances=tuple(found), states=states, shared={})
 
-    @property
-    def ticks(self) -> NDArray[np.bool_]:
-        """(q,) which nuisances move all jumps of a slow logger's record."""
-        return np.array([item.kind == TICK for own in self.nuisances for item in own.items])
+    def of_kind(self, kind: str) -> NDArray[np.bool_]:
+        """(q,) which nuisances are."""
+        return np.array([item.kind == kind for own in self.nuisances for item in own.items], bool)
 
     def about(self, parameters: Parameters, z: Array) -> Self:
         """`with_nuisances`, but `moved` is what may be far from where it was taken to be: the state
         of a run, the jumps of a slow logger."""
-        return self.moved(parameters, z, BENT if self.ticks.any() else (STATE,))
+        return self.moved(parameters, z, BENT if self.of_kind(TICK).any() else (STATE,))
 
     def moved(
         self, parameters: Parameters, z: Array, kinds: Collection[str] = BENT

@@ -20,7 +20,7 @@ from scipy.linalg import cho_solve
 
 from sma_bench.compiled import in_threads
 from sma_bench.estimation.noise_model import Array
-from sma_bench.estimation.nuisances import STATE, STATES
+from sma_bench.estimation.nuisances import STATE, STATES, TICK
 from sma_bench.estimation.residual import USUAL_MISFIT, USUAL_WEIGHT, Problem
 from sma_bench.estimation.unknowns import Unknowns, shares_of_factor
 from sma_bench.parameters import Parameters
@@ -220,15 +220,15 @@ def recalibrate(
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
     best = max(tried, key=lambda fitted: fitted.evidence)
-    if first.ticks.any():
+    if first.of_kind(TICK).any():
         # No straight line goes from a jump that comes late to one that comes early.
-        there = np.where(first.ticks, np.array(_TICKS)[:, np.newaxis], 0.0)
+        there = np.where(first.of_kind(TICK), np.array(_TICKS)[:, np.newaxis], 0.0)
         begun = [(first.moved(best.parameters, z), best.x) for z in there]
         best = max(
             in_threads(lambda there, x: fit(there, unknowns, x, rounds=1), begun),
             key=lambda fitted: fitted.evidence,
         )
-    if first.ticks.any() or (first.later and len(first.observations) > 1):
+    if first.of_kind(TICK).any() or (first.later and len(first.observations) > 1):
         for _ in range(_MOVES):
             best = fit(best.problem.about(best.parameters, best.z), unknowns, best.x, rounds=1)
         first = best.problem

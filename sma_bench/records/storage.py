@@ -258,7 +258,6 @@ _ALIKE = _RECORD_OF_CHANNEL.size  # bytes that the records of like messages shar
 _MESSAGE_TIME = _ALIKE + 4  # where a message's record has its time, behind the sequence number
 _CHECK_TIME_EVERY = 1 << 17  # bytes
 _LONGEST_TURN, _LEAST_TURNS = 64, 8  # messages, repetitions worth an array
-_NO_TURNS = np.empty((0, 0), np.uint8)
 _BLOCK = 512  # bytes, the smallest that disks have
 
 
@@ -291,13 +290,13 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
             opcode, length = unpack(buffer, position) if start <= end else (_DATA_END, end)
             stop = start + length
             if opcode == _MESSAGE and inside is not None and position >= look:
-                turn, turns = _turns(buffer, position, channels)
-                for channel, begin, close in turn:
+                turns = _turns(buffer, position, channels)
+                for channel, records in turns.items():
                     topic = channels[channel]
-                    topic.add(turns[:, begin:close])
-                position += turns.size
-                look = position + (0 if turn else _CHECK_TIME_EVERY // 8)
-                if turn:
+                    topic.add(records)
+                    position += records.size
+                look = position + (0 if turns else _CHECK_TIME_EVERY // 8)
+                if turns:
                     continue
             if not 0 < opcode < 0x80:
                 if topic is not None and topic.wanted:
@@ -382,29 +381,39 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
 
 def _turns(
     buffer: bytes | mmap.mmap, position: int, known: Container[int]
-) -> tuple[list[tuple[int, int, int]], "np.ndarray"]:
-    """The messages of a chunk from `position` on as an array, where topics take turns with messages
-    of one length each, as a steady bench's do: channel, begin and end of every record of a turn,
-    and the bytes, shape (turns, bytes of a turn). Nothing where they do so too few times."""
-    turn: list[tuple[int, int, int]] = []
+) -> dict[int, "np.ndarray"]:
+    """The messages of a chunk from `position` on as arrays, where topics take turns with messages
+    of one length each, as a steady bench's do: by channel, that of the last record last, the bytes
+    of its records in order, shape (messages, bytes). Nothing where they do so too few times."""
+    places: dict[int, list[slice]] = {}
     first, at, longest = buffer[position : position + _ALIKE], 0, len(buffer) - position
-    while not turn or buffer[position + at : position + at + _ALIKE] != first:
-        if len(turn) == _LONGEST_TURN or at + _ALIKE > longest:
-            return [], _NO_TURNS
+    records = 0
+    while not records or buffer[position + at : position + at + _ALIKE] != first:
+        if records == _LONGEST_TURN or at + _ALIKE > longest:
+            return {}
         opcode, length, channel = _RECORD_OF_CHANNEL.unpack_from(buffer, position + at)
         if opcode != _MESSAGE or length < _MESSAGE_HEAD.size or channel not in known:
-            return [], _NO_TURNS
-        turn.append((channel, at, at := at + _RECORD.size + length))
+            return {}
+        own, begin = places.pop(channel, []), at
+        at, records = at + _RECORD.size + length, records + 1
+        if own and own[0].stop - own[0].start != at - begin:
+            return {}
+        places[channel] = [*own, slice(begin, at)]
     most = longest // at
     if most < _LEAST_TURNS:
-        return [], _NO_TURNS
+        return {}
     turns = np.frombuffer(buffer, np.uint8, most * at, position).reshape(most, at)
     alike = np.ones(most, dtype=bool)
-    for _, begin, _ in turn:
+    for begin in (place.start for own in places.values() for place in own):
         alike &= (turns[:, begin : begin + _ALIKE] == turns[0, begin : begin + _ALIKE]).all(axis=1)
         alike &= turns[:, begin + _MESSAGE_TIME + 7] < 0x80  # times that fit
     count = most if alike.all() else int(alike.argmin())
-    return (turn, turns[:count]) if count >= _LEAST_TURNS else ([], _NO_TURNS)
+    if count < _LEAST_TURNS:
+        return {}
+    return {
+        channel: np.stack([turns[:count, p] for p in own], 1).reshape(-1, own[0].stop - own[0].start)
+        for channel, own in places.items()
+    }
 
 
 def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:

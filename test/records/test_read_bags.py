@@ -7,7 +7,8 @@ from rosbags.rosbag2 import Reader
 from examination.campaign.drawn_bags import HABITS, LOSS, RAISED, REFUSED, RIGHT, WRONG, outcome
 from examination.campaign.drawn_bags import write_bag as write_drawn
 from sma_bench.errors import InputError
-from sma_bench.records import read_record
+from sma_bench.records import Signal, read_record
+from sma_bench.records.bag_writer import write_record
 
 FOREIGN = ("wire/staircase", "wire/ramp", "composite/triangle", "composite/step")
 PLAIN = {kind: habits[0] for kind, habits in HABITS.items()}
@@ -56,6 +57,17 @@ def test_an_sqlite3_file_without_its_end_is_refused(tmp_path, cut):
     file.write_bytes(file.read_bytes()[:-cut])
     with pytest.raises(InputError, match="the end of the file is missing"):
         read_record(file)
+
+
+def test_topics_that_take_turns_at_rates_of_their_own_are_read_in_order(tmp_path):
+    """A room's thermometer once a second, a deflection ten times between: nothing to be said."""
+    slow, fast = np.arange(40.0), np.arange(0.0, 40.0, 0.1)
+    given = [Signal("ambient.temperature", "K", slow, 295.0 + slow),
+             Signal("deflection", "m", fast, 1e-3 * fast)]  # fmt: skip
+    write_record(tmp_path / "bag", given)
+    record = read_record(tmp_path / "bag")
+    assert not record.findings
+    assert record["deflection"].values == pytest.approx(1e-3 * fast)
 
 
 def said(record, subject):
