@@ -14,7 +14,7 @@ from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
 from sma_bench.diagnose.process_noise import process_noise
 from sma_bench.estimation.laws import nearest_starts, starts
-from sma_bench.estimation.nuisances import STATE
+from sma_bench.estimation.nuisances import STATE, TICK
 from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit, recalibrate
@@ -49,6 +49,7 @@ _MOST_FORMS = 4  # beyond the usual ones that are fitted
 _PROMISES, _BEYOND = 10.0, 30.0
 _WORTH_A_FORM = 2.0  # nats that a start promises
 _STUCK = 5.0  # nats that show a fit had not arrived
+_MOST_PASSES, _MOVING = 4, 1.0  # nats that are worth another
 _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
 _WORTH_PAIRING = 8.0  # nats of a single
 # What an effect adds to 1/C beside C itself: its fit can stay on the way from one to the other.
@@ -166,8 +167,11 @@ def search(
         # From surprising parameters the way back to those believed can be long and winding, so the
         # most promising effects are fitted from these.
         progress("effects instead of surprising parameters")
-        alike = recalibrated.problem.about(parameters, np.zeros(len(recalibrated.z)))
-        believed = fit(alike, baseline, baseline.start(), rounds=0)
+        away, alike = problem.of_kind(STATE), problem
+        if away.any():
+            alike = problem.about(parameters, np.where(away, 0.0, recalibrated.z))
+        read = replace(alike, noise=recalibrated.problem.noise)
+        believed = fit(read, baseline, baseline.start(), rounds=0)
         keep(in_threads(
             lambda kind, start: fit(alike, kind, start.x, far=True),
             _starts(kinds, believed)[:_MOST_FROM_BELIEF],
@@ -231,9 +235,7 @@ def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
     return ["", *(form for form in others if form != CARRIED_OVER or follows)]
 
 
-def _where_it_moves(
-    problem: Problem, unknowns: Unknowns, parameters: Parameters
-) -> list[Array]:
+def _where_it_moves(problem: Problem, unknowns: Unknowns, parameters: Parameters) -> list[Array]:
     """Believable benches (k,) each that move as the records do, where the one believed in stands
     still: no small step from there shows a motion, and all of it would pass for drift."""
     moved = [b for b in problem.blocks if b.signal.quantity in MOVED]
@@ -257,9 +259,7 @@ def _starts(kinds: Sequence[Unknowns], fitted: Fit) -> list[tuple[Unknowns, Star
     return sorted(zip(kinds, begun, strict=True), key=lambda both: -both[1].gain)
 
 
-def _singles(
-    kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress
-) -> dict[str, Fit]:
+def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -> dict[str, Fit]:
     """Every effect, begun where recalibration ended: the most promising first, beside which others
     may be hopeless. Of the forms that are not the usual one the most promising few are fitted."""
     if not kinds:
@@ -319,9 +319,17 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
 
 
 def _refined(found: Fit) -> Fit:
-    """The same model once more, with what its own jumps and delays do, not recalibration's."""
-    problem = found.problem.about(found.parameters, found.z)
-    return fit(problem, found.unknowns, found.x, rounds=2, predicted=found.predicted)
+    """The same model once more, with what its own jumps and delays do, not recalibration's; until
+    that gains nothing where a run's state or a slow logger's jumps are taken along."""
+    before = found.problem
+    bent = (before.of_kind(STATE) | before.of_kind(TICK)).any()
+    for _ in range(_MOST_PASSES if bent else 1):
+        problem, gone = found.problem.about(found.parameters, found.z), found.evidence
+        known = None if bent else found.predicted
+        found = fit(problem, found.unknowns, found.x, rounds=2, predicted=known)
+        if found.evidence - gone < _MOVING:
+            break
+    return found
 
 
 def _handed_over(found: Fit) -> Fit:
@@ -448,9 +456,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
             x[k] += sign * size
             trials.append(np.clip(x, *bounds))
 
-    gains, shares = remainder.gains(
-        remainder.changes([unknowns.parameters(x) for x in trials])
-    )
+    gains, shares = remainder.gains(remainder.changes([unknowns.parameters(x) for x in trials]))
     best = int(np.argmax(gains))
     if gains[best] <= 0.0:
         return Start(off, 0.0)

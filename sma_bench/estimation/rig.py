@@ -32,6 +32,7 @@ DRIVEN = 0.02  # of the largest voltage
 # and of their range, more than noise explains; and K that a wire is warmer than the room.
 _SETTLES = {"temperature": (2.0, 0.0), "deflection": (0.0, 0.02)}
 _CLEAR, _WARM, _SOME = 10.0, 15.0, 5  # times the noise; K; samples
+_AFTER = 0.1  # s that the last voltage is held for
 _MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
 
 
@@ -132,15 +133,16 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         away: Array = np.asarray(np.mean(signed, axis=0), dtype=np.float64)
         found.append(Measured("deflection", "deflection", 0, time, away - away[0]))
 
-    # A current read while the voltage jumps says nothing, as only the jump's bounds are known; nor
-    # does an elongation while the load changes, as the wire follows a force known too roughly.
+    # What is read when no voltage is any more cannot be compared. A current read while the voltage
+    # jumps says nothing, as only the jump's bounds are known; nor does an elongation while the load
+    # changes, as the wire follows a force known too roughly.
     measured = []
     for one in found:
         if len(one.time) < _FEWEST_SAMPLES:
             continue
-        known = np.ones(len(one.time), dtype=bool)
+        known = one.time < stop + _AFTER
         if one.quantity == "current":
-            known = ~voltage.is_jumping(one.time)
+            known &= ~voltage.is_jumping(one.time)
         elif one.quantity == "elongation":
             for hold in holds:
                 if not hold.steady:

@@ -411,7 +411,7 @@ def _turns(
     if count < _LEAST_TURNS:
         return {}
     return {
-        channel: np.stack([turns[:count, p] for p in own], 1).reshape(-1, own[0].stop - own[0].start)
+        channel: np.stack([turns[:count, p] for p in own], 1).reshape(count * len(own), -1)
         for channel, own in places.items()
     }
 
