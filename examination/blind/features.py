@@ -29,7 +29,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe_all
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
-from sma_bench.records.check import mended
+from sma_bench.records.mend import mended
 
 PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
 # Those that the package's weights are learnt from, packed.

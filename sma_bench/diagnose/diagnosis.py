@@ -39,8 +39,8 @@ from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import FRESH_START
-from sma_bench.records.check import check_response, mended, under_suspicion
-from sma_bench.records.record import Record, as_calibrated, require_distinct, with_stated_lag
+from sma_bench.records.mend import prepare
+from sma_bench.records.record import Record, require_distinct, with_stated_lag
 
 SURPRISING = 2.0  # prior deviations
 _OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
@@ -97,32 +97,15 @@ def diagnose(
 
     # Clocks are mended; signals under suspicion are named, and hold effects back.
     progress("records")
-    pairs = [mended(record) for record in (*records, *hold_out)]
-    whole = [as_calibrated(record, parameters) for record, _ in pairs]
-    parameters = with_stated_lag(parameters)
-    known = [(record, finding) for record, found in pairs for finding in found]
-    known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
-    doubts = [
-        (r, f) for r in whole for f in under_suspicion(r)
-        if f.subject.rpartition(".")[2] in ("voltage", "range", *quantities)
-    ]
-    lines = [f"{record.path.name}: {f.subject}: {f.text}" for record, f in (*known, *doubts)]
-    doubted = {finding.subject.rpartition(".")[2] for _, finding in doubts}
-    if held := held_back(doubted):
+    ready = prepare((*records, *hold_out), parameters, quantities)
+    parameters, lines = with_stated_lag(parameters), ready.remarks
+    if held := held_back(ready.doubted):
         more = ", ..." * (len(held) > 3)
         lines.append(f"held back for that: {len(held)} effects, {', '.join(held[:3])}{more}")
-    unrelated = [
-        replace(f, subject=f"{record.path}, {f.subject}")
-        for record in whole for f in check_response(record)
-        if f.subject != "elongation" or load_kind(parameters) != "displacement"
-    ]
-    if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
-        whole = [
-            replace(r, signals={n: s for n, s in r.signals.items() if n != "force"}) for r in whole
-        ]
 
     # The verdict, and the most probable model that can be simulated.
-    found = search(observe_all(whole, parameters, quantities), parameters, progress, doubted)
+    observed = observe_all(ready.records, parameters, quantities)
+    found = search(observed, parameters, progress, ready.doubted)
     utilities = Utilities(weighed(found))
     decided = decision.decide(found, utilities)
     candidates = decision.with_law(decided)
@@ -201,7 +184,7 @@ def diagnose(
         record=tuple(dict.fromkeys(lines)),
         next_experiment=following if following and following.settles else None,
         findings=(
-            *unrelated, *audit(parameters, papers_own=False),
+            *ready.follows, *audit(parameters, papers_own=False),
             *about_unstated(recalibrated.unknowns, parameters),
             Finding("info", "held-out data", text), *remarks,
         ),

@@ -28,8 +28,9 @@ from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
-from sma_bench.records.check import check_record, mended
+from sma_bench.records.check import check_record
 from sma_bench.records.instruments import IsobaricRecord, Phase, TensileRecord
+from sma_bench.records.mend import mended
 from sma_bench.records.open import AnyRecord, account_line
 from sma_bench.records.record import (
     as_calibrated,

@@ -17,7 +17,7 @@ from sma_bench.records.record import Record, Signal, first_order_lag, has_sample
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
 _GAP_PERIODS = 10
 _LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2  # shares of the samples
-_CLOCK_TOLERANCE, _DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
+CLOCK_TOLERANCE, DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
 # s; a step of a protocol is longer, a delay that grows at once shrinks with every message.
 _JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
 _IRREGULAR = 0.1  # of a period that steps differ from whole ones
@@ -28,13 +28,9 @@ _AGAINST = 0.9  # of a current's readings that have not its voltage's sign
 _OUTLYING, _OUT_OF_RANGE, _MOST_OUTLIERS = 12.0, 0.05, 5
 # Of the range within a sample, which neither heat nor a beam does, and of all readings.
 _DROP, _MOST_DROPPED = 0.2, 0.1
-_DROPS_OUT = ("temperature", "deflection", "range")
+DROPS_OUT = ("temperature", "deflection", "range")
 _FEW_STEPS = 3  # of the reading's last digit
-_FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
-# Of a sensor's readings, each published as often as the others; times, from which once more or less
-# can be told from chance.
-_STEADY, _TWO_CLOCKS = 0.95, 5
-_IMPOSED = ("voltage", "elongation")
+FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 
 _TEXTS: dict[str, Any] = read_yaml(Path(__file__).with_suffix(".yaml"))
@@ -63,14 +59,14 @@ def check_record(record: Record) -> list[Finding]:
     return found
 
 
-def _said(key: str, subject: str, **facts: Any) -> Finding:
+def said(key: str, subject: str, **facts: Any) -> Finding:
     """A finding of check.yaml about a subject, with its facts."""
     severity, text, *numbers = _TEXTS[key]
     kept = {name: float(facts[name]) for name in numbers}
     return Finding(severity, subject, text.format(**facts), kept)
 
 
-def _kind(name: str) -> str:
+def kind_of(name: str) -> str:
     return name.rpartition(".")[2]
 
 
@@ -78,27 +74,27 @@ def _values(record: Record) -> Iterator[Finding]:
     """Order and missing values, of records made in memory (a bag's are sorted out when they get
     here), values that no bench has, a reversed current sensor, and coarse steps."""
     for name, signal in record.signals.items():
-        kind, unit, off = _kind(name), signal.unit, _outliers(signal)
+        kind, unit, off = kind_of(name), signal.unit, outliers(signal)
         steps = np.diff(signal.time)
         backward, repeated = int(np.sum(steps < 0)), int(np.sum(steps == 0))
         if backward or repeated:
-            yield _said("order", name, backward=backward, duplicates=repeated)
+            yield said("order", name, backward=backward, duplicates=repeated)
         finite = signal.values[np.isfinite(signal.values)]
         levels = np.unique(finite)
         if missing := signal.values.size - len(finite):
-            yield _said("holes", name, count=missing, of=signal.values.size)
-        if kind == "current" and (share := _against_voltage(record, signal)):
-            yield _said("against", name, share=share)
+            yield said("holes", name, count=missing, of=signal.values.size)
+        if kind == "current" and (share := against_voltage(record, signal)):
+            yield said("against", name, share=share)
         if len(off):  # they decide nothing
             finite = np.delete(finite, off)
             values = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
-            yield _said("single", name, outliers=len(off), values=values, unit=unit)
+            yield said("single", name, outliers=len(off), values=values, unit=unit)
         if not len(finite):
             continue
         low, high = float(finite.min()), float(finite.max())
         for key, least, most, hint in _SENSE.get(kind, ()):
             if not (least[0] <= low <= least[1] and most[0] <= high <= most[1]):
-                yield _said(key, name, low=low, high=high, unit=unit, hint=hint)
+                yield said(key, name, low=low, high=high, unit=unit, hint=hint)
                 break
         if kind in _READ and _FEWEST_LEVELS < len(levels) < _MOST_LEVELS:
             step = float(np.diff(levels).min())
@@ -106,10 +102,10 @@ def _values(record: Record) -> Iterator[Finding]:
             is_even = np.abs(apart - np.rint(apart)).max() < _IRREGULAR
             if is_even and len(signal) > _SAMPLES_A_LEVEL * len(levels):
                 facts = {"unit": unit, "levels": len(levels), "of": len(signal)}
-                yield _said("coarse", name, resolution=step, **facts)
+                yield said("coarse", name, resolution=step, **facts)
 
 
-def _against_voltage(record: Record, current: Signal) -> float:
+def against_voltage(record: Record, current: Signal) -> float:
     """Share of a current's readings, of those worth the name, that have not its voltage's sign; 0
     where that is not nearly all."""
     name = current.name.removesuffix("current") + "voltage"
@@ -124,13 +120,13 @@ def _against_voltage(record: Record, current: Signal) -> float:
     return share if share > _AGAINST else 0.0
 
 
-def _outliers(signal: Signal) -> IntArray:
+def outliers(signal: Signal) -> IntArray:
     """Where single readings of a sensor lie far off both neighbours, which agree, none where there
     are more of them than a mishap makes; and where it drops out for some, all of one value. A
     command, a voltage and its current may pulse, and what a machine imposes."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
     pulses = signal.name.endswith(("voltage", "voltage_command", "current"))
-    if values.ndim != 1 or len(values) < _FEWEST or pulses or not np.isfinite(values).all():
+    if values.ndim != 1 or len(values) < FEWEST or pulses or not np.isfinite(values).all():
         return none
     off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     apart = np.abs(values[2:] - values[:-2])
@@ -142,7 +138,7 @@ def _outliers(signal: Signal) -> IntArray:
     )
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
     found = found if len(found) <= _MOST_OUTLIERS else none
-    return np.union1d(found, _dropouts(values)) if _kind(signal.name) in _DROPS_OUT else found
+    return np.union1d(found, _dropouts(values)) if kind_of(signal.name) in DROPS_OUT else found
 
 
 def _dropouts(values: Array) -> IntArray:
@@ -181,15 +177,15 @@ def _rate(record: Record) -> Iterator[Finding]:
         if gaps.any():
             k = int(np.argmax(steps))
             longest = {"longest": steps[k], "at": signal.time[k], "periods": _GAP_PERIODS}
-            found.append(_said("gaps", name, gaps=int(gaps.sum()), **longest))
+            found.append(said("gaps", name, gaps=int(gaps.sum()), **longest))
         lost = float(np.sum(np.maximum(np.rint(steps[~gaps] / period) - 1, 0)))
         share = lost / (lost + len(signal))
         if is_irregular:
             rate = (len(steps) - gaps.sum()) / steps[~gaps].sum()
-            found.append(_said("irregular", name, rate=rate))
+            found.append(said("irregular", name, rate=rate))
         elif share > _LOSS_TOLD:
             key = "many_lost" if share > _LOSS_WARNED else "few_lost"
-            found.append(_said(key, name, fraction=share, percent=100 * share, hertz=1 / period))
+            found.append(said(key, name, fraction=share, percent=100 * share, hertz=1 / period))
         for finding in found:
             shared.setdefault(finding.text, (finding, []))[1].append(name)
     for finding, names in shared.values():
@@ -197,13 +193,13 @@ def _rate(record: Record) -> Iterator[Finding]:
         yield replace(finding, text=finding.text + beside)
 
 
-def _delays(record: Record) -> dict[str, tuple[float, float]]:
+def delays_of(record: Record) -> dict[str, tuple[float, float]]:
     """Median of receive time minus stamp, and its growth from the first tenth to the last, in s by
     signal; none where the recorder's clock was a simulated one, whose ticks come again and again
     and tell how busy the computer was."""
     received = {n: s.received for n, s in record.signals.items()
                 if s.received is not None and len(s.received) == len(s) > 0}
-    ticks = [np.mean(np.diff(r) < 1e-9) for r in received.values() if len(r) >= _FEWEST]
+    ticks = [np.mean(np.diff(r) < 1e-9) for r in received.values() if len(r) >= FEWEST]
     found = {}
     for name, times in received.items() if max(ticks, default=0.0) <= _TICKS else ():
         delay, tenth = times - record[name].time, max(1, len(times) // 10)
@@ -217,19 +213,19 @@ def _clocks(record: Record) -> Iterator[Finding]:
     what a second publisher of /clock leaves behind: a run or a recorder in two times."""
     delays = {
         record[name].topic or name: delay
-        for name, delay in _delays(record).items() if name not in _EVENTS
+        for name, delay in delays_of(record).items() if name not in _EVENTS
     }
     common, common_drift = np.median([*delays.values()] or [(0.0, 0.0)], axis=0).tolist()
-    if abs(common_drift) > _DRIFT_TOLERANCE:
-        yield _said("drifts", "record", drift=common_drift)
+    if abs(common_drift) > DRIFT_TOLERANCE:
+        yield said("drifts", "record", drift=common_drift)
     for topic, (median, growth) in delays.items():
         offset, drift = median - common, growth - common_drift
-        if abs(offset) > _CLOCK_TOLERANCE:
-            yield _said("clock_off", topic, offset=offset, own=median, common=common)
-        elif abs(drift) > _DRIFT_TOLERANCE:
-            yield _said("clock_drifts", topic, drift=drift)
+        if abs(offset) > CLOCK_TOLERANCE:
+            yield said("clock_off", topic, offset=offset, own=median, common=common)
+        elif abs(drift) > DRIFT_TOLERANCE:
+            yield said("clock_drifts", topic, drift=drift)
         elif -1.0 < median < -_FUTURE_TOLERANCE:
-            yield _said("future", topic, ahead=-median, offset=median)
+            yield said("future", topic, ahead=-median, offset=median)
     for signal in record.signals.values():
         if signal.received is None:
             continue
@@ -239,54 +235,54 @@ def _clocks(record: Record) -> Iterator[Finding]:
         turns = min(int(np.sum(steps > _JUMP)), int(np.sum(back < -_JUMP)))
         if turns > _FEW_TURNS:
             topic = signal.topic or signal.name
-            yield _said("two_clocks", topic, turns=turns, jump=np.median(jumps))
+            yield said("two_clocks", topic, turns=turns, jump=np.median(jumps))
     between = zip(record.markers, record.markers[1:], record.markers[2:], strict=False)
     turns = sum(a[1] == c[1] != b[1] and c[0] - a[0] < _TURN for a, b, c in between)
     # Where stamps keep pace with a recorder that no ticks have driven there is no /clock.
-    if turns > _FEW_TURNS and not (delays and abs(common_drift) <= _DRIFT_TOLERANCE):
+    if turns > _FEW_TURNS and not (delays and abs(common_drift) <= DRIFT_TOLERANCE):
         facts = {"steps": len(record.markers), "within": _TURN}
-        yield _said("two_runs", "experiment/marker", turns=turns, **facts)
+        yield said("two_runs", "experiment/marker", turns=turns, **facts)
 
 
 def _saturation(record: Record) -> Iterator[Finding]:
     """Sensors that are dead while something happens, or clipped at their highest or lowest."""
-    voltages = [s.values for n, s in record.signals.items() if _kind(n) == "voltage" and len(s)]
+    voltages = [s.values for n, s in record.signals.items() if kind_of(n) == "voltage" and len(s)]
     driven = any(np.ptp(values) > 0.1 for values in voltages)
     still = {"ambient.temperature"}
     force = record.get("force")
     if force is not None and len(force) and np.ptp(force.values) > 0:
         still.add("elongation")  # clamped
     for name, signal in record.signals.items():
-        values, kind = signal.values, _kind(name)
+        values, kind = signal.values, kind_of(name)
         if kind in ("voltage", "voltage_command") or len(values) < _FLAT_SAMPLES * 2:
             continue
         if not np.isfinite(values).all():
             continue
         if np.ptp(values) == 0:
             if driven and kind != "current" and name not in still:
-                yield _said("dead", name, value=values[0], unit=signal.unit)
+                yield said("dead", name, value=values[0], unit=signal.unit)
             continue
         for extreme, word in ((float(values.max()), "highest"), (float(values.min()), "lowest")):
-            if extreme == values[0] and name in _MECHANICS:
-                continue  # at rest, where it began
-            if clipped := _clipped_samples(record, signal, extreme):
+            if len(flat := clipped_samples(record, signal, extreme)):
                 facts = {"value": extreme, "word": word, "unit": signal.unit}
-                yield _said("clipped", name, samples=clipped, **facts)
+                yield said("clipped", name, samples=len(flat), **facts)
 
 
-def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
+def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
     """Samples in flat stretches at an extreme that the signal ran into at speed.
 
     A signal that settles slows down before; one that is clipped does not. Leaving it at speed is
     what a plateau without noise does when the drive ends. A current jumps with its voltage, so for
     it flat means flat while the voltage moves.
     """
-    values, total = signal.values, 0
+    values, found = signal.values, [np.zeros(0, dtype=np.int64)]
+    if extreme == values[0] and signal.name in _MECHANICS:
+        return found[0]  # at rest, where it began
     edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False]))))
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if stop - start < _FLAT_SAMPLES:
             continue
-        if _kind(signal.name) == "current":
+        if kind_of(signal.name) == "current":
             voltage = record.get(signal.name.removesuffix("current") + "voltage")
             if voltage is None or extreme == 0.0:
                 continue
@@ -298,8 +294,9 @@ def _clipped_samples(record: Record, signal: Signal, extreme: float) -> int:
             # A reading of few digits stays flat by itself, and enters by its own step.
             fast = max(_ENTRY_FRACTION * np.ptp(values), 2.0 * _resolution(values))
             clipped = len(before) == _ENTRY_SAMPLES and before.max() > fast
-        total += (stop - start) * bool(clipped)
-    return total
+        if clipped:
+            found.append(np.arange(start, stop))
+    return np.concatenate(found)
 
 
 # --- Do command and response belong together?
@@ -313,6 +310,8 @@ _LAGS = (0.2, 1.0, 4.0, 16.0, 64.0)  # s
 _EXPLAINED = {"temperature": 0.93, "deflection": 0.7, "elongation": 0.55}
 _RESPONSE_SAMPLES = 2000
 _LENGTHENS = 0.7  # correlation of an elongation with the wire's temperature
+_PULLS = 3.0  # s, about, that a beam follows the heat of its wires after
+_LATE, _CLEARLY = np.linspace(-1.0, 1.0, 41), 0.2  # s; of the variance that is left
 _LEAST_DRIVE = 0.1  # V
 _LEAST_MISSING = 1.0  # s
 _LEAST_RESPONSE = 25.0  # variance over that of the noise
@@ -331,13 +330,13 @@ def check_response(record: Record) -> Iterator[Finding]:
         return
 
     # Voltages that end before the readings.
-    responses = [n for n in record.signals if _kind(n) in _EXPLAINED and has_samples(record, n)]
+    responses = [n for n in record.signals if kind_of(n) in _EXPLAINED and has_samples(record, n)]
     last = max((float(samples(record, name)[0][-1]) for name in responses), default=-inf)
     for name in (f"{channel}.voltage" for channel in driven):
         time, volts = samples(record, name)
         missing = last - float(time[-1])
         if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
-            yield _said("ends_early", name, missing=missing, volts=volts[-1])
+            yield said("ends_early", name, missing=missing, volts=volts[-1])
 
     # Readings that do not follow, and a motion that follows the heat the wrong way.
     hot = f"{driven[0]}.temperature"
@@ -346,16 +345,70 @@ def check_response(record: Record) -> Iterator[Finding]:
         kelvin = np.interp(time, *samples(record, hot))
         together = np.corrcoef(kelvin, metres)[0, 1] if np.ptp(kelvin) * np.ptp(metres) else 0.0
         if together > _LENGTHENS:
-            yield _said("lengthens", "elongation", together=together)
+            yield said("lengthens", "elongation", together=together)
+    if "deflection" in responses and (together := _leans(record, driven)) < -_LENGTHENS:
+        yield said("leans", "deflection", together=together)
+    for channel in driven:
+        if apart := _apart(record, channel):
+            yield said("apart", f"{channel}.voltage", apart=apart)
     for name in responses:
-        kind, channel = _kind(name), name.removesuffix(".temperature")
+        kind, channel = kind_of(name), name.removesuffix(".temperature")
         if kind == "temperature" and channel not in driven:
             continue
         causes = [channel] if kind == "temperature" else driven
         share = _explained(record, [f"{cause}.voltage" for cause in causes], name)
-        if share is not None and share < _EXPLAINED[kind]:
-            facts = {"share": max(share, 0.0), "expected": _EXPLAINED[kind]}
-            yield _said("unexplained", name, explained=share, **facts)
+        if share is None or share >= _EXPLAINED[kind]:
+            continue
+        facts = {"share": max(share, 0.0), "expected": _EXPLAINED[kind], "explained": share}
+        if kind == "temperature":
+            others = {o: _explained(record, [f"{o}.voltage"], name) or 0.0 for o in driven}
+            other = max(others, key=lambda o: others[o])
+            if others[other] >= _EXPLAINED[kind]:
+                yield said("swapped", name, other=other, follows=others[other], **facts)
+                continue
+        yield said("unexplained", name, **facts)
+
+
+def _heat(record: Record, voltage: str, grid: Array) -> Array:
+    """Volts squared, held from reading to reading, on a grid (n,) s."""
+    stamps, volts = samples(record, voltage)
+    return volts[np.clip(np.searchsorted(stamps, grid, side="right") - 1, 0, None)] ** 2
+
+
+def _lagged(course: Array, grid: Array, lag: float) -> Array:
+    return first_order_lag(course, float(np.exp(-(grid[1] - grid[0]) / lag)))
+
+
+def _leans(record: Record, driven: list[str]) -> float:
+    """Correlation of the tip with the heat of the front's wires less that of the back's."""
+    time, metres = samples(record, "deflection")
+    grid = np.linspace(time[0], time[-1], _RESPONSE_SAMPLES)
+    pull, tip = np.zeros_like(grid), np.interp(grid, time, metres)
+    for channel in driven:
+        side = float(channel.startswith("front")) - float(channel.startswith("back"))
+        pull += side * _lagged(_heat(record, f"{channel}.voltage", grid), grid, _PULLS)
+    return float(np.corrcoef(pull, tip)[0, 1]) if np.ptp(pull) * np.ptp(tip) else 0.0
+
+
+def _apart(record: Record, channel: str) -> float:
+    """How long after its voltage a wire's current comes, s, where no resistance that changes with
+    the wire's heat explains it as well; 0 where that is not clear."""
+    if not has_samples(record, f"{channel}.current"):
+        return 0.0
+    stamps, volts = samples(record, f"{channel}.voltage")
+    time, amperes = samples(record, f"{channel}.current")
+    grid = np.linspace(stamps[0], stamps[-1], _RESPONSE_SAMPLES)
+    heat = _heat(record, f"{channel}.voltage", grid)
+    warm = [np.interp(time, grid, _lagged(heat, grid, lag)) for lag in _LAGS]
+    conductance = np.column_stack([np.ones_like(time), *(w / max(w.max(), 1e-12) for w in warm)])
+    left = []
+    for late in _LATE:
+        own = np.interp(time - late, stamps, volts)[:, np.newaxis] * conductance
+        left.append(float(np.var(amperes - own @ np.linalg.lstsq(own, amperes, rcond=None)[0])))
+    best, usual = int(np.argmin(left)), left[len(_LATE) // 2]
+    least = max(CLOCK_TOLERANCE, float(np.median(np.diff(stamps))))
+    clear = 0 < best < len(_LATE) - 1 and left[best] < _CLEARLY * usual
+    return float(_LATE[best]) if clear and abs(_LATE[best]) > least else 0.0
 
 
 def _explained(record: Record, voltages: list[str], response: str) -> float | None:
@@ -373,127 +426,11 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
         return None
     columns = [np.ones_like(grid)]
     for name in voltages:
-        stamps, volts = samples(record, name)
-        heat = volts[np.clip(np.searchsorted(stamps, grid, side="right") - 1, 0, None)] ** 2
-        for lag in _LAGS:
-            columns.append(first_order_lag(heat, float(np.exp(-(grid[1] - grid[0]) / lag))))
+        heat = _heat(record, name, grid)
+        columns += [_lagged(heat, grid, lag) for lag in _LAGS]
     design = np.column_stack([c / max(float(np.abs(c).max()), 1e-12) for c in columns])
     if not np.isfinite(design).all() or not np.isfinite(np.var(wanted)):
         return None  # readings that no bench has; LAPACK would write on the terminal
     residual = wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
     unexplained = max(float(np.var(residual)) - noise, 0.0)
     return 1.0 - unexplained / (float(np.var(wanted)) - noise)
-
-
-# --- Before a model is fitted: what can be mended, and signals under suspicion.
-
-# s. A camera's picture takes up to a second on its way, with a right stamp: no reason to move it.
-# s, for which a computer may be busy with a message; none has one before its stamp.
-_MOVED = 1.0
-_BELIEVED = 0.1  # of the scatter, least of a stated deviation
-# Share of readings that lie this near, of the range, to one of two values; jumps between these;
-# samples that the briefer of two levels is held.
-_SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
-_SUSPECT = {"value", "drift", "turns", "common"}  # of the numbers of a finding
-
-
-def _published_again(signal: Signal) -> IntArray:
-    """Where readings are what the sensor read before, published again at a fixed rate; none where
-    that is not told from a reading of few digits, or of what is imposed, which may be held."""
-    values, none = signal.values, np.zeros(0, dtype=np.int64)
-    if values.ndim != 1 or len(values) < _FEWEST or _kind(signal.name).startswith(_IMPOSED):
-        return none
-    new = np.flatnonzero(np.diff(values) != 0.0)
-    times = np.diff(new)
-    if len(times) < _FEWEST:
-        return none
-    # Whole multiples, as a sensor may read the same twice; of two clocks now and then one more.
-    usual = int(np.quantile(times, 0.1, method="lower"))
-    off = np.abs(times - usual * np.rint(times / usual)) > (usual >= _TWO_CLOCKS)
-    steady = usual > 1 and np.mean(~off) > _STEADY
-    if not steady:
-        return none
-    # A stretch of one value is so many readings, the first of which come in even parts of it.
-    begins = np.append(0, new + 1)
-    length = np.diff(np.append(begins, len(values)))
-    stretch = np.repeat(np.arange(len(begins)), length)
-    count, place = np.maximum(np.rint(length / usual), 1)[stretch], np.arange(len(values))
-    part = (place - begins[stretch]) * count // length[stretch]
-    return np.flatnonzero((np.diff(part) == 0.0) & (np.diff(stretch) == 0)) + 1
-
-
-def mended(record: Record) -> tuple[Record, list[Finding]]:
-    """The record without what is known to be wrong of it, and what that was: clocks that lie a
-    constant time off the drive's, over a second behind or ahead of their messages, are moved onto
-    it, by when the recorder got these, currents that run against their voltage are turned, and
-    readings far off their neighbours, or published again, and deviations far below a reading's
-    scatter, are left out."""
-    moved: dict[str, Signal] = {}
-    found: list[Finding] = []
-    for name, signal in record.signals.items():
-        if name.endswith(".current") and (share := _against_voltage(record, signal)):
-            moved[name] = signal = replace(signal, values=-signal.values)
-            found.append(_said("turned", name, share=share))
-        if len(again := _published_again(signal)):
-            times = len(signal) / (len(signal) - len(again))
-            moved[name] = signal = _without(signal, again)
-            found.append(_said("again", name, times=times))
-        if len(off := _outliers(signal)):
-            shown = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
-            moved[name] = signal = _without(signal, off)
-            facts = {"values": shown, "unit": signal.unit}
-            found.append(_said("left_out", name, outliers=len(off), **facts))
-        if signal.std is None or len(signal) < _FEWEST:
-            continue
-        stated = float(np.median(signal.std))
-        scatter = float(np.median(np.abs(np.diff(signal.values, 2)))) / 0.6745 / np.sqrt(6.0)
-        if 0.0 < stated < _BELIEVED * scatter:
-            moved[name] = replace(signal, std=None)
-            facts = {"scatter": scatter, "unit": signal.unit}
-            found.append(_said("understated", name, stated=stated, **facts))
-    delays = _delays(record)
-    drive = next((n for n in delays if n.endswith(".voltage")), None)
-    for name, (delay, growth) in delays.items() if drive else ():
-        late = delay - delays[str(drive)][0]
-        is_off = late > _MOVED or late < -_CLOCK_TOLERANCE
-        if is_off and abs(growth) < _DRIFT_TOLERANCE:
-            own = moved.get(name, record.signals[name])
-            moved[name] = replace(own, time=own.time + late)
-            found.append(_said("clock_moved", name, offset=late, drive=drive))
-    return replace(record, signals=record.signals | moved), found
-
-
-def _without(signal: Signal, which: IntArray) -> Signal:
-    left: dict[str, Any] = {
-        field: np.delete(values, which) for field in ("time", "values", "received", "std")
-        if (values := getattr(signal, field)) is not None
-    }
-    return replace(signal, **left)
-
-
-def under_suspicion(record: Record) -> Iterator[Finding]:
-    """Signals whose readings are not what they seem: clipped, of two values, on a clock that
-    drifts, jumps or lies off the others'. The subject is the signal's name."""
-    by_topic = {s.topic: n for n, s in record.signals.items() if s.topic}
-    for finding in check_record(record):
-        if finding.severity != "info" and _SUSPECT & set(finding.numbers):
-            name = by_topic.get(finding.subject, finding.subject)
-            if name in record.signals:
-                yield replace(finding, subject=name)
-
-    # Readings that jump between two values; a drive switched on purpose holds its level for long.
-    for name, signal in record.signals.items():
-        values = signal.values
-        if not name.endswith((".voltage", ".current")) or len(values) < _FEWEST:
-            continue
-        span = float(np.ptp(values))
-        if not span > 0.0 or not np.isfinite(values).all():
-            continue
-        up = values > values.min() + 0.5 * span
-        near = np.abs(values - np.where(up, values.max(), values.min())) < _NEAR * span
-        turns = np.flatnonzero(up[1:] != up[:-1])
-        held = np.diff(turns)  # samples, of the two levels in turn
-        if near.mean() >= _SHARE and len(turns) >= _TURNS and (
-            min(np.median(held[::2]), np.median(held[1::2])) < _BRIEF
-        ):
-            yield _said("two_valued", name, turns=len(turns), levels=2.0)

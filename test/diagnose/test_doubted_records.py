@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from planted import believed, planted_pair
 
 import sma_bench
-from sma_bench.records.check import mended, under_suspicion
+from sma_bench.records.mend import mended, under_suspicion
 from sma_bench.records.record import first_order_lag
 
 LAB = {"bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind": "clamped",
@@ -15,6 +16,8 @@ LAB = {"bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind"
        "wire.mass": 0.09e-3, "wire.surface_area": 236e-6, "environment.ambient_temperature": 296.0,
        "uncertainty.wire.heat_transfer_coefficient": 20.0,
        "uncertainty.wire.specific_heat": 100.0}  # fmt: skip
+OPPOSITE = {"front_1.temperature": "back_1.temperature",
+            "back_1.temperature": "front_1.temperature"}  # fmt: skip
 STAIRCASE = np.repeat([0.0, 0.4, 0.8, 1.0, 0.8, 0.4, 0.0], 150)
 
 
@@ -124,6 +127,31 @@ def test_a_diagnosis_says_what_is_wrong_with_a_record_and_names_no_effect_for_it
     assert said in line and line.split("held back")[0] in " ".join(str(found).split())
     assert not set(held_back) & {c.name for c in found.candidates}
     assert (changed is switched) == (len(found.candidates) == 3)
+
+
+@pytest.mark.parametrize("wrong", ["swapped", "out of range", "late"])
+def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong):
+    """Channels swapped at the plug, a tip that leaves its sensor's range, voltages that are stamped
+    when they are commanded: of a bench on which nothing is wrong."""
+
+    def as_read(record):
+        signals = dict(record.signals)
+        for name, own in record.signals.items():
+            if wrong == "swapped" and name.endswith("temperature"):
+                signals[name] = replace(record[OPPOSITE[name]], name=name)
+            elif wrong == "out of range" and name == "deflection":
+                signals[name] = replace(own, values=np.clip(own.values, -0.02, 0.02))
+            elif wrong == "late" and name.endswith("voltage"):
+                signals[name] = replace(own, time=own.time - 0.25, received=None)
+        return replace(record, signals=signals)
+
+    seen, unseen = ([as_read(r) for r in some] for some in planted_pair(tmp_path))
+    found = sma_bench.diagnose(seen, believed(), unseen)
+    assert found.cause == () and found.candidates[0].name == "recalibration"
+    said = {"swapped": "channels swapped", "out of range": "clipped", "late": "different clocks"}
+    assert said[wrong] in " ".join(found.record)
+    improved = found.shrinkage.get("temperature", found.shrinkage["deflection"])
+    assert wrong == "late" or improved.rmse_after < 1.2 * improved.noise_floor
 
 
 def test_what_a_sensor_is_stated_to_do_is_no_cause(record):

@@ -100,6 +100,9 @@ WRONG = {
                         "wire.current", "warning", {"value": 2.0}),
     "a reversed current": (record(wire_voltage=TRIANGLE, wire_current=-TRIANGLE), "wire.current",
                            "warning", {"share": 1.0}),
+    "a current on another clock": (
+        record(wire_voltage=TRIANGLE, wire_current=np.interp(CLOCK - 0.25, CLOCK, TRIANGLE)),
+        "wire.voltage", "warning", {"apart": 0.25}),
     "an elongation of the wrong sign": (
         record(wire_voltage=TRIANGLE, wire_temperature=settling(), elongation=1e-5 * settling()),
         "elongation", "warning", {"together": 1.0}),
@@ -187,7 +190,11 @@ def test_stored_runs_or_channels_swapped_are_noticed_and_the_right_ones_are_not(
         crossed = {a: replace(triangle[b], name=a) for a, b in zip(names, names[::-1], strict=True)}
         told = found(replace(triangle, signals=triangle.signals | crossed))
         assert set(told) == {*names}
-        assert all("explained" in numbers for numbers in told.values())
+        assert all(n["explained"] < 0.93 < n["follows"] for n in told.values())
+        tip = triangle["deflection"]
+        turned = replace(triangle, signals=triangle.signals | {
+            "deflection": replace(tip, values=-tip.values)})  # fmt: skip
+        assert found(turned)["deflection"]["together"] < -0.8
 
 
 def test_a_reading_that_never_changes_follows_nothing():

@@ -1,0 +1,200 @@
+"""What is put right in a record, left out of it and doubted before a model is fitted to it."""
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from sma_bench.arrays import IntArray
+from sma_bench.findings import Finding
+from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameters import load_kind
+from sma_bench.records.check import (
+    CLOCK_TOLERANCE,
+    DRIFT_TOLERANCE,
+    DROPS_OUT,
+    FEWEST,
+    against_voltage,
+    check_record,
+    check_response,
+    clipped_samples,
+    delays_of,
+    kind_of,
+    outliers,
+    said,
+)
+from sma_bench.records.record import Record, Signal, as_calibrated
+
+_MOVED = 1.0  # s: a camera's picture may take as long on its way, with a right stamp
+_BELIEVED = 0.1  # of the scatter, least of a stated deviation
+# Share of readings that lie this near, of the range, to one of two values; jumps between these;
+# samples that the briefer of two levels is held.
+_SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
+_SUSPECT = {"value", "drift", "turns", "common", "follows", "apart"}  # of the numbers of a finding
+# Of a sensor's readings, each published as often as the others; times, from which once more or less
+# can be told from chance.
+_STEADY, _TWO_CLOCKS = 0.95, 5
+_IMPOSED = ("voltage", "elongation")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """Records as a model can be held to them.
+
+    Attributes:
+        records: put right; remarks: what that was, line by line.
+        doubted: quantities under suspicion; follows: of readings that do not follow the drive.
+    """
+
+    records: list[Record]
+    remarks: list[str]
+    doubted: set[str]
+    follows: list[Finding]
+
+
+def prepare(
+    records: Sequence[Record], parameters: Parameters, quantities: Collection[str]
+) -> Prepared:
+    """Records mended and as their sensors are calibrated; `quantities` are to be compared."""
+    pairs = [mended(record) for record in records]
+    whole = [as_calibrated(record, parameters) for record, _ in pairs]
+    known = [(record, finding) for record, found in pairs for finding in found]
+    known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
+    doubts = [
+        (r, f) for r in whole for f in under_suspicion(r)
+        if kind_of(f.subject) in ("voltage", "range", *quantities)
+    ]
+    follows = [
+        (r, f) for r in whole for f in check_response(r)
+        if f.subject != "elongation" or load_kind(parameters) != "displacement"
+    ]
+    whole = [comparable(record) for record in whole]
+    if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
+        whole = [
+            replace(r, signals={n: s for n, s in r.signals.items() if n != "force"}) for r in whole
+        ]
+    remarked = (*known, *doubts, *follows)
+    return Prepared(
+        whole, [f"{record.path.name}: {f.subject}: {f.text}" for record, f in remarked],
+        {kind_of(finding.subject) for _, finding in doubts},
+        [replace(f, subject=f"{record.path}, {f.subject}") for record, f in follows],
+    )
+
+
+def comparable(record: Record) -> Record:
+    """The record without temperatures that are another wire's, and without the readings of sensors
+    at the end of their range, which say only that it was reached; a current is left as it is, for
+    its source may hold it."""
+    others = {f.subject for f in check_response(record) if "follows" in f.numbers}
+    record = replace(record, signals={n: s for n, s in record.signals.items() if n not in others})
+    kept = {}
+    for name, signal in record.signals.items():
+        values = signal.values
+        if kind_of(name) in DROPS_OUT and len(values) and np.ptp(values) > 0.0:
+            ends = float(values.max()), float(values.min())
+            flat = [clipped_samples(record, signal, extreme) for extreme in ends]
+            kept[name] = _without(signal, np.concatenate(flat))
+    return replace(record, signals=record.signals | kept)
+
+
+def _published_again(signal: Signal) -> IntArray:
+    """Where readings are what the sensor read before, published again at a fixed rate; none where
+    that is not told from a reading of few digits, or of what is imposed, which may be held."""
+    values, none = signal.values, np.zeros(0, dtype=np.int64)
+    if values.ndim != 1 or len(values) < FEWEST or kind_of(signal.name).startswith(_IMPOSED):
+        return none
+    new = np.flatnonzero(np.diff(values) != 0.0)
+    times = np.diff(new)
+    if len(times) < FEWEST:
+        return none
+    # Whole multiples, as a sensor may read the same twice; of two clocks now and then one more.
+    usual = int(np.quantile(times, 0.1, method="lower"))
+    off = np.abs(times - usual * np.rint(times / usual)) > (usual >= _TWO_CLOCKS)
+    steady = usual > 1 and np.mean(~off) > _STEADY
+    if not steady:
+        return none
+    # A stretch of one value is so many readings, the first of which come in even parts of it.
+    begins = np.append(0, new + 1)
+    length = np.diff(np.append(begins, len(values)))
+    stretch = np.repeat(np.arange(len(begins)), length)
+    count, place = np.maximum(np.rint(length / usual), 1)[stretch], np.arange(len(values))
+    part = (place - begins[stretch]) * count // length[stretch]
+    return np.flatnonzero((np.diff(part) == 0.0) & (np.diff(stretch) == 0)) + 1
+
+
+def mended(record: Record) -> tuple[Record, list[Finding]]:
+    """The record without what is known to be wrong of it, and what that was: clocks that lie a
+    constant time off the drive's, over a second behind or ahead of their messages, are moved onto
+    it, by when the recorder got these, currents that run against their voltage are turned, and
+    readings far off their neighbours, or published again, and deviations far below a reading's
+    scatter, are left out."""
+    moved: dict[str, Signal] = {}
+    found: list[Finding] = []
+    for name, signal in record.signals.items():
+        if name.endswith(".current") and (share := against_voltage(record, signal)):
+            moved[name] = signal = replace(signal, values=-signal.values)
+            found.append(said("turned", name, share=share))
+        if len(again := _published_again(signal)):
+            times = len(signal) / (len(signal) - len(again))
+            moved[name] = signal = _without(signal, again)
+            found.append(said("again", name, times=times))
+        if len(off := outliers(signal)):
+            shown = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
+            moved[name] = signal = _without(signal, off)
+            facts = {"values": shown, "unit": signal.unit}
+            found.append(said("left_out", name, outliers=len(off), **facts))
+        if signal.std is None or len(signal) < FEWEST:
+            continue
+        stated = float(np.median(signal.std))
+        scatter = float(np.median(np.abs(np.diff(signal.values, 2)))) / 0.6745 / np.sqrt(6.0)
+        if 0.0 < stated < _BELIEVED * scatter:
+            moved[name] = replace(signal, std=None)
+            facts = {"scatter": scatter, "unit": signal.unit}
+            found.append(said("understated", name, stated=stated, **facts))
+    delays = delays_of(record)
+    drive = next((n for n in delays if n.endswith(".voltage")), None)
+    for name, (delay, growth) in delays.items() if drive else ():
+        late = delay - delays[str(drive)][0]
+        is_off = late > _MOVED or late < -CLOCK_TOLERANCE
+        if is_off and abs(growth) < DRIFT_TOLERANCE:
+            own = moved.get(name, record.signals[name])
+            moved[name] = replace(own, time=own.time + late)
+            found.append(said("clock_moved", name, offset=late, drive=drive))
+    return replace(record, signals=record.signals | moved), found
+
+
+def _without(signal: Signal, which: IntArray) -> Signal:
+    left: dict[str, Any] = {
+        field: np.delete(values, which) for field in ("time", "values", "received", "std")
+        if (values := getattr(signal, field)) is not None
+    }
+    return replace(signal, **left)
+
+
+def under_suspicion(record: Record) -> Iterator[Finding]:
+    """Signals whose readings are not what they seem: clipped, of two values, on a clock that
+    drifts, jumps or lies off the others'. The subject is the signal's name."""
+    by_topic = {s.topic: n for n, s in record.signals.items() if s.topic}
+    for finding in check_record(record):
+        if finding.severity != "info" and _SUSPECT & set(finding.numbers):
+            name = by_topic.get(finding.subject, finding.subject)
+            if name in record.signals:
+                yield replace(finding, subject=name)
+
+    # Readings that jump between two values; a drive switched on purpose holds its level for long.
+    for name, signal in record.signals.items():
+        values = signal.values
+        if not name.endswith((".voltage", ".current")) or len(values) < FEWEST:
+            continue
+        span = float(np.ptp(values))
+        if not span > 0.0 or not np.isfinite(values).all():
+            continue
+        up = values > values.min() + 0.5 * span
+        near = np.abs(values - np.where(up, values.max(), values.min())) < _NEAR * span
+        turns = np.flatnonzero(up[1:] != up[:-1])
+        held = np.diff(turns)  # samples, of the two levels in turn
+        if near.mean() >= _SHARE and len(turns) >= _TURNS and (
+            min(np.median(held[::2]), np.median(held[1::2])) < _BRIEF
+        ):
+            yield said("two_valued", name, turns=len(turns), levels=2.0)
