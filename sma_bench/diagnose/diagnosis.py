@@ -116,7 +116,8 @@ def diagnose(
     improved = parameters if no_gap else _improved(model, parameters)
 
     progress("shrinkage on data that no fit saw")
-    observations = model.problem.in_states(model.z)
+    errors = np.sqrt(np.diag(model.joint))[len(model.x) :]
+    observations = model.problem.in_states(model.z, errors)
     lines += [text for one in observations for text in one.remarks]
     seen, unseen = observations[: len(records)], observations[len(records) :]
     fitted, unfitted = (seen, unseen) if unseen else _split(seen)

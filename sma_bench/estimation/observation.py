@@ -165,8 +165,8 @@ class Observation:
         ohms: volts for an ampere, where what a source holds stands for its voltage; or 0.
         epoch: s, of the grid's 0 on the clock of the day; before: the record of the same bench that
             ended last before this one began.
-        away: in which state its run was, standard deviations of `STATES` from the parameters';
-            zeros: by signal, what was taken off its readings;
+        away: in which state its run was, standard deviations of `STATES` from the parameters', and
+            within: standard errors of these; zeros: by signal, what was taken off its readings;
             skipped: s at its beginning that are not compared, as the bench had not settled.
     """
 
@@ -186,6 +186,7 @@ class Observation:
     epoch: float = 0.0
     before: "Observation | None" = None
     away: Mapping[str, float] = field(default_factory=dict)
+    within: Mapping[str, float] = field(default_factory=dict)
     zeros: Mapping[str, float] = field(default_factory=dict)
     skipped: float = 0.0
 
@@ -205,7 +206,8 @@ class Observation:
             found.append(f"{name}: {signal} is {off:+.3g} m at rest, taken for 0")
         far = [
             f"{what} {away * STATES[name] * factor:+.2g} {unit}"
-            for name, away in self.away.items() if abs(away) > _WORTH_SAYING
+            for name, away in self.away.items()
+            if abs(away) > max(_WORTH_SAYING, 2.0 * self.within.get(name, 0.0))
             for what, factor, unit in [_OF_A_RUN[name]]
         ]
         if far:

@@ -188,14 +188,19 @@ class Problem:
             found.append(max(float(left[1:] @ left[:-1]) / power, 0.0) if power > 0.0 else 0.0)
         return found
 
-    def in_states(self, z: Array) -> list[Observation]:
-        """The records, switched when nuisances z (q,) have it, each in the state of its run."""
+    def in_states(self, z: Array, errors: Array | float = 0.0) -> list[Observation]:
+        """The records, switched when nuisances z (q,) have it, each in the state of its run, known
+        to within standard `errors` (q,)."""
         items = [(k, item) for k, own in enumerate(self.nuisances) for item in own.items]
-        away: list[dict[str, float]] = [{} for _ in self.observations]
-        for (k, item), at in zip(items, z.tolist(), strict=True):
+        away, within = ([dict[str, float]() for _ in self.observations] for _ in range(2))
+        sizes = (self.states or self.later) * np.column_stack([z, errors + np.zeros(len(z))])
+        for (k, item), (at, error) in zip(items, sizes.tolist(), strict=True):
             if item.kind == STATE:
-                away[k][item.subject] = at * (self.states or self.later)
-        return [replace(one, away=own) for one, own in zip(self.observations, away, strict=True)]
+                away[k][item.subject], within[k][item.subject] = at, error
+        return [
+            replace(one, away=far, within=near)
+            for one, far, near in zip(self.observations, away, within, strict=True)
+        ]
 
     def for_effects(self, effects: Sequence[str]) -> Self:
         """The same, the deflection's zero wandering if that is one of the effects."""

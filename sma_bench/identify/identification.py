@@ -97,16 +97,16 @@ def identify(
     require_distinct([r for r in records if isinstance(r, Record)])
 
     # Bags put right, with what is remarked on them and on the wire's statements.
-    sound = [mended(as_driven(r, parameters)) for r in records if isinstance(r, Record)]
+    imposed = ["elongation"] if load_kind(parameters) == "displacement" else []  # as no wire moves
+    sound = [mended(as_driven(r, parameters), imposed) for r in records if isinstance(r, Record)]
     bags = [as_calibrated(record, parameters) for record, _ in sound]
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
-    imposed = "elongation" if load_kind(known) == "displacement" else ""  # as no wire moves
     for record in bags:
         run.notes.extend(record.findings)
-        checked = (f for f in check_record(record) if f.severity != "info" and f.subject != imposed)
-        run.notes.extend(f for f in checked if f not in record.findings)
+        checked = (f for f in check_record(record) if f.subject not in imposed)
+        run.notes.extend(f for f in checked if f.severity != "info" and f not in record.findings)
     run.notes.extend(about_wire(known))
 
     # Wires that move a load are identified by the whole model alone: their staircases bend it.

@@ -269,7 +269,8 @@ def _saturation(record: Record) -> Iterator[Finding]:
 
 
 def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
-    """Samples in flat stretches at an extreme that the signal ran into at speed.
+    """Samples in flat stretches at an extreme that the signal ran into at speed, or of a signal
+    whose noise never lets it be flat.
 
     A signal that settles slows down before; one that is clipped does not. Leaving it at speed is
     what a plateau without noise does when the drive ends. A current jumps with its voltage, so for
@@ -278,6 +279,9 @@ def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
     values, found = signal.values, [np.zeros(0, dtype=np.int64)]
     if extreme == values[0] and signal.name in _MECHANICS:
         return found[0]  # at rest, where it began
+    # Differences of noise grow with their order, those of a course that is smooth shrink.
+    second, third = (np.abs(np.diff(values[values != extreme], k)) for k in (2, 3))
+    noisy = len(third) > _FLAT_SAMPLES and np.median(third) > np.median(second) > 0.0
     edges = np.flatnonzero(np.diff(np.concatenate(([False], values == extreme, [False]))))
     for start, stop in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if stop - start < _FLAT_SAMPLES:
@@ -293,7 +297,7 @@ def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
             before = np.abs(values[max(0, start - _ENTRY_SAMPLES) : start] - extreme)
             # A reading of few digits stays flat by itself, and enters by its own step.
             fast = max(_ENTRY_FRACTION * np.ptp(values), 2.0 * _resolution(values))
-            clipped = len(before) == _ENTRY_SAMPLES and before.max() > fast
+            clipped = noisy or (len(before) == _ENTRY_SAMPLES and before.max() > fast)
         if clipped:
             found.append(np.arange(start, stop))
     return np.concatenate(found)

@@ -35,7 +35,6 @@ _SUSPECT = {"value", "drift", "turns", "common", "follows", "apart"}  # of the n
 # Of a sensor's readings, each published as often as the others; times, from which once more or less
 # can be told from chance.
 _STEADY, _TWO_CLOCKS = 0.95, 5
-_IMPOSED = ("voltage", "elongation")
 
 
 @dataclass(frozen=True)
@@ -57,13 +56,14 @@ def prepare(
     records: Sequence[Record], parameters: Parameters, quantities: Collection[str]
 ) -> Prepared:
     """Records mended and as their sensors are calibrated; `quantities` are to be compared."""
-    pairs = [mended(record) for record in records]
+    imposed = ("elongation",) if load_kind(parameters) == "displacement" else ()
+    pairs = [mended(record, imposed) for record in records]
     whole = [as_calibrated(record, parameters) for record, _ in pairs]
     known = [(record, finding) for record, found in pairs for finding in found]
     known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
     doubts = [
         (r, f) for r in whole for f in under_suspicion(r)
-        if kind_of(f.subject) in ("voltage", "range", *quantities)
+        if _compared(f.subject) in ("voltage", "range", *quantities)
     ]
     follows = [
         (r, f) for r in whole for f in check_response(r)
@@ -77,9 +77,15 @@ def prepare(
     remarked = (*known, *doubts, *follows)
     return Prepared(
         whole, [f"{record.path.name}: {f.subject}: {f.text}" for record, f in remarked],
-        {kind_of(finding.subject) for _, finding in doubts},
+        {_compared(finding.subject) for _, finding in doubts},
         [replace(f, subject=f"{record.path}, {f.subject}") for record, f in follows],
     )
+
+
+def _compared(name: str) -> str:
+    """The quantity that a signal is compared as."""
+    kind = kind_of(name)
+    return "deflection" if kind == "elongation" else kind
 
 
 def comparable(record: Record) -> Record:
@@ -91,7 +97,8 @@ def comparable(record: Record) -> Record:
     kept = {}
     for name, signal in record.signals.items():
         values = signal.values
-        if kind_of(name) in DROPS_OUT and len(values) and np.ptp(values) > 0.0:
+        kind = kind_of(name)
+        if kind in (*DROPS_OUT, "elongation", "force") and len(values) and np.ptp(values) > 0.0:
             ends = float(values.max()), float(values.min())
             flat = [clipped_samples(record, signal, extreme) for extreme in ends]
             kept[name] = _without(signal, np.concatenate(flat))
@@ -100,9 +107,9 @@ def comparable(record: Record) -> Record:
 
 def _published_again(signal: Signal) -> IntArray:
     """Where readings are what the sensor read before, published again at a fixed rate; none where
-    that is not told from a reading of few digits, or of what is imposed, which may be held."""
+    that is not told from a reading of few digits."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
-    if values.ndim != 1 or len(values) < FEWEST or kind_of(signal.name).startswith(_IMPOSED):
+    if values.ndim != 1 or len(values) < FEWEST:
         return none
     new = np.flatnonzero(np.diff(values) != 0.0)
     times = np.diff(new)
@@ -123,19 +130,22 @@ def _published_again(signal: Signal) -> IntArray:
     return np.flatnonzero((np.diff(part) == 0.0) & (np.diff(stretch) == 0)) + 1
 
 
-def mended(record: Record) -> tuple[Record, list[Finding]]:
+def mended(
+    record: Record, imposed: Collection[str] = ()
+) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
     constant time off the drive's, over a second behind or ahead of their messages, are moved onto
     it, by when the recorder got these, currents that run against their voltage are turned, and
     readings far off their neighbours, or published again, and deviations far below a reading's
-    scatter, are left out."""
+    scatter, are left out. What is `imposed`, and a voltage, may be held for long."""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():
         if name.endswith(".current") and (share := against_voltage(record, signal)):
             moved[name] = signal = replace(signal, values=-signal.values)
             found.append(said("turned", name, share=share))
-        if len(again := _published_again(signal)):
+        held = name in imposed or kind_of(name).startswith("voltage")
+        if not held and len(again := _published_again(signal)):
             times = len(signal) / (len(signal) - len(again))
             moved[name] = signal = _without(signal, again)
             found.append(said("again", name, times=times))
