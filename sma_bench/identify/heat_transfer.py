@@ -42,6 +42,8 @@ def identify_heat_transfer(
     """
     if parameters["wire.convection"] != "constant":
         raise refusal("free convection", path=record.path)
+    also = ["current"] if has_samples(record, f"{staircase.channel}.current") else []
+    staircase = staircase.read(record, "voltage", "temperature", *also)
     v, t = (staircase.means(record, kind) for kind in ("voltage", "temperature"))
     channel, n = staircase.channel, len(v.value)
     remarks: list[Finding] = []

@@ -30,7 +30,7 @@ from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
 from sma_bench.records.check import check_record
 from sma_bench.records.instruments import IsobaricRecord, Phase, TensileRecord
-from sma_bench.records.mend import mended
+from sma_bench.records.mend import comparable, mended
 from sma_bench.records.open import AnyRecord, account_line
 from sma_bench.records.record import (
     as_calibrated,
@@ -107,6 +107,7 @@ def identify(
         run.notes.extend(record.findings)
         checked = (f for f in check_record(record) if f.subject not in imposed)
         run.notes.extend(f for f in checked if f.severity != "info" and f not in record.findings)
+    bags = [comparable(record) for record in bags]
     run.notes.extend(about_wire(known))
 
     # Wires that move a load are identified by the whole model alone: their staircases bend it.

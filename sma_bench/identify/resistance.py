@@ -34,6 +34,7 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
     `record`: with `<channel>.voltage` [V] and `<channel>.current` [A]. Raises InputError: no
     current, too few samples, or leads with more resistance than was measured.
     """
+    staircase = staircase.read(record, "voltage", "current")
     v, i = (staircase.means(record, name) for name in ("voltage", "current"))
     volts, amps, n = v.value, i.value, len(v.value)
     findings: list[Finding] = []

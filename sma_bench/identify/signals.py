@@ -1,7 +1,7 @@
 """What a record offers to each experiment."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -53,6 +53,19 @@ class Staircase:
         start, duration = np.array([(p.start, p.duration) for p in self.plateaus]).T
         shares = np.minimum(1.0, duration / (SETTLE + AVERAGE))
         return start[:, np.newaxis] + np.outer(shares, (SETTLE, SETTLE + AVERAGE))
+
+    def read(self, record: Record, *quantities: str) -> "Staircase":
+        """With the plateaus only on which all of these were read, at half the usual rate at least,
+        as a clipped sensor's are not; the same where too few are left."""
+        kept = np.ones(len(self.plateaus), dtype=bool)
+        for quantity in quantities:
+            time = samples(record, f"{self.channel}.{quantity}")[0]
+            first, last = np.searchsorted(time, self.windows.T)
+            count = last - first
+            kept &= (count >= _FEWEST_SAMPLES) & (count >= 0.5 * np.median(count))
+        left = tuple(p for p, keep in zip(self.plateaus, kept.tolist(), strict=True) if keep)
+        enough = Segments(left, (), self.tolerance).levels() >= FEWEST_LEVELS
+        return replace(self, plateaus=left) if enough else self
 
     def means(self, record: Record, quantity: str) -> "Means":
         """Of one of the channel's signals, plateau by plateau."""

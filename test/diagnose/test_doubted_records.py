@@ -129,6 +129,20 @@ def test_a_diagnosis_says_what_is_wrong_with_a_record_and_names_no_effect_for_it
     assert (changed is switched) == (len(found.candidates) == 3)
 
 
+def test_levels_beyond_a_sensors_range_are_left_out_of_a_staircase():
+    volts = np.repeat([0.0, 0.2, 0.4, 0.6, 0.8, 1.0, 0.8, 0.6, 0.4, 0.2, 0.0], 150)
+    whole = record_of(volts)
+    kelvin = whole["wire.temperature"].values
+    limit = 0.5 * (kelvin[: 5 * 150].max() + kelvin.max())
+    cut = with_signals(whole, temperature={"values": np.minimum(kelvin, limit)})
+    unsure = LAB | {"uncertainty.wire.heat_transfer_coefficient": 60.0}
+    h, clipped = (
+        sma_bench.identify(one, unsure, ["E2"]).estimates["wire.heat_transfer_coefficient"]
+        for one in (whole, cut)
+    )
+    assert clipped.n < h.n and clipped.value == pytest.approx(h.value, rel=0.02)
+
+
 @pytest.mark.parametrize("wrong", ["swapped", "out of range", "late"])
 def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong):
     """Channels swapped at the plug, a tip that leaves its sensor's range, voltages that are stamped
