@@ -97,12 +97,12 @@ def identify(
     require_distinct([r for r in records if isinstance(r, Record)])
 
     # Bags put right, with what is remarked on them and on the wire's statements.
-    imposed = ["elongation"] if load_kind(parameters) == "displacement" else []  # as no wire moves
-    sound = [mended(as_driven(r, parameters), imposed) for r in records if isinstance(r, Record)]
+    sound = [mended(as_driven(r, parameters), parameters) for r in records if isinstance(r, Record)]
     bags = [as_calibrated(record, parameters) for record, _ in sound]
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
+    imposed = ["elongation"] if load_kind(known) == "displacement" else []  # as no wire moves
     for record in bags:
         run.notes.extend(record.findings)
         checked = (f for f in check_record(record) if f.subject not in imposed)

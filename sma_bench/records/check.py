@@ -313,8 +313,8 @@ def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
 _LAGS = (0.2, 1.0, 4.0, 16.0, 64.0)  # s
 _EXPLAINED = {"temperature": 0.93, "deflection": 0.7, "elongation": 0.55}
 _RESPONSE_SAMPLES = 2000
-_LENGTHENS = 0.7  # correlation of an elongation with the wire's temperature
-_PULLS = 3.0  # s, about, that a beam follows the heat of its wires after
+_FOLLOWS = (0.5, 1.5, 4.0)  # s, after which a motion follows the heat of its wires
+_LENGTHENS = 0.6  # correlation of a motion with the heat that it runs against
 _LATE, _CLEARLY = np.linspace(-1.0, 1.0, 41), 0.2  # s; of the variance that is left
 _LEAST_DRIVE = 0.1  # V
 _LEAST_MISSING = 1.0  # s
@@ -343,11 +343,8 @@ def check_response(record: Record) -> Iterator[Finding]:
             yield said("ends_early", name, missing=missing, volts=volts[-1])
 
     # Readings that do not follow, and a motion that follows the heat the wrong way.
-    hot = f"{driven[0]}.temperature"
-    if len(record.channels) == 1 and has_samples(record, "elongation") and hot in responses:
-        time, metres = samples(record, "elongation")
-        kelvin = np.interp(time, *samples(record, hot))
-        together = np.corrcoef(kelvin, metres)[0, 1] if np.ptp(kelvin) * np.ptp(metres) else 0.0
+    if len(record.channels) == 1 and "elongation" in responses:
+        together = _lengthens(record, driven[0])
         if together > _LENGTHENS:
             yield said("lengthens", "elongation", together=together)
     if "deflection" in responses and (together := _leans(record, driven)) < -_LENGTHENS:
@@ -383,15 +380,32 @@ def _lagged(course: Array, grid: Array, lag: float) -> Array:
     return first_order_lag(course, float(np.exp(-(grid[1] - grid[0]) / lag)))
 
 
+def _lengthens(record: Record, channel: str) -> float:
+    """Correlation of an elongation with the wire's temperature, or its heat where none was read."""
+    time, metres = samples(record, "elongation")
+    if not has_samples(record, f"{channel}.temperature"):
+        return _together(record, {channel: 1.0}, "elongation")
+    kelvin = np.interp(time, *samples(record, f"{channel}.temperature"))
+    return float(np.corrcoef(kelvin, metres)[0, 1]) if np.ptp(kelvin) * np.ptp(metres) else 0.0
+
+
 def _leans(record: Record, driven: list[str]) -> float:
     """Correlation of the tip with the heat of the front's wires less that of the back's."""
-    time, metres = samples(record, "deflection")
+    sides = {c: float(c.startswith("front")) - float(c.startswith("back")) for c in driven}
+    return _together(record, sides, "deflection")
+
+
+def _together(record: Record, signs: dict[str, float], motion: str) -> float:
+    """Correlation of a motion with the heat of wires, by their signs, as long ago as it is most."""
+    time, metres = samples(record, motion)
     grid = np.linspace(time[0], time[-1], _RESPONSE_SAMPLES)
-    pull, tip = np.zeros_like(grid), np.interp(grid, time, metres)
-    for channel in driven:
-        side = float(channel.startswith("front")) - float(channel.startswith("back"))
-        pull += side * _lagged(_heat(record, f"{channel}.voltage", grid), grid, _PULLS)
-    return float(np.corrcoef(pull, tip)[0, 1]) if np.ptp(pull) * np.ptp(tip) else 0.0
+    tip, most = np.interp(grid, time, metres), 0.0
+    heat = sum((s * _heat(record, f"{c}.voltage", grid) for c, s in signs.items()), 0.0 * grid)
+    for lag in _FOLLOWS:
+        pull = _lagged(heat, grid, lag)
+        if np.ptp(pull) * np.ptp(tip):
+            most = max(most, float(np.corrcoef(pull, tip)[0, 1]), key=abs)
+    return most
 
 
 def _apart(record: Record, channel: str) -> float:

@@ -27,6 +27,7 @@ from sma_bench.records.check import (
 from sma_bench.records.record import Record, Signal, as_calibrated
 
 _MOVED = 1.0  # s: a camera's picture may take as long on its way, with a right stamp
+_TRANSFORMS = 3e-3  # strain, more than a wire expands by
 _BELIEVED = 0.1  # of the scatter, least of a stated deviation
 # Share of readings that lie this near, of the range, to one of two values; jumps between these;
 # samples that the briefer of two levels is held.
@@ -56,8 +57,7 @@ def prepare(
     records: Sequence[Record], parameters: Parameters, quantities: Collection[str]
 ) -> Prepared:
     """Records mended and as their sensors are calibrated; `quantities` are to be compared."""
-    imposed = ("elongation",) if load_kind(parameters) == "displacement" else ()
-    pairs = [mended(record, imposed) for record in records]
+    pairs = [mended(record, parameters) for record in records]
     whole = [as_calibrated(record, parameters) for record, _ in pairs]
     known = [(record, finding) for record, found in pairs for finding in found]
     known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
@@ -131,13 +131,16 @@ def _published_again(signal: Signal) -> IntArray:
 
 
 def mended(
-    record: Record, imposed: Collection[str] = ()
+    record: Record, parameters: Parameters | None = None
 ) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
     constant time off the drive's, over a second behind or ahead of their messages, are moved onto
     it, by when the recorder got these, currents that run against their voltage are turned, and
     readings far off their neighbours, or published again, and deviations far below a reading's
-    scatter, are left out. What is `imposed`, and a voltage, may be held for long."""
+    scatter, are left out. Of a bench with these parameters a motion against the heat is turned
+    too. What a machine imposes, and a voltage, may be held for long."""
+    is_imposed = parameters is not None and load_kind(parameters) == "displacement"
+    imposed = ["elongation"] if is_imposed else []
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():
@@ -171,7 +174,29 @@ def mended(
             own = moved.get(name, record.signals[name])
             moved[name] = replace(own, time=own.time + late)
             found.append(said("clock_moved", name, offset=late, drive=drive))
-    return replace(record, signals=record.signals | moved), found
+    record = replace(record, signals=record.signals | moved)
+    if parameters is not None:
+        record, turned = _turned(record, parameters, imposed)
+        found += turned
+    return record, found
+
+
+def _turned(
+    record: Record, parameters: Parameters, imposed: Sequence[str]
+) -> tuple[Record, list[Finding]]:
+    """The record with motions that run against the heat turned; a wire that stays below A_s grows
+    as everything does that is heated."""
+    found, reach = [], _TRANSFORMS * parameters["wire.length"]
+    for against in check_response(record):
+        name = against.subject
+        if "together" not in against.numbers or name in imposed:
+            continue
+        signal = record[name]
+        if name != "elongation" or np.ptp(signal.values) > reach:
+            signal = replace(signal, values=-signal.values)
+            record = replace(record, signals=record.signals | {name: signal})
+            found.append(said("turned_tip", name, together=against.numbers["together"]))
+    return record, found
 
 
 def _without(signal: Signal, which: IntArray) -> Signal:

@@ -143,10 +143,10 @@ def test_levels_beyond_a_sensors_range_are_left_out_of_a_staircase():
     assert clipped.n < h.n and clipped.value == pytest.approx(h.value, rel=0.02)
 
 
-@pytest.mark.parametrize("wrong", ["swapped", "out of range", "late"])
+@pytest.mark.parametrize("wrong", ["swapped", "out of range", "late", "turned"])
 def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong):
     """Channels swapped at the plug, a tip that leaves its sensor's range, voltages that are stamped
-    when they are commanded: of a bench on which nothing is wrong."""
+    when they are commanded, an axis that points the other way: nothing is wrong with the bench."""
 
     def as_read(record):
         signals = dict(record.signals)
@@ -155,6 +155,8 @@ def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong
                 signals[name] = replace(record[OPPOSITE[name]], name=name)
             elif wrong == "out of range" and name == "deflection":
                 signals[name] = replace(own, values=np.clip(own.values, -0.02, 0.02))
+            elif wrong == "turned" and name == "deflection":
+                signals[name] = replace(own, values=-own.values)
             elif wrong == "late" and name.endswith("voltage"):
                 signals[name] = replace(own, time=own.time - 0.25, received=None)
         return replace(record, signals=signals)
@@ -162,10 +164,12 @@ def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong
     seen, unseen = ([as_read(r) for r in some] for some in planted_pair(tmp_path))
     found = sma_bench.diagnose(seen, believed(), unseen)
     assert found.cause == () and found.candidates[0].name == "recalibration"
-    said = {"swapped": "channels swapped", "out of range": "clipped", "late": "different clocks"}
+    said = {"swapped": "channels swapped", "out of range": "clipped", "late": "different clocks",
+            "turned": "its sign is turned"}  # fmt: skip
     assert said[wrong] in " ".join(found.record)
-    improved = found.shrinkage.get("temperature", found.shrinkage["deflection"])
-    assert wrong == "late" or improved.rmse_after < 1.2 * improved.noise_floor
+    after = {q: s.rmse_after / s.noise_floor for q, s in found.shrinkage.items()}
+    assert wrong == "late" or max(after.values()) < 1.2
+    assert ("temperature" in after) == (wrong != "swapped")
 
 
 def test_what_a_sensor_is_stated_to_do_is_no_cause(record):
