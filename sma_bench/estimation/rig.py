@@ -99,7 +99,8 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
             raise InputError(f"{record.path}: {len(time)} samples of elongation, too few to impose")
         # Ramps and holds are freed of their noise as those of a voltage; in tenths of the stroke.
         unit = 0.1 * float(np.ptp(metres)) or 1.0
-        moved = time, unit * applied_voltage([(time, metres / unit)]).channels[0].voltage
+        course = applied_voltage([(time, metres / unit)]).channels[0]
+        moved = course.time, unit * course.voltage
         holds: tuple[Hold, ...] = (Hold(start, stop, True, 0.0, _ZERO_STD),)
     else:
         holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()

@@ -6,8 +6,9 @@ last bit: both are errors that a fit may move (nuisances.py).
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -24,6 +25,7 @@ from sma_bench.records.record import Record
 
 SHORTEST_SEGMENT = 0.5
 FEWEST_SAMPLES = 20
+_AT_CORNER, _BENT = 2, 3.0  # samples that may lie on neither line; times the noise
 _TOLERANCE_STD = 8.0
 _TOLERANCE_STEPS = 2.5
 _SMALLEST_TOLERANCE = 1e-3
@@ -31,7 +33,8 @@ _MOST_PIECES = 20_000
 # Of the largest voltage, where samples are so far apart [s] or nearer; less heats too little to be
 # misplaced, the longer a slow logger does not look the less.
 _SMALLEST_JUMP, _OFTEN_READ = 0.05, 0.1
-_STRAIGHT = 1.3
+_RAMPS = 0.7  # of what changes
+_STRAIGHT, _EXACT = 1.3, 1e-5  # of the noise; of all volts, where there is none
 _FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
 _NARROWEST = 1e-3
@@ -132,7 +135,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     second = driven if len(driven) else second
     noise = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
     tolerance = max(
-        _TOLERANCE_STD * noise, _TOLERANCE_STEPS * resolution(voltage), _SMALLEST_TOLERANCE
+        _TOLERANCE_STD * noise, _TOLERANCE_STEPS * _step_of(voltage), _SMALLEST_TOLERANCE
     )
     span = float(np.ptp(smooth))
     while True:
@@ -184,6 +187,15 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     return Segments(tuple(items), edges, tolerance)
 
 
+def _step_of(voltage: Array) -> float:
+    """The converter's step, V; none of a command that ramps, of which each differs from the last by
+    as much as that from the one before."""
+    moves = np.diff(voltage)
+    again = np.abs(np.diff(moves)) < _EXACT * float(np.ptp(voltage))
+    going = moves[:-1] != 0.0
+    return 0.0 if going.any() and np.mean(again[going]) > _RAMPS else resolution(voltage)
+
+
 def protocol_spans(
     markers: Iterable[tuple[float, str]], duration: float
 ) -> tuple[tuple[str, float, float], ...]:
@@ -229,6 +241,11 @@ def _line(time: Array, voltage: Array, first: int, last: int) -> tuple[float, fl
     return float(fitted[0]), float(fitted[-1]), float(np.max(np.abs(v - fitted)))
 
 
+def _energy(begin: Array, end: Array, duration: Array) -> Array:
+    """Integral of V^2 [V2 s] over straight stretches."""
+    return np.asarray((begin**2 + begin * end + end**2) / 3.0 * duration, dtype=np.float64)
+
+
 @dataclass(frozen=True)
 class Polygon:
     """Voltage of one channel: knots, and straight lines between them.
@@ -270,9 +287,11 @@ class Polygon:
         before, after = min(grid[0], time[0]) - 1.0, max(grid[-1], time[-1]) + 1.0
         time = np.concatenate([[before], time, [after]])
         level = np.concatenate([level[:1], level, level[-1:]])
-        square = (level[1:] ** 2 + level[1:] * level[:-1] + level[:-1] ** 2) / 3.0
-        total = np.concatenate([[0.0], np.cumsum(square * np.diff(time))])
-        return np.diff(np.interp(grid, time, total))
+        total = np.append(0.0, np.cumsum(_energy(level[:-1], level[1:], np.diff(time))))
+        # Up to each grid time: all stretches before, and a part of the one that it lies in.
+        k = np.searchsorted(time, grid, side="right") - 1
+        here = level[k] + (level[k + 1] - level[k]) * (grid - time[k]) / (time[k + 1] - time[k])
+        return np.diff(total[k] + _energy(level[k], here, grid - time[k]))
 
     @cached_property
     def _slopes_at_jumps(self) -> tuple[Array, Array]:
@@ -450,11 +469,12 @@ def _straight(n: int) -> tuple[Array, Array]:
 
 def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     segments = find_segments(time, voltage)
-    step = resolution(voltage)
+    step = _step_of(voltage)
     # A level between two steps of the converter toggles by half a step about its mean.
     second = np.diff(voltage, 2)[voltage[1:-1] > _OFF]
     robust = 1.4826 * float(np.median(np.abs(second))) / np.sqrt(6.0) if len(second) else 0.0
     limit = _STRAIGHT * float(np.hypot(max(robust, step / np.sqrt(12.0)), 0.5 * step))
+    limit = max(limit, _EXACT * float(np.ptp(voltage)))
     # Straight lines where the voltage is straight: first and last knot, and scatter, of each.
     smooth = voltage.copy()
     lines = []
@@ -481,7 +501,51 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     least = _SMALLEST_JUMP * min(1.0, _OFTEN_READ / float(np.median(np.diff(time))))
     knots = knots[size > least * float(np.max(np.abs(smooth), initial=0.0))]
     jumps = np.unique(knots).astype(np.float64)
-    return Polygon(time, smooth, jumps, tuple(lines), hidden, step, commanded)
+    whole = Polygon(time, smooth, jumps, tuple(lines), hidden, step, commanded)
+    return _with_corners(whole, voltage)
+
+
+def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
+    """With a knot where one straight stretch turns into the next, which may be between two samples
+    and is no jump. The lines are those without the samples next to it."""
+    time, smooth = polygon.time, polygon.voltage.copy()
+    lines, corners = list(polygon.lines), dict[int, tuple[float, float]]()
+    least = polygon.step + _EXACT * float(np.ptp(voltage))
+    for k, ((a, a_end, left), (b, b_end, right)) in enumerate(pairwise(polygon.lines)):
+        parts = (a + _AT_CORNER, a_end - _AT_CORNER), (b + _AT_CORNER, b_end - _AT_CORNER)
+        if b > a_end + _AT_CORNER or min(end - begin for begin, end in parts) < _FEWEST_IN_LINE:
+            continue
+        rise, fall = (np.polyfit(time[i:j], voltage[i:j], 1) for i, j in parts)
+        if any(
+            np.max(np.abs(np.polyval(line, time[i:j]) - smooth[i:j])) > _BENT * noise + least
+            for line, (i, j), noise in zip((rise, fall), parts, (left, right), strict=True)
+        ):
+            continue
+        at = float((fall[1] - rise[1]) / (rise[0] - fall[0])) if rise[0] != fall[0] else np.inf
+        before = int(np.searchsorted(time, at)) - 1
+        if not a_end - _AT_CORNER <= before + 1 <= b + _AT_CORNER:
+            continue
+        for line, begin, end in ((rise, parts[0][1], before + 1), (fall, before + 1, parts[1][0])):
+            smooth[begin:end] = np.polyval(line, time[begin:end])
+        corners[before + 1] = at, float(np.polyval(rise, at))
+        lines[k] = (lines[k][0], before + 1, lines[k][2])
+        lines[k + 1] = (before + 1, *lines[k + 1][1:])
+    places = np.array(sorted(corners), dtype=np.intp)
+    moments, levels = np.array([corners[p] for p in places.tolist()]).reshape(-1, 2).T
+    held = polygon.commanded
+    within = np.zeros(len(polygon.jumps), dtype=bool)  # a line
+    for first, last, _ in lines:
+        within |= (polygon.jumps >= first) & (polygon.jumps + 1 < last)
+
+    def moved(index: Array | int) -> Array:
+        return np.asarray(index + np.searchsorted(places, index, side="right"), dtype=np.float64)
+
+    return replace(
+        polygon, time=np.insert(time, places, moments), voltage=np.insert(smooth, places, levels),
+        jumps=moved(polygon.jumps[~np.isin(polygon.jumps + 1, places) & ~within]),
+        lines=tuple((int(moved(i)), int(moved(j - 1)) + 1, noise) for i, j, noise in lines),
+        commanded=None if held is None else np.insert(held, places, held[places - 1]),
+    )
 
 
 def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int]], Array]:
