@@ -66,3 +66,21 @@ def test_a_step_that_one_noisy_sample_does_not_show_is_no_ramp():
         true = np.interp(grid[:-1] + 0.05, time, volts)
         far = np.min(np.abs(grid[:-1, None] + 0.05 - [4.42, 8.03]), axis=1) > 0.1
         assert held[far] == pytest.approx(true[far], abs=2.5e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.005])
+@pytest.mark.parametrize("period", [0.04, 0.48, 1.0])
+def test_triangles_of_a_slow_logger_heat_as_they_did_between_its_readings(period, noise):
+    """Heat spread evenly from one reading to the next came up to half a period early or late, which
+    passed for a sensor's lag; corners between two readings passed for jumps."""
+
+    def volts(time):
+        turn = (time - 2.0) % 20.0
+        return 0.55 * np.minimum(turn, 20.0 - turn) * (time > 2.0)
+
+    time, grid = np.arange(0.0, 60.0, period), np.arange(0.0, 58.0, 0.02)
+    read = volts(time) + noise * np.random.default_rng(0).standard_normal(len(time))
+    found = applied_voltage([(time, read)])
+    held = found.on_grid(grid, np.zeros(len(found.early)))[:-1, 0]
+    assert held**2 == pytest.approx(volts(grid[:-1] + 0.01) ** 2, abs=0.25)
+    assert len(found.early) <= 1  # where it begins, at most
