@@ -189,7 +189,7 @@ def search(
     if stuck:
         progress("recalibration was stuck: once more")
         keep(_singles(kinds, better, progress).values())
-    recalibrated = better
+    recalibrated = max(better, _refined(better), key=_evidence) if _is_bent(better) else better
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
 
@@ -318,11 +318,14 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
     return (better if gained > 0.0 else recalibrated), gained > _STUCK
 
 
+def _is_bent(fitted: Fit) -> bool:
+    return bool((fitted.problem.of_kind(STATE) | fitted.problem.of_kind(TICK)).any())
+
+
 def _refined(found: Fit) -> Fit:
     """The same model once more, with what its own jumps and delays do, not recalibration's; until
     that gains nothing where a run's state or a slow logger's jumps are taken along."""
-    before = found.problem
-    bent = (before.of_kind(STATE) | before.of_kind(TICK)).any()
+    bent = _is_bent(found)
     for _ in range(_MOST_PASSES if bent else 1):
         problem, gone = found.problem.about(found.parameters, found.z), found.evidence
         known = None if bent else found.predicted
