@@ -1,4 +1,4 @@
-"""sma-bench investigate: an ambiguous record, one more run in software, and the cause is named."""
+"""sma-bench investigate: a record that names nothing, one more run in software, and the cause is named."""
 
 import json
 
@@ -39,16 +39,18 @@ def investigate(lab, *more):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_an_ambiguous_record_is_followed_until_the_cause_is_named(lab, capsys):
+def test_a_record_that_names_nothing_is_followed_until_the_cause_is_named(lab, capsys):
     assert investigate(lab, "--budget", "0.1") == 0
-    assert "budget spent: ambiguous after 1 record, 0.0 min" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "budget spent: " in out and " after 1 record, 0.0 min" in out
     assert investigate(lab) == 0
     out = capsys.readouterr().out
     assert "--yes runs without asking" in out and not (lab / "gap" / "record_1").exists()
     assert investigate(lab, "--yes", "--json", str(lab / "story.json")) == 0
     story = json.loads((lab / "story.json").read_text())
     first, *_, last = story["chapters"]
-    assert (first["verdict"], first["records"]) == ("ambiguous", 1)
+    assert (first["cause"], first["records"]) == ([], 1)
+    assert "ambient_drift" in first["proposed"]["separates"]
     assert (last["verdict"], last["cause"]) == ("effect", ["ambient_drift"])
     assert story["state"] == "named" and last["minutes"] > 0.5
     assert read_record(lab / "gap" / "record_1").duration > 30.0

@@ -96,7 +96,7 @@ def test_what_gains_must_do_so_with_each_record_and_everywhere_and_among_many_mo
     assert slack(20.0) > slack(20.0, own={"gap": 0.3})
     assert slack(20.0, [f"effect_{k}" for k in range(60)]) < slack(20.0)
     gains = [slack(g) for g in (0.0, 5.0, 20.0, 80.0, 320.0)]
-    assert gains == sorted(gains) and gains[0] < 0.11 < 0.8 < gains[-1]
+    assert gains == sorted(gains) and gains[0] < 0.15 < 0.8 < gains[-1]
 
 
 # --- The stage of a gap.

@@ -76,7 +76,7 @@ def test_page_can_be_played(page, tmp_path, monkeypatch, left_by):
         assert answer["verdict"] == "effect" and answer["cause"] == ["side_heat_coupling"]
         where = answer["where"]
         at = where["signal"], where["phase"], where["stage"]
-        assert at == ("back_2.temperature", "drive", "thermal")
+        assert at == ("front_2.temperature", "drive", "thermal")
         assert answer["shrinkage"]["temperature"]["fraction"] > 0.5
         shown = card(diagnosis_from(answer, "gap.json"))
         place = dict(shown.rows)["where"].partition(",")[0]
