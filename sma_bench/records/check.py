@@ -362,9 +362,11 @@ def check_response(record: Record) -> Iterator[Finding]:
             continue
         facts = {"share": max(share, 0.0), "expected": _EXPLAINED[kind], "explained": share}
         if kind == "temperature":
+            reach = {c: float(np.ptp(samples(record, f"{c}.voltage")[1])) for c in driven}
             others = {o: _explained(record, [f"{o}.voltage"], name) or 0.0 for o in driven}
             other = max(others, key=lambda o: others[o])
-            if others[other] >= _EXPLAINED[kind]:
+            # A wire that is hardly driven is warmed by the others.
+            if others[other] >= _EXPLAINED[kind] and reach[channel] > 0.5 * reach[other]:
                 yield said("swapped", name, other=other, follows=others[other], **facts)
                 continue
         yield said("unexplained", name, **facts)
