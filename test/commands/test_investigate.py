@@ -1,4 +1,4 @@
-"""sma-bench investigate: a record names nothing, one more run in software, and the cause is named."""
+"""sma-bench investigate: a record names nothing, a run in software is added, the cause is named."""
 
 import json
 
