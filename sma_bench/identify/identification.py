@@ -103,11 +103,12 @@ def identify(
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
     imposed = ["elongation"] if load_kind(known) == "displacement" else []  # as no wire moves
-    for record in bags:
+    for k, record in enumerate(bags):
         run.notes.extend(record.findings)
-        checked = (f for f in check_record(record) if f.subject not in imposed)
+        checked = [f for f in check_record(record) if f.subject not in imposed]
         run.notes.extend(f for f in checked if f.severity != "info" and f not in record.findings)
-    bags = [comparable(record) for record in bags]
+        bags[k], left_out = comparable(record, checked)
+        run.notes.extend(left_out)
     run.notes.extend(about_wire(known))
 
     # Wires that move a load are identified by the whole model alone: their staircases bend it.

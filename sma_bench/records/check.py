@@ -417,6 +417,8 @@ def _apart(record: Record, channel: str) -> float:
         return 0.0
     stamps, volts = samples(record, f"{channel}.voltage")
     time, amperes = samples(record, f"{channel}.current")
+    some = slice(None, None, max(1, len(time) // _RESPONSE_SAMPLES))
+    time, amperes = time[some], amperes[some]
     grid = np.linspace(stamps[0], stamps[-1], _RESPONSE_SAMPLES)
     heat = _heat(record, f"{channel}.voltage", grid)
     warm = [np.interp(time, grid, _lagged(heat, grid, lag)) for lag in _LAGS]

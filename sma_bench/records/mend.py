@@ -1,6 +1,6 @@
 """What is put right in a record, left out of it and doubted before a model is fitted to it."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -69,12 +69,14 @@ def prepare(
         (r, f) for r in whole for f in check_response(r)
         if f.subject != "elongation" or load_kind(parameters) != "displacement"
     ]
-    whole = [comparable(record) for record in whole]
+    sound = [comparable(record, [f for r, f in follows if r is record]) for record in whole]
+    less = [(r, f) for r, (_, found) in zip(whole, sound, strict=True) for f in found]
+    whole = [record for record, _ in sound]
     if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
         whole = [
             replace(r, signals={n: s for n, s in r.signals.items() if n != "force"}) for r in whole
         ]
-    remarked = (*known, *doubts, *follows)
+    remarked = (*known, *doubts, *follows, *less)
     return Prepared(
         whole, [f"{record.path.name}: {f.subject}: {f.text}" for record, f in remarked],
         {_compared(finding.subject) for _, finding in doubts},
@@ -88,21 +90,22 @@ def _compared(name: str) -> str:
     return "deflection" if kind == "elongation" else kind
 
 
-def comparable(record: Record) -> Record:
-    """The record without temperatures that are another wire's, and without the readings of sensors
-    at the end of their range, which say only that it was reached; a current is left as it is, for
-    its source may hold it."""
-    others = {f.subject for f in check_response(record) if "follows" in f.numbers}
-    record = replace(record, signals={n: s for n, s in record.signals.items() if n not in others})
-    kept = {}
+def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, list[Finding]]:
+    """The record without temperatures that are another wire's, by the `findings` on it, and without
+    the readings of sensors at the end of their range, which say only that it was reached; and how
+    many these were. A current is left as it is, for its source may hold it."""
+    kept, left_out = dict(record.signals), []
+    others = {f.subject for f in findings if "follows" in f.numbers}
     for name, signal in record.signals.items():
-        values = signal.values
-        kind = kind_of(name)
+        values, kind = signal.values, kind_of(name)
+        which = np.arange(len(signal) if name in others else 0)
         if kind in (*DROPS_OUT, "elongation", "force") and len(values) and np.ptp(values) > 0.0:
-            ends = float(values.max()), float(values.min())
-            flat = [clipped_samples(record, signal, extreme) for extreme in ends]
-            kept[name] = _without(signal, np.concatenate(flat))
-    return replace(record, signals=record.signals | kept)
+            for extreme in (float(values.max()), float(values.min())):
+                which = np.union1d(which, clipped_samples(record, signal, extreme))
+        if len(which):
+            kept[name] = _without(signal, which.astype(np.intp))
+            left_out.append(said("not_compared", name, count=len(which)))
+    return replace(record, signals={n: s for n, s in kept.items() if n not in others}), left_out
 
 
 def _published_again(signal: Signal) -> IntArray:

@@ -167,6 +167,8 @@ def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong
     said = {"swapped": "channels swapped", "out of range": "clipped", "late": "different clocks",
             "turned": "its sign is turned"}  # fmt: skip
     assert said[wrong] in " ".join(found.record)
+    is_left_out = wrong in ("swapped", "out of range")
+    assert ("are left out for that" in " ".join(found.record)) == is_left_out
     after = {q: s.rmse_after / s.noise_floor for q, s in found.shrinkage.items()}
     assert wrong == "late" or max(after.values()) < 1.2
     assert ("temperature" in after) == (wrong != "swapped")
