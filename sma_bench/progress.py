@@ -46,10 +46,8 @@ def counted(report: Report, total: int, unit: str) -> Callable[[int], None]:
 def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
     """From which share of the whole to which steps go. `plan`: how long they take, in any unit."""
     ends = [0.0, *accumulate(plan.values())]
-    return {
-        step: (low / ends[-1], high / ends[-1])
-        for step, low, high in zip(plan, ends, ends[1:], strict=False)
-    }
+    return {step: (low / ends[-1], high / ends[-1])
+            for step, low, high in zip(plan, ends, ends[1:], strict=False)}
 
 
 def by_name(report: Report, plan: Mapping[str, float]) -> Callable[[str], None]:

@@ -58,10 +58,9 @@ class BenchDriver:
     """See the module. All times (`now`) are s of one monotonic clock; `newest` is the last reading,
     None before the first."""
 
-    def __init__(
-        self, link: SerialLink, sensors: BenchSensors, guard: Guard, channels: Sequence[str],
-        limits: Limits, waiver: str = "", pause: Callable[[float], None] = time.sleep,
-    ) -> None:
+    def __init__(self, link: SerialLink, sensors: BenchSensors, guard: Guard,
+                 channels: Sequence[str], limits: Limits, waiver: str = "",
+                 pause: Callable[[float], None] = time.sleep) -> None:
         """`waiver`: why nobody needs a self-test before enabling; "" to demand one."""
         self._link, self._sensors, self._guard = link, sensors, guard
         self._channels, self._limits, self._waiver = channels, limits, waiver
@@ -115,14 +114,12 @@ class BenchDriver:
 
     def diagnostics(self, now: float) -> dict[str, str]:
         gate = self.gate
-        return {
-            "state": self.state, "self_test": self.tested, "supply_volts": f"{self.supply:.2f}",
-            "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
-            "applied": " ".join(f"{volt:.2f}" for volt in self.applied),
-            "commander": gate.commander, "accepted_commands": str(gate.accepted),
-            "rejected_commands": str(gate.rejected), "command_timeouts": str(gate.timeouts),
-            "last_rejection": gate.last_rejection,
-        }
+        return {"state": self.state, "self_test": self.tested, "supply_volts": f"{self.supply:.2f}",
+                "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
+                "applied": " ".join(f"{volt:.2f}" for volt in self.applied),
+                "commander": gate.commander, "accepted_commands": str(gate.accepted),
+                "rejected_commands": str(gate.rejected), "command_timeouts": str(gate.timeouts),
+                "last_rejection": gate.last_rejection}
 
     # --- Requests; LinkError says why one must not be, or the device's refusal
 
@@ -151,10 +148,8 @@ class BenchDriver:
             highest = self._limits.reading(limit)
             if highest > device.maximum_voltage:
                 heats = f" and heats as {highest:.4g} V do" if highest != limit else ""
-                raise LinkError(
-                    f"bench.maximum_voltage is {limit:g} V{heats}, the device allows "
-                    f"{device.maximum_voltage:g} V"
-                )
+                raise LinkError(f"bench.maximum_voltage is {limit:g} V{heats}, the device allows "
+                                f"{device.maximum_voltage:g} V")
             if device.command_timeout < _LEAST_TIMEOUT:
                 raise LinkError(f"the device's timeout is {device.command_timeout:g} s: too short")
         if fault := self._guard.fault(now):
@@ -193,10 +188,8 @@ class BenchDriver:
             raise LinkError("enabled: stop first")
 
     def _watch_shared_sensors(self) -> None:
-        self._shared = [
-            (wires, SharedWatch([self._channels[k] for k in wires]))
-            for wires in self._sensors.shared
-        ]
+        self._shared = [(wires, SharedWatch([self._channels[k] for k in wires]))
+                        for wires in self._sensors.shared]
 
     # --- The self-test
 
@@ -213,17 +206,15 @@ class BenchDriver:
             return [CheckResult("connection", False, status.problem or "no reading yet")]
         uncertainty, (low, high) = status.clock_uncertainty, device.supply_range
         most = max(map(abs, newest.board_currents))
-        rows = [
-            ("connection", True, f"{device.name} {device.build}, reset: {device.reset}"),
-            ("link", status.lost + status.damaged + status.not_understood == 0,
-             f"{status.telemetry} frames, {status.lost} lost, {status.damaged} damaged"),
-            ("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY,
-             f"known to {1e3 * uncertainty:.2f} ms, drift {1e6 * status.drift:.0f} ppm"),
-            ("supply", low <= self.supply <= high,
-             f"{self.supply:.2f} V, expected {low:g} to {high:g} V"),
-            ("currents", most < MOST_CURRENT_AT_REST,
-             f"at most {most:.2f} A at rest, expected under {MOST_CURRENT_AT_REST:g} A"),
-        ]
+        rows = [("connection", True, f"{device.name} {device.build}, reset: {device.reset}"),
+                ("link", status.lost + status.damaged + status.not_understood == 0,
+                 f"{status.telemetry} frames, {status.lost} lost, {status.damaged} damaged"),
+                ("clock", uncertainty < _MOST_CLOCK_UNCERTAINTY,
+                 f"known to {1e3 * uncertainty:.2f} ms, drift {1e6 * status.drift:.0f} ppm"),
+                ("supply", low <= self.supply <= high,
+                 f"{self.supply:.2f} V, expected {low:g} to {high:g} V"),
+                ("currents", most < MOST_CURRENT_AT_REST,
+                 f"at most {most:.2f} A at rest, expected under {MOST_CURRENT_AT_REST:g} A")]
         for side, distance in zip(SIDES, newest.distances, strict=True):
             if side in self._sensors.range_sensors:
                 rows.append((f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm"))
@@ -339,12 +330,7 @@ def device_limits(limits: Limits, device: messages.DeviceIdentity, supply: float
     hot = _HOTTER * math.sqrt(rise * limits.heat_loss * limits.heated)
     mean = min(device.maximum_mean_current, _PER_BOARD * _MARGIN * limits.maximum_current)
     peak = min(device.maximum_peak_current, _PER_BOARD * _MARGIN * supply / least)
-    values = (
-        min(device.maximum_voltage, _MARGIN * limits.reading(limits.maximum_voltage)),
-        mean,
-        max(peak, mean + _LEAST_STEP),
-        least,
-        min(device.hot_voltage, hot),
-        min(device.hot_time, max(limits.heat_capacity / limits.heat_loss, _LEAST_HOT_TIME)),
-    )
+    values = (min(device.maximum_voltage, _MARGIN * limits.reading(limits.maximum_voltage)), mean,
+              max(peak, mean + _LEAST_STEP), least, min(device.hot_voltage, hot),
+              min(device.hot_time, max(limits.heat_capacity / limits.heat_loss, _LEAST_HOT_TIME)))
     return [round(1e3 * value) for value in values]

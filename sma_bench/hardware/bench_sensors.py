@@ -63,13 +63,11 @@ class CalibratedSensor(NamedTuple):
         return self.known_unit == "m"
 
 
-SENSORS = {
-    "supply": CalibratedSensor("V", "V", "voltage", lambda t: t.supply),
-    "front_current": CalibratedSensor("A", "A", "current", lambda t: t.current[0]),
-    "back_current": CalibratedSensor("A", "A", "current", lambda t: t.current[1]),
-    "front_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[0]),
-    "back_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[1]),
-}
+SENSORS = {"supply": CalibratedSensor("V", "V", "voltage", lambda t: t.supply),
+           "front_current": CalibratedSensor("A", "A", "current", lambda t: t.current[0]),
+           "back_current": CalibratedSensor("A", "A", "current", lambda t: t.current[1]),
+           "front_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[0]),
+           "back_range": CalibratedSensor("V", "m", "deflection", lambda t: t.range_voltage[1])}
 
 
 class ChannelPower(NamedTuple):
@@ -110,10 +108,8 @@ class BenchSensors:
             ) from None
 
         self._calibrations = {
-            name: Calibration(*(
-                settings[f"calibration.{name}.{number}"]
-                for number in Calibration._fields[: 3 if sensor.is_range else 2]
-            ))
+            name: Calibration(*(settings[f"calibration.{name}.{number}"]
+                                for number in Calibration._fields[: 3 if sensor.is_range else 2]))
             for name, sensor in SENSORS.items()
         }
         self.supply = self._calibrations["supply"]  # of its divider
@@ -133,10 +129,8 @@ class BenchSensors:
 
     def _calibrated(self, quantity: str, telemetry: Telemetry) -> tuple[float, float]:
         """Of the front's and the back's sensor."""
-        front, back = (
-            self._calibrations[name].apply(SENSORS[name].reading(telemetry))
-            for name in (f"{side}_{quantity}" for side in SIDES)
-        )
+        front, back = (self._calibrations[name].apply(SENSORS[name].reading(telemetry))
+                       for name in (f"{side}_{quantity}" for side in SIDES))
         return front, back
 
     def board_currents(self, telemetry: Telemetry) -> tuple[float, float]:
@@ -156,10 +150,8 @@ class BenchSensors:
         equal resistances."""
         duties = telemetry.duty
         supply, currents = self.supply.apply(telemetry.supply), self.board_currents(telemetry)
-        wires = [
-            ampere - rest if abs(rest) < MOST_CURRENT_AT_REST else ampere
-            for ampere, rest in zip(currents, self._at_rest, strict=True)
-        ]
+        wires = [ampere - rest if abs(rest) < MOST_CURRENT_AT_REST else ampere
+                 for ampere, rest in zip(currents, self._at_rest, strict=True)]
         totals = sum(duties[:_PER_SIDE]), sum(duties[_PER_SIDE:])
         powers = []
         for channel in self.channels:
@@ -179,11 +171,9 @@ class BenchSensors:
         near, far = self._calibrated("range", telemetry)
         towards = {"front": self._standoffs[0] - near, "back": far - self._standoffs[1]}
         seen = [towards[sensor] for sensor in self.range_sensors if math.isfinite(towards[sensor])]
-        return BenchReading(
-            telemetry.time, tuple(powers), (near, far),
-            sum(seen) / len(seen) if seen else math.nan,
-            currents, (supply * totals[0], supply * totals[1]),
-        )
+        return BenchReading(telemetry.time, tuple(powers), (near, far),
+                            sum(seen) / len(seen) if seen else math.nan,
+                            currents, (supply * totals[0], supply * totals[1]))
 
     def millivolts(self, voltage: Sequence[float], supply_reading: float) -> list[int]:
         """What to command for `voltage` V at the wires; other outputs stay off. The device drives
@@ -212,9 +202,8 @@ class SharedWatch:
         self._pairs = 0.0
         self._reason = ""
 
-    def power(
-        self, volts: Sequence[float], amperes: Sequence[float], stamp: float, circuit: float
-    ) -> str:
+    def power(self, volts: Sequence[float], amperes: Sequence[float], stamp: float,
+              circuit: float) -> str:
         """The wire that takes no current, by readings acquired at `stamp` s, or ""; `circuit` ohm
         is what each should have, with its leads."""
         heat = tuple(volt**2 for volt in volts)
@@ -222,10 +211,8 @@ class SharedWatch:
         if self._recent and stamp < self._recent[-1][0]:
             self._recent.clear()
         # In the window of a step, voltages are those of its end and currents a mean.
-        near = len(heat) == len(before) and all(
-            abs(now - then) < 0.01 * max(now, _LEAST_STEP)
-            for now, then in zip(heat, before, strict=True)
-        )
+        near = len(heat) == len(before) and all(abs(now - then) < 0.01 * max(now, _LEAST_STEP)
+                                                for now, then in zip(heat, before, strict=True))
         if heat != before and not near:
             return self._reason
         power = sum(v * i for v, i in zip(volts, amperes, strict=True) if not math.isnan(v * i))
@@ -256,10 +243,8 @@ class SharedWatch:
             std = math.sqrt(noise * inverse[k, k]) * circuit
             identifiable = 1.0 / inverse[k, k] - ridge > _INDEPENDENT * excited[k] > ridge
             if identifiable and share < _OPEN and share + 3.0 * std < _SURELY:
-                return (
-                    f"open: {channel} takes {max(share, 0.0):.0%} of its current where the "
-                    f"voltages step, beside {self._channels[1 - k]}"
-                )
+                return (f"open: {channel} takes {max(share, 0.0):.0%} of its current where the "
+                        f"voltages step, beside {self._channels[1 - k]}")
         return ""
 
 
@@ -279,9 +264,8 @@ class SensorFit(NamedTuple):
     uncertainty: dict[str, float]
 
 
-def fit_sensor(
-    name: str, readings: Sequence[float], known: Sequence[float], shift: float = 0.0
-) -> SensorFit:
+def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
+               shift: float = 0.0) -> SensorFit:
     """Fit a sensor of SENSORS to readings (n,) of known loads (n,). `shift`: m, depth of the lens
     behind the face of a range sensor; others have none. Raises InputError: fewer than two different
     readings, values that are not finite, a gain of zero, a distance not in front of the lens."""
@@ -315,10 +299,8 @@ def fit_sensor(
             if not kind.is_range:  # the tip at rest is zero, whatever the distance
                 offset_of = scatter * math.hypot(len(x) ** -0.5, y.mean() / spread)
                 uncertainty[f"sensor.{kind.quantity}.offset"] = offset_of
-    named, named_std = (
-        {f"calibration.{name}.{key}": value for key, value in numbers.items()}
-        for numbers in (found, std)
-    )
+    named, named_std = ({f"calibration.{name}.{key}": value for key, value in numbers.items()}
+                        for numbers in (found, std))
     rest = math.sqrt(float(np.mean((calibrated - y) ** 2)))
     return SensorFit(named, named_std, rest, uncertainty)
 
@@ -356,9 +338,8 @@ class Instrument:
     """The sensor chain of a quantity (voltage, current, temperature, range, force) by the simulator
     node's parameters; a node reads every sample by itself, so noise is drawn in blocks."""
 
-    def __init__(
-        self, settings: Mapping[str, Any], quantity: str, seed: np.random.SeedSequence
-    ) -> None:
+    def __init__(self, settings: Mapping[str, Any], quantity: str,
+                 seed: np.random.SeedSequence) -> None:
         self._noise = settings[f"sensor.{quantity}_noise"]
         self._resolution = settings.get(f"sensor.{quantity}_resolution", 0.0)
         self._random = np.random.default_rng(seed)

@@ -60,15 +60,12 @@ class Limits:
     @classmethod
     def from_parameters(cls, p: Parameters) -> "Limits":
         count, names = p["wire.count"], [field.name for field in fields(cls)]
-        return cls(
-            **{name: p[f"bench.{name}"] for name in names[: names.index("resistance")]},
-            resistance=p["wire.resistance"] / count,
-            heat_loss=count * p["wire.heat_transfer_coefficient"] * p["wire.surface_area"],
-            heat_capacity=count * p["wire.mass"] * p["wire.specific_heat"],
-            ambient=p["environment.ambient_temperature"],
-            leads=p["bench.lead_resistance"],
-            supply=p["bench.supply_voltage"] if p["bench.drive"] == "duty" else 0.0,
-        )
+        return cls(**{name: p[f"bench.{name}"] for name in names[: names.index("resistance")]},
+                   resistance=p["wire.resistance"] / count,
+                   heat_loss=count * p["wire.heat_transfer_coefficient"] * p["wire.surface_area"],
+                   heat_capacity=count * p["wire.mass"] * p["wire.specific_heat"],
+                   ambient=p["environment.ambient_temperature"], leads=p["bench.lead_resistance"],
+                   supply=p["bench.supply_voltage"] if p["bench.drive"] == "duty" else 0.0)
 
     def reading(self, commanded: float) -> float:
         """V that are read at a command: of a duty the direct voltage of the same heat."""
@@ -168,10 +165,8 @@ class Freshness(Watchdog):
             return ""
         if math.isinf(self.fed):
             return f"no feedback: {self._subject} was never received"
-        return (
-            f"stale feedback: nothing new from {self._subject} for {now - self.fed:.2f} s, "
-            f"limit {self.timeout:g} s"
-        )
+        return (f"stale feedback: nothing new from {self._subject} for {now - self.fed:.2f} s, "
+                f"limit {self.timeout:g} s")
 
 
 class CommandGate:
@@ -309,13 +304,9 @@ class Wire:
     def believed(self, limits: Limits) -> list[float]:
         """Volts and amperes for the model: what is beyond the limits is a fault by itself; one such
         number must not stay in the model for good."""
-        return [
-            max(-most, min(value, most)) if math.isfinite(value) else math.nan
-            for value, most in (
-                (self.volt, limits.highest_reading),
-                (self.ampere, _MODELLED_CURRENT * limits.maximum_current),
-            )
-        ]
+        return [max(-most, min(value, most)) if math.isfinite(value) else math.nan
+                for value, most in ((self.volt, limits.highest_reading),
+                                    (self.ampere, _MODELLED_CURRENT * limits.maximum_current))]
 
     def temperature(self, kelvin: float, stamp: float, limits: Limits) -> None:
         """A temperature acquired at `stamp` s; the rise since one that is far enough back."""
@@ -340,9 +331,8 @@ class Rule(NamedTuple):
     hold: float = 0.0
 
 
-def power_rules(
-    wire: Wire, x: Limits, timeout: float = 0.0, unseen: bool = False
-) -> dict[str, Rule]:
+def power_rules(wire: Wire, x: Limits, timeout: float = 0.0,
+                unseen: bool = False) -> dict[str, Rule]:
     """About voltage and current; what rests on the model must last for the timeout, s. `unseen`:
     nobody measures the temperature, which otherwise is judged itself."""
     name, volt, ampere = wire.name, wire.volt, wire.ampere
@@ -404,9 +394,8 @@ def board_rules(side: str, ampere: float, volts: float, x: Limits) -> dict[str, 
     }
 
 
-def broken(
-    rules: Mapping[str, Rule], now: float = 0.0, since: Lasting | None = None
-) -> dict[str, str]:
+def broken(rules: Mapping[str, Rule], now: float = 0.0,
+           since: Lasting | None = None) -> dict[str, str]:
     """The rules that are broken at `now` s, with their reasons; `since` is kept by the caller: when
     readings began to break a rule, and how many did."""
     since, reasons = {} if since is None else since, {}
@@ -430,9 +419,7 @@ def _celsius(kelvin: float, digits: int = 1) -> str:
 class Guard:
     """Watches every channel's commands and readings and knows why driving must not go on."""
 
-    def __init__(
-        self, channels: Iterable[str], feedback: Iterable[str], timeout: float
-    ) -> None:
+    def __init__(self, channels: Iterable[str], feedback: Iterable[str], timeout: float) -> None:
         """Demand `feedback` ("power", "temperature") of all channels at least every `timeout` s. A
         disagreement between model and readings is a fault when it lasts as long."""
         self._timeout = timeout
@@ -458,9 +445,8 @@ class Guard:
         for wire, volt in zip(self._wires.values(), voltage, strict=True):
             wire.command(volt)
 
-    def temperature(
-        self, channel: str, kelvin: float, stamp: float, now: float, limits: Limits
-    ) -> None:
+    def temperature(self, channel: str, kelvin: float, stamp: float, now: float,
+                    limits: Limits) -> None:
         """Note a temperature in K; NaN or infinite is not a reading and makes nothing fresh."""
         wire, subject = self._wires[channel], f"{channel}/temperature"
         wire.temperature(kelvin, stamp, limits)
@@ -469,9 +455,8 @@ class Guard:
         reasons = broken(temperature_rules(wire, limits, self._timeout), now, wire.since)
         self.found(subject, next(iter(reasons.values()), ""))
 
-    def power(
-        self, channel: str, volt: float, ampere: float, stamp: float, now: float, limits: Limits
-    ) -> None:
+    def power(self, channel: str, volt: float, ampere: float, stamp: float, now: float,
+              limits: Limits) -> None:
         """Note voltage in V and current in A; both NaN or infinite is not a reading."""
         wire, subject = self._wires[channel], f"{channel}/power"
         wire.power(volt, ampere, stamp, limits)
@@ -481,9 +466,8 @@ class Guard:
         reasons = broken(power_rules(wire, limits, self._timeout, unseen), now, wire.since)
         self.found(subject, next(iter(reasons.values()), ""))
 
-    def boards(
-        self, amperes: Sequence[float], volts: Sequence[float], now: float, limits: Limits
-    ) -> None:
+    def boards(self, amperes: Sequence[float], volts: Sequence[float], now: float,
+               limits: Limits) -> None:
         """Note the boards' mean currents (A) and their wires' mean volts."""
         flowing = []
         for (side, since), ampere, volt in zip(self._boards.items(), amperes, volts, strict=True):

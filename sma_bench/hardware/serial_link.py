@@ -89,9 +89,8 @@ class _OwnPort(serial.Serial):
 
 def open_port(path: str) -> serial.Serial:
     """Open `path` for this program alone; OSError when that cannot be, or another host has it."""
-    return _OwnPort(
-        path, BAUD_RATE, timeout=_READ_TIMEOUT, write_timeout=_WRITE_TIMEOUT, exclusive=True
-    )
+    return _OwnPort(path, BAUD_RATE, timeout=_READ_TIMEOUT, write_timeout=_WRITE_TIMEOUT,
+                    exclusive=True)
 
 
 # --- What the link knows of the device
@@ -168,15 +167,14 @@ class LinkStatus:
     @property
     def diagnostics(self) -> dict[str, str]:
         """What the link counts, in the units of its names."""
-        values = {
-            "connections": str(self.connections), "frames": str(self.telemetry),
-            "lost_frames": str(self.lost), "crc_errors": str(self.damaged),
-            "not_understood": str(self.not_understood), "refused_by_device": str(self.refused),
-            "last_refusal": self.last_refusal, "round_trip_ms": f"{1e3 * self.round_trip:.2f}",
-            "command_latency_ms": f"{1e3 * self.command_latency:.1f}",
-            "clock_drift_ppm": f"{1e6 * self.drift:.0f}",
-            "clock_uncertainty_ms": f"{1e3 * self.clock_uncertainty:.3f}",
-        }
+        values = {"connections": str(self.connections), "frames": str(self.telemetry),
+                  "lost_frames": str(self.lost), "crc_errors": str(self.damaged),
+                  "not_understood": str(self.not_understood),
+                  "refused_by_device": str(self.refused), "last_refusal": self.last_refusal,
+                  "round_trip_ms": f"{1e3 * self.round_trip:.2f}",
+                  "command_latency_ms": f"{1e3 * self.command_latency:.1f}",
+                  "clock_drift_ppm": f"{1e6 * self.drift:.0f}",
+                  "clock_uncertainty_ms": f"{1e3 * self.clock_uncertainty:.3f}"}
         if device := self.device:
             values |= {"firmware": f"{device.name} {device.build}", "last_reset": device.reset}
             values["last_trip"] = str(self.trip or "not kept by this firmware")
@@ -217,14 +215,10 @@ class LinkOptions:
 class SerialLink:
     """See the module. `on_reading` and `on_event` are called in the link's own thread."""
 
-    def __init__(
-        self,
-        open_port: Callable[[], serial.Serial],
-        options: LinkOptions | None = None,
-        on_reading: Callable[[Telemetry], None] = lambda _: None,
-        on_event: Callable[[str], None] = lambda _: None,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
+    def __init__(self, open_port: Callable[[], serial.Serial], options: LinkOptions | None = None,
+                 on_reading: Callable[[Telemetry], None] = lambda _: None,
+                 on_event: Callable[[str], None] = lambda _: None,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self._open_port, self._options = open_port, options or LinkOptions()
         self._on_reading, self._on_event, self._now = on_reading, on_event, clock
         self._status = LinkStatus()

@@ -84,23 +84,19 @@ TURN = 1 << 32  # us before the device's clock begins again
 _DUTY = 1.0 / 65536.0
 _BINARY = struct.Struct("<HIBBHHHhhHHHHHHH")
 
-CAUSES = (
-    "", "stop byte", "command timeout", "over-current of the front board",
-    "over-current of the back board", "duty above its limit", "on for longer than allowed",
-    "supply out of range", "main loop hung", "converter dead",
-    "current with all outputs off", "more current than the outputs explain",
-    "more heat than allowed", "output interrupt lost", "an output differs from what was set",
-    "restarted while armed", "reason lost with the power",
-)
+CAUSES = ("", "stop byte", "command timeout", "over-current of the front board",
+          "over-current of the back board", "duty above its limit", "on for longer than allowed",
+          "supply out of range", "main loop hung", "converter dead",
+          "current with all outputs off", "more current than the outputs explain",
+          "more heat than allowed", "output interrupt lost", "an output differs from what was set",
+          "restarted while armed", "reason lost with the power")
 STOP_CAUSE, TIMEOUT_CAUSE = CAUSES.index("stop byte"), CAUSES.index("command timeout")
 LOST_CAUSE = CAUSES.index("reason lost with the power")
-REASONS = (
-    "accepted", "wrong checksum", "bad format", "line too long", "not armed",
-    "wrong nonce or session", "old sequence number", "above the voltage limit",
-    "above the duty limit", "supply out of range or just started", "rate not possible",
-    "stopped: reset first", "armed already", "current flows though every output is off",
-    "beyond the device's own limits",
-)
+REASONS = ("accepted", "wrong checksum", "bad format", "line too long", "not armed",
+           "wrong nonce or session", "old sequence number", "above the voltage limit",
+           "above the duty limit", "supply out of range or just started", "rate not possible",
+           "stopped: reset first", "armed already", "current flows though every output is off",
+           "beyond the device's own limits")
 RESETS = ((1, "power-on"), (2, "reset pin"), (4, "brown-out"), (8, "watchdog"))
 
 
@@ -191,10 +187,9 @@ def decode(body: bytes) -> Message:
             drop_front, drop_back, front, back, near, far, *duty = rest
             a, b, c, d = (_DUTY * number for number in duty)
             drops = 1e-3 * drop_front, 1e-3 * drop_back
-            return Telemetry(
-                sequence, time_us, state, cause, 1e-3 * supply, (1e-3 * front, 1e-3 * back),
-                (1e-4 * near, 1e-4 * far), (a, b, c, d), echo, drops,
-            )
+            return Telemetry(sequence, time_us, state, cause, 1e-3 * supply,
+                             (1e-3 * front, 1e-3 * back), (1e-4 * near, 1e-4 * far), (a, b, c, d),
+                             echo, drops)
         if letter in ("H", "L", "M", "S"):
             return Named(letter, dict(field.split("=", 1) for field in fields))
         if letter == "P":

@@ -92,23 +92,17 @@ def wire_gauges(parameters: Parameters, settings: Mapping[str, Any]) -> list[Wir
         raise InputError(f"camera_lowest {lowest:g} K must lie below camera_highest {highest:g} K")
     diameter, pixel = parameters["wire.diameter"], settings["pixel_size"]
     thickness = parameters.std("wire.diameter") / diameter
-    optics = Optics(
-        diameter / pixel, math.hypot(thickness, settings["pixel_size_std"] / pixel),
-        lowest, highest, settings["camera_accuracy"], settings["correct_fill"],
-        settings["statistic"], settings["least_visible"],
-    )
+    optics = Optics(diameter / pixel, math.hypot(thickness, settings["pixel_size_std"] / pixel),
+                    lowest, highest, settings["camera_accuracy"], settings["correct_fill"],
+                    settings["statistic"], settings["least_visible"])
     surface = Surface.of(parameters, settings)
     size = settings["image_width"], settings["image_height"]
     channels, regions = parameters["bench.channels"], settings["regions"]
     if len(regions) != len(channels):
         raise InputError(f"regions has {len(regions)} entries, expected one for each of {channels}")
-    return [
-        WireGauge(
-            Region.parse(text, *size, f"regions: {channel}"), optics, surface,
-            settings["read_cold_wires"],
-        )
-        for channel, text in zip(channels, regions, strict=True)
-    ]
+    return [WireGauge(Region.parse(text, *size, f"regions: {channel}"), optics, surface,
+                      settings["read_cold_wires"])
+            for channel, text in zip(channels, regions, strict=True)]
 
 
 # --- The report, once a second
@@ -163,13 +157,10 @@ class CameraReport:
         """The camera's report and one a channel, over the time since the last call."""
         elapsed, latencies = max(now - self._since, 1e-9), self._latencies
         mean = sum(latencies) / len(latencies) if latencies else math.nan
-        values = {
-            "frame_rate": f"{self._frames / elapsed:.1f}",
-            "held_frames": str(sum(self._held.values())),
-            **{f"held_{kind.replace(' ', '_')}": str(n) for kind, n in self._held.items()},
-            "last_held": self._last_hold,
-            "latency_mean_s": f"{mean:.4f}",
-        }
+        values = {"frame_rate": f"{self._frames / elapsed:.1f}",
+                  "held_frames": str(sum(self._held.values())),
+                  **{f"held_{kind.replace(' ', '_')}": str(n) for kind, n in self._held.items()},
+                  "last_held": self._last_hold, "latency_mean_s": f"{mean:.4f}"}
         level, message, silence = OK, "running", now - self._arrived
         if silence > self._limit:
             since = "" if self._ever else " since the start"
@@ -182,18 +173,14 @@ class CameraReport:
         reports = [Report("camera", level, message, values)]
         for channel, reading in zip(self._channels, self._readings, strict=True):
             celsius = reading.kelvin - CELSIUS_ZERO
-            values = {
-                "reading_rate": f"{self._published[channel] / elapsed:.1f}",
-                "held_readings": str(self._held_readings[channel]),
-                "temperature_degC": f"{celsius:.2f}",
-                "standard_deviation_K": f"{reading.std:.2f}",
-                "background_degC": f"{reading.background - CELSIUS_ZERO:.2f}",
-                "fill_factor": f"{reading.fill:.3f}",
-                "clearness": f"{reading.clearness:.1f}",
-                "position_px": f"{reading.centre:.2f}",
-                "visible": f"{reading.visible:.2f}",
-                "smallest_visible_excess_K": f"{reading.limit:.2f}",
-            }
+            values = {"reading_rate": f"{self._published[channel] / elapsed:.1f}",
+                      "held_readings": str(self._held_readings[channel]),
+                      "temperature_degC": f"{celsius:.2f}",
+                      "standard_deviation_K": f"{reading.std:.2f}",
+                      "background_degC": f"{reading.background - CELSIUS_ZERO:.2f}",
+                      "fill_factor": f"{reading.fill:.3f}", "clearness": f"{reading.clearness:.1f}",
+                      "position_px": f"{reading.centre:.2f}", "visible": f"{reading.visible:.2f}",
+                      "smallest_visible_excess_K": f"{reading.limit:.2f}"}
             how = "" if reading.seen else " (as its background: not seen)"
             bad = reading.reason or ("no good frames" if level == ERROR else "")
             said = bad or f"{celsius:.1f} degC +- {reading.std:.1f}{how}"

@@ -37,10 +37,8 @@ _WAVELENGTHS = (BAND[0] + BAND[1]) / 2 + _HALF_BAND * _NODES
 _PLANCK_FACTORS = _PLANCK_1 / _WAVELENGTHS**5 * _WEIGHTS * _HALF_BAND
 
 
-def decode_frame(
-    size: tuple[int, int], encoding: str, width: int, height: int, step: int, big_endian: bool,
-    data: object,
-) -> Frame:
+def decode_frame(size: tuple[int, int], encoding: str, width: int, height: int, step: int,
+                 big_endian: bool, data: object) -> Frame:
     """Pixel values (height, width) of an image message's fields; no copy where none is needed.
     `size`: expected width and height; `step`: bytes from one row to the next; `data`: bytes, or
     what has their buffer. Raises InputError: wrong encoding, size or number of bytes."""
@@ -110,10 +108,9 @@ class Surface:
     def of(cls, parameters: Parameters, settings: Mapping[str, Any]) -> "Surface":
         """From the parameters of `ir_camera` or `synthetic_camera`."""
         ambient = parameters["environment.ambient_temperature"]
-        return cls(
-            settings["emissivity"], settings["reflected_temperature"] or ambient,
-            settings.get("emissivity_std", 0.0), settings.get("reflected_temperature_std", 0.0),
-        )
+        return cls(settings["emissivity"], settings["reflected_temperature"] or ambient,
+                   settings.get("emissivity_std", 0.0),
+                   settings.get("reflected_temperature_std", 0.0))
 
     @cached_property
     def _reflected(self) -> float:
@@ -131,11 +128,8 @@ class Surface:
         reflected, mirrored = self._reflected, 1.0 - self.emissivity
         emitted = (apparent - mirrored * reflected) / self.emissivity
         kelvin = float(temperature_of(emitted))
-        deviation = math.hypot(
-            apparent_std,
-            (emitted - reflected) * self.emissivity_std,
-            mirrored * slope_at(self.reflected_temperature) * self.reflected_std,
-        )
+        deviation = math.hypot(apparent_std, (emitted - reflected) * self.emissivity_std,
+                               mirrored * slope_at(self.reflected_temperature) * self.reflected_std)
         return kelvin, deviation / self.emissivity / slope_at(kelvin)
 
 
@@ -212,11 +206,9 @@ class SyntheticCamera:
             if (x0, y0) == (x1, y1):
                 raise InputError(f"wires: {text!r} has no length")
             wires.append(SyntheticWire((x0, y0), (x1, y1), thickness))
-        return cls(
-            width, height, wires, Surface.of(parameters, settings),
-            settings["background"] or parameters["environment.ambient_temperature"],
-            **{name: settings[name] for name in ("unevenness", "blur", "noise", "seed")},
-        )
+        return cls(width, height, wires, Surface.of(parameters, settings),
+                   settings["background"] or parameters["environment.ambient_temperature"],
+                   **{name: settings[name] for name in ("unevenness", "blur", "noise", "seed")})
 
     def picture(self, kelvin: Sequence[float], sideways: float | Sequence[float] = 0.0) -> Frame:
         """A frame (height, width) of wires at these temperatures in K, one a wire. `sideways`
@@ -245,9 +237,8 @@ class SyntheticCamera:
         begin = int(self._random.integers(0, self._noise.size - size + 1))
         return raw + self._noise[begin : begin + size].reshape(self.shape)
 
-    def _draw(
-        self, raw: NDArray[np.float32], wire: SyntheticWire, surface: float, shift: float
-    ) -> None:
+    def _draw(self, raw: NDArray[np.float32], wire: SyntheticWire, surface: float,
+              shift: float) -> None:
         """Add the wire's part to pixel values: what it changes in the scene without it."""
         turned = wire.along_x
         scene, bare, target = (a.T if turned else a for a in (

@@ -179,9 +179,8 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
 # --- How warm it is
 
 
-def read_wire(
-    frame: image.Frame, region: Region, optics: Optics, surface: image.Surface, cold: bool = False
-) -> WireReading:
+def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image.Surface,
+              cold: bool = False) -> WireReading:
     """Find the wire in its region and read it; the reason says why that cannot be. With `cold`, a
     dark line where there is no bright one is taken for the wire."""
     half = math.ceil(optics.width * _WIDEST_TILT / 2) + _BLUR
@@ -218,36 +217,28 @@ def read_wire(
     if ridge is None:
         beside = float(image.temperature_of(float(np.median(radiance))))
         what = "wire colder than its" if dark else "no wire stands out from the"
-        return WireReading(
-            reason=f"{what} background of {beside - CELSIUS_ZERO:.1f} degC",
-            background=beside,
-            limit=least / image.slope_at(beside),
-        )
+        return WireReading(reason=f"{what} background of {beside - CELSIUS_ZERO:.1f} degC",
+                           background=beside, limit=least / image.slope_at(beside))
     # Lines in which the wire is seen with all of its surroundings.
     middle = np.rint(ridge.centre).astype(int) + begin
     whole = ridge.seen & (middle >= reach) & (middle + reach < radiance.shape[1])
     lines = np.flatnonzero(whole)
     visible = len(lines) / length
     if visible < optics.least_visible:
-        return WireReading(
-            reason=f"wire seen in {100 * visible:.0f} % of its region, expected "
-            f"{100 * optics.least_visible:.0f} % or more",
-            visible=visible,
-            clearness=ridge.clearness,
-        )
+        return WireReading(reason=f"wire seen in {100 * visible:.0f} % of its region, expected "
+                           f"{100 * optics.least_visible:.0f} % or more",
+                           visible=visible,
+                           clearness=ridge.clearness)
     columns = middle[lines, np.newaxis] + np.arange(-reach, reach + 1)
     window = radiance[lines[:, np.newaxis], columns].astype(float)
     tilt = np.hypot(1.0, ridge.slope[lines])
     reading = _measured(window, half, tilt, bright is None, optics, surface)
-    return reading._replace(
-        clearness=ridge.clearness, centre=float(ridge.centre.mean()), visible=visible,
-        limit=least / image.slope_at(reading.background),
-    )
+    return reading._replace(clearness=ridge.clearness, centre=float(ridge.centre.mean()),
+                            visible=visible, limit=least / image.slope_at(reading.background))
 
 
-def _measured(
-    window: Array, half: int, tilt: Array, dark: bool, optics: Optics, surface: image.Surface
-) -> WireReading:
+def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
+              surface: image.Surface) -> WireReading:
     """Temperature, its standard deviation, fill factor and background, or why there is none, from
     radiances (lines, pixels) with the wire in their middle. The standard deviation holds the
     pixels' noise and quantisation (from the frame itself), the background's curvature, the width,
@@ -306,10 +297,8 @@ def _measured(
     reason = ""
     if too_cold or hottest > optics.highest - _HALF_STEP:
         extreme, end = (coldest, optics.lowest) if too_cold else (hottest, optics.highest)
-        reason = (
-            f"pixel of {extreme - CELSIUS_ZERO:.1f} degC at the end of the camera's range "
-            f"({end - CELSIUS_ZERO:g} degC)"
-        )
+        reason = (f"pixel of {extreme - CELSIUS_ZERO:.1f} degC at the end of the camera's range "
+                  f"({end - CELSIUS_ZERO:g} degC)")
     # A line whose sum across has the other sign stands in another one's light or shadow.
     elif dark == (above > 0.0) or ripple > _MOST_RIPPLE * abs(peak):
         reason = f"another line within {pixels // 2 + _NEAR + _FAR} pixels of the wire"
@@ -320,10 +309,8 @@ def _measured(
         )
     elif math.isnan(kelvin):
         reason = "less radiance than the reflected one alone: emissivity or reflection is wrong"
-    return WireReading(
-        math.nan if reason else kelvin, math.nan if reason else std, reason, True, beside_kelvin,
-        fill,
-    )
+    return WireReading(math.nan if reason else kelvin, math.nan if reason else std, reason, True,
+                       beside_kelvin, fill)
 
 
 def _line_noise(lines: Array) -> float:
@@ -341,9 +328,8 @@ class WireGauge:
     unseen one is read as its background, give or take what could just be seen: but not when it was
     clear to see in the frame before (it left its region), and not when its heating should show."""
 
-    def __init__(
-        self, region: Region, optics: Optics, surface: image.Surface, cold: bool = False
-    ) -> None:
+    def __init__(self, region: Region, optics: Optics, surface: image.Surface,
+                 cold: bool = False) -> None:
         self._region, self._optics, self._surface, self._cold = region, optics, surface, cold
         self.reset()
 
@@ -370,10 +356,8 @@ class WireGauge:
         if self._lost:
             return WireReading(reason="wire lost while clear to see: it left its region")
         deviation = math.hypot(reading.limit / 2.0, self._optics.accuracy)
-        kelvin, std = self._surface.temperature(
-            float(image.band_radiance(reading.background)),
-            deviation * image.slope_at(reading.background),
-        )
+        kelvin, std = self._surface.temperature(float(image.band_radiance(reading.background)),
+                                                deviation * image.slope_at(reading.background))
         return WireReading(
             kelvin=kelvin, std=std, background=reading.background, limit=reading.limit,
             reason="less radiance than the reflected one alone" if math.isnan(kelvin) else "",

@@ -44,10 +44,9 @@ class Recording:
     What the disk does not take is noted as the `failure` that ends the recording.
     """
 
-    def __init__(
-        self, output: str, idle: Callable[[], tuple[bool, float]],
-        failed: Callable[[InputError], None], open_bag: "Callable[[str], BagWriter]",
-    ) -> None:
+    def __init__(self, output: str, idle: Callable[[], tuple[bool, float]],
+                 failed: Callable[[InputError], None],
+                 open_bag: "Callable[[str], BagWriter]") -> None:
         """`output`: the first bag, "" for one named after the time; `idle`: skip it, margin (s)."""
         self._first, self._idle, self._failed, self._open_bag = output, idle, failed, open_bag
         self._bag: BagWriter | None = None
@@ -133,10 +132,9 @@ class Recording:
 
     def state(self, state: str) -> str:
         """What a recorder says of itself, as JSON; `recorder_state` reads it."""
-        return json.dumps({
-            "state": state, "output": self.output, "failure": str(self.failure or ""),
-            "messages": self.messages,
-        })  # fmt: skip
+        return json.dumps({"state": state, "output": self.output,
+                           "failure": str(self.failure or ""),
+                           "messages": self.messages})  # fmt: skip
 
     def _guarded(self, action: Callable[..., None], *arguments: object) -> bool:
         """Whether the disk took it; if not, the recording has failed with the disk's line."""
@@ -206,10 +204,8 @@ class Readiness:
         `wanted` (`wire/power`), has no message of: a subscription may take a second to be known."""
         messages = self._recorder["messages"] if self._recorder else {}
         readings = tuple(f"/{name}" for name in wanted)
-        return sorted(
-            topic for topic in published
-            if topic not in messages or topic.endswith(readings) and not messages[topic]
-        )
+        return sorted(topic for topic in published
+                      if topic not in messages or topic.endswith(readings) and not messages[topic])
 
     def _recorder_fault(self, now: float) -> str:
         if self._recorder is None:

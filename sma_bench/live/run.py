@@ -51,10 +51,8 @@ class ClosedLoop(OpenLoop):
     """Holds wires at temperatures (experiment E8), or bends a bench as wanted. A reference from a
     topic goes on until it is stopped. SI units."""
 
-    def __init__(
-        self, quantity: Quantity, settings: dict[str, Any], parameters: Parameters,
-        follow: Callable[[Sequence[float]], None],
-    ) -> None:
+    def __init__(self, quantity: Quantity, settings: dict[str, Any], parameters: Parameters,
+                 follow: Callable[[Sequence[float]], None]) -> None:
         """`follow` hears each level that is wanted."""
         # Controllers load the linear model, which an experiment with volts does without.
         from sma_bench.control import DeflectionController, TemperatureController
@@ -90,10 +88,8 @@ class ClosedLoop(OpenLoop):
         self._law = self._controller(parameters, self._period, **tuning)
 
     def volts(self, protocol: Protocol, elapsed: float) -> list[float]:
-        wanted, upcoming = (
-            protocol.level(moment).tolist() if self._asked is None else self._asked
-            for moment in (elapsed, elapsed + self._period)
-        )
+        wanted, upcoming = (protocol.level(moment).tolist() if self._asked is None else self._asked
+                            for moment in (elapsed, elapsed + self._period))
         self._follow(wanted)
         readings, period = list(self._readings.values()), self._period
         if self._quantity.tip:
@@ -102,9 +98,8 @@ class ClosedLoop(OpenLoop):
             volts = self._law.step(wanted, readings, period)
         return list(volts.tolist())
 
-    def ask(
-        self, levels: Sequence[float], followed: Protocol | None, parameters: Parameters
-    ) -> str:
+    def ask(self, levels: Sequence[float], followed: Protocol | None,
+            parameters: Parameters) -> str:
         """Take a reference from the topic, where what is followed has no end; why not, or ""."""
         if followed is None or math.isfinite(followed.duration):
             return "the reference is not taken from the topic now"
@@ -144,10 +139,9 @@ class Outputs(Interface):
 class Run:
     """See the module. `now` is s of a monotonic clock, `time` s of the bench's clock."""
 
-    def __init__(
-        self, outputs: Outputs, loop: OpenLoop, guard: Guard, readiness: Readiness, channels: int,
-        autostart: bool = False, feedback_timeout: float = 1.0, steady: float = 0.0,
-    ) -> None:
+    def __init__(self, outputs: Outputs, loop: OpenLoop, guard: Guard, readiness: Readiness,
+                 channels: int, autostart: bool = False, feedback_timeout: float = 1.0,
+                 steady: float = 0.0) -> None:
         """`autostart`: start as soon as nothing is in the way; `feedback_timeout`: s for which
         what a step waits for may stay away; `steady`: s for which readings come in time before it
         starts, lest a computer that is busy starting other nodes ends it."""
@@ -252,11 +246,9 @@ class Run:
         if now >= self._progress_due:
             self._progress_due = now + _PROGRESS_EVERY
             duration = self.protocol.duration - self._passed_over
-            self._outputs.show({
-                "protocol": self._name, "step": self.step,
-                "elapsed": round(elapsed - self._passed_over, 3),
-                "duration": duration if math.isfinite(duration) else None,
-            })
+            self._outputs.show({"protocol": self._name, "step": self.step,
+                                "elapsed": round(elapsed - self._passed_over, 3),
+                                "duration": duration if math.isfinite(duration) else None})
 
     def watch(self, now: float, plan: Callable[[], Protocol]) -> None:
         """The same care on a clock that goes on when a simulation stops."""

@@ -135,9 +135,8 @@ class Lockstep:
     All times in s; `simulated` counts from the start of the simulation, `wall` is a steady clock.
     """
 
-    def __init__(
-        self, slice_length: float, speed: float, command_timeout: float, patience: float
-    ) -> None:
+    def __init__(self, slice_length: float, speed: float, command_timeout: float,
+                 patience: float) -> None:
         self._slice = self._lead = slice_length
         self._pace = slice_length / speed
         self._timeout, self._patience = command_timeout, patience

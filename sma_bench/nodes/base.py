@@ -55,9 +55,8 @@ class BenchNode(OverridableNode):
         ))
         self.simulated: bool = self.get_parameter("use_sim_time").value
         if self.simulated:
-            backward = JumpThreshold(
-                min_forward=None, min_backward=Duration(nanoseconds=-1), on_clock_change=False
-            )
+            backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1),
+                                     on_clock_change=False)
             self._jumps = self.get_clock().create_jump_callback(
                 backward, post_callback=lambda jump: self.on_time_went_back(
                     f"simulated time went back by {-jump.delta.nanoseconds / 1e9:.3f} s: another "
@@ -100,10 +99,8 @@ class BenchNode(OverridableNode):
 
     # --- what a node makes of itself -----------------------------------------------------------
 
-    def listen(
-        self, kind: type, what: str, on_message: Callable[..., None], numbered: bool = False,
-        qos: QoSProfile = READINGS, newest: bool = False,
-    ) -> None:
+    def listen(self, kind: type, what: str, on_message: Callable[..., None], numbered: bool = False,
+               qos: QoSProfile = READINGS, newest: bool = False) -> None:
         """Subscribe to `<channel>/WHAT` of every channel: on_message(channel, message), with the
         channel's number for its name where `numbered`."""
         for k, channel in enumerate(self.parameters["bench.channels"]):
@@ -169,10 +166,8 @@ class BenchNode(OverridableNode):
 
     # --- diagnostics and time ------------------------------------------------------------------
 
-    def status(
-        self, name: str, level: bytes = DiagnosticStatus.OK, message: str = "",
-        values: Mapping[str, Any] | None = None, hardware: str = "",
-    ) -> DiagnosticStatus:
+    def status(self, name: str, level: bytes = DiagnosticStatus.OK, message: str = "",
+               values: Mapping[str, Any] | None = None, hardware: str = "") -> DiagnosticStatus:
         """One line of `health`; `name` is that of the part it speaks of."""
         return DiagnosticStatus(
             level=level, name=f"{self.get_fully_qualified_name()}: {name}", message=message,
@@ -198,9 +193,8 @@ class BenchNode(OverridableNode):
 
     # --- changes of parameters -----------------------------------------------------------------
 
-    def set_parameters_atomically(
-        self, parameter_list: list[RosParameter]
-    ) -> rcl.SetParametersResult:
+    def set_parameters_atomically(self,
+                                  parameter_list: list[RosParameter]) -> rcl.SetParametersResult:
         """As rclpy; but, that what `ros2 param dump` wrote may be loaded, what stays is no change,
         read-only or not, and 8e-06, of which that command makes a text, is a number."""
         changes = []
@@ -219,16 +213,12 @@ class BenchNode(OverridableNode):
 
     def _validated(self, changed: Mapping[str, Any]) -> tuple[dict[str, Any], Parameters]:
         """Own and contract parameters with `changed` applied; InputError when they cannot be."""
-        values = {
-            name: changed[name] if name in changed else self.get_parameter(name).value
-            for name in (*self._own, *self._contract)
-        }
+        values = {name: changed[name] if name in changed else self.get_parameter(name).value
+                  for name in (*self._own, *self._contract)}
         settings = {name: p.validated(values[name]) for name, p in self._own.items()}
         # Names left at their default stay unstated, as when read from a file.
-        given = {
-            name: values[name] for name, p in self._contract.items()
-            if name in self._stated or _plain(values[name]) != _plain(p.default)
-        }
+        given = {name: values[name] for name, p in self._contract.items()
+                 if name in self._stated or _plain(values[name]) != _plain(p.default)}
         return settings, Parameters(given)
 
     def _check_change(self, changes: list[RosParameter]) -> rcl.SetParametersResult:

@@ -161,13 +161,10 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
         stated = read_parameter_names(values["params"], f"{above}/ir_camera")
         picture: dict[str, Any] = dict(_WIRE_PICTURE if len(channels) == 1 else _COMPOSITE_PICTURE)
         picture |= {name: stated[name] for name in picture if name in stated}
-        read = {
-            **picture, "read_cold_wires": True,
-            "pixel_size_std": _PIXEL_ERROR * float(picture["pixel_size"]),
-            "regions": regions_side_by_side(
-                len(channels), picture["image_width"], picture["image_height"]
-            ),
-        }
+        read = {**picture, "read_cold_wires": True,
+                "pixel_size_std": _PIXEL_ERROR * float(picture["pixel_size"]),
+                "regions": regions_side_by_side(len(channels), picture["image_width"],
+                                                picture["image_height"])}
         nodes = [
             PlannedNode("simulator", {"speed": speed, **_EXACT}, aside),
             PlannedNode("synthetic_camera", {**picture, "rate": _PICTURE_RATE}),
@@ -178,10 +175,9 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
 
     # What drives and records it, and what works beside.
     record, further = values["record"], _named(values, (*SERVICES, INVESTIGATION))
-    nodes.append(PlannedNode("experiment", {
-        "protocol": values["protocol"], "autostart": values["autostart"],
-        "require_recorder": record, **clock,
-    }))
+    nodes.append(PlannedNode("experiment", {"protocol": values["protocol"],
+                                            "autostart": values["autostart"],
+                                            "require_recorder": record, **clock}))
     if record and INVESTIGATION not in further:
         nodes.append(PlannedNode("recorder", {"output": values["output"], **clock}))
     nodes += [PlannedNode("twin", clock)] if values["twin"] else []
@@ -213,10 +209,9 @@ def plan_replay(given: Mapping[str, str]) -> tuple[list[str], list[PlannedNode]]
         read_anew = meaning.endswith("/temperature") and not meaning.startswith("ambient/")
         aside = _ASIDE if meaning == _COMMAND or (values["camera"] and read_anew) else ""
         moved.append(f"{topic}:={target}/{aside}{meaning}")
-    command = [
-        "ros2", "bag", "play", bag, "--clock", _CLOCK_RATE, "--rate", f"{values['rate']:g}",
-        *(["--loop"] if values["loop"] else []), "--topics", *topics.values(), "--remap", *moved,
-    ]
+    command = ["ros2", "bag", "play", bag, "--clock", _CLOCK_RATE, "--rate", f"{values['rate']:g}",
+               *(["--loop"] if values["loop"] else []), "--topics", *topics.values(), "--remap",
+               *moved]
     clock, file = {"use_sim_time": True}, values["params"]
     nodes = [PlannedNode(name, clock, file=file)
              for name, switch in (("ir_camera", "camera"), ("twin", "twin")) if values[switch]]
@@ -268,18 +263,16 @@ def replay_launch() -> "LaunchDescription":
 
     def actions(given: Mapping[str, str]) -> list[Any]:
         command, nodes = plan_replay(given)
-        player = ExecuteProcess(
-            cmd=command, name="player", output="screen", additional_env=_discovery(given),
-            on_exit=Shutdown(reason="the record is over"),
-        )
+        player = ExecuteProcess(cmd=command, name="player", output="screen",
+                                additional_env=_discovery(given),
+                                on_exit=Shutdown(reason="the record is over"))
         return [*_nodes(nodes, given), player]
 
     return _description(REPLAY, actions)
 
 
-def _description(
-    arguments: Mapping[str, Argument], actions: Callable[[Mapping[str, str]], list[Any]]
-) -> "LaunchDescription":
+def _description(arguments: Mapping[str, Argument],
+                 actions: Callable[[Mapping[str, str]], list[Any]]) -> "LaunchDescription":
     from launch import LaunchDescription
     from launch.actions import DeclareLaunchArgument, OpaqueFunction
 
@@ -313,17 +306,13 @@ def _nodes(planned: Sequence[PlannedNode], given: Mapping[str, str]) -> "list[No
         try:
             get_package_prefix(package)
         except (LookupError, OSError):
-            raise InputError(
-                f"the ROS package {package} is not installed: "
-                f"apt install ros-jazzy-{package.replace('_', '-')}"
-            ) from None
+            raise InputError(f"the ROS package {package} is not installed: "
+                             f"apt install ros-jazzy-{package.replace('_', '-')}") from None
     nodes = []
     for node in planned:
         # A text stays one: launch_ros would read '10' as a number and '' as nothing.
-        own = {
-            name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
-            for name, value in node.parameters.items()
-        }
+        own = {name: ParameterValue(value, value_type=str) if isinstance(value, str) else value
+               for name, value in node.parameters.items()}
         nodes.append(Node(
             package=node.package, executable=node.executable, arguments=list(node.arguments),
             name=None if node.arguments else node.executable, namespace=given["namespace"],

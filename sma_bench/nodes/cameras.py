@@ -58,10 +58,8 @@ class IrCamera(BenchNode):
         self._report.arrived(time.monotonic())
         stamp = seconds_of(message)
         try:
-            frame = decode_frame(
-                self._size, message.encoding, message.width, message.height, message.step,
-                bool(message.is_bigendian), message.data,
-            )
+            frame = decode_frame(self._size, message.encoding, message.width, message.height,
+                                 message.step, bool(message.is_bigendian), message.data)
         except InputError as error:
             self._hold(f"rejected: {error}")
             return
@@ -69,10 +67,8 @@ class IrCamera(BenchNode):
             self._hold(reason)
             return
         now = time.monotonic()
-        readings = [
-            gauge.read(frame, stamp, warmth.kelvin(now))
-            for gauge, warmth in zip(self._gauges, self._warmth, strict=True)
-        ]
+        readings = [gauge.read(frame, stamp, warmth.kelvin(now))
+                    for gauge, warmth in zip(self._gauges, self._warmth, strict=True)]
         for channel, reading in zip(self.parameters["bench.channels"], readings, strict=True):
             if not reading.reason:
                 celsius = reading.kelvin - CELSIUS_ZERO
@@ -92,10 +88,8 @@ class IrCamera(BenchNode):
         return self.get_clock().now().nanoseconds * 1e-9
 
     def health(self) -> list[DiagnosticStatus]:
-        return [
-            self.status(r.name, bytes([r.level]), r.message, r.values, "infrared camera")
-            for r in self._report.reports(time.monotonic())
-        ]
+        return [self.status(r.name, bytes([r.level]), r.message, r.values, "infrared camera")
+                for r in self._report.reports(time.monotonic())]
 
 
 FAULTS = ("none", "frozen", "shutter", "silent", "moved")
@@ -124,9 +118,8 @@ class SyntheticCameraNode(BenchNode):
         # The message's own array: without field checks it keeps a copy of what it is given.
         self._pixels = np.frombuffer(self._message.data, "<u2").reshape(self._camera.shape)
         self._publisher = self.create_publisher(Image, "thermal_image", READINGS, newest=True)
-        self.listen(
-            Temperature, "true_temperature", self.on_temperature, numbered=True, newest=True
-        )
+        self.listen(Temperature, "true_temperature", self.on_temperature, numbered=True,
+                    newest=True)
         self.create_subscription(JointState, "joint_states", self.on_joints, READINGS, newest=True)
         self.every(1.0 / self.settings["rate"], self._take)
 

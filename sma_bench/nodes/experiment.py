@@ -56,31 +56,26 @@ class ExperimentNode(BenchNode):
         self._readiness = Readiness(lambda: self.settings["require_recorder"])
         self._loop = self.loop()
         self.check_settings(settings)
-        self._run = Run(
-            self, self._loop, self._guard, self._readiness, len(channels), settings["autostart"],
-            self._feedback_timeout, 0.0 if self.simulated else _STEADY,
-        )
+        self._run = Run(self, self._loop, self._guard, self._readiness, len(channels),
+                        settings["autostart"], self._feedback_timeout,
+                        0.0 if self.simulated else _STEADY)
         self._command = self.create_publisher(Float64MultiArray, ros.COMMAND, ros.READINGS)
         self.mark = self.line("experiment/marker")
         self._publish_state, self._publish_progress = self.line("~/state"), self.line("~/progress")
         self.listen(BatteryState, "power", self.on_power, newest=True)
         self.listen(Temperature, "temperature", self.on_temperature, newest=True)
         self._joint = TIP if moves_tip(self.parameters) else "wire"
-        self.create_subscription(
-            JointState, "joint_states", self.on_joints, ros.READINGS, newest=True
-        )
+        self.create_subscription(JointState, "joint_states", self.on_joints, ros.READINGS,
+                                 newest=True)
         self.create_subscription(String, BRIDGE, self.on_bridge, ros.LATCHED)
         self.create_subscription(String, RECORDER, self.on_recorder, ros.LATCHED)
-        self.serve(
-            start=lambda: self._run.start(time.monotonic(), self._plan),
-            stop=self._run.stop, reset=self._run.reset,
-        )
+        self.serve(start=lambda: self._run.start(time.monotonic(), self._plan),
+                   stop=self._run.stop, reset=self._run.reset)
         self._ticked, period = 0, 1.0 / settings["command_rate"]
         self._period = round(period * ros.NANOSECONDS)
         if self.simulated:
-            forward = JumpThreshold(
-                min_forward=Duration(nanoseconds=1), min_backward=None, on_clock_change=False
-            )
+            forward = JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=None,
+                                    on_clock_change=False)
             self._leaps = self._bench_clock.create_jump_callback(
                 forward, post_callback=self._on_clock
             )
@@ -179,11 +174,10 @@ class ExperimentNode(BenchNode):
         return protocol
 
     def surroundings(self) -> Surroundings:
-        return Surroundings(
-            self._command.get_subscription_count() > 0, self._bench_clock.now().nanoseconds > 0,
-            {name for name in (BRIDGE, RECORDER) if self.count_publishers(name)},
-            lambda: list(ros.recorded_topics(self)),
-        )
+        return Surroundings(self._command.get_subscription_count() > 0,
+                            self._bench_clock.now().nanoseconds > 0,
+                            {name for name in (BRIDGE, RECORDER) if self.count_publishers(name)},
+                            lambda: list(ros.recorded_topics(self)))
 
     def send(self, voltage: list[float]) -> None:
         self._command.publish(self._labelled(voltage))

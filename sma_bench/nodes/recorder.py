@@ -123,11 +123,9 @@ class Recorder(BenchNode):
             if topic in self._recording.topics or not self._recording.add(topic, kind):
                 continue
             # The most that every present publisher of the topic offers.
-            qos = QoSProfile(
-                depth=_IMAGE_DEPTH if kind == IMAGE else _DEPTH,
-                reliability=ReliabilityPolicy.BEST_AVAILABLE,
-                durability=DurabilityPolicy.BEST_AVAILABLE,
-            )
+            qos = QoSProfile(depth=_IMAGE_DEPTH if kind == IMAGE else _DEPTH,
+                             reliability=ReliabilityPolicy.BEST_AVAILABLE,
+                             durability=DurabilityPolicy.BEST_AVAILABLE)
             heard = partial(self._write, topic)
             self.create_subscription(message_class(kind), topic, heard, qos, raw=True)
             self.get_logger().info(f"recording {topic}")

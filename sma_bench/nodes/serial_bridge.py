@@ -55,16 +55,12 @@ class SerialBridge(BenchNode):
         self._to_ros = 0  # ns from the monotonic clock to ROS time; the system's may be set
         self._channels = self.parameters["bench.channels"]
         sensors = BenchSensors(self.parameters["bench.channel_sides"], settings)
-        self._link = SerialLink(
-            lambda: open_port(settings["port"] or find_port()), LinkOptions(rate=rate),
-            self._arrived.append, self._events.append,
-        )
+        self._link = SerialLink(lambda: open_port(settings["port"] or find_port()),
+                                LinkOptions(rate=rate), self._arrived.append, self._events.append)
         self._guard = Guard(self._channels, settings["feedback"], settings["feedback_timeout"])
         self._limits = Limits.from_parameters(self.parameters)
-        self._driver = driver = BenchDriver(
-            self._link, sensors, self._guard, self._channels, self._limits,
-            settings["self_test_waived"],
-        )
+        self._driver = driver = BenchDriver(self._link, sensors, self._guard, self._channels,
+                                            self._limits, settings["self_test_waived"])
         self._sides = tuple(sensors.range_sensors)
         joint = "tip" if self._sides else ""
         self._topics = ros.BenchTopics(self, self._channels, ranges=self._sides, joint=joint)
@@ -75,11 +71,10 @@ class SerialBridge(BenchNode):
         self.create_subscription(
             String, RECORDER, lambda m: self._guard.recorder(recorder_failure(m.data)), ros.LATCHED
         )
-        self.serve(
-            enable=lambda: self._ask(lambda: driver.enable(time.monotonic())),
-            stop=lambda: self._ask(lambda: driver.stop("stopped on request")),
-            reset=lambda: self._ask(driver.reset), self_test=lambda: self._ask(self._self_test),
-        )
+        self.serve(enable=lambda: self._ask(lambda: driver.enable(time.monotonic())),
+                   stop=lambda: self._ask(lambda: driver.stop("stopped on request")),
+                   reset=lambda: self._ask(driver.reset),
+                   self_test=lambda: self._ask(self._self_test))
         self.every(_TICK, self._tick)
         self._link.start()  # connects, again and again if need be
 

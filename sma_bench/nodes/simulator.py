@@ -52,16 +52,14 @@ class Simulator(BenchNode):
         if not self._fast:  # what it stands in for is never late
             be_punctual(BRIDGE)
         channels, composite = self._bench.channels, self._bench.composite
-        self._topics = BenchTopics(
-            self, channels, (*channels, "ambient"), ("front", "back") if composite else (),
-            "tip" if composite else "wire",
-        )
+        self._topics = BenchTopics(self, channels, (*channels, "ambient"),
+                                   ("front", "back") if composite else (),
+                                   "tip" if composite else "wire")
         self._counts = Counter({"power": 0, "temperature": 0, "mechanics": 0, "ambient": 0})
         self._reported = 0, self._counts.copy()
         self._gate = CommandGate(len(channels), limits)
-        self._lockstep = Lockstep(
-            slice_length, speed, limits.command_timeout, self.settings["lockstep_patience"]
-        )
+        self._lockstep = Lockstep(slice_length, speed, limits.command_timeout,
+                                  self.settings["lockstep_patience"])
         self._clock_sent = 0.0
         self.create_subscription(Float64MultiArray, COMMAND, self.on_command, READINGS)
         self._commanders = Commanders(self)
@@ -146,14 +144,12 @@ class Simulator(BenchNode):
         gate, now, (before, counts) = self._gate, self._now / NANOSECONDS, self._reported
         elapsed = max(self._now - before, 1) / NANOSECONDS
         self._reported = self._now, self._counts.copy()
-        values = {
-            "commander": gate.commander, "accepted_commands": gate.accepted,
-            "rejected_commands": gate.rejected, "command_timeouts": gate.timeouts,
-            "last_rejection": gate.last_rejection, "simulated_seconds": f"{now:.3f}",
-            "outputs": " ".join(f"{v:g}" for v in gate.outputs(now)),
-            **{f"{kind}_rate": f"{(count - counts[kind]) / elapsed:.1f}"
-               for kind, count in self._counts.items()},
-        }
+        values = {"commander": gate.commander, "accepted_commands": gate.accepted,
+                  "rejected_commands": gate.rejected, "command_timeouts": gate.timeouts,
+                  "last_rejection": gate.last_rejection, "simulated_seconds": f"{now:.3f}",
+                  "outputs": " ".join(f"{v:g}" for v in gate.outputs(now)),
+                  **{f"{kind}_rate": f"{(count - counts[kind]) / elapsed:.1f}"
+                     for kind, count in self._counts.items()}}
         level = DiagnosticStatus.WARN if gate.rejected else DiagnosticStatus.OK
         message = gate.last_rejection or "running"
         return [self.status("bench", level, message, values, "simulated bench")]

@@ -112,11 +112,9 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
             kinds[name].own_arguments = own
             node = nodes[name] = kinds[name]()
             if name in _DRIVERS:
-                node.limits = ", ".join(
-                    f"{limit} {node.parameters[f'bench.{limit}']:g} "
-                    f"({sources[name].get(f'bench.{limit}', 'default')})"
-                    for limit in _LIMITS
-                )
+                node.limits = ", ".join(f"{limit} {node.parameters[f'bench.{limit}']:g} "
+                                        f"({sources[name].get(f'bench.{limit}', 'default')})"
+                                        for limit in _LIMITS)
                 node.get_logger().info(f"limits: {node.limits}")
         making.clear()
         with ThreadPoolExecutor(len(nodes)) as pool:
@@ -203,15 +201,10 @@ def node_help(node: str) -> str:
     from sma_bench.parameters.node_tables import NODE_TABLES
 
     if node == CONTAINER:
-        return (
-            f"usage: {node} NODE [-p NAME:=VALUE ...] [NODE ...] [--ros-args ...]\n\n"
-            f"these nodes in one process: {', '.join(n for n in NODES if n not in _APART)}\n"
-        )
-    lines = [
-        f"usage: {node} [--ros-args -r __ns:=/bench --params-file P.yaml -p NAME:=VALUE ...]",
-        "",
-        "parameters of this node, besides the contract's (sma-bench parameters):",
-    ]
+        return (f"usage: {node} NODE [-p NAME:=VALUE ...] [NODE ...] [--ros-args ...]\n\n"
+                f"these nodes in one process: {', '.join(n for n in NODES if n not in _APART)}\n")
+    lines = [f"usage: {node} [--ros-args -r __ns:=/bench --params-file P.yaml -p NAME:=VALUE ...]",
+             "", "parameters of this node, besides the contract's (sma-bench parameters):"]
     for p in NODE_TABLES[node]:
         unit, default = f" [{p.unit}]" if p.unit else "", str(p.default) or "none"
         if isinstance(p.default, tuple):

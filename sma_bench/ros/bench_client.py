@@ -115,11 +115,9 @@ class NodeCalls:
         self.wait(service, future.done, timeout)
         return future.result()
 
-    def run_recorded(
-        self, protocol: str | Path, name: str, seconds: float, bag: str | Path,
-        heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
-        needed: Collection[str] = (),
-    ) -> None:
+    def run_recorded(self, protocol: str | Path, name: str, seconds: float, bag: str | Path,
+                     heed: Callable[[str], None] = lambda state: None, simulated_time: bool = False,
+                     needed: Collection[str] = ()) -> None:
         """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever ends
         this before the protocol's end stops the experiment at 0 V and leaves no bag; an unfinished
         one is kept beside it.
@@ -201,17 +199,14 @@ class BenchClient(NodeCalls):
     `meanwhile` is called about 20 times a second while waiting and may raise to end the wait.
     """
 
-    def __init__(
-        self, namespace: str, meanwhile: Callable[[], None] = lambda: None,
-        ros_arguments: Sequence[str] = (),
-    ) -> None:
+    def __init__(self, namespace: str, meanwhile: Callable[[], None] = lambda: None,
+                 ros_arguments: Sequence[str] = ()) -> None:
         start_ros(ros_arguments)
         super().__init__(OverridableNode("bench_client", namespace=namespace), self._look)
         self._meanwhile = meanwhile
         self.simulated_seconds = 0.0
-        self._node.create_subscription(
-            DiagnosticArray, "/diagnostics", self.on_diagnostics, READINGS
-        )
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics,
+                                       READINGS)
 
     def __enter__(self) -> Self:
         return self

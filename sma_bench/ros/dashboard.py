@@ -34,11 +34,9 @@ _ASKED = ["bench.channels", *LIMITS]  # which only nodes with limits of the benc
 _LEVELS = "ok", "warning", "error", "stale"  # of a DiagnosticStatus, from 0
 _RECORDER = "recorder"
 _WORK = {"identify": "identification", "diagnose": "diagnosis"}
-_SERVICES = {
-    **dict.fromkeys(("stop", *_WORK), "std_srvs/srv/Trigger"),
-    "get_parameters": "rcl_interfaces/srv/GetParameters",
-    "set_parameters": "rcl_interfaces/srv/SetParameters",
-}
+_SERVICES = {**dict.fromkeys(("stop", *_WORK), "std_srvs/srv/Trigger"),
+             "get_parameters": "rcl_interfaces/srv/GetParameters",
+             "set_parameters": "rcl_interfaces/srv/SetParameters"}
 _READINGS = ("power", "temperature", "range", "joint_states")
 _PROGRESS = {"protocol": TEXT, "step": TEXT, "elapsed": NUMBER, "duration": NUMBER_OR_NULL}
 # Anybody may make topics and services without end.
@@ -67,10 +65,8 @@ class DashboardNode(ros.OverridableNode):
 
     def _ready(self, service: str) -> dict[str, Client]:
         """Clients of the nodes that have a service now, by name."""
-        return {
-            node: client for (what, node), client in list(self._callable.items())
-            if what == service and client.service_is_ready()
-        }
+        return {node: client for (what, node), client in list(self._callable.items())
+                if what == service and client.service_is_ready()}
 
     # --- the stop, and work on records --------------------------------------------------------
 
@@ -107,9 +103,8 @@ class DashboardNode(ros.OverridableNode):
     def _works(self) -> list[str]:
         """Kinds of work whose node can be set and called."""
         settable = self._ready("set_parameters")
-        return sorted(
-            kind for kind, node in _WORK.items() if node in settable and node in self._ready(kind)
-        )
+        return sorted(kind for kind,
+                      node in _WORK.items() if node in settable and node in self._ready(kind))
 
     # --- what is there ------------------------------------------------------------------------
 
@@ -139,10 +134,8 @@ class DashboardNode(ros.OverridableNode):
         # Of which nodes nothing more will come: their last words stay latched here.
         there = [t for t in self._listened if t.endswith("/state") and self.count_publishers(t)]
         nodes = {t.removeprefix(self._inside).rpartition("/")[0] for t in there}
-        for panel, names in (
-            ("elsewhere", elsewhere), ("stops", self._ready("stop")), ("there", nodes),
-            ("works", self._works()),
-        ):
+        for panel, names in (("elsewhere", elsewhere), ("stops", self._ready("stop")),
+                             ("there", nodes), ("works", self._works())):
             self.state.show(panel, sorted(names))
         self.state.show("foreign", foreign)
 
@@ -161,9 +154,8 @@ class DashboardNode(ros.OverridableNode):
         ):
             self._listen(topic, String, partial(getattr(self, f"on_{what}"), node), ros.LATCHED)
 
-    def _listen(
-        self, topic: str, kind: type, on_message: Callable[[Any], None], qos: QoSProfile
-    ) -> None:
+    def _listen(self, topic: str, kind: type, on_message: Callable[[Any], None],
+                qos: QoSProfile) -> None:
         if topic not in self._listened and len(self._listened) < _MOST_TOPICS:
             self._listened.add(topic)
             self.create_subscription(kind, topic, on_message, qos)
@@ -177,10 +169,8 @@ class DashboardNode(ros.OverridableNode):
             answer.add_done_callback(partial(self.on_answer, name))
         self._reported = {name: found for name, found in self._reported.items() if name in ready}
         known = self._reported.values()
-        limits = {
-            limit: min(found[limit] for found in known if limit in found)
-            for limit in LIMITS if any(limit in found for found in known)
-        }
+        limits = {limit: min(found[limit] for found in known if limit in found)
+                  for limit in LIMITS if any(limit in found for found in known)}
         by = sorted(n for n, found in self._reported.items() if found)
         self.state.show("limits", {"values": live_state.shown_limits(limits), "of": by})
 
@@ -250,10 +240,8 @@ class DashboardNode(ros.OverridableNode):
 
 
 @contextmanager
-def listening_node(
-    namespace: str, state: LiveState, on_failure: Callable[[Exception], Any],
-    ros_arguments: Sequence[str] = (),
-) -> Iterator[DashboardNode]:
+def listening_node(namespace: str, state: LiveState, on_failure: Callable[[Exception], Any],
+                   ros_arguments: Sequence[str] = ()) -> Iterator[DashboardNode]:
     """A node that listens in a thread of its own; `on_failure` is called there if it dies. Raises
     InputError: no such namespace can be, or ROS refuses its arguments."""
     ros.start_ros(ros_arguments)

@@ -48,9 +48,8 @@ LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 # Messages that wait for a listener to readings and commands; for one to the `newest`, and by it.
 _HEARD, _NEWEST = 50, 2
 _READ = 0.2  # s in which a peer on a busy machine reads what it has received
-_OVERRIDABLE = QoSOverridingOptions((
-    QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH, QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY
-))
+_OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
+                                     QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY))
 
 COMMAND = "voltage_command"
 NANOSECONDS = 1_000_000_000
@@ -116,9 +115,8 @@ class OverridableNode(Node):
             what = (*what[:-1], heard)
         return self._endpoint(super().create_subscription, what, newest, options)
 
-    def _endpoint(
-        self, create: Callable[..., Any], what: Any, newest: bool, options: dict[str, Any]
-    ) -> Any:
+    def _endpoint(self, create: Callable[..., Any], what: Any, newest: bool,
+                  options: dict[str, Any]) -> Any:
         """rclpy makes a node's own topics before its parameters can be declared: these it keeps."""
         if self._ros_is_ready:
             options.setdefault("qos_overriding_options", _OVERRIDABLE)
@@ -145,10 +143,8 @@ class BenchTopics:
     time, building messages would cost more than the physics.
     """
 
-    def __init__(
-        self, node: Node, power: Sequence[str] = (), temperature: Sequence[str] = (),
-        ranges: Sequence[str] = (), joint: str = "", below: str = "",
-    ) -> None:
+    def __init__(self, node: Node, power: Sequence[str] = (), temperature: Sequence[str] = (),
+                 ranges: Sequence[str] = (), joint: str = "", below: str = "") -> None:
         self._topics: dict[str, tuple[Any, Any]] = {}
 
         def publish(topic: str, message: Any, frame: str) -> None:
@@ -237,9 +233,8 @@ def signature(node: Node) -> str:
     return f"{node.get_fully_qualified_name()}#{uuid.uuid4().hex[:8]}"
 
 
-def voltage_command(
-    channels: Sequence[str], volts: Sequence[float], signed: str = ""
-) -> Float64MultiArray:
+def voltage_command(channels: Sequence[str], volts: Sequence[float],
+                    signed: str = "") -> Float64MultiArray:
     """V of every channel; the label has the channels' names, or none, and who sends it."""
     size = len(volts)
     label = " ".join(channels) + (f"{_SIGNED}{signed}" if signed else "")
@@ -282,11 +277,9 @@ class Commanders:
         if (now := time.monotonic()) >= self._looked + _LOOK_EVERY:
             # Nodes with a publisher of commands that do not sign, one name a publisher.
             self._looked = now
-            names = (
-                f"{info.node_namespace.rstrip('/')}/{info.node_name}"
-                for info in self._node.get_publishers_info_by_topic(self._topic)
-                if info.node_name not in (*_SIGNING, NOT_YET_KNOWN)
-            )
+            names = (f"{info.node_namespace.rstrip('/')}/{info.node_name}"
+                     for info in self._node.get_publishers_info_by_topic(self._topic)
+                     if info.node_name not in (*_SIGNING, NOT_YET_KNOWN))
             self._unsigned = sorted(name for name in names if name not in self._signed)
         if not fault and len(self._unsigned) > 1 and any(message.data):
             fault = "commands without a name, and several nodes may send them: "

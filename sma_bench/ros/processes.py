@@ -36,9 +36,8 @@ _PATIENCE_AT_THE_END = 8.0  # s that a node may take to end, at each of three si
 _PRIVATE_DOMAINS = range(120, 220)
 
 
-def discovery_variables(
-    network: bool, environment: Mapping[str, str] = os.environ
-) -> dict[str, str]:
+def discovery_variables(network: bool,
+                        environment: Mapping[str, str] = os.environ) -> dict[str, str]:
     """Variables to set for a node: open to the network, else what the user has set, else local."""
 
     def is_set(*names: str) -> bool:
@@ -61,9 +60,8 @@ def discovery_variables(
     return variables | ({_ONLY: ""} if only else {})
 
 
-def choose_discovery(
-    network: bool = False, environment: MutableMapping[str, str] = os.environ
-) -> None:
+def choose_discovery(network: bool = False,
+                     environment: MutableMapping[str, str] = os.environ) -> None:
     """Set them for this process, before ROS starts in it; what has no effect is said."""
     variables = discovery_variables(network, environment)
     if PROFILE in variables:
@@ -117,9 +115,8 @@ class NodeProcesses:
         for name in reversed(list(self._running)):
             self.end(name)
 
-    def start(
-        self, name: str, parameters: Mapping[str, Any], files: tuple[str | Path, ...] = ()
-    ) -> None:
+    def start(self, name: str, parameters: Mapping[str, Any],
+              files: tuple[str | Path, ...] = ()) -> None:
         """Start a node with parameter files and, over them, single parameters."""
         command = [sys.executable, "-m", "sma_bench.nodes.start", name, "--ros-args"]
         command += ["-r", f"__ns:={self._namespace}"]
