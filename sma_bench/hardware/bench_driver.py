@@ -2,37 +2,31 @@
 
 `idle` until someone enables it, `enabled` until someone stops it or a rule of safety.py breaks,
 `stopped`, with the first reason kept, until someone resets it. Outputs other than 0 V exist only
-while it is enabled and fresh commands come.
-"""
+while it is enabled and fresh commands come."""
 
 import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from sma_bench.hardware import serial_messages as messages
 from sma_bench.hardware.bench_sensors import SIDES, BenchReading, BenchSensors, SharedWatch
 from sma_bench.hardware.safety import MOST_CURRENT_AT_REST, CommandGate, Guard, Limits
 from sma_bench.hardware.serial_link import LateAnswer, LinkError, LinkStatus, SerialLink
 
-REFRESH = 0.02
-"""s between commands to the device, whose own timeout is ten times that"""
+REFRESH = 0.02  # s between commands to the device, whose own timeout is ten times that
 _LEAST_TIMEOUT = 3.0 * REFRESH
-
-# What the device is to allow beyond the rig's own limits.
-_PER_BOARD = 2
-_MARGIN = 1.2
-_HOTTER = 1.1
-_LEAST_HOT_TIME = 0.05  # s
-_LEAST_STEP = 0.1  # A, of the peak above the mean
+# What the device is to allow beyond the rig's own limits: times them, s, and A of the peak above
+# the mean.
+_PER_BOARD, _MARGIN, _HOTTER = 2, 1.2, 1.1
+_LEAST_HOT_TIME, _LEAST_STEP = 0.05, 0.1
 
 T = TypeVar("T")
 
+# Checks of the self-test without which it is not enabled; tries, and s of the clock's error.
 NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
-"""checks of the self-test without which nobody enables"""
-_TRIES = 3
-_MOST_CLOCK_UNCERTAINTY = 2e-3  # s
+_TRIES, _MOST_CLOCK_UNCERTAINTY = 3, 2e-3
 _CLOSED_FOR = 0.12  # s; the relay closes within 30 ms, the mean of the current needs as long
 # s, of the device's clock from the last frame before the stop: half a second of frames may wait in
 # the cable's buffers; and of this computer's, in which such frames come.
@@ -62,17 +56,13 @@ class BenchDriver:
                  channels: Sequence[str], limits: Limits, waiver: str = "",
                  pause: Callable[[float], None] = time.sleep) -> None:
         """`waiver`: why nobody needs a self-test before enabling; "" to demand one."""
-        self._link, self._sensors, self._guard = link, sensors, guard
+        self._link, self._sensors, self._guard, self._pause = link, sensors, guard, pause
         self._channels, self._limits, self._waiver = channels, limits, waiver
-        self._pause = pause
         self._tested = -1  # number of the connection whose self-test passed
-        self._stopped = ""
-        self._supply_reading = 0.0
-        self._driven = -math.inf
+        self._stopped, self._supply_reading, self._driven = "", 0.0, -math.inf
         self._watch_shared_sensors()
-        self.enabled = False
+        self.enabled, self.gate = False, CommandGate(len(channels), limits)
         self.newest: BenchReading | None = None
-        self.gate = CommandGate(len(channels), limits)
 
     @property
     def state(self) -> str:
@@ -91,10 +81,8 @@ class BenchDriver:
     def flowing(self) -> str:
         """The current that nothing here can switch off, "" for none."""
         status = self._link.status
-        if not status.connected:
-            return ""
         by_device = status.cause_text if status.state == messages.DeviceState.STILL_FLOWING else ""
-        return self._guard.flowing or by_device
+        return (self._guard.flowing or by_device) if status.connected else ""
 
     @property
     def tested(self) -> str:
@@ -107,28 +95,23 @@ class BenchDriver:
     def supply(self) -> float:
         return self._sensors.supply.apply(self._supply_reading)
 
-    @property
-    def applied(self) -> tuple[float, ...]:
-        """V at the wires as the device says, one a channel; none before the first reading."""
-        return tuple(power.voltage for power in self.newest.powers) if self.newest else ()
-
-    def diagnostics(self, now: float) -> dict[str, str]:
-        gate = self.gate
+    def diagnostics(self, now: float) -> dict[str, Any]:
+        """`applied`: V at the wires as the device says; none before the first reading."""
+        gate, applied = self.gate, self.newest.powers if self.newest else ()
         return {"state": self.state, "self_test": self.tested, "supply_volts": f"{self.supply:.2f}",
                 "outputs": " ".join(f"{volt:g}" for volt in gate.outputs(now)),
-                "applied": " ".join(f"{volt:.2f}" for volt in self.applied),
-                "commander": gate.commander, "accepted_commands": str(gate.accepted),
-                "rejected_commands": str(gate.rejected), "command_timeouts": str(gate.timeouts),
+                "applied": " ".join(f"{power.voltage:.2f}" for power in applied),
+                "commander": gate.commander, "accepted_commands": gate.accepted,
+                "rejected_commands": gate.rejected, "command_timeouts": gate.timeouts,
                 "last_rejection": gate.last_rejection}
 
-    # --- Requests; LinkError says why one must not be, or the device's refusal
+    # Requests; LinkError says why one must not be, or the device's refusal.
 
     def command(self, voltage: Sequence[float], now: float, sender: str = "") -> str:
         """Take a sender's command (V, one a channel); the reason when it is rejected."""
         if not self.enabled and any(voltage):
             return self.gate.refuse(f"not enabled ({self.state})")
-        reason = self.gate.command(voltage, now, sender)
-        if not reason:
+        if not (reason := self.gate.command(voltage, now, sender)):
             self._driven = -math.inf  # the next tick sends it
         return reason
 
@@ -154,10 +137,8 @@ class BenchDriver:
                 raise LinkError(f"the device's timeout is {device.command_timeout:g} s: too short")
         if fault := self._guard.fault(now):
             raise LinkError(fault)
-        if self.tested == "due":
-            failed = [str(result) for result in self.self_test() if result.forbids]
-            if failed:
-                raise LinkError(f"self-test: {'; '.join(failed)}")
+        if self.tested == "due" and (failed := [str(r) for r in self.self_test() if r.forbids]):
+            raise LinkError(f"self-test: {'; '.join(failed)}")
         self.gate.clear()
         if device:
             numbers = device_limits(self._limits, device, self.supply)
@@ -191,8 +172,6 @@ class BenchDriver:
         self._shared = [(wires, SharedWatch([self._channels[k] for k in wires]))
                         for wires in self._sensors.shared]
 
-    # --- The self-test
-
     def self_test(self) -> list[CheckResult]:
         """Check what can be checked without driving, in about a second; ends disabled, at 0 V. What
         is late is asked again; what is wrong has failed."""
@@ -215,16 +194,15 @@ class BenchDriver:
                  f"{self.supply:.2f} V, expected {low:g} to {high:g} V"),
                 ("currents", most < MOST_CURRENT_AT_REST,
                  f"at most {most:.2f} A at rest, expected under {MOST_CURRENT_AT_REST:g} A")]
-        for side, distance in zip(SIDES, newest.distances, strict=True):
-            if side in self._sensors.range_sensors:
-                rows.append((f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm"))
-        found = [CheckResult(*row) for row in rows]
+        rows += [(f"{side} range", math.isfinite(distance), f"{1e3 * distance:.1f} mm")
+                 for side, distance in zip(SIDES, newest.distances, strict=True)
+                 if side in self._sensors.range_sensors]
         for name, test in (("relay", self._relay), ("stop", self._heard_stop)):
             try:
-                outcome = self._patiently(test)
+                rows.append((name, *self._patiently(test)))
             except LinkError as error:
-                outcome = False, str(error)
-            found.append(CheckResult(name, *outcome))
+                rows.append((name, False, str(error)))
+        found = [CheckResult(*row) for row in rows]
         if not any(result.forbids for result in found):
             self._tested = self._link.status.connections
         return found
@@ -277,8 +255,6 @@ class BenchDriver:
             self._pause(_LOOK_EVERY)
         raise LateAnswer("the device's readings are late")
 
-    # --- What happens
-
     def take(self, telemetry: messages.Telemetry, now: float) -> BenchReading:
         """Note telemetry; what it says about the bench."""
         self._supply_reading = telemetry.supply
@@ -296,7 +272,6 @@ class BenchDriver:
 
     def tick(self, now: float) -> str:
         """Check everything, then keep the device supplied; the reason when it stops here."""
-        reason = ""
         if not self.enabled:
             self._guard.commanded((0.0,) * len(self._channels))
             reason = "" if self._stopped else self._guard.flowing
@@ -316,8 +291,8 @@ class BenchDriver:
 
     def _fault(self, now: float) -> str:
         status = self._link.status
-        answered = f"another host speaks to the device: it answered {status.unasked!r}"
-        another = f"{answered}, not asked from here" if status.unasked else ""
+        another = ("another host speaks to the device: it answered "
+                   f"{status.unasked!r}, not asked from here") if status.unasked else ""
         return status.fault or another or self._guard.fault(now)
 
 

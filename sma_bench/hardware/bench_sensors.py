@@ -8,7 +8,6 @@ from decimal import Decimal
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
@@ -20,18 +19,17 @@ _PER_SIDE = CHANNELS // len(SIDES)
 _RECENT = 0.05  # of the mean at rest, a reading
 _LEAST_DUTY = 1e-3  # below it a converter's step of mean current is amplified more than 30 times
 # Of a shared current sensor: s between two readings whose difference is what a step of the voltage
-# did to the power; much less than a phase change takes.
-_STEP_BASE = 0.05
-_LEAST_STEP = 0.5  # V^2
-_LEAST_PAIRS = 20
-_OVERLAP = 5  # differences that overlap count once for each of this many
-_FORGOTTEN = 0.995  # kept of what is known, from one difference to the next
+# did to the power, much less than a phase change takes; V^2; W; differences that are enough, and of
+# which, overlapping, one counts; what is kept of the known from one to the next.
+_STEP_BASE, _LEAST_STEP, _LEAST_NOISE = 0.05, 0.5, 0.02
+_LEAST_PAIRS, _OVERLAP, _FORGOTTEN = 20, 5, 0.995
 _INDEPENDENT = 0.1  # of a wire's own excitation, what must not be its neighbour's too
 _RIDGE = 1e-6
 # Of the expected conductance: an open wire has less than the first, with three standard deviations
 # less than the second.
 _OPEN, _SURELY = 0.5, 0.7
-_LEAST_NOISE = 0.02  # W
+_FEWEST = 3  # pairs of a calibration that tell a scatter
+_BLOCK = 4096  # of noise
 
 
 class Calibration(NamedTuple):
@@ -102,11 +100,8 @@ class BenchSensors:
         try:  # the device's channel of every bench channel: the sides' outputs in their order
             self.channels = tuple(free[side].pop(0) for side in sides)
         except (KeyError, IndexError):
-            raise InputError(
-                f"bench.channel_sides: {', '.join(sides)}, the device has {_PER_SIDE} channels "
-                f"at the front and {_PER_SIDE} at the back"
-            ) from None
-
+            raise InputError(f"bench.channel_sides: {', '.join(sides)}, the device has {_PER_SIDE} "
+                             f"channels at the front and {_PER_SIDE} at the back") from None
         self._calibrations = {
             name: Calibration(*(settings[f"calibration.{name}.{number}"]
                                 for number in Calibration._fields[: 3 if sensor.is_range else 2]))
@@ -120,10 +115,8 @@ class BenchSensors:
                 raise InputError(f"range.sensors: {sensor!r}, expected front or back")
         # Sides that are mounted; one clamped wire bends nothing.
         self.range_sensors: tuple[str, ...] = settings["range.sensors"] if len(sides) > 1 else ()
-        boards = [
-            tuple(k for k, channel in enumerate(self.channels) if channel // _PER_SIDE == board)
-            for board in range(len(SIDES))
-        ]
+        boards = (tuple(k for k, channel in enumerate(self.channels) if channel // _PER_SIDE == n)
+                  for n in range(len(SIDES)))
         # Bench channels whose currents one sensor measures together.
         self.shared = tuple(board for board in boards if len(board) > 1)
 
@@ -166,7 +159,6 @@ class BenchSensors:
             # The supply without load, less what a pulse of the wire's own board takes from it.
             drop = self.supply.gain * telemetry.drop[board]
             powers.append(ChannelPower(math.sqrt(duty) * (supply - drop), current))
-
         # Mean over the mounted sensors that see the tip; bending to the front nears the front.
         near, far = self._calibrated("range", telemetry)
         towards = {"front": self._standoffs[0] - near, "back": far - self._standoffs[1]}
@@ -251,8 +243,6 @@ class SharedWatch:
 # --- Calibrating one of the device's sensors: gain and offset from known loads, with their errors.
 # Readings are the device's own (V, A), known loads true ones (V, A, m).
 
-_FEWEST = 3  # pairs that tell a scatter
-
 
 class SensorFit(NamedTuple):
     """The bridge's parameters of a sensor, and how well the known loads lie on them."""
@@ -272,13 +262,11 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
     kind, std = SENSORS[name], dict[str, float]()
     x, y = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
     if x.shape != y.shape:
-        raise InputError(
-            f"calibration: {x.size} readings for {y.size} known loads, expected as many"
-        )
+        raise InputError(f"calibration: {x.size} readings for {y.size} known loads, expected as "
+                         "many")
     if kind.is_range and not (y + shift > 0.0).all():
-        raise InputError(
-            f"calibration: distance {y.min():g} m with shift {shift:g} m, expected positive"
-        )
+        raise InputError(f"calibration: distance {y.min():g} m with shift {shift:g} m, expected "
+                         "positive")
     gain, offset, *stds, scatter = _line(x, 1.0 / (y + shift) if kind.is_range else y)
     calibration = Calibration(gain, offset, shift if kind.is_range else None)
     calibrated, found = np.array([calibration.apply(one) for one in x]), calibration._asdict()
@@ -287,7 +275,6 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
     else:
         del found["shift"]
         std, digit = dict(zip(found, stds, strict=True)), _last_digit(readings)
-
     # What stays open of a calibrated reading: by the scatter, and by the last digits of readings
     # and known loads where these scatter less.
     uncertainty = {}
@@ -305,9 +292,8 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
     return SensorFit(named, named_std, rest, uncertainty)
 
 
-def _line(readings: ArrayLike, known: ArrayLike) -> tuple[float, float, float, float, float]:
+def _line(x: Array, y: Array) -> tuple[float, float, float, float, float]:
     """Least-squares gain and offset, their standard errors, the scatter: NaN of two points."""
-    x, y = np.asarray(readings), np.asarray(known)
     if not (np.isfinite(x).all() and np.isfinite(y).all()):
         raise InputError("calibration: a reading or a load is not finite")
     if (different := np.unique(x).size) < 2:
@@ -329,14 +315,10 @@ def _last_digit(values: Sequence[float]) -> float:
     return 10.0 ** -max(places) if max(places, default=0) > 0 else 0.0
 
 
-# --- What instruments of a bench in software make of a true value: noise, then quantisation.
-
-_BLOCK = 4096
-
-
 class Instrument:
-    """The sensor chain of a quantity (voltage, current, temperature, range, force) by the simulator
-    node's parameters; a node reads every sample by itself, so noise is drawn in blocks."""
+    """What the sensors of a quantity (voltage, current, temperature, range, force) make of a true
+    value, by the simulator's parameters: noise, which is drawn in blocks as a node reads every
+    sample by itself, then quantisation."""
 
     def __init__(self, settings: Mapping[str, Any], quantity: str,
                  seed: np.random.SeedSequence) -> None:
@@ -366,5 +348,4 @@ class Instrument:
         return values
 
     def _block(self) -> list[float]:
-        drawn: list[float] = (self._noise * self._random.standard_normal(_BLOCK)).tolist()
-        return drawn
+        return (self._noise * self._random.standard_normal(_BLOCK)).tolist()

@@ -8,31 +8,26 @@ import numpy as np
 from sma_bench.hardware.serial_messages import TURN
 
 _MOST_DRIFT = 1e-2  # an Uno's ceramic resonator is good for half a percent; twice that is broken
-_BIN = 0.1  # s of the device's clock: one point a bin, the earliest heard
-_WINDOW = 30.0  # s
+_BIN, _WINDOW = 0.1, 30.0  # s of the device's clock: one point a bin, the earliest heard
 _PINGS = 400
 # Of the pings: the share whose answers came most promptly, and of these the one in the way there.
-_PROMPT, _FEWEST_PROMPT = 0.1, 5
-_SOONEST = 0.2
+_PROMPT, _FEWEST_PROMPT, _SOONEST = 0.1, 5, 0.2
 _Points = deque[tuple[float, float]]  # device s, host s
 
 
 class DeviceClock:
-    """Host time = offset + (1 + drift) device time.
+    """Host time = offset + (1 + drift) device time; host times are s of one monotonic clock.
 
-    What delays a message (the host's scheduling, a full cable, a busy computer) only ever makes
-    it later. So the line that no frame was heard before, and that is as late as that allows, has
-    the drift, and lies behind the device's clock by the least time that a frame takes; delays,
-    however long and frequent, do not move it (Moon, Skelly, Towsley, INFOCOM 1999, for packets).
-    How far behind, pings show: the soonest question there and the soonest answer back took equally
-    long, as far as anyone can know. Host times are seconds of one monotonic clock.
-    """
+    What delays a message (the host's scheduling, a full cable, a busy computer) only ever makes it
+    later. So the line that no frame was heard before, and that is as late as that allows, has the
+    drift, and lies behind the device's clock by the least time that a frame takes; no delay moves
+    it (Moon, Skelly, Towsley, INFOCOM 1999, for packets). How far behind, pings show: the soonest
+    question there and the soonest answer back took equally long, as far as anyone can know."""
 
     def __init__(self) -> None:
         self._last_us: int | None = None
         self._turns = 0
-        self._frames: _Points = deque()
-        self._answers: _Points = deque()
+        self._frames, self._answers = _Points(), _Points()
         self._pings: deque[tuple[float, float, float, float]] = deque(maxlen=_PINGS)
         self._origin = (math.nan, math.nan)
         self.drift = 0.0  # host seconds per device second, less one
@@ -52,7 +47,6 @@ class DeviceClock:
         self._pings.append((sent, arrived, left, heard))
         while self._pings[0][1] < arrived - _WINDOW:
             self._pings.popleft()
-
         # The line that nothing was heard before, and how far it lies behind.
         sents, arrivals, lefts, heards = np.array(self._pings).T
         many = 2 * len(self._frames) > len(self._answers)

@@ -1,10 +1,9 @@
 """Rules that keep a heated wire safe. No ROS, no clock of its own: time comes in as seconds.
 
-Every rule answers with a reason, one line for people, or "" when all is well; whoever asked puts
-the outputs to 0 V. The rules about readings are three tables, evaluated by `broken`: limits, which
-a reading breaks at once, and what a wire should do by the model, which it must fail to do for a
-while: a broken or shorted wire, a camera that looks elsewhere, a cooling fan that stopped.
-"""
+Every rule answers with a reason, one line for people, or "": whoever asked puts the outputs to 0 V.
+Those about readings are three tables, evaluated by `broken`: limits, broken at once, and what a
+wire should do by the model, which it must fail to do for a while (a broken or shorted wire, a
+camera that looks elsewhere, a cooling fan that stopped)."""
 
 import math
 from collections import deque
@@ -86,6 +85,11 @@ class Limits:
         """ohm that the circuit may have, its wire cold, hot or worn."""
         return self.circuit * max(1.0 - self.resistance_tolerance, 0.05)
 
+    @property
+    def highest_reading(self) -> float:
+        """V that may be read of the largest command."""
+        return self.reading(self.maximum_voltage) + self.voltage_tolerance
+
     def warmed(self, temperature: float, volt: float, elapsed: float) -> float:
         """Temperature (K) after `elapsed` s at `volt` V, from `temperature` K."""
         steady = self.ambient + volt**2 / self.heated / self.heat_loss
@@ -116,14 +120,6 @@ class Limits:
     def allowed_stray(self, volt: float) -> float:
         """A by which the current at `volt` V may differ from the model's."""
         return CURRENT_FLOOR + self.resistance_tolerance * volt / self.circuit
-
-    @property
-    def highest_reading(self) -> float:
-        """V that may be read of the largest command."""
-        return self.reading(self.maximum_voltage) + self.voltage_tolerance
-
-
-# --- Silence, and whoever commands.
 
 
 class Watchdog:
@@ -186,10 +182,8 @@ class CommandGate:
     def command(self, values: Sequence[float], now: float, sender: str = "") -> str:
         """Take a command (V, one a channel) at `now` s; the reason when it is rejected and changes
         nothing."""
-        if len(values) != len(self._zero):
-            return self.refuse(
-                f"voltage_command has {len(values)} values, expected {len(self._zero)}"
-            )
+        if (given := len(values)) != len(self._zero):
+            return self.refuse(f"voltage_command has {given} values, expected {len(self._zero)}")
         highest = self._limits.maximum_voltage
         for value in values:
             if not math.isfinite(value):
@@ -232,9 +226,6 @@ class CommandGate:
 def _named(sender: str) -> str:
     """A sender for people: what makes it unique is left out."""
     return sender.partition("#")[0] or "a node without a name"
-
-
-# --- What is known of a wire and of a board, and the rules about it.
 
 
 @dataclass
@@ -315,8 +306,8 @@ class Wire:
             return
         if self._rested > _RESTED * limits.heat_capacity / limits.heat_loss:
             self.room = max(-_ROOM, min(kelvin - limits.ambient, _ROOM))
-        before, at = self._reference or (kelvin, stamp)
-        if self._reference is None or not 0.0 <= stamp - at < _RATE_BASE:
+        before, at = self._reference or (kelvin, -math.inf)
+        if not 0.0 <= stamp - at < _RATE_BASE:  # not even where a clock went back
             self._reference = (kelvin, stamp)
             self.rise = (kelvin - before) / (stamp - at) if stamp > at else 0.0
 
@@ -335,15 +326,13 @@ def power_rules(wire: Wire, x: Limits, timeout: float = 0.0,
                 unseen: bool = False) -> dict[str, Rule]:
     """About voltage and current; what rests on the model must last for the timeout, s. `unseen`:
     nobody measures the temperature, which otherwise is judged itself."""
-    name, volt, ampere = wire.name, wire.volt, wire.ampere
-    v, i = wire.believed(x)
+    name, volt, ampere, (v, i) = wire.name, wire.volt, wire.ampere, wire.believed(x)
     # All that the last commands allow, and what the volts make of the current.
     commands = [x.reading(command) for command in wire.commands or (0.0,)]
     low = min(commands) - x.allowed_deviation(min(commands))
     high = max(commands) + x.allowed_deviation(max(commands))
     strays = max(low - v, v - high) if wire.commands else 0.0 * v
-    last, expected = commands[-1], v / x.circuit
-    allowed = x.allowed_stray(v)
+    last, expected, allowed = commands[-1], v / x.circuit, x.allowed_stray(v)
     off = abs(i - expected) if v >= LEAST_VOLTAGE else 0.0 * v
     hottest = wire.hottest if unseen else math.nan
     return {
@@ -429,8 +418,7 @@ class Guard:
         known = [f"{channel}/{kind}" for channel in self._wires for kind in FEEDBACK]
         self._fresh = {name: Freshness(name, timeout) for name in (*self.wanted, *known)}
         self._found = {"recorder": ""}
-        self.flowing = ""
-        """`flowing`: what flows though every output is off, "" for nothing"""
+        self.flowing = ""  # what flows though every output is off
 
     def recorder(self, failure: str) -> None:
         """Note why the recorder failed (a full disk), "" when it records or nobody minds."""

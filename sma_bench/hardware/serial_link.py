@@ -2,8 +2,7 @@
 
 It connects by itself, again and again, and never arms by itself. The newest command is said again
 while its driver is late, for a quarter of a second: a busy host, or a byte lost on the way, ends
-nothing. A driver that hangs is spoken for no longer, and the device's own timeout switches off.
-"""
+nothing. A driver that hangs is spoken for no longer, and the device's own timeout switches off."""
 
 import contextlib
 import copy
@@ -19,6 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import serial
 
@@ -27,13 +27,22 @@ from sma_bench.hardware import serial_messages as messages
 from sma_bench.hardware.device_clock import DeviceClock
 from sma_bench.hardware.serial_messages import NUMBERS, DeviceState, Named, Refused, Telemetry
 
-# --- The port
-
-BAUD_RATE = 500_000
 BY_ID = Path("/dev/serial/by-id")
-_BITS_PER_BYTE = 10
-_READ_TIMEOUT = 0.05  # s
-_WRITE_TIMEOUT = 0.2  # s
+BAUD_RATE, _BITS_PER_BYTE = 500_000, 10
+_READ_TIMEOUT, _WRITE_TIMEOUT = 0.05, 0.2  # s
+BINARY_ABOVE = 100  # Hz: text telemetry up to here, binary above
+_ASKS = 3
+_ANSWER_TIMEOUT = 0.5  # s; the device answers within a few ms
+_LATEST = 5.0  # s in which an answer that nobody waits for any more is still no other host's
+_LONGEST_WAIT = 0.1  # s of silence that one read counts for
+# s between two sendings of a command, and how long its driver may be away meanwhile.
+_REPEAT, _SPOKEN_FOR = 0.05, 0.25
+_REMEMBERED = 64  # sendings
+_TICK = 1e-6  # s between two stamps, at least
+_LONG_PAUSE = 0.75  # of the device's timeout: a pause in which all is this host's fault
+# What changes who drives is always asked for, and answered one at a time.
+_ALWAYS_ASKED = "ACDR"
+_NOT_OUR_SESSION = messages.REASONS.index("wrong nonce or session")
 
 
 class LinkError(Exception):
@@ -46,7 +55,7 @@ class LateAnswer(LinkError):
 
 def find_port(folder: Path = BY_ID) -> str:
     """The one serial device with a stable name. InputError: none, or several, named."""
-    names = sorted(str(path) for path in folder.glob("*")) if folder.is_dir() else []
+    names = sorted(map(str, folder.glob("*")))  # none where there is no such folder
     if len(names) != 1:
         found = ", ".join(names) or "none"
         raise InputError(f"port: {found} in {folder}, expected one device, or give the port")
@@ -93,9 +102,6 @@ def open_port(path: str) -> serial.Serial:
                     exclusive=True)
 
 
-# --- What the link knows of the device
-
-
 @dataclass
 class LinkStatus:
     """All that the link knows of the device; counts are of the link, or (*) of this connection."""
@@ -105,18 +111,15 @@ class LinkStatus:
     state: DeviceState = DeviceState.IDLE
     cause: int = 0
     trip: messages.Trip | None = None  # the last one, which the device keeps without power
-    # That it had before this connection, until it is acknowledged.
-    left: str = ""
+    left: str = ""  # by what was before this connection, until it is acknowledged
     telemetry: int = 0
     lost: int = 0
     damaged: int = 0  # *
     not_understood: int = 0  # *
     refused: int = 0
     last_refusal: str = ""
-    # Why the device heard no command, as far as this host knows; "" unless it timed out.
-    silence: str = ""
-    # Newest answer, since this host armed, to what it had not asked: another one speaks.
-    unasked: str = ""
+    silence: str = ""  # why it heard no command, as far as this host knows, where it timed out
+    unasked: str = ""  # newest answer, since this host armed, to another host's question
     counters: dict[str, str] = field(default_factory=dict)  # the device's own, once a second
     connections: int = 0
     round_trip: float = math.nan  # s, of a ping
@@ -165,12 +168,12 @@ class LinkStatus:
         return elapsed > messages.TURN // 2 or (windows != 1 and left > 2 * period_us)
 
     @property
-    def diagnostics(self) -> dict[str, str]:
+    def diagnostics(self) -> dict[str, Any]:
         """What the link counts, in the units of its names."""
-        values = {"connections": str(self.connections), "frames": str(self.telemetry),
-                  "lost_frames": str(self.lost), "crc_errors": str(self.damaged),
-                  "not_understood": str(self.not_understood),
-                  "refused_by_device": str(self.refused), "last_refusal": self.last_refusal,
+        values = {"connections": self.connections, "frames": self.telemetry,
+                  "lost_frames": self.lost, "crc_errors": self.damaged,
+                  "not_understood": self.not_understood, "refused_by_device": self.refused,
+                  "last_refusal": self.last_refusal,
                   "round_trip_ms": f"{1e3 * self.round_trip:.2f}",
                   "command_latency_ms": f"{1e3 * self.command_latency:.1f}",
                   "clock_drift_ppm": f"{1e6 * self.drift:.0f}",
@@ -179,23 +182,6 @@ class LinkStatus:
             values |= {"firmware": f"{device.name} {device.build}", "last_reset": device.reset}
             values["last_trip"] = str(self.trip or "not kept by this firmware")
         return values | {f"device_{name}": count for name, count in self.counters.items()}
-
-
-# --- The link
-
-BINARY_ABOVE = 100  # Hz: text telemetry up to here, binary above
-_ASKS = 3
-_ANSWER_TIMEOUT = 0.5  # s; the device answers within a few ms
-_LATEST = 5.0  # s in which an answer that nobody waits for any more is still no other host's
-_LONGEST_WAIT = 0.1  # s of silence that one read counts for
-# s between two sendings of a command, and how long its driver may be away meanwhile.
-_REPEAT, _SPOKEN_FOR = 0.05, 0.25
-_REMEMBERED = 64  # sendings
-_TICK = 1e-6  # s between two stamps, at least
-_LONG_PAUSE = 0.75  # of the device's timeout: a pause in which all is this host's fault
-# What changes who drives is always asked for, and answered one at a time.
-_ALWAYS_ASKED = "ACDR"
-_NOT_OUR_SESSION = messages.REASONS.index("wrong nonce or session")
 
 
 @dataclass(frozen=True)
@@ -265,8 +251,8 @@ class SerialLink:
         with self._heard:
             return self._heard.wait_for(lambda: self._status.connected, timeout)
 
-    # --- For whoever drives the bench; all but `stop` raise LinkError: not connected, no answer, or
-    # the device's refusal
+    # For whoever drives the bench; all but `stop` raise LinkError: not connected, no answer, or
+    # the device's refusal.
 
     def arm(self) -> None:
         """Ask the device to accept voltages: not when it is stopped, or without supply."""
@@ -290,14 +276,14 @@ class SerialLink:
         self._require_connected()
         self._ask("C", *numbers)
 
-    def drive(self, millivolts: Sequence[int]) -> int:
-        """Send one voltage command (mV, four channels); its sequence number, echoed by telemetry.
-        Raises ValueError: not four numbers that the protocol can carry."""
+    def drive(self, millivolts: Sequence[int]) -> None:
+        """Send one voltage command (mV, four channels). Raises ValueError: not four numbers that
+        the protocol can carry."""
         if len(millivolts) != messages.CHANNELS:
             raise ValueError(f"{len(millivolts)} voltages, expected {messages.CHANNELS}")
         with self._driving:
             self._volts, self._drove = tuple(millivolts), self._now()
-            return self._say_volts()
+            self._say_volts()
 
     def stop(self) -> None:
         """Emergency stop: one byte, never refused; harmless when nothing is connected."""
@@ -319,7 +305,7 @@ class SerialLink:
         if not self._status.connected:
             raise LinkError(self._status.fault)
 
-    def _say_volts(self) -> int:
+    def _say_volts(self) -> None:
         if self._session is None:
             raise LinkError("not armed")
         self._require_connected()
@@ -331,9 +317,6 @@ class SerialLink:
         self._sequence = sequence
         self._said.append(self._now())
         self._unheard = self._unheard or (sequence, self._now())
-        return sequence
-
-    # --- Bytes, questions and answers
 
     def _send(self, data: bytes) -> None:
         with self._writing:
@@ -386,7 +369,7 @@ class SerialLink:
         self._status.damaged = self._splitter.damaged
         return found, now
 
-    # --- The thread
+    # The thread.
 
     def _live(self) -> None:
         back_off = self._options.first_back_off
@@ -511,7 +494,6 @@ class SerialLink:
             raise LinkError("the device restarted by itself")
         if not isinstance(message, Telemetry):
             return
-
         # A window of readings.
         if message.state > max(DeviceState):
             raise LinkError(f"the device is in state {message.state}, which nobody knows here")

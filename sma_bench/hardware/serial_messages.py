@@ -10,9 +10,7 @@ from typing import NamedTuple
 
 from sma_bench.errors import InputError
 
-# --- Bytes on the cable
-
-LINE_END, FRAME_END = b"\n", b"\0"
+LINE_END, FRAME_END, STOP = b"\n", b"\0", b"!"
 _LONGEST = 512  # bytes, far above any message: what is longer has lost its end
 
 
@@ -74,16 +72,10 @@ class Splitter:
 
 # --- Messages as values in SI units
 
-PROTOCOL_VERSION = 2
-CHANNELS = 4
-STOP = b"!"
+PROTOCOL_VERSION, CHANNELS = 2, 4
 NUMBERS = 1 << 16  # sequence numbers before they begin again; a command's largest is one less
-
 TURN = 1 << 32  # us before the device's clock begins again
-
-_DUTY = 1.0 / 65536.0
-_BINARY = struct.Struct("<HIBBHHHhhHHHHHHH")
-
+_DUTY, _BINARY = 1.0 / 65536.0, struct.Struct("<HIBBHHHhhHHHHHHH")
 CAUSES = ("", "stop byte", "command timeout", "over-current of the front board",
           "over-current of the back board", "duty above its limit", "on for longer than allowed",
           "supply out of range", "main loop hung", "converter dead",
@@ -104,13 +96,8 @@ class ProtocolError(ValueError):
     """A message with a good checksum that still cannot be understood."""
 
 
-class DeviceState(IntEnum):
-    """Of the device; STILL_FLOWING is stopped, and current flows though every output is off."""
-
-    IDLE = 0
-    ARMED = 1
-    STOPPED = 2
-    STILL_FLOWING = 3
+# STILL_FLOWING is stopped, and current flows though every output is off.
+DeviceState = IntEnum("DeviceState", "IDLE ARMED STOPPED STILL_FLOWING", start=0)
 
 
 class Telemetry(NamedTuple):
@@ -186,10 +173,9 @@ def decode(body: bytes) -> Message:
             sequence, time_us, state, cause, supply, *rest, echo = _BINARY.unpack(packed)
             drop_front, drop_back, front, back, near, far, *duty = rest
             a, b, c, d = (_DUTY * number for number in duty)
-            drops = 1e-3 * drop_front, 1e-3 * drop_back
             return Telemetry(sequence, time_us, state, cause, 1e-3 * supply,
                              (1e-3 * front, 1e-3 * back), (1e-4 * near, 1e-4 * far), (a, b, c, d),
-                             echo, drops)
+                             echo, (1e-3 * drop_front, 1e-3 * drop_back))
         if letter in ("H", "L", "M", "S"):
             return Named(letter, dict(field.split("=", 1) for field in fields))
         if letter == "P":
@@ -200,9 +186,8 @@ def decode(body: bytes) -> Message:
             return (Accepted if letter == "K" else Refused)(about, int(number))
         raise ValueError(letter)
     except (ValueError, struct.error):
-        raise ProtocolError(
-            f"message {body[:40]!r} is not of protocol {PROTOCOL_VERSION}"
-        ) from None
+        unknown = f"message {body[:40]!r} is not of protocol {PROTOCOL_VERSION}"
+        raise ProtocolError(unknown) from None
 
 
 class Trip(NamedTuple):

@@ -15,8 +15,8 @@ from sma_bench.hardware.thermal_wire import STATISTICS, Optics, Region, WireGaug
 from sma_bench.parameters import Parameters
 
 _SPARSE = 4  # every so many pixels each way show whether a frame is one uniform surface
-# Share of the modelled temperature rise that is believed: parameters may be off by a factor.
-_BELIEVED = 0.3
+_BELIEVED = 0.3  # of the modelled rise in temperature: parameters may be off by a factor
+OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
 
 
 class FrameJudge:
@@ -27,8 +27,7 @@ class FrameJudge:
     def __init__(self, stale_limit: float, shutter_spread: float, shutter_settle: float) -> None:
         """`stale_limit` s is a frame's oldest age; one whose pixels differ by less than
         `shutter_spread` K is the shutter (0: never), with what comes `shutter_settle` s after."""
-        self._stale_limit = stale_limit
-        self._shutter_spread, self._settle = shutter_spread, shutter_settle
+        self._stale_limit, self._spread, self._settle = stale_limit, shutter_spread, shutter_settle
         self._stamp = self._shut = -math.inf
         self._last: Frame | None = None
         self._flag_closed = False
@@ -51,13 +50,11 @@ class FrameJudge:
             return "stale: frame with a stamp that was there before"
         if before is not None and np.array_equal(before, frame):
             return "frozen: frame equal to the one before (shutter closed, or camera hangs)"
-        sample = frame[::_SPARSE, ::_SPARSE]
-        spread = (int(sample.max()) - int(sample.min())) / RAW_PER_KELVIN
-        if self._flag_closed or spread < self._shutter_spread:
+        spread = int(np.ptp(frame[::_SPARSE, ::_SPARSE])) / RAW_PER_KELVIN
+        if self._flag_closed or spread < self._spread:
             self._shut = stamp
-        if 0.0 <= stamp - self._shut <= self._settle:
-            return "shutter: the flag covers the detector, or has just opened"
-        return ""
+        covered = 0.0 <= stamp - self._shut <= self._settle
+        return "shutter: the flag covers the detector, or has just opened" if covered else ""
 
 
 class ExpectedWarmth:
@@ -105,11 +102,6 @@ def wire_gauges(parameters: Parameters, settings: Mapping[str, Any]) -> list[Wir
             for channel, text in zip(channels, regions, strict=True)]
 
 
-# --- The report, once a second
-
-OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
-
-
 class Report(NamedTuple):
     name: str
     level: int
@@ -118,7 +110,7 @@ class Report(NamedTuple):
 
 
 class CameraReport:
-    """Counts frames and readings, and judges each period between two reports."""
+    """Counts frames and readings, and judges each period between two reports, a second or so."""
 
     def __init__(self, channels: Sequence[str], silence_limit: float, now: float) -> None:
         """`silence_limit` s without a good frame is an error; `now` s is the time of the start."""
@@ -126,8 +118,7 @@ class CameraReport:
         self._arrived, self._good, self._ever = now, now, False
         self._readings = [WireReading(reason="no frame yet") for _ in channels]
         # Counts since the start by kind of hold and by channel, and those of this period.
-        self._held: Counter[str] = Counter()
-        self._held_readings: Counter[str] = Counter()
+        self._held, self._held_readings = Counter[str](), Counter[str]()
         self._last_hold = ""
         self._begin_period(now)
 
@@ -163,8 +154,8 @@ class CameraReport:
                   "last_held": self._last_hold, "latency_mean_s": f"{mean:.4f}"}
         level, message, silence = OK, "running", now - self._arrived
         if silence > self._limit:
-            since = "" if self._ever else " since the start"
-            level, message = ERROR, f"no frame for {silence:.1f} s{since}"
+            message = f"no frame for {silence:.1f} s{'' if self._ever else ' since the start'}"
+            level = ERROR
         elif now - self._good > self._limit:
             level, message = ERROR, self._last_hold or "no good frame"
         elif self._period_held:

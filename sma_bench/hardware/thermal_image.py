@@ -1,11 +1,10 @@
 """Pictures of an infrared camera, real and synthetic: pixel values, radiance, emissivity of a wire.
 
 A frame is an array (height, width) of pixel values as the Optris drivers publish them, T[degC] =
-(value - 1000)/10. The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response,
-which stands for the lens and the detector whose curves the maker does not publish. What is used are
-ratios of radiances, in which that matters little: a response falling to half at 13 um changes a
-temperature corrected from 0.5 to 1 of emissivity at 100 degC by 0.4 K.
-"""
+(value - 1000)/10. The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response: the
+maker does not publish that of lens and detector. In ratios of radiances it matters little: one that
+falls to half at 13 um changes a temperature corrected from 0.5 to 1 of emissivity at 100 degC by
+0.4 K."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -35,6 +34,9 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
 _HALF_BAND = (BAND[1] - BAND[0]) / 2
 _WAVELENGTHS = (BAND[0] + BAND[1]) / 2 + _HALF_BAND * _NODES
 _PLANCK_FACTORS = _PLANCK_1 / _WAVELENGTHS**5 * _WEIGHTS * _HALF_BAND
+# Of synthetic pictures: how many there is noise for; standard deviations of the blur from a wire's
+# edge to where it has ended; of their size, from their border to the ends of a wire across all.
+_NOISE_PICTURES, _BLURRED_AWAY, _MARGIN = 8, 5.0, 0.05
 
 
 def decode_frame(size: tuple[int, int], encoding: str, width: int, height: int, step: int,
@@ -133,17 +135,6 @@ class Surface:
         return kelvin, deviation / self.emissivity / slope_at(kelvin)
 
 
-# --- Pictures of wires as an infrared camera would take them: synthetic, with known truth.
-#
-#     camera = SyntheticCamera(382, 288, [SyntheticWire(start=(40, 90), end=(340, 100), width=0.8)])
-#     frame = camera.picture([350.0])       # K, one a wire; uint16 (288, 382)
-#     frame = camera.picture([350.0], sideways=3.5)   # the wires' far ends moved by 3.5 pixels
-
-_NOISE_PICTURES = 8
-_BLURRED_AWAY = 5.0  # standard deviations of the blur from a wire's edge to where it has ended
-_MARGIN = 0.05  # of the picture's size, from its border to the ends of a wire across all of it
-
-
 class SyntheticWire(NamedTuple):
     """A straight wire in the picture, until it bends: (x, y) in pixels of the clamped end and of
     the one that moves, and its width in pixels."""
@@ -158,23 +149,16 @@ class SyntheticWire(NamedTuple):
 
 
 class SyntheticCamera:
-    """Takes pictures; the same seed takes the same ones."""
+    """Takes pictures of wires, with known truth; the same seed takes the same ones."""
 
-    def __init__(
-        self, width: int, height: int, wires: Sequence[SyntheticWire],
-        surface: Surface = Surface(1.0, 296.15),  # noqa: B008 (frozen)
-        background: float = 296.15, unevenness: float = 0.0,
-        blur: float = 0.7, noise: float = 0.08, seed: int = 1,
-    ) -> None:
-        """A scene with everything but the wires' temperatures.
-
-        Args:
-            width, height: pixels of the picture.
-            surface: of all wires.
-            background: K, apparent; `unevenness` K is how much warmer its lower right corner is.
-            blur: standard deviation in pixels of lens and detector; a pixel's own square adds.
-            noise: K, standard deviation of every pixel (the data sheets' NETD).
-        """
+    def __init__(self, width: int, height: int, wires: Sequence[SyntheticWire],
+                 surface: Surface = Surface(1.0, 296.15),  # noqa: B008 (frozen)
+                 background: float = 296.15, unevenness: float = 0.0, blur: float = 0.7,
+                 noise: float = 0.08, seed: int = 1) -> None:
+        """A scene with everything but the wires' temperatures: its size in pixels, the surface of
+        all wires, the apparent `background` (K) and by how much its lower right corner is warmer
+        (`unevenness`, K), the `blur` of lens and detector (standard deviation in pixels; a pixel's
+        own square adds) and the `noise` of every pixel (the same in K, the data sheets' NETD)."""
         self.shape = (height, width)
         self._wires, self._surface, self._blur = tuple(wires), surface, blur
         y, x = np.mgrid[0:height, 0:width]
@@ -216,9 +200,8 @@ class SyntheticCamera:
         x or y; the wire between bends as a beam of constant curvature. Raises InputError: not one
         temperature a wire."""
         if len(kelvin) != len(self._wires):
-            raise InputError(
-                f"synthetic camera: {len(kelvin)} temperatures for {len(self._wires)} wires"
-            )
+            raise InputError(f"synthetic camera: {len(kelvin)} temperatures for "
+                             f"{len(self._wires)} wires")
         moved = np.broadcast_to(np.asarray(sideways, float), (len(self._wires),))
         raw = self._noisy(self._scene)
         for wire, temperature, shift in zip(self._wires, kelvin, moved, strict=True):
@@ -243,7 +226,6 @@ class SyntheticCamera:
         turned = wire.along_x
         scene, bare, target = (a.T if turned else a for a in (
             self._scene_radiance, self._scene, raw))
-
         # Lines that it crosses, where it does, and its width along a line over that across.
         (first, begin), (last, end) = (p if turned else p[::-1] for p in (wire.start, wire.end))
         low, high = math.ceil(min(first, last)), math.floor(max(first, last))
@@ -251,7 +233,6 @@ class SyntheticCamera:
         position = (line - first) / (last - first)
         centre = begin + (end - begin) * position + shift * position**2
         tilt = np.hypot(1.0, (end - begin + 2.0 * shift * position) / (last - first))
-
         # What the pixels near it see of it, and of what is behind.
         reach = math.ceil((wire.width / 2 + _BLURRED_AWAY * self._blur + 1) * tilt.max(initial=1.0))
         columns = np.rint(centre).astype(int)[:, np.newaxis] + np.arange(-reach, reach + 1)

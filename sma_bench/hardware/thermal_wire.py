@@ -9,8 +9,7 @@ wire's surface times its width in pixels, whatever the blur,
 
     sum(L - L_background) = width (L_surface - L_background).
 
-So the known width (diameter over pixel size) gives the radiance of the surface, in every line.
-"""
+So the known width (diameter over pixel size) gives the radiance of the surface, in every line."""
 
 import math
 from typing import NamedTuple
@@ -32,17 +31,14 @@ CLEAR = 4.0
 _GROUP_VISIBLE, _GROUP_TYPICAL = 2.5, 0.3
 _FEWEST_GROUPS = 3
 _GAP, _RING = 3, 4  # pixels beside the wire that its blur may reach, and of background beyond
-_HIGHEST_DEGREE, _GROUPS_A_DEGREE = 4, 4
-_FITS = 3
-_OFF_CURVE = 2.0  # pixels
+# Of the curve through the groups: its degree, groups for each, fits, and pixels that they lie off.
+_HIGHEST_DEGREE, _GROUPS_A_DEGREE, _FITS, _OFF_CURVE = 4, 4, 3, 2.0
 _SCALE_OF_MAD = 1.4826
-
 STATISTICS = ("mean", "median", "hottest")
 # Pixels beside half the wire that hold all of its blur, and of background on either side.
 _BLUR, _NEAR, _FAR = 4, 3, 3
-_WIDEST_TILT = 1.3
 _MEDIAN_OVER_MEAN = 1.2533  # standard deviations of the two, of Gaussian noise
-_HIGHEST_FILL = 1.15
+_WIDEST_TILT, _HIGHEST_FILL = 1.3, 1.15
 _MOST_RIPPLE = 0.25  # of the wire's peak, beside it
 _HALF_STEP = 0.5 / image.RAW_PER_KELVIN  # K; at the end of the camera's range pixels are that end
 # A wire this many times clearer than the least visible one does not fade within this time [s].
@@ -69,16 +65,13 @@ class Region(NamedTuple):
             raise InputError(f"{where}: {text!r}, expected 'X Y WIDTH HEIGHT', perhaps x or y")
         x, y, width, height = (int(word) for word in words)
         if x + width > frame_width or y + height > frame_height:
-            raise InputError(
-                f"{where}: {text!r} goes beyond the frame of {frame_width} x {frame_height}"
-            )
+            raise InputError(f"{where}: {text!r} goes beyond the frame of {frame_width} x "
+                             f"{frame_height}")
         region = cls(x, y, width, height, direction == "x" if direction else width > height)
         least_lines, least_across = 3 * GROUP, 2 * (_GAP + _RING)
         if region.shape[0] < least_lines or region.shape[1] < least_across:
-            raise InputError(
-                f"{where}: {text!r}, expected {least_lines} pixels or more along the wire and "
-                f"{least_across} across"
-            )
+            raise InputError(f"{where}: {text!r}, expected {least_lines} pixels or more along the "
+                             f"wire and {least_across} across")
         return region
 
     @property
@@ -115,9 +108,6 @@ class WireReading(NamedTuple):
     limit: float = math.nan  # K, excess over the background that could just be seen
 
 
-# --- Where it is
-
-
 class Ridge(NamedTuple):
     """A wire's way through its region, a value a line."""
 
@@ -135,7 +125,6 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
     if noise == 0.0 or typical < float(np.median(-height.min(axis=1))) / 1.5:
         return None
     scores = np.minimum(height, typical) / noise
-
     # Pixel of every group on the path of the highest sum that shifts by `_SHIFT` at most.
     groups, across = scores.shape
     totals = np.full((groups, across + 2 * _SHIFT), -np.inf)
@@ -153,7 +142,6 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
     visible = along > max(_GROUP_VISIBLE, _GROUP_TYPICAL * typical / noise)
     if visible.sum() < _FEWEST_GROUPS or along[visible].mean() < CLEAR:
         return None
-
     # A polynomial through the visible groups; none where they do not lie on one curve.
     at, line = (np.arange(groups) + 0.5) * GROUP - 0.5, np.arange(lines)
     good = visible.copy()
@@ -165,7 +153,6 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
             return None
         if (good == before).all():
             break
-
     # Seen between its ends; the groups in which these lie show only part of it.
     centre, slope = curve(line), curve.deriv()(line)
     first, last = np.flatnonzero(good)[[0, -1]]
@@ -176,16 +163,12 @@ def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
     return Ridge(centre, slope, seen, float(along[visible].mean()))
 
 
-# --- How warm it is
-
-
 def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image.Surface,
               cold: bool = False) -> WireReading:
     """Find the wire in its region and read it; the reason says why that cannot be. With `cold`, a
     dark line where there is no bright one is taken for the wire."""
     half = math.ceil(optics.width * _WIDEST_TILT / 2) + _BLUR
     reach = half + _NEAR + _FAR
-
     # Its region, turned, with up to so many more pixels on both sides as the frame has.
     turned = frame.T if region.along_x else frame
     first, line = (region.y, region.x) if region.along_x else (region.x, region.y)
@@ -193,7 +176,6 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
     begin = min(first, reach)
     rows = turned[line : line + length]
     radiance = image.radiance_of_raw(rows[:, first - begin : first + across + reach])
-
     # How far each pixel of a group of lines rises above those beside it (groups, across), the noise
     # of that, and the excess, summed across the wire, of one that could just be seen.
     groups = len(radiance) // GROUP
@@ -210,7 +192,6 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
     if noise == 0.0:  # no noise at all, or less than the step of the pixel values
         noise = float(np.abs(height).max()) * 1e-6
     least = CLEAR * noise * inner / optics.width
-
     bright = _ridge(height, noise, length)
     dark = None if bright else _ridge(-height, noise, length)
     ridge = bright or (dark if cold else None)
@@ -221,14 +202,12 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
                            background=beside, limit=least / image.slope_at(beside))
     # Lines in which the wire is seen with all of its surroundings.
     middle = np.rint(ridge.centre).astype(int) + begin
-    whole = ridge.seen & (middle >= reach) & (middle + reach < radiance.shape[1])
-    lines = np.flatnonzero(whole)
+    lines = np.flatnonzero(ridge.seen & (middle >= reach) & (middle + reach < radiance.shape[1]))
     visible = len(lines) / length
     if visible < optics.least_visible:
         return WireReading(reason=f"wire seen in {100 * visible:.0f} % of its region, expected "
                            f"{100 * optics.least_visible:.0f} % or more",
-                           visible=visible,
-                           clearness=ridge.clearness)
+                           visible=visible, clearness=ridge.clearness)
     columns = middle[lines, np.newaxis] + np.arange(-reach, reach + 1)
     window = radiance[lines[:, np.newaxis], columns].astype(float)
     tilt = np.hypot(1.0, ridge.slope[lines])
@@ -251,7 +230,6 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
     excess = window[:, distance <= half] - beside[:, np.newaxis]
     pixels, background = excess.shape[1], float(np.median(beside))
     beside_kelvin = float(image.temperature_of(background))
-
     # The wire's surface, and what the steps of the pixel values leave open of it.
     step = image.slope_at(beside_kelvin) / image.RAW_PER_KELVIN
     if optics.correct_fill:
@@ -276,16 +254,11 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
         apparent = float(np.median(surfaces) if median else surfaces.mean())
         noise *= (_MEDIAN_OVER_MEAN if median else 1.0) / math.sqrt(len(surfaces))
     above = apparent - background
-    parts = (
-        noise,
-        rounding,
-        # What curves the background between near and far may curve it below the wire too.
-        abs(float(np.mean(near - far))) * pixels * over_width,
-        above * optics.width_std * optics.width * over_width,
-        image.slope_at(float(image.temperature_of(apparent))) * optics.accuracy,
-    )
-    kelvin, std = surface.temperature(apparent, math.hypot(*parts))
-
+    # What curves the background between near and far may curve it below the wire too.
+    curved = abs(float(np.mean(near - far))) * pixels * over_width
+    width = above * optics.width_std * optics.width * over_width
+    camera = image.slope_at(float(image.temperature_of(apparent))) * optics.accuracy
+    kelvin, std = surface.temperature(apparent, math.hypot(noise, rounding, curved, width, camera))
     # Why it is not to be believed.
     middle = excess.mean(axis=0)
     peak = float(middle.max() if above > 0.0 else middle.min())
@@ -303,10 +276,8 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
     elif dark == (above > 0.0) or ripple > _MOST_RIPPLE * abs(peak):
         reason = f"another line within {pixels // 2 + _NEAR + _FAR} pixels of the wire"
     elif optics.correct_fill and fill > _HIGHEST_FILL:
-        reason = (
-            f"fill factor {fill:.2f}, expected at most 1: the wire is narrower in the picture "
-            f"than its {optics.width:.2g} pixels"
-        )
+        reason = (f"fill factor {fill:.2f}, expected at most 1: the wire is narrower in the "
+                  f"picture than its {optics.width:.2g} pixels")
     elif math.isnan(kelvin):
         reason = "less radiance than the reflected one alone: emissivity or reflection is wrong"
     return WireReading(math.nan if reason else kelvin, math.nan if reason else std, reason, True,
@@ -317,9 +288,6 @@ def _line_noise(lines: Array) -> float:
     """Standard deviation of a line's value by what neighbouring lines differ by: a wire may be
     warmer in its middle."""
     return _SCALE_OF_MAD * float(np.median(np.abs(np.diff(lines)))) / math.sqrt(2.0)
-
-
-# --- One wire, frame after frame
 
 
 class WireGauge:
@@ -347,10 +315,8 @@ class WireGauge:
         if not self._cold or held_for_itself or reading.kelvin > reading.background:
             return reading
         if expected > reading.background + reading.limit:
-            celsius = expected - CELSIUS_ZERO
-            return WireReading(
-                reason=f"wire not seen where its voltage makes it {celsius:.1f} degC or more"
-            )
+            return WireReading(reason="wire not seen where its voltage makes it "
+                               f"{expected - CELSIUS_ZERO:.1f} degC or more")
         if reading.seen:
             return reading
         if self._lost:
@@ -358,7 +324,5 @@ class WireGauge:
         deviation = math.hypot(reading.limit / 2.0, self._optics.accuracy)
         kelvin, std = self._surface.temperature(float(image.band_radiance(reading.background)),
                                                 deviation * image.slope_at(reading.background))
-        return WireReading(
-            kelvin=kelvin, std=std, background=reading.background, limit=reading.limit,
-            reason="less radiance than the reflected one alone" if math.isnan(kelvin) else "",
-        )
+        none = "less radiance than the reflected one alone" if math.isnan(kelvin) else ""
+        return WireReading(kelvin, std, none, background=reading.background, limit=reading.limit)
