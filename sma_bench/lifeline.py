@@ -1,8 +1,5 @@
 """Processes that end when they are asked to, and with the one that started them, even where that is
-killed outright.
-
-A process that is killed cannot end those it has started; they have to notice by themselves.
-"""
+killed outright: it cannot end those it has started, they have to notice by themselves."""
 
 import contextlib
 import os
@@ -17,9 +14,8 @@ _LOOK = 0.1  # s
 
 def ending_signals() -> list[signal.Signals]:
     """What asks a node to end; not the end of its terminal where it is started with nohup."""
-    asked = [signal.SIGINT, signal.SIGTERM]
     unheard = signal.getsignal(signal.SIGHUP) == signal.SIG_IGN
-    return asked if unheard else [*asked, signal.SIGHUP]
+    return [signal.SIGINT, signal.SIGTERM] + ([] if unheard else [signal.SIGHUP])
 
 
 def tied_to_this_process() -> dict[str, str]:
@@ -28,9 +24,9 @@ def tied_to_this_process() -> dict[str, str]:
 
 
 def end_with_parent(number: int = signal.SIGTERM, inherited: bool = False) -> None:
-    """Where the environment ties this process to its parent, get signal `number` after it has
-    ended; at once where it has already. `number`: what ends this process; `inherited`: a program in
-    between may have passed the environment on, which ties nothing."""
+    """Where the environment ties this process to its parent, get signal `number`, which ends this
+    one, after it has ended, or at once. `inherited`: a program in between may have passed the
+    environment on, which ties nothing."""
     parent = os.environ.pop(_VARIABLE, "")
     if parent and not (inherited and parent != str(os.getppid())):
         end_after(int(parent), number)
@@ -43,11 +39,9 @@ def end_with_starter(number: int = signal.SIGTERM) -> None:
     if _VARIABLE in os.environ:
         end_with_parent(number)
     elif os.getpgrp() != os.getpid():
-        parent = os.getppid()
-        try:
+        starter, parent = -1, os.getppid()
+        with contextlib.suppress(OSError):  # it was gone before it could be asked for
             starter = parent if os.getsid(parent) == os.getsid(0) else -1
-        except OSError:  # it was gone before it could be asked for
-            starter = -1
         end_after(starter, number)
 
 
@@ -68,8 +62,7 @@ def end_after(parent: int, number: int = signal.SIGTERM) -> None:
 def interrupts_held() -> Iterator[None]:
     """Ctrl-C and a polite kill wait until the end, and a process that is started meanwhile never
     hears of Ctrl-C, which reaches the whole group and is for the parent to act upon."""
-    arrived: list[int] = []
-    handlers = {}
+    arrived, handlers = list[int](), {}
     if threading.current_thread() is threading.main_thread():  # no other is ever interrupted
         for number in (signal.SIGINT, signal.SIGTERM):
             handlers[number] = signal.signal(number, lambda number, _: arrived.append(number))

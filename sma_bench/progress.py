@@ -5,11 +5,10 @@ from itertools import accumulate
 from typing import TypeVar
 
 T = TypeVar("T")
+# Called with the share that is done (0 to 1), and what comes now ("": as before).
 Report = Callable[[float, str], None]
-"""called with the share that is done (0 to 1), and what comes now ("": as before)"""
-
+# What comes where functions of the physics have no machine code yet: nothing moves for a while.
 COMPILING = "compiling, once after an installation"
-"""what comes where functions of the physics have no machine code yet: nothing moves for a while"""
 
 
 def silent(share: float, what: str = "") -> None:
@@ -20,8 +19,7 @@ def part(report: Report, low: float, high: float, name: str = "") -> Report:
     """The reporter of a part of the work, from one share to another; `name` leads what it tells."""
 
     def reporter(share: float, what: str = "") -> None:
-        named = ": ".join(filter(None, (name, what)))
-        report(low + (high - low) * min(share, 1.0), named)
+        report(low + (high - low) * min(share, 1.0), ": ".join(filter(None, (name, what))))
 
     return reporter
 

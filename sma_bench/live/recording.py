@@ -17,8 +17,7 @@ if TYPE_CHECKING:  # which most who ask how the recorder does are without
     from sma_bench.records.bag_writer import BagWriter
 
 RECORDER, BRIDGE = "recorder/state", "serial_bridge/state"
-FAILED, RECORDING = "failed", "recording"
-STATE = "/state"
+FAILED, RECORDING, STATE = "failed", "recording", "/state"
 _RUNNING, _ENABLED = "running", "enabled"
 _RUN_STATES = {"experiment/state", "temperature_controller/state", "deflection_controller/state"}
 # s: the recorder speaks each second; a disk, or a loaded machine, may keep it for a while.
@@ -30,19 +29,15 @@ def recorded_type(topic: str, inside: str) -> str:
     """Type of a topic that belongs into a bag of the bench below `inside`, "" for another one."""
     if topic == "/diagnostics":
         return "diagnostic_msgs/msg/DiagnosticArray"
-    if not topic.startswith(inside):
-        return ""
-    if topic.removeprefix(inside) in _RUN_STATES:
+    if topic.startswith(inside) and topic.removeprefix(inside) in _RUN_STATES:
         return STRING
-    place = place_of(topic)
+    place = place_of(topic) if topic.startswith(inside) else None
     return place.type if place else ""
 
 
 class Recording:
-    """Messages of the topics that it is given, in one bag after the other.
-
-    What the disk does not take is noted as the `failure` that ends the recording.
-    """
+    """Messages of the topics that it is given, in one bag after the other. What the disk does not
+    take is noted as the `failure` that ends the recording."""
 
     def __init__(self, output: str, idle: Callable[[], tuple[bool, float]],
                  failed: Callable[[InputError], None],
@@ -57,8 +52,7 @@ class Recording:
         self._closed_at = 0
         self.failure: InputError | None = None
         self.output = ""
-        self.topics: dict[str, str] = {}
-        self.messages: dict[str, int] = {}
+        self.topics, self.messages = dict[str, str](), dict[str, int]()
 
     @property
     def open(self) -> bool:
@@ -71,13 +65,11 @@ class Recording:
 
     def next_output(self) -> str:
         """The one asked for, then the same with a number; it must not exist."""
-        name = first = self._first or time.strftime("record_%Y%m%d_%H%M%S")
+        first = self._first or time.strftime("record_%Y%m%d_%H%M%S")
         if not self.output and self._first:
             return first
-        numbers = count(2)
-        while Path(name).exists():
-            name = f"{first}_{next(numbers)}"
-        return name
+        names = (first if k == 1 else f"{first}_{k}" for k in count(1))
+        return next(name for name in names if not Path(name).exists())
 
     def begin(self, output: str) -> None:
         """A new bag with all topics known by now; InputError: it cannot be written."""
@@ -134,7 +126,7 @@ class Recording:
         """What a recorder says of itself, as JSON; `recorder_state` reads it."""
         return json.dumps({"state": state, "output": self.output,
                            "failure": str(self.failure or ""),
-                           "messages": self.messages})  # fmt: skip
+                           "messages": self.messages})
 
     def _guarded(self, action: Callable[..., None], *arguments: object) -> bool:
         """Whether the disk took it; if not, the recording has failed with the disk's line."""
@@ -174,8 +166,7 @@ class Readiness:
     def __init__(self, required: Callable[[], bool] = lambda: False) -> None:
         self.required = required  # whether a recorder is
         self._recorder: dict[str, Any] | None = None
-        self._heard = 0.0
-        self._bridge = ""
+        self._heard, self._bridge = 0.0, ""
 
     def recorder(self, text: str, now: float) -> None:
         """A message of the recorder's state, at `now` s."""

@@ -1,8 +1,7 @@
 """A run of the bench: a protocol or a reference, stopped at 0 V when something is wrong. No ROS.
 
 States: idle, running, done, aborted. Once started, a run owns the outputs and keeps sending them
-(0 V when done or aborted) until it is reset.
-"""
+(0 V when done or aborted) until it is reset."""
 
 import math
 from collections.abc import Callable, Sequence, Set
@@ -21,8 +20,7 @@ IDLE, RUNNING, DONE, ABORTED = "idle", "running", "done", "aborted"
 # s that a start waits for a recorder's discovery of all topics and for readings in time; of their
 # timeout, what is late.
 _PATIENCE, _LATE = 10.0, 0.8
-# s of 0 V before a protocol: by then a simulated bench runs in step with the commands.
-_LEAD_IN = 0.25
+_LEAD_IN = 0.25  # s of 0 V first: by then a simulated bench runs in step with the commands
 _PROGRESS_EVERY = 0.25
 _BEYOND = 1e4  # K or m: no reading, and one of them would leave a controller's integral full
 
@@ -93,10 +91,8 @@ class ClosedLoop(OpenLoop):
         self._follow(wanted)
         readings, period = list(self._readings.values()), self._period
         if self._quantity.tip:
-            volts = self._law.step(wanted[0], readings[0], period, upcoming[0])
-        else:
-            volts = self._law.step(wanted, readings, period)
-        return list(volts.tolist())
+            return list(self._law.step(wanted[0], readings[0], period, upcoming[0]).tolist())
+        return list(self._law.step(wanted, readings, period).tolist())
 
     def ask(self, levels: Sequence[float], followed: Protocol | None,
             parameters: Parameters) -> str:
@@ -146,9 +142,8 @@ class Run:
         what a step waits for may stay away; `steady`: s for which readings come in time before it
         starts, lest a computer that is busy starting other nodes ends it."""
         self._outputs, self._loop, self._guard, self._readiness = outputs, loop, guard, readiness
-        self._zero = [0.0] * channels
         self._feedback_timeout, self._steady = feedback_timeout, steady
-        self._autostart, self._patience = autostart, math.inf
+        self._zero, self._autostart, self._patience = [0.0] * channels, autostart, math.inf
         self._watched = self._late = -math.inf  # the latter: when readings, or this run, were
         self._aborted = ""  # the first reason since the last reset
         # Of the run: when its steps begin, when they began by the bench's clock, and s of the
@@ -156,9 +151,8 @@ class Run:
         self._begin = self._progress_due = self._passed_over = self._time = 0.0
         self._started: float | None = None
         self._waiting: Waiting | None = None
-        self._readings = {
-            name: Freshness(f"joint_states ({name})", feedback_timeout) for name in loop.needs
-        }
+        self._readings = {name: Freshness(f"joint_states ({name})", feedback_timeout)
+                          for name in loop.needs}
         self.state = self.said = IDLE
         self.protocol: Protocol | None = None
         self.step = ""
@@ -172,7 +166,7 @@ class Run:
         if not abs(value) < _BEYOND:
             return
         self._loop.heard(quantity, channel, value)
-        name = " ".join(part for part in (quantity, channel) if part)
+        name = f"{quantity} {channel}".strip()
         fresh = self._readings.setdefault(name, Freshness(name, self._feedback_timeout))
         fresh.seen(stamp, now)
         if self._waiting is not None:
@@ -201,12 +195,11 @@ class Run:
                 continue
             for quantity in segment.until.quantities or {""}:
                 known = [f for name, f in self._readings.items() if name.startswith(quantity)]
-                faults = [fault for fresh in known if (fault := fresh.fault(now))]
                 if not known:
                     wanted = quantity or "temperature or deflection"
                     return f"{segment.step} waits for {wanted}, which nobody publishes"
-                if faults:
-                    return f"{segment.step} waits for it: {faults[0]}"
+                if fault := next(filter(None, (fresh.fault(now) for fresh in known)), ""):
+                    return f"{segment.step} waits for it: {fault}"
         return ""
 
     def _not_yet(self, now: float) -> str:
@@ -224,12 +217,9 @@ class Run:
         """One command."""
         self._time = time
         self.check(now)
-        if not self.running or self.protocol is None:
+        if not self.running or self.protocol is None or now < self._begin:
             if self.state != IDLE:
                 self._send(self._zero)
-            return
-        if now < self._begin:
-            self._send(self._zero)
             return
         self._started = time if self._started is None else self._started
         elapsed = time - self._started + self._passed_over

@@ -1,6 +1,5 @@
 """The bench in software: physics behind instruments, sampled at the hardware's rates; how far its
-time may go; and a protocol on it under every rule of a real run, as fast as it steps. No ROS.
-"""
+time may go; and a protocol on it under every rule of a real run, as fast as it steps. No ROS."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -22,9 +21,13 @@ from sma_bench.physics.material import direct_reading
 from sma_bench.protocols import Protocol
 from sma_bench.records.record import Signal
 
-NANOSECONDS = 1_000_000_000
+NANOSECONDS, REAL_TIME = 1_000_000_000, 1.0
 STANDS = "nothing imposes a motion here, the elongation is held at 0"
 RATES = ("power", "temperature", "mechanics", "ambient")
+_SLOW_DRIVER_LEAD = 0.5  # of the command timeout: how far simulated time may run ahead of one
+_DEBT = 0.01  # wall s of delay that are caught up; longer ones (waiting for a driver) are not
+_SETTLE = 0.1  # wall s in which all that was sent before is surely heard
+_PERIOD_NS, _TIMEOUT = 20_000_000, 1.0  # of a simulated run: of its commands; s without readings
 
 
 class GroupReading(NamedTuple):
@@ -39,10 +42,8 @@ class GroupReading(NamedTuple):
 
 class VirtualBench:
     """Steps the physics from one sample instant to the next and reads the instruments there.
-
     Whenever the wires are switched on after a rest, the instruments draw new noise from the seed
-    and the number of that pulse: readings do not depend on how long the bench waited before.
-    """
+    and the number of that pulse: readings do not depend on how long the bench waited before."""
 
     def __init__(self, parameters: Parameters, settings: Mapping[str, Any]) -> None:
         self.channels: tuple[str, ...] = parameters["bench.channels"]
@@ -50,13 +51,10 @@ class VirtualBench:
         self.moves = load_kind(parameters) != "clamped"
         # The first step may compile the physics for seconds: not between two readings.
         Bench(parameters).advance(np.zeros(len(self.channels)), 1e-3)
-        self._bench = Bench(parameters)
-        self._settings = settings
+        self._bench, self._settings = Bench(parameters), settings
         self._standoff = settings["sensor.range_standoff"]
-        self._taken = dict.fromkeys(RATES, 0)
-        self._due = dict.fromkeys(RATES, 0)
-        self._time = self._pulses = 0
-        self._driven = False
+        self._taken, self._due = dict.fromkeys(RATES, 0), dict.fromkeys(RATES, 0)
+        self._time, self._pulses, self._driven = 0, 0, False
         self._build_instruments()
 
     def advance(self, voltage: tuple[float, ...], until: int) -> Iterator[GroupReading]:
@@ -83,9 +81,8 @@ class VirtualBench:
     def _build_instruments(self) -> None:
         sequence = np.random.SeedSequence([self._settings["seed"], self._pulses])
         wires = len(self.channels)
-        counts = {  # the last thermometer is the air's
-            "voltage": wires, "current": wires, "temperature": wires + 1, "range": 2, "force": 1,
-        }
+        counts = {"voltage": wires, "current": wires, "temperature": wires + 1,  # the last: the air
+                  "range": 2, "force": 1}
         self._instruments = {
             quantity: [Instrument(self._settings, quantity, s) for s in sequence.spawn(count)]
             for quantity, count in counts.items()
@@ -117,23 +114,14 @@ class VirtualBench:
         return elongation + read("force", [float(bench.force.sum())])
 
 
-# Of the command timeout: how far simulated time may run ahead of a slow driver.
-_SLOW_DRIVER_LEAD = 0.5
-_DEBT = 0.01  # wall s of delay that are caught up; longer ones (waiting for a driver) are not
-_SETTLE = 0.1  # wall s in which all that was sent before is surely heard
-REAL_TIME = 1.0
-
-
 class Lockstep:
     """Couples simulated time to the commands, so that results do not depend on the machine's load.
 
     Simulated time runs in slices, as long as the period of the commands. While commands come, one
     slice is run for each. A driver that stays away for `patience` s of wall time is either slower
     than declared, and is waited for less often from then on, or gone, and its silence runs into the
-    command timeout as on the real bench. In real time, time goes on without commands.
-
-    All times in s; `simulated` counts from the start of the simulation, `wall` is a steady clock.
-    """
+    command timeout as on the real bench. In real time, time goes on without commands. Times in s;
+    `simulated` counts from the start of the simulation, `wall` is a steady clock."""
 
     def __init__(self, slice_length: float, speed: float, command_timeout: float,
                  patience: float) -> None:
@@ -164,9 +152,8 @@ class Lockstep:
 
     def _must_wait(self, simulated: float, wall: float) -> bool:
         silence = simulated - self._commanded
-        if self._given_up or silence > self._timeout:
-            return False
-        if silence + self._slice <= self._lead * (1.0 + 1e-6):
+        ahead = silence + self._slice <= self._lead * (1.0 + 1e-6)
+        if self._given_up or silence > self._timeout or ahead:
             return False
         since = self._waiting_since = wall if self._waiting_since is None else self._waiting_since
         if wall - since <= self._patience:
@@ -174,10 +161,6 @@ class Lockstep:
         slow = max(self._slice, _SLOW_DRIVER_LEAD * self._timeout)
         self._given_up, self._lead, self._waiting_since = self._lead >= slow, slow, None
         return False
-
-
-_PERIOD_NS = 20_000_000  # of the commands
-_TIMEOUT = 1.0  # s without readings
 
 
 class SimulatedRun:

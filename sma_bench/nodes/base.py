@@ -10,6 +10,7 @@ from typing import Any, ClassVar
 from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces import msg as rcl
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType, JumpThreshold
 from rclpy.duration import Duration
 from rclpy.exceptions import ParameterException
@@ -31,7 +32,6 @@ from sma_bench.ros.node import LATCHED, READINGS, OneThreadExecutor, Overridable
 # computer does. What keeps the device supplied goes first.
 BRIDGE, DRIVER, CAMERA = 12, 11, 10
 _LAST_WORD = 1.0  # s
-
 Answer = str | tuple[bool, str]
 
 
@@ -51,8 +51,7 @@ class BenchNode(OverridableNode):
         # Another clock in the middle of a run would spoil every stamp.
         self.set_descriptor("use_sim_time", rcl.ParameterDescriptor(
             name="use_sim_time", type=rcl.ParameterType.PARAMETER_BOOL, read_only=True,
-            description="Time is that of /clock.",
-        ))
+            description="Time is that of /clock."))
         self.simulated: bool = self.get_parameter("use_sim_time").value
         if self.simulated:
             backward = JumpThreshold(min_forward=None, min_backward=Duration(nanoseconds=-1),
@@ -60,10 +59,7 @@ class BenchNode(OverridableNode):
             self._jumps = self.get_clock().create_jump_callback(
                 backward, post_callback=lambda jump: self.on_time_went_back(
                     f"simulated time went back by {-jump.delta.nanoseconds / 1e9:.3f} s: another "
-                    "publisher of /clock, or a new simulation"
-                ),
-            )
-
+                    "publisher of /clock, or a new simulation"))
         # Parameters: the contract's, their deviations where the node has use for them, its own.
         self._own = {p.name: p for p in NODE_TABLES[name]}
         self._contract = {p.name: p for p in TABLE}
@@ -78,8 +74,7 @@ class BenchNode(OverridableNode):
             unit = f" [{p.unit}]" if p.unit else ""
             descriptor = rcl.ParameterDescriptor(
                 description=f"{p.description}{unit} Source: {p.provenance}.",
-                read_only=self.frozen or p.read_only,
-            )
+                read_only=self.frozen or p.read_only)
             if p.low is not None and p.high is not None:
                 ends = {"from_value": p.low, "to_value": p.high}
                 if p.kind == "integer":
@@ -96,8 +91,6 @@ class BenchNode(OverridableNode):
         self.add_post_set_parameters_callback(self._load)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", READINGS)
         self.every(1.0, self.diagnose)
-
-    # --- what a node makes of itself -----------------------------------------------------------
 
     def listen(self, kind: type, what: str, on_message: Callable[..., None], numbered: bool = False,
                qos: QoSProfile = READINGS, newest: bool = False) -> None:
@@ -122,7 +115,7 @@ class BenchNode(OverridableNode):
         """Call `act` once in so many s of the wall's clock."""
         self.create_timer(seconds, act, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def serve(self, **acts: Callable[[], Answer]) -> None:
+    def serve(self, group: CallbackGroup | None = None, **acts: Callable[[], Answer]) -> None:
         """Services `~/NAME` (std_srvs/Trigger) of acts, which return the line of a success, or
         whether they succeeded and the line; an InputError is the line of a failure."""
 
@@ -135,14 +128,15 @@ class BenchNode(OverridableNode):
             return response
 
         for name, act in acts.items():
-            self.create_service(Trigger, f"~/{name}", partial(answered, act))
+            heard = partial(answered, act)
+            self.create_service(Trigger, f"~/{name}", heard, callback_group=group)
 
     def fail(self, error: InputError) -> None:
         """End the node after this callback, with the error's line and status 2: raised in it,
         executors would print a traceback."""
         self.failure = self.failure or error
 
-    # --- what a node may do in its own way -----------------------------------------------------
+    # --- what a node may do in its own way
 
     def held(self) -> Set[str]:
         """Names that may not change now."""
@@ -163,8 +157,6 @@ class BenchNode(OverridableNode):
     def health(self) -> list[DiagnosticStatus]:
         """What the node says of itself on `/diagnostics`, once a second."""
         return [self.status("node", message="running")]
-
-    # --- diagnostics and time ------------------------------------------------------------------
 
     def status(self, name: str, level: bytes = DiagnosticStatus.OK, message: str = "",
                values: Mapping[str, Any] | None = None, hardware: str = "") -> DiagnosticStatus:
@@ -191,10 +183,7 @@ class BenchNode(OverridableNode):
         for claim in self.claims:
             claim.close()
 
-    # --- changes of parameters -----------------------------------------------------------------
-
-    def set_parameters_atomically(self,
-                                  parameter_list: list[RosParameter]) -> rcl.SetParametersResult:
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> Any:
         """As rclpy; but, that what `ros2 param dump` wrote may be loaded, what stays is no change,
         read-only or not, and 8e-06, of which that command makes a text, is a number."""
         changes = []
@@ -241,11 +230,9 @@ def _plain(value: Any) -> Any:
 
 
 def be_punctual(priority: int) -> str:
-    """Have this process scheduled before others, as far as its user may; how it is scheduled.
-
-    A bench whose host is late stops itself. Niceness alone is no help on a desktop: where the
-    kernel groups processes by session (autogroup), it counts within a terminal only.
-    """
+    """Have this process scheduled before others, as far as its user may; how it is scheduled. A
+    bench whose host is late stops itself. Niceness alone is no help on a desktop: where the kernel
+    groups processes by session (autogroup), it counts within a terminal only."""
     with contextlib.suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))

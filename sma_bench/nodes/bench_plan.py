@@ -12,7 +12,7 @@ import jinja2
 from sma_bench.border import read_yaml
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.hardware.thermal_image import regions_side_by_side
-from sma_bench.installation import share_directory
+from sma_bench.installation import PACKAGE, share_directory
 from sma_bench.nodes.start import CONTAINER
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import SIMULATOR
@@ -26,12 +26,9 @@ if TYPE_CHECKING:
     from launch import LaunchContext, LaunchDescription
     from launch_ros.actions import Node
 
-PACKAGE = "sma_bench"
 SWITCH = ("true", "false", "True", "False")
 # These hold the outputs, or are what the outputs are judged by: without one the bench stops.
-VITAL = frozenset(
-    {"simulator", "serial_bridge", "experiment", "ir_camera", "synthetic_camera", CONTAINER}
-)
+VITAL = ("simulator", "serial_bridge", "experiment", "ir_camera", "synthetic_camera", CONTAINER)
 # These work on records when asked to; the last has the bench driven, with a recorder of its own.
 NO_NODES, SERVICES, INVESTIGATION = "none", ("identification", "diagnosis"), "investigation"
 
@@ -39,12 +36,10 @@ NO_NODES, SERVICES, INVESTIGATION = "none", ("identification", "diagnosis"), "in
 # 45 mm either way in the shipped protocols.
 _WIRE_PICTURE = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 _COMPOSITE_PICTURE = {"image_width": 382, "image_height": 288, "pixel_size": 2.0e-3}
-_PIXEL_ERROR = 0.02  # of the pixels' size
-_PICTURE_RATE = 25.0  # Hz
+_PIXEL_ERROR, _PICTURE_RATE, _CLOCK_RATE = 0.02, 25.0, "100"  # of the pixels' size, Hz, Hz
 _EXACT = {"sensor.temperature_noise": 0.0, "sensor.temperature_resolution": 0.0}
 # Recorded commands are played there: no bench, real or not, may take them for its own.
 _COMMAND, _ASIDE = "voltage_command", "replayed/"
-_CLOCK_RATE = "100"  # Hz
 PIECES = 12  # of the beam that RViz shows
 _STANDOFF = next(p.default for p in SIMULATOR if p.name == "sensor.range_standoff")
 
@@ -148,7 +143,6 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
     bench = read_parameters(values["params"])
     load_protocol(values["protocol"], bench)
     clock = {"use_sim_time": speed > 1.0}
-
     # The bench, and what reads its temperatures.
     if hardware:
         nodes = [PlannedNode("serial_bridge", {"port": values["port"]})]
@@ -172,12 +166,10 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
         ]
     else:
         nodes = [PlannedNode("simulator", {"speed": speed})]
-
     # What drives and records it, and what works beside.
     record, further = values["record"], _named(values, (*SERVICES, INVESTIGATION))
-    nodes.append(PlannedNode("experiment", {"protocol": values["protocol"],
-                                            "autostart": values["autostart"],
-                                            "require_recorder": record, **clock}))
+    driver = {name: values[name] for name in ("protocol", "autostart")}
+    nodes.append(PlannedNode("experiment", {**driver, "require_recorder": record, **clock}))
     if record and INVESTIGATION not in further:
         nodes.append(PlannedNode("recorder", {"output": values["output"], **clock}))
     nodes += [PlannedNode("twin", clock)] if values["twin"] else []
@@ -244,13 +236,9 @@ def _described(bench: Parameters, clock: Mapping[str, Any]) -> PlannedNode:
     beam = jinja2.Template(template, undefined=jinja2.StrictUndefined).render(
         pieces=PIECES, length=bench["composite.length"], thickness=bench["composite.thickness"],
         width=bench["composite.width"], diameter=bench["wire.diameter"], standoff=_STANDOFF,
-        wires=wires, channels=bench["bench.channels"],
-    )
+        wires=wires, channels=bench["bench.channels"])
     name = "robot_state_publisher"
     return PlannedNode(name, {"robot_description": beam, **clock}, package=name)
-
-
-# --- As actions of ROS's `launch`.
 
 
 def bench_launch(rig: LaunchedRig) -> "LaunchDescription":
@@ -263,9 +251,10 @@ def replay_launch() -> "LaunchDescription":
 
     def actions(given: Mapping[str, str]) -> list[Any]:
         command, nodes = plan_replay(given)
-        player = ExecuteProcess(cmd=command, name="player", output="screen",
-                                additional_env=_discovery(given),
-                                on_exit=Shutdown(reason="the record is over"))
+        player = ExecuteProcess(
+            cmd=command, name="player", output="screen",
+            additional_env=discovery_variables(given["network"].lower() == "true"),
+            on_exit=Shutdown(reason="the record is over"))
         return [*_nodes(nodes, given), player]
 
     return _description(REPLAY, actions)
@@ -289,10 +278,6 @@ def _description(arguments: Mapping[str, Argument],
         description += f" One of {', '.join(choices)}." if choices else ""
         declared.append(DeclareLaunchArgument(name, default_value=default, description=description))
     return LaunchDescription([*declared, OpaqueFunction(function=start)])
-
-
-def _discovery(given: Mapping[str, str]) -> dict[str, str]:
-    return discovery_variables(given["network"].lower() == "true")
 
 
 def _nodes(planned: Sequence[PlannedNode], given: Mapping[str, str]) -> "list[Node]":
@@ -319,6 +304,5 @@ def _nodes(planned: Sequence[PlannedNode], given: Mapping[str, str]) -> "list[No
             parameters=[part for part in (node.file, own) if part],
             remappings=list(node.remappings.items()), output="screen",
             on_exit=Shutdown(reason=f"{node.executable} has ended") if node.vital else None,
-            additional_env=_discovery(given),
-        ))
+            additional_env=discovery_variables(given["network"].lower() == "true")))
     return nodes

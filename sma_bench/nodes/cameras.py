@@ -11,13 +11,15 @@ from diagnostic_msgs.msg import DiagnosticStatus
 from sensor_msgs.msg import BatteryState, Image, JointState, Temperature
 
 from sma_bench.errors import InputError
-from sma_bench.hardware import thermal_camera
 from sma_bench.hardware.safety import CELSIUS_ZERO
+from sma_bench.hardware.thermal_camera import CameraReport, ExpectedWarmth, FrameJudge, wire_gauges
 from sma_bench.hardware.thermal_image import ENCODING, SyntheticCamera, decode_frame
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
 from sma_bench.ros.node import READINGS, BenchTopics, message_class, seconds_of, stamp_of
 
 _FLAG_OPEN = 0
+FAULTS = ("none", "frozen", "shutter", "silent", "moved")
+_SWAY_PERIOD = 7.0  # s
 
 
 class IrCamera(BenchNode):
@@ -31,27 +33,23 @@ class IrCamera(BenchNode):
         super().__init__("ir_camera")
         if not self.simulated:
             be_punctual(CAMERA)
-        channels = self.parameters["bench.channels"]
-        limits = ("stale_limit", "shutter_spread", "shutter_settle")
-        self._size = self.settings["image_width"], self.settings["image_height"]
-        self._judge = thermal_camera.FrameJudge(*(self.settings[name] for name in limits))
-        self._gauges = thermal_camera.wire_gauges(self.parameters, self.settings)
-        self._warmth = [thermal_camera.ExpectedWarmth(self.parameters) for _ in channels]
+        channels, settings = self.parameters["bench.channels"], self.settings
+        stale = settings["stale_limit"]
+        self._size = settings["image_width"], settings["image_height"]
+        self._judge = FrameJudge(stale, settings["shutter_spread"], settings["shutter_settle"])
+        self._gauges = wire_gauges(self.parameters, settings)
+        self._warmth = [ExpectedWarmth(self.parameters) for _ in channels]
         self._topics = BenchTopics(self, temperature=channels)
-        self._report = thermal_camera.CameraReport(
-            channels, self.settings["stale_limit"], time.monotonic()
-        )
+        self._report = CameraReport(channels, stale, time.monotonic())
         self.create_subscription(Image, "thermal_image", self.on_image, READINGS, newest=True)
-        if self.settings["read_cold_wires"]:
+        if settings["read_cold_wires"]:
             self.listen(BatteryState, "power", lambda k, message: self._warmth[k].voltage(
-                float(message.voltage), time.monotonic()
-            ), numbered=True, newest=True)
+                float(message.voltage), time.monotonic()), numbered=True, newest=True)
         # The Optris driver says when the camera's flag is closed, in a type of its own.
         with suppress(ImportError):
             self.create_subscription(
                 message_class("optris_drivers2/msg/Flag"), "flag_state",
-                lambda message: self._judge.flag(message.flag_state != _FLAG_OPEN), READINGS,
-            )
+                lambda message: self._judge.flag(message.flag_state != _FLAG_OPEN), READINGS)
         self.serve(reset=self._reset)
 
     def on_image(self, message: Image) -> None:
@@ -60,11 +58,12 @@ class IrCamera(BenchNode):
         try:
             frame = decode_frame(self._size, message.encoding, message.width, message.height,
                                  message.step, bool(message.is_bigendian), message.data)
+            reason = self._judge.objection(frame, stamp, self._seconds())
         except InputError as error:
-            self._hold(f"rejected: {error}")
-            return
-        if reason := self._judge.objection(frame, stamp, self._seconds()):
-            self._hold(reason)
+            reason = f"rejected: {error}"
+        if reason:
+            self._report.held(reason)
+            self.get_logger().warning(reason, throttle_duration_sec=5.0)
             return
         now = time.monotonic()
         readings = [gauge.read(frame, stamp, warmth.kelvin(now))
@@ -74,10 +73,6 @@ class IrCamera(BenchNode):
                 celsius = reading.kelvin - CELSIUS_ZERO
                 self._topics.temperature(channel, celsius, stamp_of(message), reading.std**2)
         self._report.read(readings, self._seconds() - stamp, time.monotonic())
-
-    def _hold(self, reason: str) -> None:
-        self._report.held(reason)
-        self.get_logger().warning(reason, throttle_duration_sec=5.0)
 
     def _reset(self) -> str:
         for gauge in self._gauges:
@@ -92,26 +87,16 @@ class IrCamera(BenchNode):
                 for r in self._report.reports(time.monotonic())]
 
 
-FAULTS = ("none", "frozen", "shutter", "silent", "moved")
-_SWAY_PERIOD = 7.0  # s
-_TIP = "tip"
-
-
 class SyntheticCameraNode(BenchNode):
-    """Stands in for an infrared camera: synthetic pictures of wires of a given true temperature.
-
-    Takes `<channel>/true_temperature`, to which a simulated bench's `<channel>/temperature` is
-    remapped, and publishes `thermal_image` as the Optris drivers do, at every tick of its rate. In
-    real time only.
-    """
+    """Stands in for an infrared camera, in real time only: pictures of wires of a given true
+    temperature. Takes `<channel>/true_temperature`, to which a simulated bench's
+    `<channel>/temperature` is remapped, and publishes `thermal_image` as the Optris drivers do."""
 
     def __init__(self) -> None:
         super().__init__("synthetic_camera")
         self.check_settings(self.settings)
-        channels = self.parameters["bench.channels"]
-        self._kelvin = [math.nan for _ in channels]
-        self._deflection = 0.0
-        self._pictures = self._reported = 0
+        self._kelvin = [math.nan for _ in self.parameters["bench.channels"]]
+        self._deflection, self._pictures, self._reported = 0.0, 0, 0
         height, width = self._camera.shape
         self._message = Image(height=height, width=width, encoding=ENCODING, step=2 * width)
         self._message.data = array.array("B", bytes(2 * width * height))
@@ -136,8 +121,8 @@ class SyntheticCameraNode(BenchNode):
         self._kelvin[channel] = message.temperature + CELSIUS_ZERO
 
     def on_joints(self, message: JointState) -> None:
-        if _TIP in message.name and len(message.position) == len(message.name):
-            self._deflection = message.position[message.name.index(_TIP)]
+        if "tip" in message.name and len(message.position) == len(message.name):
+            self._deflection = message.position[message.name.index("tip")]
 
     def _take(self) -> None:
         fault = self.settings["fault"]

@@ -1,7 +1,5 @@
-"""Runs a protocol on the bench, and stops it at 0 V when something is wrong (`live.run`).
-
-Should it die without a word, the bridge's or simulator's command timeout puts the outputs to 0 V.
-"""
+"""Runs a protocol on the bench, and stops it at 0 V when something is wrong (`live.run`). Should it
+die without a word, the bridge's or simulator's command timeout puts the outputs to 0 V."""
 
 import json
 import time
@@ -29,9 +27,7 @@ from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
 _WATCH_EVERY = 0.05  # s
-# Wall seconds for which readings of a simulation may stay away: a loaded machine may pause it, and
-# nothing is heated meanwhile.
-_SIMULATION_PAUSE = 10.0
+_SIMULATION_PAUSE = 10.0  # s of a loaded machine: nothing is heated meanwhile
 _STEADY = 2.0  # s; whoever starts several benches keeps the readings of one for a second and more
 
 
@@ -76,9 +72,8 @@ class ExperimentNode(BenchNode):
         if self.simulated:
             forward = JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=None,
                                     on_clock_change=False)
-            self._leaps = self._bench_clock.create_jump_callback(
-                forward, post_callback=self._on_clock
-            )
+            self._leaps = self._bench_clock.create_jump_callback(forward,
+                                                                 post_callback=self._on_clock)
         else:
             self.create_timer(period, self._tick, clock=self._bench_clock)
         self.every(_WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan))
@@ -93,18 +88,17 @@ class ExperimentNode(BenchNode):
     def held(self) -> Set[str]:
         """The limits always, everything that is said of the bench while it is driven."""
         run: Run | None = getattr(self, "_run", None)  # ROS asks while the node is made, too
+        everything = {*self._contract, "require_recorder"}
         driving = run is not None and run.running
-        names = (*self._contract, "require_recorder")
-        return {name for name in names if driving or name.startswith("bench.")}
+        return everything if driving else {n for n in everything if n.startswith("bench.")}
 
     def check_settings(self, settings: dict[str, Any]) -> None:
         """A protocol must be readable before it becomes the parameter's value."""
         # Whoever started the node may have named any file, whoever sets parameters may not.
         for name in _FILES & settings.keys():
             path, root = settings[name], settings["protocol_root"]
-            if path == self.settings[name] or not is_path(path):
-                continue
-            if not is_inside(Path(path), Path(root or ".")):
+            is_new = path != self.settings[name] and is_path(path)
+            if is_new and not is_inside(Path(path), Path(root or ".")):
                 where = root or "where the node was started"
                 raise InputError(f"{name}: {path} lies outside protocol_root ({where})")
         self._loop.plan(settings, self.parameters)
@@ -149,8 +143,7 @@ class ExperimentNode(BenchNode):
     def on_joints(self, message: JointState) -> None:
         position = dict(zip(message.name, message.position, strict=False)).get(self._joint)
         if position is not None:
-            stamp = ros.seconds_of(message)
-            self._run.heard("deflection", "", position, stamp, time.monotonic())
+            self._run.heard("deflection", "", position, ros.seconds_of(message), time.monotonic())
 
     def _on_clock(self, _: TimeJump) -> None:
         """One command for each moment of a simulated clock, for which the bench waits. A timer of
@@ -163,8 +156,7 @@ class ExperimentNode(BenchNode):
             self._tick()
 
     def _tick(self) -> None:
-        moment = self._bench_clock.now().nanoseconds
-        self._run.tick(time.monotonic(), moment / ros.NANOSECONDS)
+        self._run.tick(time.monotonic(), self._bench_clock.now().nanoseconds / ros.NANOSECONDS)
 
     def _plan(self) -> Protocol:
         protocol = self._loop.plan(self.settings, self.parameters)
@@ -193,13 +185,11 @@ class ExperimentNode(BenchNode):
         self._publish_progress(json.dumps(progress))
 
 
-# --- Nodes that follow references of temperature or deflection, with the same states, services,
-# markers and safety rules. A run ends with its reference; one from the topic goes on until stopped.
-
-
 class Controller(ExperimentNode):
-    """`~/setpoint` says what is followed, `~/reference` asks for something else: one number a
-    channel, or a single one, in SI units less `zero`."""
+    """Follows references of temperature or deflection, with the same states, services, markers and
+    safety rules. A run ends with its reference; one from the topic goes on until stopped.
+    `~/setpoint` says what is followed, `~/reference` asks for something else: one number a channel,
+    or a single one, in SI units less `zero`."""
 
     quantity: Quantity
     kind: type[Float64 | Float64MultiArray]
@@ -218,8 +208,7 @@ class Controller(ExperimentNode):
     def follow(self, levels: Sequence[float]) -> None:
         """Publish the setpoint, SI."""
         numbers = [level - self.zero for level in levels]
-        data = numbers[0] if self.kind is Float64 else numbers
-        self._setpoint.publish(self.kind(data=data))
+        self._setpoint.publish(self.kind(data=numbers[0] if self.kind is Float64 else numbers))
 
     def on_reference(self, message: Any) -> None:
         numbers = [message.data] if self.kind is Float64 else message.data

@@ -4,8 +4,7 @@
     ros2 service call /bench/identification/identify std_srvs/srv/Trigger
 
 The work runs in a process of its own and waits in a thread, so that parameters, a second request
-("busy"), a cancellation and the end of the node are served meanwhile.
-"""
+("busy"), a cancellation and the end of the node are served meanwhile."""
 
 import json
 import threading
@@ -30,8 +29,7 @@ class WorkNode(BenchNode):
     """Latched: `~/state`, a line, and `~/result`, the last one as JSON."""
 
     with_uncertainty = True
-    outputs: ClassVar[dict[str, str]]
-    """parameters that name what is written, and the end that such a name must have"""
+    outputs: ClassVar[dict[str, str]]  # parameters that name what is written, and the name's end
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
@@ -68,39 +66,33 @@ class JobNode(WorkNode):
     def __init__(self, name: str, service: str, task: jobs.Task) -> None:
         super().__init__(name)
         self._task, self._busy = task, threading.Lock()
-        waiting = ReentrantCallbackGroup()
-        self.create_service(Trigger, service, self.on_request, callback_group=waiting)
+        self.serve(ReentrantCallbackGroup(), **{service: self.on_request})
         self.serve(cancel=lambda: (
-            (True, jobs.CANCELLED) if self._worker.end() else (False, "nothing is running")
-        ))
+            (True, jobs.CANCELLED) if self._worker.end() else (False, "nothing is running")))
         self._enter("idle")
 
     def on_result(self, result: str) -> None:
         """What else to do with a result."""
 
-    def on_request(self, _: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+    def on_request(self) -> str:
         if not self._busy.acquire(blocking=False):
-            response.success = False
-            response.message = f"busy: another {self.get_name()} is running"
-            return response
+            raise InputError(f"busy: another {self.get_name()} is running")
         failure = ""
         self._enter("busy")
         try:
             # What is set from here on is for the next request.
-            response.message = self._worker.run(
+            result = self._worker.run(
                 self._task, self.settings, self.parameters,
-                lambda share, what: self._enter(f"busy: {100.0 * share:.0f} %, {what}"),
-            )
-            response.success = True
-            self._publish_result(response.message)
-            self.on_result(response.message)
+                lambda share, what: self._enter(f"busy: {100.0 * share:.0f} %, {what}"))
+            self._publish_result(result)
+            self.on_result(result)
+            return result
         except InputError as error:
-            response.success, response.message = False, str(error)
-            failure = response.message
+            failure = str(error)
+            raise
         finally:
             self._enter("idle", failure)
             self._busy.release()
-        return response
 
 
 class IdentificationNode(JobNode):
@@ -109,20 +101,18 @@ class IdentificationNode(JobNode):
     outputs: ClassVar = {"output_directory": ""}
 
     def __init__(self) -> None:
-        super().__init__("identification", "~/identify", jobs.identify)
+        super().__init__("identification", "identify", jobs.identify)
 
 
 class DiagnosisNode(JobNode):
     """Diagnoses the gap between bench and model on request: set `record`, call `~/diagnose`.
-
-    `~/gap`, latched: level WARN where simulation and bench disagree beyond the noise, of the
-    whole and of each measured quantity.
-    """
+    `~/gap`, latched: level WARN where simulation and bench disagree beyond the noise, of the whole
+    and of each measured quantity."""
 
     outputs: ClassVar = {"improved": ".yaml", "report": ""}
 
     def __init__(self) -> None:
-        super().__init__("diagnosis", "~/diagnose", jobs.diagnose)
+        super().__init__("diagnosis", "diagnose", jobs.diagnose)
         self._gap = self.create_publisher(DiagnosticArray, "~/gap", LATCHED)
 
     def on_result(self, result: str) -> None:
@@ -131,9 +121,8 @@ class DiagnosisNode(JobNode):
         for gap in json.loads(result)["gap"]:
             level = DiagnosticStatus.WARN if gap["is_gap"] else DiagnosticStatus.OK
             values = [KeyValue(key=key, value=value) for key, value in gap["values"].items()]
-            message.status.append(DiagnosticStatus(
-                level=level, name=f"diagnosis: {gap['name']}", message=gap["message"], values=values
-            ))
+            message.status.append(DiagnosticStatus(level=level, name=f"diagnosis: {gap['name']}",
+                                                   message=gap["message"], values=values))
         self._gap.publish(message)
         self.get_logger().info(message.status[0].message)
 
@@ -149,8 +138,7 @@ class InvestigationNode(WorkNode):
 
     States: idle, diagnosing, waiting for confirmation: PROTOCOL, running: PROTOCOL, named: CAUSE,
     inseparable, budget spent, a test is needed, stopped, failed: why. The result is the story, what
-    is proposed under `next`. A run is the experiment node's, under its rules.
-    """
+    is proposed under `next`. A run is the experiment node's, under its rules."""
 
     outputs: ClassVar = {"folder": ""}
 
@@ -161,11 +149,11 @@ class InvestigationNode(WorkNode):
         self._stopping, self._confirmed = threading.Event(), threading.Event()
         self._work: threading.Thread | None = None
         self._calls = NodeCalls(self, lambda: time.sleep(_LOOK_EVERY))
-        for service in ("experiment/start", "experiment/stop"):
-            self._calls.know(service)
+        self._calls.know("experiment/start")
+        self._calls.know("experiment/stop")
         self._calls.know("experiment/set_parameters", SetParameters)
-        for node in ("experiment", "recorder"):
-            self._calls.follow(node)
+        self._calls.follow("experiment")
+        self._calls.follow("recorder")
         self.serve(start=self.on_start, confirm=self.on_confirm, stop=self.on_stop)
         self._enter("idle")
 

@@ -26,8 +26,7 @@ _DEPTH, _IMAGE_DEPTH = 5000, 100
 _EMPTY_SPINS = 10  # more than there are timers and clocks to be served between readings
 _LONGEST_DRAIN = 3.0  # s
 _ON_ITS_WAY = 0.5  # s, more than twice what config/dds/this_machine.xml takes to send again
-_NAP = 0.001  # s
-_LITTLE = 1 << 30  # bytes
+_NAP, _LITTLE = 0.001, 1 << 30  # s, bytes
 
 
 class Recorder(BenchNode):
@@ -39,10 +38,8 @@ class Recorder(BenchNode):
         self._recording = Recording(
             self.settings["output"],
             lambda: (self.settings["skip_idle"], self.settings["idle_margin"]),
-            self.fail, BagWriter,
-        )
-        self._said = "idle"
-        self._publish = self.line("~/state")
+            self.fail, BagWriter)
+        self._said, self._publish = "idle", self.line("~/state")
         self.every(_LOOK_EVERY, self._look)
         self.every(_FLUSH_EVERY, self._flush)
         self.serve(start=self._start, stop=self._stop, split=self._split)
@@ -62,15 +59,14 @@ class Recorder(BenchNode):
 
     def drain(self, spin: Callable[[], None]) -> None:
         # A bench that goes on leaves a gap between its readings, too: by then all was taken.
-        begin, empty = time.monotonic(), 0
-        while (gone := time.monotonic() - begin) < _LONGEST_DRAIN and (
-            gone < _ON_ITS_WAY or empty < _EMPTY_SPINS
-        ):
+        begin, gone, empty = time.monotonic(), 0.0, 0
+        while gone < _ON_ITS_WAY or (gone < _LONGEST_DRAIN and empty < _EMPTY_SPINS):
             written = self._recording.total
             spin()
             empty = empty + 1 if self._recording.total == written else 0
             if empty and gone < _ON_ITS_WAY:
                 time.sleep(_NAP)
+            gone = time.monotonic() - begin
 
     def close(self) -> None:
         self._finish()
@@ -137,7 +133,8 @@ class Recorder(BenchNode):
             line = "use_sim_time is set, but there is no /clock yet: nothing is written"
             self.get_logger().warning(line, throttle_duration_sec=1.0)
             return
-        self._recording.write(topic, stamp, data, _text)
+        self._recording.write(topic, stamp, data,
+                              lambda data: str(deserialize_message(data, String).data))
 
     def _flush(self) -> None:
         self._recording.flush()
@@ -147,7 +144,3 @@ class Recorder(BenchNode):
         """Say a state, or once more the last one."""
         self._said = state or (FAILED if self.failure else self._said)
         self._publish(self._recording.state(self._said))
-
-
-def _text(data: bytes) -> str:
-    return str(deserialize_message(data, String).data)

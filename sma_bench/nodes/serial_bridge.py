@@ -1,8 +1,7 @@
 """The bench's Uno on ROS: readings out, volts in, under the rules of hardware/safety.py.
 
 States: not connected, idle, enabled, stopped (with the reason). It connects again by itself, and
-never enables by itself.
-"""
+never enables by itself."""
 
 import sys
 import time
@@ -44,11 +43,9 @@ class SerialBridge(BenchNode):
             raise InputError(f"telemetry_rate is {rate} Hz, expected a divisor of {_CLOCK_STEP}")
         if (drive := self.parameters["bench.drive"]) in SOURCES:
             raise InputError(f"bench.drive is {drive}, expected voltage or duty, as the Uno drives")
-        self._scheduling = be_punctual(BRIDGE)
+        self._scheduling, self._last_state = be_punctual(BRIDGE), ""
         sys.setswitchinterval(_SWITCH)
-        self._arrived: deque[Telemetry] = deque()
-        self._events: deque[str] = deque()
-        self._last_state = ""
+        self._arrived, self._events = deque[Telemetry](), deque[str]()
         # Of one report's period: readings, the greatest age of one (s), newest temperatures (K).
         self._readings, self._oldest = 0, 0.0
         self._kelvin: dict[str, float] = {}
@@ -62,15 +59,14 @@ class SerialBridge(BenchNode):
         self._driver = driver = BenchDriver(self._link, sensors, self._guard, self._channels,
                                             self._limits, settings["self_test_waived"])
         self._sides = tuple(sensors.range_sensors)
-        joint = "tip" if self._sides else ""
-        self._topics = ros.BenchTopics(self, self._channels, ranges=self._sides, joint=joint)
+        self._topics = ros.BenchTopics(self, self._channels, ranges=self._sides,
+                                       joint="tip" if self._sides else "")
         self._enter = self.line("~/state")
         self.create_subscription(Float64MultiArray, ros.COMMAND, self.on_command, ros.READINGS)
         self._commanders = ros.Commanders(self)
         self.listen(Temperature, "temperature", self.on_temperature, newest=True)
-        self.create_subscription(
-            String, RECORDER, lambda m: self._guard.recorder(recorder_failure(m.data)), ros.LATCHED
-        )
+        self.create_subscription(String, RECORDER, lambda message: self._guard.recorder(
+            recorder_failure(message.data)), ros.LATCHED)
         self.serve(enable=lambda: self._ask(lambda: driver.enable(time.monotonic())),
                    stop=lambda: self._ask(lambda: driver.stop("stopped on request")),
                    reset=lambda: self._ask(driver.reset),
@@ -92,10 +88,9 @@ class SerialBridge(BenchNode):
             reading = self._driver.take(self._arrived.popleft(), time.monotonic())
             stamp = round(ros.NANOSECONDS * reading.time) + self._to_ros
             for channel, power in zip(self._channels, reading.powers, strict=True):
-                self._topics.power(channel, power.voltage, power.current, stamp)
-            distances = dict(zip(SIDES, reading.distances, strict=True))
+                self._topics.power(channel, *power, stamp)
             for side in self._sides:
-                self._topics.range(side, distances[side], stamp)
+                self._topics.range(side, reading.distances[SIDES.index(side)], stamp)
             if self._sides and reading.deflection == reading.deflection:  # not NaN
                 self._topics.joint(stamp, reading.deflection)
             self._readings += 1

@@ -11,6 +11,7 @@ from std_msgs.msg import Float64MultiArray
 
 from sma_bench.border import claimed
 from sma_bench.errors import InputError
+from sma_bench.hardware.bench_sensors import SIDES
 from sma_bench.hardware.safety import CommandGate, Limits
 from sma_bench.live.virtual_bench import REAL_TIME, STANDS, GroupReading, Lockstep, VirtualBench
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
@@ -53,8 +54,7 @@ class Simulator(BenchNode):
             be_punctual(BRIDGE)
         channels, composite = self._bench.channels, self._bench.composite
         self._topics = BenchTopics(self, channels, (*channels, "ambient"),
-                                   ("front", "back") if composite else (),
-                                   "tip" if composite else "wire")
+                                   SIDES if composite else (), "tip" if composite else "wire")
         self._counts = Counter({"power": 0, "temperature": 0, "mechanics": 0, "ambient": 0})
         self._reported = 0, self._counts.copy()
         self._gate = CommandGate(len(channels), limits)
@@ -110,10 +110,9 @@ class Simulator(BenchNode):
             for place, celsius in zip(places, values, strict=True):
                 self._topics.temperature(place, celsius, stamp)
         elif self._bench.composite:
-            front, back = values
-            self._topics.range("front", front, stamp)
-            self._topics.range("back", back, stamp)
-            self._topics.joint(stamp, (back - front) / 2.0)
+            for side, distance in zip(SIDES, values, strict=True):
+                self._topics.range(side, distance, stamp)
+            self._topics.joint(stamp, (values[1] - values[0]) / 2.0)
         else:
             self._topics.joint(stamp, *values)
 

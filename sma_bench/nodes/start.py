@@ -2,8 +2,7 @@
 nodes in one process: `... bench NODE [-p NAME:=VALUE] [NODE ...] [--ros-args ...]`.
 
 Imports nothing of weight: a signal that comes while the node's modules are read ends the process
-at once and in silence, as nothing is driven yet.
-"""
+at once and in silence, as nothing is driven yet."""
 
 import contextlib
 import faulthandler
@@ -38,9 +37,7 @@ NODES = {  # by the executable's name: module and class
 # The executable of several nodes. What holds the hardware keeps a process of its own.
 CONTAINER, _APART = "bench", frozenset({"serial_bridge"})
 # These drive, and say at their start what holds them back, and where each limit is from.
-_DRIVERS = frozenset(
-    {"serial_bridge", "experiment", "temperature_controller", "deflection_controller"}
-)
+_DRIVERS = ("serial_bridge", "experiment", "temperature_controller", "deflection_controller")
 _LIMITS = ("maximum_voltage", "maximum_current", "maximum_temperature", "command_timeout")
 _SIGNAL_LATENCY = 0.1  # s: signals arrive at Python only between two waits of the executor
 # s for 0 V and a recorder's index, then for what is left. Fast DDS once spun for ever while a node
@@ -52,8 +49,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node, or all of a container, until SIGINT, SIGTERM, the end of one of them or of the
     ROS context: 0 at a clean end, 2 after bad input or without what it imports, logged in a line.
 
-    The signals are handled here: rclpy's handler ends the context before a node's last message.
-    """
+    The signals are handled here: rclpy's handler ends the context before a node's last message."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     asks_for_help = bool({"-h", "--help"} & set(arguments))
     if not asks_for_help:
@@ -220,8 +216,7 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
     where the value of each name is from. `node` is the node's name unless argv renames it.
 
     Raises InputError: unreadable file, or none of it for this node, unknown name, wrong type or out
-    of range; one line with the file and, for a name, the nearest known one.
-    """
+    of range; one line with the file and, for a name, the nearest known one."""
     # ROS passes over names that a node does not declare: a slip of the pen in a parameter file
     # would leave a default in force, a safety limit's too.
     from sma_bench.border import load_yaml
@@ -245,11 +240,9 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
             named = target
         elif option in ("-r", "--remap") and name == "__ns":
             namespace = f"/{target.strip('/')}" if target.strip("/") else ""
-
     # Later sources win; what fits only together may come from several.
     own = {parameter.name: parameter for parameter in NODE_TABLES[node]}
-    contract: dict[str, Any] = {}
-    sources: dict[str, str] = {}
+    contract, sources = dict[str, Any](), dict[str, str]()
     for option, value in options:
         where, (name, separator, text) = option, value.partition(":=")
         if option == "--params-file":

@@ -41,15 +41,13 @@ class TwinNode(BenchNode):
         self._topics: dict[str, BenchTopics] = {}
         self._below(PREDICTED)
         self._residual = self._below(RESIDUAL)
-        self._energy = {s: self.create_publisher(Float64, ENERGY + s, READINGS)
-                        for s in twin.MEASURED_STAGES}
+        self._energy = {stage: self.create_publisher(Float64, ENERGY + stage, READINGS)
+                        for stage in twin.MEASURED_STAGES}
         twin.compile_model(self.parameters)
         self._twin = Twin(self.parameters, self.settings, self._predict, self._part)
         if self._twin.no_band:
             raise InputError(f"band: {self._twin.no_band}")
-        self._loaded = self.parameters
-        self._judged = self._twin.verdict
-        self._said = ""
+        self._loaded, self._judged, self._said = self.parameters, self._twin.verdict, ""
         self._heard, self._restarts = time.monotonic(), 0
         self.listen(BatteryState, "power", self.on_power, True, _OFFERED)
         self.listen(Temperature, "temperature", self.on_temperature, True, _OFFERED)
@@ -83,10 +81,8 @@ class TwinNode(BenchNode):
     def _below(self, below: str) -> BenchTopics:
         """Publishers of a bench's topics below that, made when first needed."""
         if below not in self._topics:
-            channels = self._channels
-            self._topics[below] = BenchTopics(
-                self, channels, channels, joint=self._joint, below=below
-            )
+            self._topics[below] = BenchTopics(self, self._channels, self._channels,
+                                              joint=self._joint, below=below)
         return self._topics[below]
 
     def _predict(self, found: Prediction) -> None:
@@ -98,8 +94,7 @@ class TwinNode(BenchNode):
         topics = self._below(below)
         for k, channel in enumerate(self._channels):
             topics.power(channel, found.voltage[k], found.current[k], found.stamp)
-            celsius = found.temperature[k] - CELSIUS_ZERO
-            topics.temperature(channel, celsius, found.stamp)
+            topics.temperature(channel, found.temperature[k] - CELSIUS_ZERO, found.stamp)
         held = None if self._moves else found.mechanics
         topics.joint(found.stamp, found.mechanics if self._moves else 0.0, held)
 
@@ -141,9 +136,8 @@ class TwinNode(BenchNode):
     def health(self) -> list[DiagnosticStatus]:
         verdict = self._twin.verdict
         silence = time.monotonic() - self._heard
-        level, message = DiagnosticStatus.OK, verdict.message
-        if verdict.state in (twin.GAP, twin.GREW):
-            level = DiagnosticStatus.WARN
+        gap = verdict.state in (twin.GAP, twin.GREW)
+        level, message = DiagnosticStatus.WARN if gap else DiagnosticStatus.OK, verdict.message
         if silence > _SILENCE:
             level, message = DiagnosticStatus.STALE, "no voltages"
         if message != self._said:
@@ -159,9 +153,8 @@ class TwinNode(BenchNode):
             "silence": f"{silence:.1f}", **self._twin.counts,
         })]
         for state in verdict.measured:
-            learned = not math.isnan(state.energy)
+            learned, named = not math.isnan(state.energy), state.stage in verdict.stages
             message = f"{state.gap:.1f} times the noise" if learned else "learning the noise"
-            named = state.stage in verdict.stages
             level = DiagnosticStatus.WARN if named else DiagnosticStatus.OK
             numbers = {"energy": f"{state.energy:.3g}", "gap_over_noise": f"{state.gap:.3g}"}
             lines.append(self.status(state.stage, level, message, numbers))

@@ -33,10 +33,8 @@ _DISCOVERY = 10.0  # s in which another node finds a new one that we have found
 
 
 class NodeCalls:
-    """What a node asks of the other nodes of its namespace.
-
-    `spin` is called while waiting, takes about 0.05 s, and may raise to end the wait.
-    """
+    """What a node asks of the other nodes of its namespace. `spin` is called while waiting, takes
+    about 0.05 s, and may raise to end the wait."""
 
     def __init__(self, node: Node, spin: Callable[[], None]) -> None:
         self._node, self._spin = node, spin
@@ -48,10 +46,8 @@ class NodeCalls:
         """Listen to the latched state of a node."""
         if node not in self._states:
             self._states[node] = ""
-            self._node.create_subscription(
-                String, f"{node}/state", lambda message: self._states.update({node: message.data}),
-                LATCHED,
-            )
+            self._node.create_subscription(String, f"{node}/state", lambda message: (
+                self._states.update({node: message.data})), LATCHED)
 
     def state(self, node: str) -> str:
         """Last state of a followed node, "" before the first."""
@@ -86,8 +82,7 @@ class NodeCalls:
             domain = os.environ.get("ROS_DOMAIN_ID") or "0"
             raise InputError(
                 f"{self._namespace}/{service}: no such service found within {timeout:g} s in ROS "
-                f"domain {domain}: does the node run, in this namespace?"
-            ) from None
+                f"domain {domain}: does the node run, in this namespace?") from None
 
     def trigger(self, service: str, timeout: float = 10.0) -> str:
         """Call a std_srvs/Trigger service and return its message. Raises InputError: no such
@@ -120,19 +115,16 @@ class NodeCalls:
                      needed: Collection[str] = ()) -> None:
         """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever ends
         this before the protocol's end stops the experiment at 0 V and leaves no bag; an unfinished
-        one is kept beside it.
-
-        `protocol`: its file; `name`, `seconds`: of it; `bag`: new folder; `heed`: called with the
-        experiment's state some 20 times a second, may raise to end the run; `simulated_time`:
-        whether the bench runs on /clock; `needed`: relative topics that are being recorded before
-        it starts. Raises InputError: the experiment node is not ready or aborts, or something went
-        away.
-        """
+        one is kept beside it. `protocol`: its file; `name`, `seconds`: of it; `bag`: new folder;
+        `heed`: called with the experiment's state some 20 times a second, may raise to end the run;
+        `simulated_time`: whether the bench runs on /clock; `needed`: relative topics that are being
+        recorded before it starts. Raises InputError: the experiment node is not ready or aborts, or
+        something went away."""
         bag = Path(bag)
         unfinished = bag.with_name(f"unfinished_{bag.name}")
         _put_aside(unfinished)  # of a process that was killed
-        for node in ("experiment", "recorder"):
-            self.follow(node)
+        self.follow("experiment")
+        self.follow("recorder")
         self.find("experiment/start")
         self.wait("experiment", lambda: self.state("experiment"), _PATIENCE)
         if not (state := self.state("experiment")).startswith((IDLE, DONE)):
@@ -195,9 +187,7 @@ def _put_aside(bag: Path) -> None:
 
 class BenchClient(NodeCalls):
     """A script's own node for it, in a ROS context of its own; use as a context manager.
-
-    `meanwhile` is called about 20 times a second while waiting and may raise to end the wait.
-    """
+    `meanwhile` is called about 20 times a second while waiting and may raise to end the wait."""
 
     def __init__(self, namespace: str, meanwhile: Callable[[], None] = lambda: None,
                  ros_arguments: Sequence[str] = ()) -> None:

@@ -1,13 +1,11 @@
-"""Listens to a bench for its web page, and stops it: graph and messages in, dashboard/ out.
-
-Topics, services and parameters are looked for below a namespace, again and again.
-"""
+"""Listens to a bench for its web page, and stops it: graph and messages in, dashboard/ out. Topics,
+services and parameters are looked for below a namespace, again and again."""
 
 import math
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from typing import Any
 
@@ -32,8 +30,7 @@ from sma_bench.ros.bench_client import NodeCalls
 _LOOK_EVERY, _ASK_EVERY, _SPIN, _PATIENCE = 0.5, 2.0, 0.05, 5.0  # s
 _ASKED = ["bench.channels", *LIMITS]  # which only nodes with limits of the bench know
 _LEVELS = "ok", "warning", "error", "stale"  # of a DiagnosticStatus, from 0
-_RECORDER = "recorder"
-_WORK = {"identify": "identification", "diagnose": "diagnosis"}
+_RECORDER, _WORK = "recorder", {"identify": "identification", "diagnose": "diagnosis"}
 _SERVICES = {**dict.fromkeys(("stop", *_WORK), "std_srvs/srv/Trigger"),
              "get_parameters": "rcl_interfaces/srv/GetParameters",
              "set_parameters": "rcl_interfaces/srv/SetParameters"}
@@ -48,16 +45,14 @@ class DashboardNode(ros.OverridableNode):
 
     def __init__(self, namespace: str, state: LiveState) -> None:
         super().__init__("dashboard", namespace=namespace)
-        self.state = state
-        self._inside = self.get_namespace().rstrip("/") + "/"
+        self.state, self._inside = state, self.get_namespace().rstrip("/") + "/"
         self._listened: set[str] = set()
         self._callable: dict[tuple[str, str], Client] = {}  # by service and node
         self._calls = NodeCalls(self, lambda: time.sleep(_SPIN))
         self._reported: dict[str, dict[str, float]] = {}
         self._channels: tuple[str, ...] = ()
-        self._commanded = 0
+        self._commanded, self._signature = 0, ros.signature(self)
         self._command = self.create_publisher(Float64MultiArray, ros.COMMAND, ros.READINGS)
-        self._signature = ros.signature(self)
         self._listen("/diagnostics", DiagnosticArray, self.on_diagnostics, ros.READINGS)
         self.create_timer(_LOOK_EVERY, self._look)
         self.create_timer(_ASK_EVERY, self._ask)
@@ -67,8 +62,6 @@ class DashboardNode(ros.OverridableNode):
         """Clients of the nodes that have a service now, by name."""
         return {node: client for (what, node), client in list(self._callable.items())
                 if what == service and client.service_is_ready()}
-
-    # --- the stop, and work on records --------------------------------------------------------
 
     def send_stop(self) -> dict[str, rclpy.Future]:
         """Call every `stop` service of the bench; the futures of their answers by node."""
@@ -86,9 +79,10 @@ class DashboardNode(ros.OverridableNode):
     def start_work(self, kind: str, records: list[str]) -> None:
         """Set a node's records and call it; its result comes over its topic. For a thread that may
         wait. Raises InputError: no such node or records, or it refuses them."""
-        if kind not in self._works() or not records:
-            why = "no records given" if kind in self._works() else f"no node here does {kind}"
-            raise InputError(why)
+        if kind not in self._works():
+            raise InputError(f"no node here does {kind}")
+        if not records:
+            raise InputError("no records given")
         self._calls.set_parameters(_WORK[kind], {"record": records}, _PATIENCE)
 
         def worked(response: rclpy.Future) -> None:
@@ -97,16 +91,14 @@ class DashboardNode(ros.OverridableNode):
             self.state.show("work", {"text": text, "good": bool(result.success)})
 
         self.state.show("work", {"text": f"{kind}: {' '.join(records)}", "good": True})
-        call = self._callable[kind, _WORK[kind]].call_async(Trigger.Request())
-        call.add_done_callback(worked)
+        client = self._callable[kind, _WORK[kind]]
+        client.call_async(Trigger.Request()).add_done_callback(worked)
 
     def _works(self) -> list[str]:
         """Kinds of work whose node can be set and called."""
         settable = self._ready("set_parameters")
-        return sorted(kind for kind,
-                      node in _WORK.items() if node in settable and node in self._ready(kind))
-
-    # --- what is there ------------------------------------------------------------------------
+        return sorted(kind for kind, node in _WORK.items()
+                      if node in settable and node in self._ready(kind))
 
     def _look(self) -> None:
         elsewhere, foreign = set(), {}
@@ -160,8 +152,6 @@ class DashboardNode(ros.OverridableNode):
             self._listened.add(topic)
             self.create_subscription(kind, topic, on_message, qos)
 
-    # --- limits, as the nodes hold them -------------------------------------------------------
-
     def _ask(self) -> None:
         ready = self._ready("get_parameters")
         for name, client in ready.items():
@@ -185,8 +175,6 @@ class DashboardNode(ros.OverridableNode):
             key: float(value.double_value) for key, value in zip(LIMITS, limits, strict=False)
             if value.type == ParameterType.PARAMETER_DOUBLE and math.isfinite(value.double_value)
         }
-
-    # --- messages -----------------------------------------------------------------------------
 
     def on_reading(self, meaning: str, kind: str, message: Any) -> None:
         place, _, what = meaning.rpartition("/")
@@ -218,13 +206,11 @@ class DashboardNode(ros.OverridableNode):
             self.state.show("recorded", shown(recorder["output"]))
 
     def on_progress(self, node: str, message: String) -> None:
-        try:
+        with suppress(InputError):  # the page says that the last one is old
             progress = read_fields(message.data, _PROGRESS, f"{node}/progress")
-        except InputError:
-            return  # the page says that the last one is old
-        texts = {name: shown(progress[name]) for name in ("protocol", "step")}
-        heard = self.state.clock()
-        self.state.show("progress", {**progress, **texts, "node": node, "heard": heard})
+            texts = {name: shown(progress[name]) for name in ("protocol", "step")}
+            heard = self.state.clock()
+            self.state.show("progress", {**progress, **texts, "node": node, "heard": heard})
 
     def on_result(self, node: str, message: String) -> None:
         self.state.show(node, live_state.result_summary(node, message.data))
@@ -272,6 +258,5 @@ def listening_node(namespace: str, state: LiveState, on_failure: Callable[[Excep
 def state_line(text: str) -> str:
     """A node's state for people: that of the recorder is JSON."""
     if found := recorder_state(text):
-        count = sum(found["messages"].values())
-        text = f"{found['state']}: {found['output']}, {count} messages"
+        text = f"{found['state']}: {found['output']}, {sum(found['messages'].values())} messages"
     return shown(text)

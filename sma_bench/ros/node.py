@@ -3,8 +3,7 @@
 rclpy does not say that, so a commander signs what it sends: the label of the message's only
 dimension is the channels' names, `@`, the node's name and a number of its own; two nodes of one
 name, started by mistake, are two commanders. What is not signed, from `ros2 topic pub` or a script,
-is identified by the graph alone: it is taken while there is one such publisher.
-"""
+is identified by the graph alone: it is taken while there is one such publisher."""
 
 import contextlib
 import copy
@@ -51,9 +50,7 @@ _READ = 0.2  # s in which a peer on a busy machine reads what it has received
 _OVERRIDABLE = QoSOverridingOptions((QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH,
                                      QoSPolicyKind.RELIABILITY, QoSPolicyKind.DURABILITY))
 
-COMMAND = "voltage_command"
-NANOSECONDS = 1_000_000_000
-NAN = math.nan
+COMMAND, NANOSECONDS, NAN = "voltage_command", 1_000_000_000, math.nan
 _NEAREST, _FARTHEST = 0.02, 0.3  # m, assumed of the composite rig's triangulation sensors
 
 
@@ -72,8 +69,7 @@ def end_of_ros() -> Iterator[None]:
 
     DDS's participant ends with the last node. A peer whose rmw_fastrtps reads what was said of a
     node after it has heard of that end takes the node up again, for ever. So one without any topic,
-    which `ros2 node list` hides, stays until peers have read that the others are gone.
-    """
+    which `ros2 node list` hides, stays until peers have read that the others are gone."""
     last = None
     if rclpy.ok():
         handle = rclpy.get_default_context().handle
@@ -92,8 +88,8 @@ class OverridableNode(Node):
     """Node whose publishers and subscriptions take their QoS from parameters, where given:
     `qos_overrides./<topic>.publisher.` or `.subscription.`; else as rclpy's."""
 
+    # ROS arguments of the only node of its kind in this process, over those that all share.
     own_arguments: ClassVar[list[str]] = []
-    """ROS arguments of the only node of its kind in this process, over those that all share"""
     _ros_is_ready = False
 
     def __init__(self, name: str, **options: Any) -> None:
@@ -132,16 +128,10 @@ class OverridableNode(Node):
             raise InputError(f"QoS of {what[1]}: {words}") from None
 
 
-# --- The contract's topics.
-
-
 class BenchTopics:
     """Publishers of `<channel>/power`, `<place>/temperature`, `<side>/range` and `joint_states` (of
-    one joint) as far as they are asked for, behind `below`; stamps are ns of ROS time.
-
-    Every message object is built once and only its stamp and numbers change: at a multiple of real
-    time, building messages would cost more than the physics.
-    """
+    one joint) as far as they are asked for, behind `below`; stamps are ns of ROS time. Messages are
+    built once: at a multiple of real time that would cost more than the physics."""
 
     def __init__(self, node: Node, power: Sequence[str] = (), temperature: Sequence[str] = (),
                  ranges: Sequence[str] = (), joint: str = "", below: str = "") -> None:
@@ -212,14 +202,11 @@ def seconds_of(message: Any) -> float:
 def recorded_topics(node: Node) -> dict[str, str]:
     """Topics that belong into a bag of the node's namespace and have a publisher; their types."""
     inside = node.get_namespace().rstrip("/") + "/"
-    kinds = {topic: (recorded_type(topic, inside), types)
-             for topic, types in node.get_topic_names_and_types()}
-    return {topic: kind for topic, (kind, types) in kinds.items()
-            if kind in types and node.count_publishers(topic)}
+    return {topic: kind for topic, types in node.get_topic_names_and_types()
+            if (kind := recorded_type(topic, inside)) in types and node.count_publishers(topic)}
 
 
-# --- Who a voltage command is from.
-
+# Who a voltage command is from.
 _SIGNED = " @"
 _LONGEST_NAME, _MOST_SENDERS = 300, 300  # anybody may send and sign as anything
 _LOOK_EVERY = 0.5  # s
@@ -236,9 +223,8 @@ def signature(node: Node) -> str:
 def voltage_command(channels: Sequence[str], volts: Sequence[float],
                     signed: str = "") -> Float64MultiArray:
     """V of every channel; the label has the channels' names, or none, and who sends it."""
-    size = len(volts)
     label = " ".join(channels) + (f"{_SIGNED}{signed}" if signed else "")
-    dim = MultiArrayDimension(label=label, size=size, stride=size)
+    dim = MultiArrayDimension(label=label, size=len(volts), stride=len(volts))
     return Float64MultiArray(layout=MultiArrayLayout(dim=[dim]), data=volts)
 
 
@@ -260,10 +246,8 @@ class Commanders:
     """The senders of the commands that a node receives."""
 
     def __init__(self, node: Node) -> None:
-        self._node = node
-        self._topic = node.resolve_topic_name(COMMAND)
-        self._signed: set[str] = set()
-        self._unsigned: list[str] = []
+        self._node, self._topic = node, node.resolve_topic_name(COMMAND)
+        self._signed, self._unsigned = set[str](), list[str]()
         self._looked = -_LOOK_EVERY
 
     def judge(self, message: Float64MultiArray, channels: Sequence[str]) -> tuple[str, str]:
@@ -282,6 +266,6 @@ class Commanders:
                      if info.node_name not in (*_SIGNING, NOT_YET_KNOWN))
             self._unsigned = sorted(name for name in names if name not in self._signed)
         if not fault and len(self._unsigned) > 1 and any(message.data):
-            fault = "commands without a name, and several nodes may send them: "
-            fault += ", ".join(self._unsigned)
+            senders = ", ".join(self._unsigned)
+            fault = f"commands without a name, and several nodes may send them: {senders}"
         return "", fault

@@ -4,8 +4,7 @@ the user opens them. No ROS.
 Without SROS 2, whoever reaches a bench may heat its wires. ROS's own default is the whole subnet,
 and its range LOCALHOST only keeps a node from looking: whoever names the machine as a peer still
 gets in. A Fast DDS profile therefore binds the sockets to 127.0.0.1, and the range leaves all to
-it: LOCALHOST would add sockets that are not bound, and shared memory.
-"""
+it: LOCALHOST would add sockets that are not bound, and shared memory."""
 
 import contextlib
 import json
@@ -65,15 +64,13 @@ def choose_discovery(network: bool = False,
     """Set them for this process, before ROS starts in it; what has no effect is said."""
     variables = discovery_variables(network, environment)
     if PROFILE in variables:
-        notes, middleware = [], environment.get(_MIDDLEWARE, "")
+        middleware = environment.get(_MIDDLEWARE, "")
         if environment.get(_PEERS):
-            notes.append(f"{_PEERS} has no effect, nodes are bound to this machine: "
-                         f"{RANGE}={NETWORK} opens them")
+            print(f"sma_bench: note: {_PEERS} has no effect, nodes are bound to this machine: "
+                  f"{RANGE}={NETWORK} opens them", file=sys.stderr)
         if middleware and "fastrtps" not in middleware:
-            notes.append(f"{_MIDDLEWARE} is {middleware}: only Fast DDS is bound to this machine "
-                         "by sma_bench")
-        for note in notes:
-            print(f"sma_bench: note: {note}", file=sys.stderr)
+            print(f"sma_bench: note: {_MIDDLEWARE} is {middleware}: only Fast DDS is bound to this "
+                  "machine by sma_bench", file=sys.stderr)
     if network and environment.get(PROFILE) == _own_profile():
         for name in (*_PROFILES, _NO_OTHER_PROFILE):
             environment.pop(name, None)
@@ -99,10 +96,8 @@ def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
 
 
 class NodeProcesses:
-    """Nodes of this package in one namespace; leaving the context ends them all.
-
-    They end as well where this process is killed and cannot leave the context.
-    """
+    """Nodes of this package in one namespace; leaving the context ends them all, and so does the
+    end of this process where it is killed and cannot leave the context."""
 
     def __init__(self, namespace: str, logs: Path) -> None:
         self._namespace, self._logs = namespace, logs
@@ -126,8 +121,7 @@ class NodeProcesses:
         with open(self._logs / f"{name}.log", "ab") as log:
             self._running[name] = subprocess.Popen(
                 command, stdout=log, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-                env=tied_to_this_process(),
-            )
+                env=tied_to_this_process())
 
     def check(self) -> None:
         """Raise InputError when a node has ended by itself; the line quotes its last words."""
