@@ -24,9 +24,8 @@ def tied_to_this_process() -> dict[str, str]:
 
 
 def end_with_parent(number: int = signal.SIGTERM, inherited: bool = False) -> None:
-    """Where the environment ties this process to its parent, get signal `number`, which ends this
-    one, after it has ended, or at once. `inherited`: a program in between may have passed the
-    environment on, which ties nothing."""
+    """Where the environment ties this process to its parent, get signal `number` once that has
+    ended. `inherited`: a program in between may have passed it on, which ties nothing."""
     parent = os.environ.pop(_VARIABLE, "")
     if parent and not (inherited and parent != str(os.getppid())):
         end_after(int(parent), number)

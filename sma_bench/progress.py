@@ -49,7 +49,6 @@ def shares(plan: Mapping[str, float]) -> dict[str, tuple[float, float]]:
 
 
 def by_name(report: Report, plan: Mapping[str, float]) -> Callable[[str], None]:
-    """A reporter that is called with the step of a plan (see `shares`) that comes now; a name that
-    is not in it leaves the share as it is."""
+    """A reporter that is called with the step of a plan (see `shares`) that comes now."""
     begins = {step: low for step, (low, _) in shares(plan).items()}
     return lambda step: report(begins.get(step, 0.0), step)

@@ -49,8 +49,7 @@ class CheckResult(NamedTuple):
 
 
 class BenchDriver:
-    """See the module. All times (`now`) are s of one monotonic clock; `newest` is the last reading,
-    None before the first."""
+    """See the module. Times (`now`) are s of one monotonic clock; `newest` is the last reading."""
 
     def __init__(self, link: SerialLink, sensors: BenchSensors, guard: Guard,
                  channels: Sequence[str], limits: Limits, waiver: str = "",
@@ -241,8 +240,7 @@ class BenchDriver:
 
     def _after(self, seconds: float) -> LinkStatus:
         """The device's state so many s of its own clock from here, or once it has stopped. Raises
-        LateAnswer: its frames do not come, or it heard no command in time, which says nothing of
-        what is tested."""
+        LateAnswer: its frames do not come, or it heard no command in time: nothing was tested."""
         before = self._link.status.newest
         for _ in range(round(_PATIENCE / _LOOK_EVERY)):
             status, passed = self._link.status, 0.0

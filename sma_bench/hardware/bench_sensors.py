@@ -48,8 +48,7 @@ class Calibration(NamedTuple):
 
 
 class CalibratedSensor(NamedTuple):
-    """One sensor: units of its reading and of what is known, what is measured with it, and where
-    telemetry has it."""
+    """A sensor's units (reading, what is known), what it measures, and where telemetry has it."""
 
     unit: str
     known_unit: str
@@ -105,8 +104,7 @@ class BenchSensors:
         self._calibrations = {
             name: Calibration(*(settings[f"calibration.{name}.{number}"]
                                 for number in Calibration._fields[: 3 if sensor.is_range else 2]))
-            for name, sensor in SENSORS.items()
-        }
+            for name, sensor in SENSORS.items()}
         self.supply = self._calibrations["supply"]  # of its divider
         self._at_rest: tuple[float, ...] = (0.0,) * len(SIDES)
         self._standoffs = [settings[f"range.{side}_standoff"] for side in SIDES]
@@ -135,8 +133,7 @@ class BenchSensors:
         is no wire's current. At a small duty it would look like one."""
         self._at_rest = tuple(
             rest + _RECENT * (ampere - rest)
-            for rest, ampere in zip(self._at_rest, self.board_currents(telemetry), strict=True)
-        )
+            for rest, ampere in zip(self._at_rest, self.board_currents(telemetry), strict=True))
 
     def reading(self, telemetry: Telemetry) -> BenchReading:
         """What a window says. Two driven wires of a board share its current like their duties:
@@ -172,18 +169,15 @@ class BenchSensors:
         by its own reading of the supply, `supply_reading` V; the calibration knows better."""
         true = self.supply.apply(supply_reading)
         scale = supply_reading / true if supply_reading > 0.0 and true > 0.0 else 1.0
-        command = [0] * CHANNELS
-        for channel, volt in zip(self.channels, voltage, strict=True):
-            command[channel] = round(1e3 * volt * scale)
-        return command
+        volts = dict(zip(self.channels, voltage, strict=True))
+        return [round(1e3 * volts.get(channel, 0.0) * scale) for channel in range(CHANNELS)]
 
 
 class SharedWatch:
     """Two wires behind one current sensor: does each take its part of a step? Alone, or with a
-    third of the power, a broken wire shows in its own readings. Beside a stronger one it does not:
+    third of the power, a broken wire shows in its own readings. With a stronger one it does not:
     they share the current like their duties. But the board's power is sum(V^2/R), and what a step
-    of the voltages changes in it, before any wire's phase can follow, has each wire's conductance
-    in it as soon as the two do not step alike."""
+    of the voltages changes in it, faster than phases follow, has each wire's conductance in it."""
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._channels = channels
@@ -191,13 +185,11 @@ class SharedWatch:
         self._before: tuple[float, ...] = ()
         # Sums over the differences, the older the less: of the wires' steps and the power's.
         self._sums = np.zeros((len(channels) + 1, len(channels) + 1))
-        self._pairs = 0.0
-        self._reason = ""
+        self._pairs, self._reason = 0.0, ""
 
     def power(self, volts: Sequence[float], amperes: Sequence[float], stamp: float,
               circuit: float) -> str:
-        """The wire that takes no current, by readings acquired at `stamp` s, or ""; `circuit` ohm
-        is what each should have, with its leads."""
+        """The wire without current by readings of `stamp` s, or ""; `circuit`: ohm of each."""
         heat = tuple(volt**2 for volt in volts)
         before, self._before = self._before, heat
         if self._recent and stamp < self._recent[-1][0]:
@@ -316,9 +308,8 @@ def _last_digit(values: Sequence[float]) -> float:
 
 
 class Instrument:
-    """What the sensors of a quantity (voltage, current, temperature, range, force) make of a true
-    value, by the simulator's parameters: noise, which is drawn in blocks as a node reads every
-    sample by itself, then quantisation."""
+    """What a sensor (voltage, current, temperature, range, force) makes of a true value, by the
+    simulator's parameters: noise, drawn in blocks for nodes that read one by one; quantisation."""
 
     def __init__(self, settings: Mapping[str, Any], quantity: str,
                  seed: np.random.SeedSequence) -> None:

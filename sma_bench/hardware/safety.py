@@ -15,14 +15,11 @@ from typing import NamedTuple
 from sma_bench.parameters import Parameters
 
 CELSIUS_ZERO = 273.15
-CURRENT_FLOOR = 0.1
-"""A; offset and noise of a board's current sensor"""
+CURRENT_FLOOR = 0.1  # A; offset and noise of a board's current sensor
 MOST_CURRENT_AT_REST = 0.15  # A that a board's sensor may say while nothing is driven
-LEAST_VOLTAGE = 1.0
-"""V; below it the current sensor's noise says nothing about a resistance"""
+LEAST_VOLTAGE = 1.0  # V; below it the current's noise says nothing about a resistance
 _LEAST_TOLERANCE = 0.2  # of the voltage's tolerance: what is left of it at 0 V
-FLOWING = "flowing"
-FEEDBACK = ("power", "temperature")
+FLOWING, FEEDBACK = "flowing", ("power", "temperature")
 Lasting = dict[str, tuple[float, int]]
 _COMMANDS = 10  # a reading may belong to any of the last commands
 _SENT = 1000  # volts kept between two readings, at most
@@ -148,8 +145,7 @@ class Freshness(Watchdog):
         self._subject, self._stamp = subject, math.nan
 
     def seen(self, stamp: float, now: float) -> bool:
-        """A reading acquired at `stamp` s arrived at `now` s (two clocks, not compared); whether it
-        is a new one."""
+        """A reading acquired at `stamp` s arrived at `now` s (two clocks); whether it is new."""
         if is_new := stamp != self._stamp:
             self._stamp = stamp
             self.feed(now)
@@ -167,8 +163,7 @@ class Freshness(Watchdog):
 
 class CommandGate:
     """Accepted commands become outputs; bad ones are counted, silence puts outputs to 0 V. One
-    commander at a time: the first, until it is silent for the command timeout. 0 V is obeyed from
-    anybody, for as long as a command is."""
+    commander at a time: the first, until it is silent for the command timeout; 0 V from anybody."""
 
     def __init__(self, channels: int, limits: Limits) -> None:
         self._limits = limits
@@ -180,8 +175,7 @@ class CommandGate:
         self.last_rejection = ""
 
     def command(self, values: Sequence[float], now: float, sender: str = "") -> str:
-        """Take a command (V, one a channel) at `now` s; the reason when it is rejected and changes
-        nothing."""
+        """Take a command (V, one a channel) at `now` s; why it is rejected, and changes nothing."""
         if (given := len(values)) != len(self._zero):
             return self.refuse(f"voltage_command has {given} values, expected {len(self._zero)}")
         highest = self._limits.maximum_voltage
@@ -293,8 +287,7 @@ class Wire:
         self._heating, self._powered = heating, stamp
 
     def believed(self, limits: Limits) -> list[float]:
-        """Volts and amperes for the model: what is beyond the limits is a fault by itself; one such
-        number must not stay in the model for good."""
+        """Volts and amperes for the model, in which a number beyond the limits must not stay."""
         return [max(-most, min(value, most)) if math.isfinite(value) else math.nan
                 for value, most in ((self.volt, limits.highest_reading),
                                     (self.ampere, _MODELLED_CURRENT * limits.maximum_current))]
@@ -351,8 +344,7 @@ def power_rules(wire: Wire, x: Limits, timeout: float = 0.0,
             f"{x.allowed_deviation(last):.2g} V"), timeout),
         "conducts": Rule(off, allowed, lambda: (
             f"disagreement: {name} carries {ampere:.2f} A at {volt:.2f} V, the model says "
-            f"{expected:.2f} A, tolerance {allowed:.2f} A"), timeout),
-    }
+            f"{expected:.2f} A, tolerance {allowed:.2f} A"), timeout)}
 
 
 def temperature_rules(wire: Wire, x: Limits, timeout: float = 0.0) -> dict[str, Rule]:
@@ -366,8 +358,7 @@ def temperature_rules(wire: Wire, x: Limits, timeout: float = 0.0) -> dict[str, 
             f"{x.maximum_heating_rate:g} K/s")),
         "warms": Rule(abs(kelvin - modelled), x.temperature_tolerance, lambda: (
             f"disagreement: {name} measured at {_celsius(kelvin, 0)}, the model says "
-            f"{_celsius(modelled, 0)}, tolerance {x.temperature_tolerance:g} K"), timeout),
-    }
+            f"{_celsius(modelled, 0)}, tolerance {x.temperature_tolerance:g} K"), timeout)}
 
 
 def board_rules(side: str, ampere: float, volts: float, x: Limits) -> dict[str, Rule]:
@@ -379,8 +370,7 @@ def board_rules(side: str, ampere: float, volts: float, x: Limits) -> dict[str, 
             f"most {most:.2f} A"), hold=0.06),
         # A window may hold what flowed before an output's last step.
         FLOWING: Rule(abs(ampere) if off else 0.0, _OFF_CURRENT, lambda: (
-            f"{ampere:.2f} A through the {side} board with its outputs off"), hold=0.15),
-    }
+            f"{ampere:.2f} A through the {side} board with its outputs off"), hold=0.15)}
 
 
 def broken(rules: Mapping[str, Rule], now: float = 0.0,

@@ -31,14 +31,12 @@ BY_ID = Path("/dev/serial/by-id")
 BAUD_RATE, _BITS_PER_BYTE = 500_000, 10
 _READ_TIMEOUT, _WRITE_TIMEOUT = 0.05, 0.2  # s
 BINARY_ABOVE = 100  # Hz: text telemetry up to here, binary above
-_ASKS = 3
-_ANSWER_TIMEOUT = 0.5  # s; the device answers within a few ms
+_ASKS, _ANSWER_TIMEOUT = 3, 0.5  # s; the device answers within a few ms
 _LATEST = 5.0  # s in which an answer that nobody waits for any more is still no other host's
 _LONGEST_WAIT = 0.1  # s of silence that one read counts for
 # s between two sendings of a command, and how long its driver may be away meanwhile.
 _REPEAT, _SPOKEN_FOR = 0.05, 0.25
-_REMEMBERED = 64  # sendings
-_TICK = 1e-6  # s between two stamps, at least
+_REMEMBERED, _TICK = 64, 1e-6  # sendings; s between two stamps, at least
 _LONG_PAUSE = 0.75  # of the device's timeout: a pause in which all is this host's fault
 # What changes who drives is always asked for, and answered one at a time.
 _ALWAYS_ASKED = "ACDR"
@@ -74,8 +72,7 @@ class _OwnPort(serial.Serial):
             raise
 
     def write(self, data: bytes) -> int:
-        """All of `data`; pyserial's own calls it a timeout, too, when everything was sent but the
-        process was kept waiting right after."""
+        """All of `data`; pyserial's own also says timeout where it was kept waiting after it."""
         left, end = memoryview(data), time.monotonic() + _WRITE_TIMEOUT
         while left:
             try:
@@ -157,8 +154,7 @@ class LinkStatus:
 
     def restarted(self, telemetry: Telemetry, period_us: int) -> bool:
         """True when the device started anew since the last frame; windows last `period_us`. Its
-        clock went back, or, where half a turn of it hides that, windows were missed that do not
-        fill the time that seems to have passed."""
+        clock went back, or, where half a turn hides that, missed windows do not fill the time."""
         if self.newest is None:
             return False
         elapsed = (telemetry.time_us - self.newest.time_us) % messages.TURN
@@ -212,21 +208,17 @@ class SerialLink:
         # The connection: port, what is read from it, and the question that is open.
         self._port: serial.Serial | None = None
         self._writing = threading.Lock()
-        self._splitter = messages.Splitter()
-        self._clock = DeviceClock()
-        self._ping = (0, 0.0)
+        self._splitter, self._clock, self._ping = messages.Splitter(), DeviceClock(), (0, 0.0)
         self._ended = -math.inf  # of the last window, s
-        self._one_question = threading.Lock()
-        self._asked = ""
+        self._one_question, self._asked = threading.Lock(), ""
         self._answers: dict[str, messages.Answer] = {}
         self._overdue: dict[str, float] = {}  # letters of answers that were late, s
         # The session: the last command, when it was said, and the one not yet echoed.
         self._driving = threading.Lock()
         self._session: int | None = None
-        self._sequence = 0
+        self._sequence, self._drove, self._refused = 0, -math.inf, -math.inf
         self._volts: tuple[int, ...] = ()
         self._said: deque[float] = deque(maxlen=_REMEMBERED)
-        self._drove = self._refused = -math.inf
         self._unheard: tuple[int, float] | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._live, name="serial link", daemon=True)
@@ -251,8 +243,7 @@ class SerialLink:
         with self._heard:
             return self._heard.wait_for(lambda: self._status.connected, timeout)
 
-    # For whoever drives the bench; all but `stop` raise LinkError: not connected, no answer, or
-    # the device's refusal.
+    # All but `stop` raise LinkError: not connected, no answer, or the device's refusal.
 
     def arm(self) -> None:
         """Ask the device to accept voltages: not when it is stopped, or without supply."""
@@ -271,14 +262,12 @@ class SerialLink:
             self._said.clear()
 
     def limit(self, numbers: Sequence[int]) -> None:
-        """Set the device's limits for this rig: mV, mA mean, mA peak, mohm, mV and ms of heat; not
-        while it is armed, and not beyond its own."""
+        """Set limits within the device's own (mV, mA mean and peak, mohm, mV and ms of heat)."""
         self._require_connected()
         self._ask("C", *numbers)
 
     def drive(self, millivolts: Sequence[int]) -> None:
-        """Send one voltage command (mV, four channels). Raises ValueError: not four numbers that
-        the protocol can carry."""
+        """Send four voltages (mV). Raises ValueError: not four, or more than can be carried."""
         if len(millivolts) != messages.CHANNELS:
             raise ValueError(f"{len(millivolts)} voltages, expected {messages.CHANNELS}")
         with self._driving:
@@ -296,10 +285,8 @@ class SerialLink:
         self._session = None
         self._require_connected()
         self._ask("R")
-        with self._heard:
-            # The next telemetry says the same, a little later.
-            self._status.state, self._status.cause = DeviceState.IDLE, 0
-            self._status.left = ""
+        with self._heard:  # the next telemetry says the same, a little later
+            self._status.state, self._status.cause, self._status.left = DeviceState.IDLE, 0, ""
 
     def _require_connected(self) -> None:
         if not self._status.connected:
@@ -358,8 +345,7 @@ class SerialLink:
         port = self._port
         assert port is not None
         port.timeout = max(patience, 0.0)
-        received = port.read(max(1, port.in_waiting))
-        now = self._now()
+        received, now = port.read(max(1, port.in_waiting)), self._now()
         found: list[messages.Message] = []
         for body in self._splitter.feed(received):
             try:
@@ -368,8 +354,6 @@ class SerialLink:
                 self._status.not_understood += 1
         self._status.damaged = self._splitter.damaged
         return found, now
-
-    # The thread.
 
     def _live(self) -> None:
         back_off = self._options.first_back_off
@@ -410,8 +394,7 @@ class SerialLink:
                 break
         said: dict[str, Named] = {}
         for _ in range(_ASKS):
-            # Ends whatever a former host left of a line, and its binary mode.
-            self._send(messages.LINE_END)
+            self._send(messages.LINE_END)  # ends what a former host left of a line, and binary mode
             self._say("T", BINARY_ABOVE)
             self._say("?")
             until = self._now() + _ANSWER_TIMEOUT

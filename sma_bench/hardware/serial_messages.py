@@ -101,8 +101,7 @@ DeviceState = IntEnum("DeviceState", "IDLE ARMED STOPPED STILL_FLOWING", start=0
 
 
 class Telemetry(NamedTuple):
-    """One window of readings, means over the time before `time_us` of the device's clock; pairs are
-    of the front and the back."""
+    """A window of readings, means until `time_us` of the device's clock; pairs: front and back."""
 
     sequence: int
     time_us: int
@@ -235,8 +234,7 @@ class DeviceIdentity:
 
     @classmethod
     def from_lines(cls, lines: Mapping[str, Named]) -> "DeviceIdentity":
-        """From the H, L and M lines. Raises InputError: another protocol, another number of
-        channels, or something left out."""
+        """From H, L and M lines. InputError: another protocol or number of channels, or a gap."""
         said = {key: value for line in lines.values() for key, value in line.values.items()}
         try:
             for key, expected in (("protocol", PROTOCOL_VERSION), ("channels", CHANNELS)):
@@ -248,8 +246,7 @@ class DeviceIdentity:
             volts, timeout, mean, peak, low, high, *rest = (
                 1e-3 * int(said[key])
                 for key in ("max_mv", "timeout_ms", "mean_ma", "peak_ma", "supply_min_mv",
-                            "supply_max_mv", "least_mohm", "hot_mv", "hot_ms")
-            )
+                            "supply_max_mv", "least_mohm", "hot_mv", "hot_ms"))
             return cls(said["name"], said["build"], reset + stopped, volts, timeout, mean, peak,
                        (low, high), *rest)
         except KeyError as error:

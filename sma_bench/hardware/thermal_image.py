@@ -124,9 +124,8 @@ class Surface:
 
     def temperature(self, apparent: float, apparent_std: float) -> tuple[float, float]:
         """Temperature in K and its standard deviation from the radiance of the surface. apparent =
-        e L(T) + (1 - e) L(T_reflected); first order in the deviations of the radiance, emissivity
-        and reflected temperature, which are independent. NaN where no temperature of 173 K or more
-        emits that little."""
+        e L(T) + (1 - e) L(T_reflected); first order in the independent deviations of the radiance,
+        emissivity and reflected temperature. NaN where 173 K would emit more."""
         reflected, mirrored = self._reflected, 1.0 - self.emissivity
         emitted = (apparent - mirrored * reflected) / self.emissivity
         kelvin = float(temperature_of(emitted))
@@ -197,8 +196,7 @@ class SyntheticCamera:
     def picture(self, kelvin: Sequence[float], sideways: float | Sequence[float] = 0.0) -> Frame:
         """A frame (height, width) of wires at these temperatures in K, one a wire. `sideways`
         pixels, one for all or one a wire: how far the end has moved across the wire, toward larger
-        x or y; the wire between bends as a beam of constant curvature. Raises InputError: not one
-        temperature a wire."""
+        x or y, as a beam of constant curvature. InputError: not one temperature a wire."""
         if len(kelvin) != len(self._wires):
             raise InputError(f"synthetic camera: {len(kelvin)} temperatures for "
                              f"{len(self._wires)} wires")

@@ -56,9 +56,8 @@ class Region(NamedTuple):
 
     @classmethod
     def parse(cls, text: str, frame_width: int, frame_height: int, where: str) -> "Region":
-        """Region of `X Y WIDTH HEIGHT [x|y]`; "" is the whole frame. The letter is the direction of
-        the wire; without it the longer side. Raises InputError: not of that form, outside the
-        frame, or too small to find a wire in."""
+        """Region of `X Y WIDTH HEIGHT [x|y]`; "" is the whole frame. The letter is the wire's
+        direction, else the longer side. InputError: another form, outside the frame, too small."""
         words = text.split() or ["0", "0", str(frame_width), str(frame_height)]
         direction = words.pop() if words[-1] in ("x", "y") else ""
         if len(words) != 4 or not all(word.isdecimal() for word in words):
@@ -285,8 +284,7 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
 
 
 def _line_noise(lines: Array) -> float:
-    """Standard deviation of a line's value by what neighbouring lines differ by: a wire may be
-    warmer in its middle."""
+    """Standard deviation of a line, by its neighbours: a wire may be warmer in its middle."""
     return _SCALE_OF_MAD * float(np.median(np.abs(np.diff(lines)))) / math.sqrt(2.0)
 
 

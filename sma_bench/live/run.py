@@ -122,8 +122,7 @@ class Surroundings:
 
 
 class Outputs(Interface):
-    """What a run acts on: a command in V of every channel, a step that begins, the run's new state,
-    and how far it is, for people."""
+    """What a run acts on: V of every channel, a step that begins, a new state, how far it is."""
 
     def surroundings(self) -> Surroundings: ...
     def send(self, voltage: list[float]) -> None: ...
@@ -153,9 +152,8 @@ class Run:
         self._waiting: Waiting | None = None
         self._readings = {name: Freshness(f"joint_states ({name})", feedback_timeout)
                           for name in loop.needs}
-        self.state = self.said = IDLE
+        self.state, self.said, self.step = IDLE, IDLE, ""
         self.protocol: Protocol | None = None
-        self.step = ""
 
     @property
     def running(self) -> bool:
@@ -277,8 +275,7 @@ class Run:
             self._send(self._zero)
 
     def start(self, now: float, plan: Callable[[], Protocol]) -> tuple[bool, str]:
-        """Follow what is planned, as soon as readings come steadily and all is recorded; whether it
-        is done, a line."""
+        """Follow what is planned once readings come steadily and are recorded; whether, a line."""
         if self.running:
             return False, f"already running {self._name}"
         if self._aborted:

@@ -85,8 +85,7 @@ class VirtualBench:
                   "range": 2, "force": 1}
         self._instruments = {
             quantity: [Instrument(self._settings, quantity, s) for s in sequence.spawn(count)]
-            for quantity, count in counts.items()
-        }
+            for quantity, count in counts.items()}
 
     def _read(self, kind: str, voltage: tuple[float, ...]) -> list[Any]:
         """Readings of a group's true values."""
@@ -116,7 +115,6 @@ class VirtualBench:
 
 class Lockstep:
     """Couples simulated time to the commands, so that results do not depend on the machine's load.
-
     Simulated time runs in slices, as long as the period of the commands. While commands come, one
     slice is run for each. A driver that stays away for `patience` s of wall time is either slower
     than declared, and is waited for less often from then on, or gone, and its silence runs into the

@@ -132,8 +132,7 @@ class BenchNode(OverridableNode):
             self.create_service(Trigger, f"~/{name}", heard, callback_group=group)
 
     def fail(self, error: InputError) -> None:
-        """End the node after this callback, with the error's line and status 2: raised in it,
-        executors would print a traceback."""
+        """End the node after this callback, which must not raise it, with its line and status 2."""
         self.failure = self.failure or error
 
     # --- what a node may do in its own way
@@ -164,8 +163,7 @@ class BenchNode(OverridableNode):
         return DiagnosticStatus(
             level=level, name=f"{self.get_fully_qualified_name()}: {name}", message=message,
             hardware_id=hardware or self.get_name(),
-            values=[KeyValue(key=key, value=str(v)) for key, v in (values or {}).items()],
-        )
+            values=[KeyValue(key=key, value=str(v)) for key, v in (values or {}).items()])
 
     def diagnose(self) -> None:
         """Publish `health` now."""

@@ -70,8 +70,7 @@ class PlannedNode:
 
 
 def launch_arguments(of: str, params: str, **defaults: str) -> dict[str, Argument]:
-    """Arguments of a launch file, by name; `params`: the parameter file in config/ unless another
-    is given; `defaults` over the table's."""
+    """Arguments of a launch file; `params`: its file in config/; `defaults` over the table's."""
     table = read_yaml(Path(__file__).with_name("launch_arguments.yaml"))
     defaults["params"], found = str(share_directory() / "config" / params), {}
     for name, row in {**table[of], **table["both"]}.items():
@@ -155,15 +154,14 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
         stated = read_parameter_names(values["params"], f"{above}/ir_camera")
         picture: dict[str, Any] = dict(_WIRE_PICTURE if len(channels) == 1 else _COMPOSITE_PICTURE)
         picture |= {name: stated[name] for name in picture if name in stated}
+        size = picture["image_width"], picture["image_height"]
         read = {**picture, "read_cold_wires": True,
                 "pixel_size_std": _PIXEL_ERROR * float(picture["pixel_size"]),
-                "regions": regions_side_by_side(len(channels), picture["image_width"],
-                                                picture["image_height"])}
+                "regions": regions_side_by_side(len(channels), *size)}
         nodes = [
             PlannedNode("simulator", {"speed": speed, **_EXACT}, aside),
             PlannedNode("synthetic_camera", {**picture, "rate": _PICTURE_RATE}),
-            PlannedNode("ir_camera", {n: value for n, value in read.items() if n not in stated}),
-        ]
+            PlannedNode("ir_camera", {n: value for n, value in read.items() if n not in stated})]
     else:
         nodes = [PlannedNode("simulator", {"speed": speed})]
     # What drives and records it, and what works beside.

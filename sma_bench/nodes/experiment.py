@@ -72,8 +72,8 @@ class ExperimentNode(BenchNode):
         if self.simulated:
             forward = JumpThreshold(min_forward=Duration(nanoseconds=1), min_backward=None,
                                     on_clock_change=False)
-            self._leaps = self._bench_clock.create_jump_callback(forward,
-                                                                 post_callback=self._on_clock)
+            clock = self._bench_clock
+            self._leaps = clock.create_jump_callback(forward, post_callback=self._on_clock)
         else:
             self.create_timer(period, self._tick, clock=self._bench_clock)
         self.every(_WATCH_EVERY, lambda: self._run.watch(time.monotonic(), self._plan))
@@ -113,8 +113,7 @@ class ExperimentNode(BenchNode):
         level = DiagnosticStatus.ERROR if run.state == ABORTED else DiagnosticStatus.OK
         return [self.status("run", level, run.said, {
             "protocol": run.protocol.name if run.protocol else "", "step": run.step,
-            "obstacle": "" if run.running else run.obstacle(time.monotonic()),
-        })]
+            "obstacle": "" if run.running else run.obstacle(time.monotonic())})]
 
     def on_time_went_back(self, reason: str) -> None:
         """No step and no volt would be that of its time."""
@@ -186,10 +185,9 @@ class ExperimentNode(BenchNode):
 
 
 class Controller(ExperimentNode):
-    """Follows references of temperature or deflection, with the same states, services, markers and
-    safety rules. A run ends with its reference; one from the topic goes on until stopped.
-    `~/setpoint` says what is followed, `~/reference` asks for something else: one number a channel,
-    or a single one, in SI units less `zero`."""
+    """Follows references of temperature or deflection under the same rules: a file's to its end,
+    one from the topic until stopped. `~/setpoint` says what is followed, `~/reference` asks for
+    something else: one number a channel, or a single one, in SI units less `zero`."""
 
     quantity: Quantity
     kind: type[Float64 | Float64MultiArray]

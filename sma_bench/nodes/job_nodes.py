@@ -56,9 +56,8 @@ class WorkNode(BenchNode):
 
 
 class JobNode(WorkNode):
-    """Answers a service (std_srvs/Trigger) whose message is a result as JSON, or one line that says
-    why there is none. States: "idle", "busy", "busy: 42 %, pairs". `~/cancel` ends the work, whose
-    request is then answered so."""
+    """Answers a service (std_srvs/Trigger) by a result as JSON, or by a line that says why there is
+    none. States: "idle", "busy", "busy: 42 %, pairs". `~/cancel` ends it, which is the answer."""
 
     # One request at work, one that is refused, and the node's other callbacks.
     executor_type = staticmethod(lambda: MultiThreadedExecutor(4))
@@ -106,8 +105,7 @@ class IdentificationNode(JobNode):
 
 class DiagnosisNode(JobNode):
     """Diagnoses the gap between bench and model on request: set `record`, call `~/diagnose`.
-    `~/gap`, latched: level WARN where simulation and bench disagree beyond the noise, of the whole
-    and of each measured quantity."""
+    `~/gap`, latched: WARN where they disagree beyond the noise, in all and in each quantity."""
 
     outputs: ClassVar = {"improved": ".yaml", "report": ""}
 
@@ -134,11 +132,10 @@ _LOOK_EVERY, _LAST_RUN = 0.05, 10.0  # s; the latter that a run may take to end 
 class InvestigationNode(WorkNode):
     """Investigates the gap between bench and model, as `sma-bench investigate` does: set `folder`
     (and `record`), call `~/start`, which goes on from what the folder holds; `~/confirm` runs what
-    is proposed, `~/stop` ends whatever goes on, at 0 V.
-
-    States: idle, diagnosing, waiting for confirmation: PROTOCOL, running: PROTOCOL, named: CAUSE,
-    inseparable, budget spent, a test is needed, stopped, failed: why. The result is the story, what
-    is proposed under `next`. A run is the experiment node's, under its rules."""
+    is proposed, `~/stop` ends whatever goes on, at 0 V. States: idle, diagnosing, waiting for
+    confirmation: PROTOCOL, running: PROTOCOL, named: CAUSE, inseparable, budget spent, a test is
+    needed, stopped, failed: why. The result is the story, what is proposed under `next`. A run is
+    the experiment node's, under its rules."""
 
     outputs: ClassVar = {"folder": ""}
 

@@ -145,8 +145,7 @@ class SerialBridge(BenchNode):
             **self._driver.diagnostics(time.monotonic()), **self._link.status.diagnostics,
             "power_rate": f"{self._readings:.1f}", "oldest_reading_ms": f"{1e3 * self._oldest:.1f}",
             **{f"{c}_degC": f"{kelvin - CELSIUS_ZERO:.1f}" for c, kelvin in self._kelvin.items()},
-            "commanders": str(self.count_publishers(ros.COMMAND)), "scheduling": self._scheduling,
-        }
+            "commanders": str(self.count_publishers(ros.COMMAND)), "scheduling": self._scheduling}
         self._readings, self._oldest = 0, 0.0
         level = DiagnosticStatus.WARN if self._driver.gate.rejected else DiagnosticStatus.OK
         if state not in ("idle", "enabled"):

@@ -27,8 +27,7 @@ _CLOCK = "/clock"
 
 
 class Simulator(BenchNode):
-    """Simulated time runs in slices, each command between two of them; in real time a slice ends
-    where a command comes."""
+    """Simulated time runs in slices between commands; in real time a slice ends where one comes."""
 
     frozen = True
 

@@ -48,7 +48,6 @@ _CLOSING, _LEAVING = 30.0, 2.5
 def start(name: str, argv: Sequence[str] | None = None) -> int:
     """Run a node, or all of a container, until SIGINT, SIGTERM, the end of one of them or of the
     ROS context: 0 at a clean end, 2 after bad input or without what it imports, logged in a line.
-
     The signals are handled here: rclpy's handler ends the context before a node's last message."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     asks_for_help = bool({"-h", "--help"} & set(arguments))
@@ -164,9 +163,8 @@ def _serve(node: Any, over: list[Any]) -> None:
 
 
 def contained(arguments: Sequence[str]) -> tuple[dict[str, list[str]], list[str]]:
-    """The nodes of a container's command line, each with its own arguments, those after its name,
-    and what they share, from --ros-args on. Raises InputError: a word that is neither, none or one
-    twice, or what keeps a process of its own."""
+    """The nodes of a container's command line, each with the arguments after its name, and what
+    they share, from --ros-args on. InputError: no node, one twice, or what cannot be in it."""
     from sma_bench.errors import InputError
 
     end = arguments.index("--ros-args") if "--ros-args" in arguments else len(arguments)
@@ -184,8 +182,7 @@ def contained(arguments: Sequence[str]) -> tuple[dict[str, list[str]], list[str]
 
 
 def _end_within(seconds: float) -> None:
-    """Have the kernel end this process, whatever holds it, unless it is over by then; what does is
-    said before."""
+    """Have the kernel end this process by then, whatever holds it; what does is said before."""
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     with contextlib.suppress(RuntimeError, ValueError, OSError):  # no terminal to say it on
@@ -213,10 +210,9 @@ def node_help(node: str) -> str:
 
 def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
     """Check every parameter file and `-p name:=value` of a command line without the program's name;
-    where the value of each name is from. `node` is the node's name unless argv renames it.
-
-    Raises InputError: unreadable file, or none of it for this node, unknown name, wrong type or out
-    of range; one line with the file and, for a name, the nearest known one."""
+    where the value of each name is from. `node` is the node's name unless argv renames it. Raises
+    InputError: unreadable file, or none of it for this node, unknown name, wrong type or out of
+    range; one line with the file and, for a name, the nearest known one."""
     # ROS passes over names that a node does not declare: a slip of the pen in a parameter file
     # would leave a default in force, a safety limit's too.
     from sma_bench.border import load_yaml

@@ -150,8 +150,7 @@ class TwinNode(BenchNode):
         lines = [self.status("gap", level, message, {
             "state": verdict.state, "stages": " ".join(verdict.stages),
             "sides": " ".join(verdict.sides), "model_time": f"{self._twin.stamp / NANOSECONDS:.3f}",
-            "silence": f"{silence:.1f}", **self._twin.counts,
-        })]
+            "silence": f"{silence:.1f}", **self._twin.counts})]
         for state in verdict.measured:
             learned, named = not math.isnan(state.energy), state.stage in verdict.stages
             message = f"{state.gap:.1f} times the noise" if learned else "learning the noise"

@@ -115,11 +115,10 @@ class NodeCalls:
                      needed: Collection[str] = ()) -> None:
         """Have the experiment node run a protocol, recorded by a recorder of our own. Whatever ends
         this before the protocol's end stops the experiment at 0 V and leaves no bag; an unfinished
-        one is kept beside it. `protocol`: its file; `name`, `seconds`: of it; `bag`: new folder;
+        one is kept next to it. `protocol`: its file; `name`, `seconds`: of it; `bag`: new folder;
         `heed`: called with the experiment's state some 20 times a second, may raise to end the run;
-        `simulated_time`: whether the bench runs on /clock; `needed`: relative topics that are being
-        recorded before it starts. Raises InputError: the experiment node is not ready or aborts, or
-        something went away."""
+        `simulated_time`: whether the bench runs on /clock; `needed`: relative topics to be recorded
+        before it starts. InputError: the experiment is not ready or aborts, or a node is gone."""
         bag = Path(bag)
         unfinished = bag.with_name(f"unfinished_{bag.name}")
         _put_aside(unfinished)  # of a process that was killed

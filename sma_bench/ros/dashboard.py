@@ -173,8 +173,7 @@ class DashboardNode(ros.OverridableNode):
             self.state.show("channels", self._channels)
         self._reported[name] = {
             key: float(value.double_value) for key, value in zip(LIMITS, limits, strict=False)
-            if value.type == ParameterType.PARAMETER_DOUBLE and math.isfinite(value.double_value)
-        }
+            if value.type == ParameterType.PARAMETER_DOUBLE and math.isfinite(value.double_value)}
 
     def on_reading(self, meaning: str, kind: str, message: Any) -> None:
         place, _, what = meaning.rpartition("/")

@@ -65,10 +65,9 @@ def start_ros(arguments: Sequence[str]) -> None:
 
 @contextlib.contextmanager
 def end_of_ros() -> Iterator[None]:
-    """End this process's nodes inside, and then its ROS context: no other program keeps them.
-
-    DDS's participant ends with the last node. A peer whose rmw_fastrtps reads what was said of a
-    node after it has heard of that end takes the node up again, for ever. So one without any topic,
+    """End this process's nodes inside, and then its ROS context: no other program keeps them. DDS's
+    participant ends with the last node. A peer whose rmw_fastrtps reads what was said of a node
+    after it has heard of that end takes the node up again, for ever. So one without any topic,
     which `ros2 node list` hides, stays until peers have read that the others are gone."""
     last = None
     if rclpy.ok():
@@ -104,8 +103,7 @@ class OverridableNode(Node):
         return self._endpoint(super().create_publisher, what, newest, options)
 
     def create_subscription(self, *what: Any, newest: bool = False, **options: Any) -> Subscription:
-        """Of message type, topic, callback, QoS; READINGS of every publisher, best-effort ones too.
-        `newest`: as of a publisher."""
+        """Of message type, topic, callback, QoS; READINGS also of best-effort publishers."""
         if what[-1] is READINGS:
             heard = QoSProfile(depth=_HEARD, reliability=ReliabilityPolicy.BEST_EFFORT)
             what = (*what[:-1], heard)
