@@ -17,19 +17,18 @@ from sma_bench.hardware.serial_link import LateAnswer, LinkError, LinkStatus, Se
 
 REFRESH = 0.02  # s between commands to the device, whose own timeout is ten times that
 _LEAST_TIMEOUT = 3.0 * REFRESH
-# What the device is to allow beyond the rig's own limits: times them, s, and A of the peak above
-# the mean.
+# What the device is to allow beyond the rig's limits: times these, s, A of the peak over the mean.
 _PER_BOARD, _MARGIN, _HOTTER = 2, 1.2, 1.1
 _LEAST_HOT_TIME, _LEAST_STEP = 0.05, 0.1
 
 T = TypeVar("T")
 
 # Checks of the self-test without which it is not enabled; tries, and s of the clock's error.
-NEEDED = frozenset(("connection", "supply", "currents", "relay", "stop"))
+NEEDED = ("connection", "supply", "currents", "relay", "stop")
 _TRIES, _MOST_CLOCK_UNCERTAINTY = 3, 2e-3
 _CLOSED_FOR = 0.12  # s; the relay closes within 30 ms, the mean of the current needs as long
-# s, of the device's clock from the last frame before the stop: half a second of frames may wait in
-# the cable's buffers; and of this computer's, in which such frames come.
+# s of the device's clock from the last frame before the stop (half a second of frames may wait in
+# buffers); of this computer's, in which such frames come.
 _STOP_WITHIN, _PATIENCE, _LOOK_EVERY = 0.6, 2.0, 0.005
 
 

@@ -25,9 +25,7 @@ _STEP_BASE, _LEAST_STEP, _LEAST_NOISE = 0.05, 0.5, 0.02
 _LEAST_PAIRS, _OVERLAP, _FORGOTTEN = 20, 5, 0.995
 _INDEPENDENT = 0.1  # of a wire's own excitation, what must not be its neighbour's too
 _RIDGE = 1e-6
-# Of the expected conductance: an open wire has less than the first, with three standard deviations
-# less than the second.
-_OPEN, _SURELY = 0.5, 0.7
+_OPEN, _SURELY = 0.5, 0.7  # of the expected conductance; the latter with 3 standard deviations
 _FEWEST = 3  # pairs of a calibration that tell a scatter
 _BLOCK = 4096  # of noise
 
@@ -85,8 +83,7 @@ class BenchReading(NamedTuple):
     distances: tuple[float, float]  # m, infinite beyond a sensor's sight
     deflection: float  # m, positive toward the front; NaN when no sensor sees the tip
     board_currents: tuple[float, float] = (0.0, 0.0)  # A, mean through all wires of a board
-    # V, mean over time and summed over a board's wires: current times resistance.
-    board_volts: tuple[float, float] = (0.0, 0.0)
+    board_volts: tuple[float, float] = (0.0, 0.0)  # V, mean over time, summed over a board's wires
 
 
 class BenchSensors:
@@ -146,15 +143,13 @@ class BenchSensors:
         powers = []
         for channel in self.channels:
             duty, board = duties[channel], channel // _PER_SIDE
-            if duty == 0.0:
-                # Not driven: nothing that a sensor common to both wires could distinguish.
+            if duty == 0.0:  # not driven: a sensor common to both wires could not distinguish it
                 current = 0.0 if totals[board] > 0.0 else wires[board]
             elif duty < _LEAST_DUTY:
                 current = math.nan
             else:
                 current = wires[board] * duty / totals[board] / math.sqrt(duty)
-            # The supply without load, less what a pulse of the wire's own board takes from it.
-            drop = self.supply.gain * telemetry.drop[board]
+            drop = self.supply.gain * telemetry.drop[board]  # by a pulse of the wire's own board
             powers.append(ChannelPower(math.sqrt(duty) * (supply - drop), current))
         # Mean over the mounted sensors that see the tip; bending to the front nears the front.
         near, far = self._calibrated("range", telemetry)
@@ -242,8 +237,7 @@ class SensorFit(NamedTuple):
     parameters: dict[str, float]
     std: dict[str, float]  # standard errors that the scatter gives, NaN with two points
     rest: float  # rms of what is left, in the unit of the known loads
-    # what it leaves open of such readings, by the parameters `sensor.`; of two points none
-    uncertainty: dict[str, float]
+    uncertainty: dict[str, float]  # of such readings, by the parameters `sensor.`; none of two
 
 
 def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],

@@ -34,12 +34,10 @@ BINARY_ABOVE = 100  # Hz: text telemetry up to here, binary above
 _ASKS, _ANSWER_TIMEOUT = 3, 0.5  # s; the device answers within a few ms
 _LATEST = 5.0  # s in which an answer that nobody waits for any more is still no other host's
 _LONGEST_WAIT = 0.1  # s of silence that one read counts for
-# s between two sendings of a command, and how long its driver may be away meanwhile.
-_REPEAT, _SPOKEN_FOR = 0.05, 0.25
+_REPEAT, _SPOKEN_FOR = 0.05, 0.25  # s between sendings; that their driver may be away meanwhile
 _REMEMBERED, _TICK = 64, 1e-6  # sendings; s between two stamps, at least
 _LONG_PAUSE = 0.75  # of the device's timeout: a pause in which all is this host's fault
-# What changes who drives is always asked for, and answered one at a time.
-_ALWAYS_ASKED = "ACDR"
+_ALWAYS_ASKED = "ACDR"  # what changes who drives: never answered to whom has not asked
 _NOT_OUR_SESSION = messages.REASONS.index("wrong nonce or session")
 
 
@@ -185,8 +183,7 @@ class LinkOptions:
     """Times in s, rate of telemetry in Hz (a divisor of 1000, to 500)."""
 
     rate: int = 100
-    # No multiple of a telemetry period: pings must meet the pauses between frames too.
-    ping_period: float = 0.0837
+    ping_period: float = 0.0837  # no multiple of a window: pings must meet pauses between frames
     counters_period: float = 1.0
     greeting_timeout: float = 2.5
     silence_limit: float = 1.0

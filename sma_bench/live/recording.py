@@ -20,8 +20,7 @@ RECORDER, BRIDGE = "recorder/state", "serial_bridge/state"
 FAILED, RECORDING, STATE = "failed", "recording", "/state"
 _RUNNING, _ENABLED = "running", "enabled"
 _RUN_STATES = {"experiment/state", "temperature_controller/state", "deflection_controller/state"}
-# s: the recorder speaks each second; a disk, or a loaded machine, may keep it for a while.
-_SILENT = 10.0
+_SILENT = 10.0  # s: it speaks each second, but a disk, or a loaded machine, may keep it
 _FIELDS = {"state": TEXT, "output": TEXT, "failure": TEXT, "messages": COUNTS}
 
 

@@ -17,9 +17,7 @@ from sma_bench.parameters.node_tables import TUNING
 from sma_bench.protocols import TIP, Protocol, Quantity, Segment, Waiting, load_protocol
 
 IDLE, RUNNING, DONE, ABORTED = "idle", "running", "done", "aborted"
-# s that a start waits for a recorder's discovery of all topics and for readings in time; of their
-# timeout, what is late.
-_PATIENCE, _LATE = 10.0, 0.8
+_PATIENCE, _LATE = 10.0, 0.8  # s that a start waits; what is late, of the readings' timeout
 _LEAD_IN = 0.25  # s of 0 V first: by then a simulated bench runs in step with the commands
 _PROGRESS_EVERY = 0.25
 _BEYOND = 1e4  # K or m: no reading, and one of them would leave a controller's integral full
@@ -145,8 +143,7 @@ class Run:
         self._zero, self._autostart, self._patience = [0.0] * channels, autostart, math.inf
         self._watched = self._late = -math.inf  # the latter: when readings, or this run, were
         self._aborted = ""  # the first reason since the last reset
-        # Of the run: when its steps begin, when they began by the bench's clock, and s of the
-        # protocol that have been left out since.
+        # Of the run: when its steps begin, or began by the bench's clock; s that were left out.
         self._begin = self._progress_due = self._passed_over = self._time = 0.0
         self._started: float | None = None
         self._waiting: Waiting | None = None

@@ -32,8 +32,7 @@ VITAL = ("simulator", "serial_bridge", "experiment", "ir_camera", "synthetic_cam
 # These work on records when asked to; the last has the bench driven, with a recorder of its own.
 NO_NODES, SERVICES, INVESTIGATION = "none", ("identification", "diagnosis"), "investigation"
 
-# Pictures of the synthetic camera, small enough for a laptop. Four wires need room to bend:
-# 45 mm either way in the shipped protocols.
+# Synthetic pictures, small enough for a laptop; four wires bend by 45 mm in shipped protocols.
 _WIRE_PICTURE = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 _COMPOSITE_PICTURE = {"image_width": 382, "image_height": 288, "pixel_size": 2.0e-3}
 _PIXEL_ERROR, _PICTURE_RATE, _CLOCK_RATE = 0.02, 25.0, "100"  # of the pixels' size, Hz, Hz

@@ -12,8 +12,8 @@ from sensor_msgs.msg import BatteryState, Image, JointState, Temperature
 
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO
-from sma_bench.hardware.thermal_camera import CameraReport, ExpectedWarmth, FrameJudge, wire_gauges
 from sma_bench.hardware.thermal_image import ENCODING, SyntheticCamera, decode_frame
+from sma_bench.hardware.thermal_wire import CameraReport, ExpectedWarmth, FrameJudge, wire_gauges
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
 from sma_bench.ros.node import READINGS, BenchTopics, message_class, seconds_of, stamp_of
 

@@ -21,8 +21,7 @@ from sma_bench.records.contract import IMAGE
 from sma_bench.ros.node import message_class, recorded_topics
 
 _LOOK_EVERY, _FLUSH_EVERY = 0.2, 1.0  # s
-# What may wait while the disk is busy: seconds of readings, but not of images.
-_DEPTH, _IMAGE_DEPTH = 5000, 100
+_DEPTH, _IMAGE_DEPTH = 5000, 100  # what may wait for the disk: seconds, but not of images
 _EMPTY_SPINS = 10  # more than there are timers and clocks to be served between readings
 _LONGEST_DRAIN = 3.0  # s
 _ON_ITS_WAY = 0.5  # s, more than twice what config/dds/this_machine.xml takes to send again

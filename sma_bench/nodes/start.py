@@ -68,8 +68,7 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
     from sma_bench.ros.node import end_of_ros, start_ros
 
     nodes: dict[str, Any] = {}
-    # No locks, that a signal could find held: signals and nodes that have ended; while nodes are
-    # made, and once that compiles.
+    # No locks, that a signal could find held: what has ended; while nodes are made, and compile.
     over: list[Any] = []
     making, compiling = [True], list[bool]()
 

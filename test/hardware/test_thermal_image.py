@@ -8,9 +8,16 @@ import thermal_scene
 
 from sma_bench.errors import InputError
 from sma_bench.hardware import thermal_image
-from sma_bench.hardware.thermal_camera import ERROR, OK, WARN, CameraReport, FrameJudge, wire_gauges
 from sma_bench.hardware.thermal_image import Surface, SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_wire import WireReading
+from sma_bench.hardware.thermal_wire import (
+    ERROR,
+    OK,
+    WARN,
+    CameraReport,
+    FrameJudge,
+    WireReading,
+    wire_gauges,
+)
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 

@@ -9,9 +9,8 @@ import thermal_scene
 from thermal_scene import ROOM, bent, photograph, straight
 
 from sma_bench.errors import InputError
-from sma_bench.hardware.thermal_camera import ExpectedWarmth
 from sma_bench.hardware.thermal_image import Surface, SyntheticCamera, SyntheticWire
-from sma_bench.hardware.thermal_wire import Optics, Region, WireGauge, read_wire
+from sma_bench.hardware.thermal_wire import ExpectedWarmth, Optics, Region, WireGauge, read_wire
 from sma_bench.parameters import Parameters
 
 WIDTH, HEIGHT = 60, 120
