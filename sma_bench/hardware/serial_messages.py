@@ -243,10 +243,9 @@ class DeviceIdentity:
             cause, flags = int(said["before"]), int(said["reset"])
             reset = ", ".join(name for bit, name in RESETS if flags & bit) or "unknown"
             stopped = f", after: {name_of(CAUSES, cause)}" if cause else ""
-            volts, timeout, mean, peak, low, high, *rest = (
-                1e-3 * int(said[key])
-                for key in ("max_mv", "timeout_ms", "mean_ma", "peak_ma", "supply_min_mv",
-                            "supply_max_mv", "least_mohm", "hot_mv", "hot_ms"))
+            volts, timeout, mean, peak, low, high, *rest = (1e-3 * int(said[key]) for key in (
+                "max_mv", "timeout_ms", "mean_ma", "peak_ma", "supply_min_mv", "supply_max_mv",
+                "least_mohm", "hot_mv", "hot_ms"))
             return cls(said["name"], said["build"], reset + stopped, volts, timeout, mean, peak,
                        (low, high), *rest)
         except KeyError as error:

@@ -176,8 +176,8 @@ class SyntheticCamera:
         channels, texts = parameters["bench.channels"], settings["wires"]
         if not any(texts):  # side by side across the whole picture
             rows = [height * (k + 0.5) / len(channels) for k in range(len(channels))]
-            ends = _MARGIN * width, (1.0 - _MARGIN) * width
-            texts = [f"{ends[0]!r} {row!r} {ends[1]!r} {row!r}" for row in rows]
+            left, right = _MARGIN * width, (1.0 - _MARGIN) * width
+            texts = [f"{left!r} {row!r} {right!r} {row!r}" for row in rows]
         if len(texts) != len(channels):
             raise InputError(f"wires has {len(texts)} entries, expected one for each of {channels}")
         wires, thickness = [], parameters["wire.diameter"] / settings["pixel_size"]
@@ -222,8 +222,8 @@ class SyntheticCamera:
               shift: float) -> None:
         """Add the wire's part to pixel values: what it changes in the scene without it."""
         turned = wire.along_x
-        scene, bare, target = (a.T if turned else a for a in (
-            self._scene_radiance, self._scene, raw))
+        scene, bare, target = (a.T if turned else a
+                               for a in (self._scene_radiance, self._scene, raw))
         # Lines that it crosses, where it does, and its width along a line over that across.
         (first, begin), (last, end) = (p if turned else p[::-1] for p in (wire.start, wire.end))
         low, high = math.ceil(min(first, last)), math.floor(max(first, last))
@@ -239,9 +239,8 @@ class SyntheticCamera:
         distance = (columns - centre[:, np.newaxis]) / tilt[:, np.newaxis]
         share = pixel_share(distance, wire.width, self._blur)
         near = line[:, np.newaxis], columns
-        seen = temperature_of(scene[near] + share * (surface - scene[near]))
-        change = raw_from_kelvin(seen) - bare[near]
-        target[near] += np.where(inside, change, 0.0).astype(np.float32)
+        seen = raw_from_kelvin(temperature_of(scene[near] + share * (surface - scene[near])))
+        target[near] += np.where(inside, seen - bare[near], 0.0).astype(np.float32)
 
 
 def pixel_share(distance: Array, width: float, blur: float) -> Array:

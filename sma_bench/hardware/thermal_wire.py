@@ -354,8 +354,7 @@ class FrameJudge:
         newest, self._stamp = self._stamp, max(self._stamp, stamp)
         age = now - stamp
         if abs(age) > self._stale_limit:
-            # A clock that was set back starts afresh.
-            self._stamp = min(self._stamp, now)
+            self._stamp = min(self._stamp, now)  # a clock that was set back starts afresh
             where = "old" if age > 0.0 else "in the future"
             return f"stale: frame {abs(age):.3g} s {where}, limit {self._stale_limit:g} s"
         if stamp <= newest:

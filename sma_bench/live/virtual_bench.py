@@ -102,8 +102,8 @@ class VirtualBench:
         if kind == "temperature":
             return read("temperature", (bench.temperature_reading - CELSIUS_ZERO).tolist())
         if kind == "ambient":
-            air = self._instruments["temperature"][-1]
-            return [air.read(bench.ambient_temperature - CELSIUS_ZERO)]
+            air = bench.ambient_temperature - CELSIUS_ZERO
+            return [self._instruments["temperature"][-1].read(air)]
         position = bench.deflection_reading
         if self.composite:
             # Bending to the front brings the tip nearer to the front sensor.
@@ -126,10 +126,9 @@ class Lockstep:
         self._slice = self._lead = slice_length
         self._pace = slice_length / speed
         self._timeout, self._patience = command_timeout, patience
-        self._commanded = -math.inf
+        self._commanded, self._given_up = -math.inf, False
         self._due: float | None = None
         self._waiting_since: float | None = None
-        self._given_up = False
 
     def commanded(self, simulated: float, wall: float) -> None:
         """A command was accepted at `simulated` s."""
@@ -169,10 +168,9 @@ class SimulatedRun:
         self._limits = Limits.from_parameters(believed)
         channels = self._bench.channels
         self._guard = Guard(channels, ("power", "temperature"), _TIMEOUT)
-        self._volts = (0.0,) * len(channels)
+        self._volts, self._now = (0.0,) * len(channels), 0.0
         self._read: dict[tuple[str, str], list[tuple[float, float]]] = {}
         self._markers: list[tuple[float, str]] = []
-        self._now = 0.0
         self._run = Run(self, OpenLoop(), self._guard, Readiness(), len(channels))
 
     def follow(self, protocol: Protocol) -> tuple[list[Signal], list[tuple[float, str]]]:

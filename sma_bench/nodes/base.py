@@ -181,7 +181,8 @@ class BenchNode(OverridableNode):
         for claim in self.claims:
             claim.close()
 
-    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> Any:
+    def set_parameters_atomically(
+            self, parameter_list: list[RosParameter]) -> rcl.SetParametersResult:
         """As rclpy; but, that what `ros2 param dump` wrote may be loaded, what stays is no change,
         read-only or not, and 8e-06, of which that command makes a text, is a number."""
         changes = []

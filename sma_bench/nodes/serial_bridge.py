@@ -62,8 +62,8 @@ class SerialBridge(BenchNode):
         self._topics = ros.BenchTopics(self, self._channels, ranges=self._sides,
                                        joint="tip" if self._sides else "")
         self._enter = self.line("~/state")
-        self.create_subscription(Float64MultiArray, ros.COMMAND, self.on_command, ros.READINGS)
         self._commanders = ros.Commanders(self)
+        self.create_subscription(Float64MultiArray, ros.COMMAND, self.on_command, ros.READINGS)
         self.listen(Temperature, "temperature", self.on_temperature, newest=True)
         self.create_subscription(String, RECORDER, lambda message: self._guard.recorder(
             recorder_failure(message.data)), ros.LATCHED)

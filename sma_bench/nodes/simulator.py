@@ -59,9 +59,8 @@ class Simulator(BenchNode):
         self._gate = CommandGate(len(channels), limits)
         self._lockstep = Lockstep(slice_length, speed, limits.command_timeout,
                                   self.settings["lockstep_patience"])
-        self._clock_sent = 0.0
+        self._clock_sent, self._commanders = 0.0, Commanders(self)
         self.create_subscription(Float64MultiArray, COMMAND, self.on_command, READINGS)
-        self._commanders = Commanders(self)
         self.every(max(slice_length / speed, _SHORTEST_TICK), self._tick)
         self.get_logger().info(f"simulating {', '.join(channels)}, {speed:g} s a second")
         if load_kind(self.parameters) == "displacement":
