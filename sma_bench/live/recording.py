@@ -124,8 +124,7 @@ class Recording:
     def state(self, state: str) -> str:
         """What a recorder says of itself, as JSON; `recorder_state` reads it."""
         return json.dumps({"state": state, "output": self.output,
-                           "failure": str(self.failure or ""),
-                           "messages": self.messages})
+                           "failure": str(self.failure or ""), "messages": self.messages})
 
     def _guarded(self, action: Callable[..., None], *arguments: object) -> bool:
         """Whether the disk took it; if not, the recording has failed with the disk's line."""

@@ -27,7 +27,7 @@ from sma_bench.ros import node as ros
 
 _FILES = frozenset({"protocol", "reference"})
 _WATCH_EVERY = 0.05  # s
-_SIMULATION_PAUSE = 10.0  # s of a loaded machine: nothing is heated meanwhile
+_SIMULATION_PAUSE = 10.0  # wall s that a loaded machine may pause a simulation, which heats nothing
 _STEADY = 2.0  # s; whoever starts several benches keeps the readings of one for a second and more
 
 

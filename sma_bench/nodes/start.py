@@ -67,10 +67,9 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
 
     from sma_bench.ros.node import end_of_ros, start_ros
 
-    nodes: dict[str, Any] = {}
+    nodes = dict[str, Any]()
     # No locks, that a signal could find held: what has ended; while nodes are made, and compile.
-    over: list[Any] = []
-    making, compiling = [True], list[bool]()
+    over, making, compiling = list[Any](), [True], list[bool]()
 
     def end(*_: Any) -> None:  # asked twice it is no more
         is_first = not over
@@ -89,13 +88,12 @@ def start(name: str, argv: Sequence[str] | None = None) -> int:
         named, shared = {name: list[str]()}, arguments
         if name == CONTAINER:
             named, shared = contained(arguments)
-        kinds: dict[str, Any] = {}
+        kinds, sources = dict[str, Any](), dict[str, dict[str, str]]()
         for name in named:
             kinds[name] = node_class(name)
         end_with_starter(signal.SIGINT)
         for number in ending_signals():
             signal.signal(number, end)
-        sources = {}
         for name, own in named.items():
             sources[name] = check_arguments(name, [*shared, *own])
         start_ros(shared)

@@ -24,9 +24,8 @@ from sma_bench.live.run import DONE, IDLE, RUNNING
 from sma_bench.ros.node import LATCHED, READINGS, OverridableNode, end_of_ros, start_ros
 from sma_bench.ros.processes import NodeProcesses
 
-_SPIN = 0.05  # s
+_SPIN, _PATIENCE = 0.05, 60.0  # s
 _MATCHING = 0.3  # s that a server takes to match a client, whose answers are lost until then
-_PATIENCE = 60.0  # s
 _STOPPING = 5.0  # s that the experiment node may take to answer a stop
 _BUSY = re.compile(r"busy: (\d+) %, (.*)")
 _DISCOVERY = 10.0  # s in which another node finds a new one that we have found
@@ -192,8 +191,7 @@ class BenchClient(NodeCalls):
                  ros_arguments: Sequence[str] = ()) -> None:
         start_ros(ros_arguments)
         super().__init__(OverridableNode("bench_client", namespace=namespace), self._look)
-        self._meanwhile = meanwhile
-        self.simulated_seconds = 0.0
+        self._meanwhile, self.simulated_seconds = meanwhile, 0.0
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics,
                                        READINGS)
 
@@ -209,7 +207,6 @@ class BenchClient(NodeCalls):
         rclpy.spin_once(self._node, timeout_sec=_SPIN)
 
     def on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            for item in status.values:
-                if item.key == "simulated_seconds":
-                    self.simulated_seconds = float(item.value)
+        for item in (item for status in message.status for item in status.values):
+            if item.key == "simulated_seconds":
+                self.simulated_seconds = float(item.value)

@@ -142,8 +142,7 @@ class DashboardNode(ros.OverridableNode):
         elif meaning == ros.COMMAND and not is_twins and MULTI_ARRAY in types:
             self._listen(topic, Float64MultiArray, self.on_command, ros.READINGS)
         elif len(parts) == 2 and not is_twins and STRING in types and (
-            what in ("state", "progress") or (what == "result" and node in _WORK.values())
-        ):
+                what in ("state", "progress") or (what == "result" and node in _WORK.values())):
             self._listen(topic, String, partial(getattr(self, f"on_{what}"), node), ros.LATCHED)
 
     def _listen(self, topic: str, kind: type, on_message: Callable[[Any], None],

@@ -20,9 +20,8 @@ from sma_bench.errors import InputError
 from sma_bench.installation import share_directory
 from sma_bench.lifeline import tied_to_this_process
 
-RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+RANGE, PROFILE = "ROS_AUTOMATIC_DISCOVERY_RANGE", "FASTRTPS_DEFAULT_PROFILES_FILE"
 THIS_MACHINE, NETWORK, BY_PROFILE = "LOCALHOST", "SUBNET", "SYSTEM_DEFAULT"
-PROFILE = "FASTRTPS_DEFAULT_PROFILES_FILE"
 _PROFILES = (PROFILE, "FASTDDS_DEFAULT_PROFILES_FILE")  # another name of it, in later releases
 # Opened, a node does without shared memory too: the profile says why.
 TRANSPORTS, _SOCKETS = "FASTDDS_BUILTIN_TRANSPORTS", "UDPv4"
@@ -115,8 +114,7 @@ class NodeProcesses:
         """Start a node with parameter files and, over them, single parameters."""
         command = [sys.executable, "-m", "sma_bench.nodes.start", name, "--ros-args"]
         command += ["-r", f"__ns:={self._namespace}"]
-        for file in files:
-            command += ["--params-file", str(file)]
+        command += [word for file in files for word in ("--params-file", str(file))]
         command += parameter_arguments(parameters)
         with open(self._logs / f"{name}.log", "ab") as log:
             self._running[name] = subprocess.Popen(
