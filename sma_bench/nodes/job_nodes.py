@@ -218,9 +218,9 @@ class InvestigationNode(WorkNode):
                     while not self._confirmed.wait(_LOOK_EVERY):
                         heed()
                 self._enter(f"{_RUNNING}: {following['protocol']}")
-                self._calls.run_recorded(following["file"], following["protocol"],
-                                         60.0 * following["minutes"], following["bag"], heed,
-                                         self.simulated)
+                self._calls.run_recorded(
+                    following["file"], following["protocol"], 60.0 * following["minutes"],
+                    following["bag"], heed, self.simulated)
         except InputError as error:
             if self._stopping.is_set():
                 self._enter("stopped")

@@ -5,8 +5,9 @@ import os
 import re
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -183,7 +184,7 @@ def _put_aside(bag: Path) -> None:
         bag.rename(bag.with_name(f"{bag.name}_{time.time_ns()}"))
 
 
-class BenchClient(NodeCalls):
+class BenchClient(NodeCalls, AbstractContextManager["BenchClient"]):
     """A script's own node for it, in a ROS context of its own; use as a context manager.
     `meanwhile` is called about 20 times a second while waiting and may raise to end the wait."""
 
@@ -194,9 +195,6 @@ class BenchClient(NodeCalls):
         self._meanwhile, self.simulated_seconds = meanwhile, 0.0
         self._node.create_subscription(DiagnosticArray, "/diagnostics", self.on_diagnostics,
                                        READINGS)
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         with end_of_ros():

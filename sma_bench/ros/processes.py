@@ -14,7 +14,7 @@ import subprocess
 import sys
 from collections.abc import Mapping, MutableMapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from sma_bench.errors import InputError
 from sma_bench.installation import share_directory
@@ -94,16 +94,13 @@ def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
     return [word for value in given for word in ("-p", value)]
 
 
-class NodeProcesses:
+class NodeProcesses(contextlib.AbstractContextManager["NodeProcesses"]):
     """Nodes of this package in one namespace; leaving the context ends them all, and so does the
     end of this process where it is killed and cannot leave the context."""
 
     def __init__(self, namespace: str, logs: Path) -> None:
         self._namespace, self._logs = namespace, logs
         self._running: dict[str, subprocess.Popen[bytes]] = {}
-
-    def __enter__(self) -> Self:
-        return self
 
     def __exit__(self, *_: object) -> None:
         for name in reversed(list(self._running)):
