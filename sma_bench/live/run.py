@@ -92,14 +92,13 @@ class ClosedLoop(OpenLoop):
             return list(self._law.step(wanted[0], readings[0], period, upcoming[0]).tolist())
         return list(self._law.step(wanted, readings, period).tolist())
 
-    def ask(self, levels: Sequence[float], followed: Protocol | None,
-            parameters: Parameters) -> str:
+    def ask(self, asked: Sequence[float], followed: Protocol | None, parameters: Parameters) -> str:
         """Take a reference from the topic, where what is followed has no end; why not, or ""."""
         if followed is None or math.isfinite(followed.duration):
             return "the reference is not taken from the topic now"
-        fault: str = self._controller.reference_fault(levels, parameters)
+        fault: str = self._controller.reference_fault(asked, parameters)
         if not fault:
-            self._asked = levels
+            self._asked = asked
         return fault
 
     def heard(self, quantity: str, channel: str, value: float) -> None:

@@ -103,8 +103,7 @@ class SyntheticCameraNode(BenchNode):
         # The message's own array: without field checks it keeps a copy of what it is given.
         self._pixels = np.frombuffer(self._message.data, "<u2").reshape(self._camera.shape)
         self._publisher = self.create_publisher(Image, "thermal_image", READINGS, newest=True)
-        self.listen(Temperature, "true_temperature", self.on_temperature, numbered=True,
-                    newest=True)
+        self.listen(Temperature, "true_temperature", self.on_temperature, True, newest=True)
         self.create_subscription(JointState, "joint_states", self.on_joints, READINGS, newest=True)
         self.every(1.0 / self.settings["rate"], self._take)
 

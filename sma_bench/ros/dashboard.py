@@ -145,11 +145,10 @@ class DashboardNode(ros.OverridableNode):
                 what in ("state", "progress") or (what == "result" and node in _WORK.values())):
             self._listen(topic, String, partial(getattr(self, f"on_{what}"), node), ros.LATCHED)
 
-    def _listen(self, topic: str, kind: type, on_message: Callable[[Any], None],
-                qos: QoSProfile) -> None:
+    def _listen(self, topic: str, kind: type, heard: Callable[..., None], qos: QoSProfile) -> None:
         if topic not in self._listened and len(self._listened) < _MOST_TOPICS:
             self._listened.add(topic)
-            self.create_subscription(kind, topic, on_message, qos)
+            self.create_subscription(kind, topic, heard, qos)
 
     def _ask(self) -> None:
         ready = self._ready("get_parameters")
