@@ -289,8 +289,7 @@ def _records(given: Any) -> list[AnyRecord]:
     """Records of sources; of a workbook those of all its sheets."""
     records: list[AnyRecord] = []
     for source in given if isinstance(given, list | tuple) else [given]:
-        is_path = isinstance(source, str | Path)
-        records += open_records(source) if is_path else [load(source)]
+        records += open_records(source) if isinstance(source, str | Path) else [load(source)]
     return records
 
 

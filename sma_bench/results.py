@@ -151,9 +151,6 @@ def with_error(value: float, std: float) -> str:
     return f"{value:.{min(max(digits, 2), 8)}g} ± {std:.2g}"
 
 
-# --- Cards.
-
-
 class Carded:
     """A result, whose text is its card, in a notebook too."""
 
@@ -176,9 +173,6 @@ class Card(NamedTuple):
     rows: tuple[tuple[str, str], ...]
 
 
-# --- From a result's facts to text.
-
-
 def lines_of(template: str, macro: str, *facts: Any) -> list[str]:
     """Lines that a macro of a template makes of facts."""
     made = str(getattr(_templates(TEMPLATES).get_template(template).module, macro)(*facts))
@@ -192,8 +186,7 @@ def sentences(result: Any, macro: str, *more: Any) -> list[str]:
 
 def cells(result: Any, macro: str, *more: Any) -> list[tuple[str, ...]]:
     """The same for lines of cells with a bar between them."""
-    lines = sentences(result, macro, *more)
-    return [tuple(cell.strip() for cell in line.split("|")) for line in lines]
+    return [tuple(c.strip() for c in line.split("|")) for line in sentences(result, macro, *more)]
 
 
 def card(result: Any, asked: Invocation | None = None, numbers: bool = False) -> Card:
@@ -256,11 +249,7 @@ def two_errors(number: Any) -> str:
     if not number.systematic > 0.0 or not all(map(math.isfinite, (number.value, *parts))):
         return in_unit(with_error(number.value, number.std), number.unit)
     value = with_error(number.value, min(parts)).partition(" ±")[0]
-    both = f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g}"
-    return in_unit(both, number.unit)
-
-
-# --- As lines, and as HTML.
+    return in_unit(f"{value} ± {number.statistical:.2g} ± {number.systematic:.2g}", number.unit)
 
 
 def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:

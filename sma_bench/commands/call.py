@@ -26,8 +26,7 @@ def run(args: SimpleNamespace) -> int:
         raise InputError(f"call: {args.service!r} is no ROS name, expected letters, digits, _, /")
     if args.patience is not None and not 0.0 < args.patience < math.inf:
         raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
-    settings = dict(options.named_value(text) for text in args.settings)
-    answer = _call(args, node, service, settings)
+    answer = _call(args, node, service, dict(map(options.named_value, args.settings)))
     parsed: Any = answer
     with suppress(InputError):  # results are JSON themselves
         parsed = read_json(answer, "answer", _LARGEST_ANSWER)

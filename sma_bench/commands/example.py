@@ -18,8 +18,7 @@ def run(args: SimpleNamespace) -> int:
         for folder in sorted((share / "examples").iterdir())
         if (folder / "lab.yaml").is_file()
     }
-    rigs = sorted((share / "config").glob("*_rig.yaml"))
-    files |= {rig.stem: {"lab.yaml": rig} for rig in rigs}
+    files |= {rig.stem: {"lab.yaml": rig} for rig in sorted((share / "config").glob("*_rig.yaml"))}
     if args.name is None:
         for name, found in files.items():
             say(f"{name}: {', '.join(found)}")

@@ -19,10 +19,8 @@ def run(args: SimpleNamespace) -> int:
 
     stated = parse_stated(args.stated) if args.stated else {}
     with progress("reading"):
-        records = open_records(args.record, args.namespace, stated)
-        found = [describe(record) for record in records]
-    rest = {"sheets": found[1:]} if len(found) > 1 else {}
-    write_json(args.json, {**found[0], **rest})
+        found = [describe(record) for record in open_records(args.record, args.namespace, stated)]
+    write_json(args.json, {**found[0], **({"sheets": found[1:]} if len(found) > 1 else {})})
     for description in found:
         say(f"{description['path']}: {record_line(description)}")
         for table in record_tables(description):

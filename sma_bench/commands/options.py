@@ -50,9 +50,6 @@ def _interrupt(number: int, frame: FrameType | None) -> NoReturn:
     raise Terminated
 
 
-# --- Options and arguments.
-
-
 class Argument(click.Argument):
     """A positional argument with a line in the help."""
 
@@ -115,9 +112,8 @@ def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
     RECORD, [RECORD], RECORD... or [RECORD...]."""
     name, dest, several = row.pop("name", None), row.pop("dest", None), row.pop("several", False)
     kind, writes, words = row.pop("type", None), row.pop("writes", None), row.pop("words", None)
-    others = row.pop("others", False)
     if words is not None:
-        row["type"] = Words(words, others)
+        row["type"] = Words(words, row.pop("others", False))
     elif writes is not None:
         row["type"] = Output(writes)
     elif kind or several or name:
@@ -129,9 +125,6 @@ def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
     row |= {"metavar": metavar} if metavar else {"is_flag": True}
     names = [option, *([dest] if dest else [])]
     return Several(names, multiple=True, **row) if several else click.Option(names, **row)
-
-
-# --- A command.
 
 
 class Command(click.Command):
@@ -259,11 +252,8 @@ def parameters_from_options(args: SimpleNamespace) -> "Parameters":
     name, wrong type or value, in one line."""
     from sma_bench.parameters import Parameters, read_parameters
 
-    parameters = Parameters.defaults()
-    if args.params:
-        parameters = read_parameters(args.params)
-    overrides = dict(named_value(text) for text in args.overrides)
-    return parameters.replace(overrides, where="--set")
+    parameters = read_parameters(args.params) if args.params else Parameters.defaults()
+    return parameters.replace(dict(map(named_value, args.overrides)), where="--set")
 
 
 def pair(option: str, text: str, form: str = "NAME=VALUE") -> tuple[str, str]:
@@ -316,8 +306,7 @@ def needs_ros(name: str, hint: str = "source a ROS 2 Jazzy setup file") -> Itera
     except ModuleNotFoundError as error:
         if (error.name or "").startswith("sma_bench"):
             raise
-        reason = f"{name}: {error.name} is not installed: {hint}, or use ./bench"
-        raise InputError(reason) from None
+        raise InputError(f"{name}: {error.name} is not installed: {hint}, or use ./bench") from None
 
 
 def ros_arguments(args: SimpleNamespace) -> list[str]:
@@ -352,12 +341,10 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
             # The output is the input, a folder above it, or a part of a bag that is read.
             above = [] if kind == FILE else given.resolve().parents
             bag = [given] if (given / _BAG_FILE).is_file() else []
-            around = path.resolve().parents
             if any(path.samefile(folder) for folder in (given, *above)) or any(
-                own.samefile(folder) for own in bag for folder in around
+                own.samefile(folder) for own in bag for folder in path.resolve().parents
             ):
-                wanted = "an input, or the folder of one, expected a new path"
-                raise InputError(f"{path}: {wanted}")
+                raise InputError(f"{path}: an input, or the folder of one, expected a new path")
         if kind == NEW:
             raise InputError(f"{path}: exists already, expected a new folder")
         if kind == FOLDER and not path.is_dir():
@@ -374,8 +361,7 @@ def keep_safe(targets: Mapping[str, tuple[Path, str]], inputs: Sequence[Path], f
 def written_by_nobody_else(paths: Iterable[Path]) -> None:
     """Refuse outputs that another command is writing, and others these until this one ends."""
     for path in {path.resolve() for path in paths}:
-        held = claimed(str(path), "being written already")
-        click.get_current_context().with_resource(held)
+        click.get_current_context().with_resource(claimed(str(path), "being written already"))
 
 
 def paths_in(values: Iterable[Any]) -> list[Path]:

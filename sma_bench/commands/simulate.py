@@ -65,8 +65,7 @@ def run(args: SimpleNamespace) -> int:
                 name: {"low": own.low.tolist(), "high": own.high.tolist()}
                 for name, own in limits.items()
             }
-            seconds = simulation.time.tolist()
-            band = {"band": {"share": args.band, "time": seconds, "limits": named}}
+            band = {"band": {"share": args.band, "time": simulation.time.tolist(), "limits": named}}
         time, signals, noise = simulation.time, bench.signals_of(simulation), "no noise"
         if args.noise is not None:
             signals = bench.read_signals(signals, args.noise, part(report, *_INSTRUMENTS))

@@ -248,9 +248,6 @@ def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
         raise InputError(f"{directory}: cannot write the report: {error.strerror}") from None
 
 
-# --- What a report was made of: files with their hashes, versions, the command.
-
-
 def digest(path: Path) -> tuple[str, int]:
     """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files, not
     of those that links lead to outside. Raises InputError: a file cannot be read."""
@@ -288,8 +285,7 @@ def _provenance(made: Made) -> Section:
         rows.append((path, sha, f"{size}"))
     when = made.when.astimezone().isoformat(timespec="seconds")
     about = {"command": made.command, "made": when, **versions()}
-    header = ("file", "SHA-256", "bytes")
-    files = Table(header, rows, frozenset({2}), "provenance_files", "Files")
+    files = Table(("file", "SHA-256", "bytes"), rows, frozenset({2}), "provenance_files", "Files")
     by = Table(("", ""), list(about.items()), frozenset(), "provenance_versions", "Made by")
     text = (
         "A folder's hash covers the names, sizes and contents of its files in alphabetical order."

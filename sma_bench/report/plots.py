@@ -154,8 +154,7 @@ def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Pict
         is_still = state == "deflection" and not what and not values.any()
         if (not what or state in what) and not is_still:
             names = ("deflection",) if state == "deflection" else channels
-            curves = [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]
-            rows.append((label, curves))
+            rows.append((label, [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]))
     if not rows:
         return None
     return pictured("simulation", _over_time(rows), over_time=True, channels=", ".join(channels))

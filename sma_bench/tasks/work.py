@@ -50,10 +50,9 @@ def identify_files(
     from sma_bench.identify import identify
 
     load_aside(core.run, run_once)
-    reading = part(report, 0.0, _READING)
     records = [
         record
-        for path in in_turn(paths, reading, lambda path: f"reading {path}")
+        for path in in_turn(paths, part(report, 0.0, _READING), lambda path: f"reading {path}")
         for record in open_records(path, namespace, stated)
     ]
     return identify(records, parameters, experiments, part(report, _READING, 1.0), phases)

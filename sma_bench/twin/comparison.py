@@ -165,8 +165,7 @@ def judge(noise: Noise, level: Array) -> tuple[float, float]:
     # That a drift goes to and fro about zero, half a minute does not show.
     if noise.time < _SLOW:
         white, ones = _whitened(replace(noise, time=_SLOW), level)
-    from_level = abs(float(ones @ white)) / float(np.sqrt(ones @ ones))
-    return energy, max(from_energy, from_level)
+    return energy, max(from_energy, abs(float(ones @ white)) / float(np.sqrt(ones @ ones)))
 
 
 def _whitened(noise: Noise, level: Array) -> Array:
@@ -252,14 +251,13 @@ class Comparison:
 
     def close(self, run: FreeRun) -> int:
         """Close the bins that are complete; how many."""
-        count = 0
+        before = self._closed
         while run.time >= self._start + (self._closed + 1) * BIN + _LATE:
             self._close_temperatures(run, self._closed)
             if self._closed >= _AHEAD:
                 self._close_mechanics(run, self._closed - _AHEAD)
             self._closed += 1
-            count += 1
-        return count
+        return self._closed - before
 
     def _close_temperatures(self, run: FreeRun, number: int) -> None:
         start, stop = self._start + number * BIN, self._start + (number + 1) * BIN

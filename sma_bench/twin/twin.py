@@ -238,8 +238,7 @@ class Twin:
             row, stamp, off = int(rows[k]), self._stamp(float(time[k])), None
             if doubt is not None:
                 w, away = len(volts[k]), doubt.off(row)
-                amperes = volts[k] * away[:w]
-                off = Prediction(stamp, volts[k], amperes, away[w:-1], float(away[-1]))
+                off = Prediction(stamp, volts[k], volts[k] * away[:w], away[w:-1], float(away[-1]))
             self._on_prediction(Prediction(
                 stamp, volts[k], volts[k] * trajectory.conductance[row],
                 trajectory.reading[row], float(trajectory.mechanics[row]), off,
@@ -320,8 +319,7 @@ class Judge:
 
     def accept(self) -> None:
         """What was last seen is known."""
-        for stage, counted in self._latest.items():
-            self._known[stage] = float(counted.max())
+        self._known |= {stage: float(counted.max()) for stage, counted in self._latest.items()}
 
     def judge(self, comparison: Comparison, settings: Settings) -> Verdict:
         """What the bins say now, and what of it has grown."""
@@ -359,13 +357,12 @@ class Judge:
 
         # Where it is: the stages, and of each the sides that are alike.
         stages, sides, places = tuple(grown or gaps), [], []
-        blind = any(not s.bins for s in comparison.temperatures)
         for stage in stages:
             there = named[stage] >= _ALIKE * named[stage].max()
             here = [name for name, yes in zip(self._sides, there, strict=True) if yes]
             sides += here
             what = "temperature sensor" if stage == SENSOR else f"{stage} stage"
-            if stage == MECHANICAL and blind:
+            if stage == MECHANICAL and any(not s.bins for s in comparison.temperatures):
                 what = "thermal or mechanical stage (wires without temperatures)"
             where = "both sides" if len(here) > 1 else f"{here[0]} side"
             places.append(what if len(self._sides) == 1 else f"{what}, {where}")
@@ -416,8 +413,7 @@ def stage_states(
     _, thermal, mechanical = states
     known_both = not (np.isnan(thermal.energy) or np.isnan(mechanical.energy))
     wrong = min(thermal.counted.max(), mechanical.counted.max()) >= threshold
-    doubted = bool(known_both and wrong and free and np.nanmax(free.gap) < threshold)
-    return tuple(states), doubted
+    return tuple(states), bool(known_both and wrong and free and np.nanmax(free.gap) < threshold)
 
 
 def _counted(reading: BinStatistics | None, sides: int) -> Array:
