@@ -48,10 +48,8 @@ __all__ = [
 ]
 
 
-def load(
-    source: Any, namespace: str | None = None, *, units: Mapping[str, str] | None = None,
-    params: str | Path | None = None,
-) -> AnyRecord:
+def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] | None = None,
+         params: str | Path | None = None) -> AnyRecord:
     """One record: named signals, each with its unit and its own clock (`records/`).
 
     Args:
@@ -104,10 +102,8 @@ def load_parameters(source: Any = None) -> Parameters:
     )
 
 
-def simulate(
-    drive: Any, parameters: Any = None, *, effects: Mapping[str, float] | None = None,
-    rate: float = 100.0,
-) -> Simulation:
+def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float] | None = None,
+             rate: float = 100.0) -> Simulation:
     """The paper's model, and what effects are switched on, under given voltages (`physics/`).
 
     Args:
@@ -153,10 +149,8 @@ def simulate(
             raise InputError(f"simulate: voltage is {highest:g} V, expected at most {limit:g} V")
         return bench_records.simulate_finely(bench, *drive)
     if isinstance(drive, str) and not os.path.exists(drive):
-        raise InputError(
-            f"simulate: {drive}: neither a bag nor a protocol, expected one of "
-            f"{', '.join(protocol_names())}"
-        )
+        raise InputError(f"simulate: {drive}: neither a bag nor a protocol, expected one of "
+                         f"{', '.join(protocol_names())}")
     (record,) = _bags([load(drive)])
     return bench_records.simulate_finely(*drive_of(record, bench))
 
@@ -172,9 +166,8 @@ def measure(simulation: Simulation, seed: int = 1) -> Record:
     return _recorded(bench_records.read_signals(signals, seed), "synthetic record")
 
 
-def identify(
-    records: Any, parameters: Any = None, experiments: Iterable[str] | None = None
-) -> Identification:
+def identify(records: Any, parameters: Any = None,
+             experiments: Iterable[str] | None = None) -> Identification:
     """Parameters with standard errors from what the records hold (`identify/`).
 
     Args:
@@ -190,9 +183,8 @@ def identify(
     return _identify(_records(records), load_parameters(parameters), wanted)
 
 
-def diagnose(
-    records: Any, parameters: Any = None, hold_out: Any = (), *, signals: Sequence[str] = QUANTITIES
-) -> Diagnosis:
+def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
+             signals: Sequence[str] = QUANTITIES) -> Diagnosis:
     """Where bench and model disagree, which effect causes it, how far it shrinks (`diagnose/`).
 
     Args:

@@ -118,9 +118,8 @@ def _complete() -> None:
     Commands("sma-bench").main([], prog_name="sma-bench", complete_var=_COMPLETE)
 
 
-def _show_warning(
-    message: Warning | str, category: object, filename: str, lineno: int, *_: object, **__: object
-) -> None:
+def _show_warning(message: Warning | str, category: object, filename: str, lineno: int, *_: object,
+                  **__: object) -> None:
     """A line for what this package warns of; a library's advice to its programmers is left out."""
     if not filename.startswith(os.path.dirname(__file__)):
         return

@@ -30,9 +30,8 @@ if TYPE_CHECKING:
 LARGEST = 1 << 24  # bytes of a result file
 _LARGEST_NUMBER = 1e100
 T = TypeVar("T")
-NUMBER_HEADER = (
-    "parameter", "value ± statistical ± systematic", "from the records", "reference", "off it", "by"
-)
+NUMBER_HEADER = ("parameter", "value ± statistical ± systematic", "from the records", "reference",
+                 "off it", "by")
 TEMPLATES = Path(__file__).with_name("templates")
 _NO_BORDERS = str.maketrans("\n|", " /")
 _WIDTH, _NARROWEST = 96, 40  # cells
@@ -197,10 +196,8 @@ def card(result: Any, asked: Invocation | None = None, numbers: bool = False) ->
         lines[1:1] = sentences(result, "number_lines")
     (_, title), *rows = ([part.strip() for part in line.split("|", 1)] for line in lines)
     above = ["", *(label for label, _ in rows)]
-    return Card(title, tuple(
-        ("" if label == last else label, text)
-        for last, (label, text) in zip(above, rows, strict=False)
-    ))  # fmt: skip
+    return Card(title, tuple(("" if label == last else label, text)
+                             for last, (label, text) in zip(above, rows, strict=False)))
 
 
 def card_rows(result: Any) -> list[list[str]]:
@@ -257,10 +254,8 @@ def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:
     width = max(min(width, _WIDTH), _NARROWEST)
     lines = textwrap.wrap(printable(shown.title), width)
     for label, text in shown.rows:
-        lines += textwrap.wrap(
-            printable(text), width, initial_indent=f"{label:7} ", subsequent_indent=" " * 8,
-            break_on_hyphens=False,
-        )
+        lines += textwrap.wrap(printable(text), width, initial_indent=f"{label:7} ",
+                               subsequent_indent=" " * 8, break_on_hyphens=False)
     return lines
 
 

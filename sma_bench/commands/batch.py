@@ -34,9 +34,8 @@ def run(args: SimpleNamespace) -> int:
     outcomes: dict[int, Outcome] = {}
     try:
         jobs = len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs
-        with progress(f"batch {args.kind}") as report, closing(
-            do_tasks(tasks, jobs, args.dask)
-        ) as work:
+        work = do_tasks(tasks, jobs, args.dask)
+        with progress(f"batch {args.kind}") as report, closing(work):
             count = counted(report, len(tasks), "record")
             for k, outcome in work:
                 outcomes[k] = outcome

@@ -41,17 +41,14 @@ async def _serve(args: SimpleNamespace) -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, finish)
     namespace = options.namespace_of(args.namespace)
-    with listening_node(
-        namespace, LiveState(), lambda error: loop.call_soon_threadsafe(finish, error),
-        options.ros_arguments(args),
-    ) as node:
+    with listening_node(namespace, LiveState(),
+                        lambda error: loop.call_soon_threadsafe(finish, error),
+                        options.ros_arguments(args)) as node:
         namespace = node.get_namespace()  # ROS's arguments may name another
         server = DashboardServer(node, namespace, args.host, args.port)
         if not is_loopback(args.host):
-            print(
-                "sma-bench: note: others on the network who learn this address can see and stop "
-                "the bench; it is not encrypted", file=sys.stderr,
-            )
+            print("sma-bench: note: others on the network who learn this address can see and stop "
+                  "the bench; it is not encrypted", file=sys.stderr)
         print(f"dashboard of {namespace}, until Ctrl-C:\n{server.url}", flush=True)
         try:
             await end

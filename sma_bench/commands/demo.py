@@ -26,9 +26,8 @@ from sma_bench.results import card_text
 
 # The first act: the paper's E1 to E3 on short forms of its protocols, and what a lab knows of its
 # wire without a volt, by a scale and a ruler.
-TABLE_ONE = {
-    "wire.resistance": "R", "wire.heat_transfer_coefficient": "h", "wire.specific_heat": "c_p"
-}
+TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
+             "wire.specific_heat": "c_p"}
 QUICK = ("quick_staircase", "quick_ramp")
 SIGMAS, LARGEST_ERROR = 2.0, 0.01  # standard errors, and of the value
 _PAPER = Parameters.of_paper()
@@ -128,10 +127,8 @@ def run(args: SimpleNamespace) -> int:
         and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
         for name in TABLE_ONE
     )
-    terminal.say(
-        f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
-        f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}"
-    )
+    terminal.say(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
+                 f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")
     identified = out / "identified.yaml"
     terminal.say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {identified}")
 
@@ -162,19 +159,17 @@ def run(args: SimpleNamespace) -> int:
     effect, numbers = hidden_effect(hidden)
     true = {"table_one": {name: truth[name] for name in TABLE_ONE},
             "gap": {"effect": effect, "numbers": numbers}}
-    terminal.write_json(args.json, {
-        "synthetic": True, "folder": str(out), "holds": right, "truth": true,
-        "report": {"table_one": str(page), "gap": str(gap_page)}, "estimates": estimates,
-        "diagnosis": answer, "draw": seed,
-    })
+    terminal.write_json(args.json, {"synthetic": True, "folder": str(out), "holds": right,
+                                    "truth": true,
+                                    "report": {"table_one": str(page), "gap": str(gap_page)},
+                                    "estimates": estimates, "diagnosis": answer, "draw": seed})
     return 0 if all(right.values()) else 1
 
 
-def _recorded_and_asked(
-    folder: Path, namespace: str, file: Path, protocols: Sequence[str],
-    simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
-    settings: Callable[[list[str]], Mapping[str, Any]], files: tuple[Path, ...] = (),
-) -> tuple[list[str], dict[str, Any]]:
+def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Sequence[str],
+                        simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
+                        settings: Callable[[list[str]], Mapping[str, Any]],
+                        files: tuple[Path, ...] = ()) -> tuple[list[str], dict[str, Any]]:
     """Bags of protocols, run one after the other by the nodes of the file's simulated bench; and
     what a node's `service` makes of them, with these settings and parameter files."""
     node, _, work = service.partition("/")
@@ -204,17 +199,14 @@ def _recorded_and_asked(
 
         steps[protocol](0.0, protocol)
         bag = (folder / "bags" / protocol).resolve()
-        client.run_recorded(
-            _PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed, simulated_time=True,
-            needed=["voltage_command", "experiment/marker", *readings],
-        )
+        client.run_recorded(_PROTOCOLS / f"{protocol}.yaml", protocol, duration, bag, heed,
+                            simulated_time=True,
+                            needed=["voltage_command", "experiment/marker", *readings])
         return str(bag)
 
     driven = {"protocol": protocols[0], "protocol_root": str(_PROTOCOLS), "use_sim_time": True}
-    with (
-        NodeProcesses(namespace, folder / "logs") as nodes,
-        BenchClient(namespace, meanwhile=look) as client,
-    ):
+    with (NodeProcesses(namespace, folder / "logs") as nodes,
+          BenchClient(namespace, meanwhile=look) as client):
         nodes.start("simulator", {**_RATES, **simulator}, (file,))
         nodes.start("experiment", driven, (file,))
         bags = [record(protocol) for protocol in protocols]
@@ -243,15 +235,11 @@ def hidden_bench(lab: Parameters, seed: int) -> Parameters:
     rng = np.random.default_rng(seed)
     effect = str(rng.choice(list(HIDEABLE)))
     sign = rng.choice((-1.0, 1.0)) if effect in _EITHER_SIGN else 1.0
-    numbers = {
-        f"{EFFECT_PREFIX}{effect}.{number}": float(sign * np.exp(rng.uniform(*np.log(ends))))
-        for number, ends in HIDEABLE[effect].items()
-    }
+    numbers = {f"{EFFECT_PREFIX}{effect}.{number}": float(sign * np.exp(rng.uniform(*np.log(ends))))
+               for number, ends in HIDEABLE[effect].items()}
     errors = np.clip(rng.standard_normal(len(lab.given_uncertainty)), -_FARTHEST, _FARTHEST)
-    off = {
-        name: float(lab[name] + error * std)
-        for (name, std), error in zip(lab.given_uncertainty.items(), errors, strict=True)
-    }
+    off = {name: float(lab[name] + error * std)
+           for (name, std), error in zip(lab.given_uncertainty.items(), errors, strict=True)}
     if lab[FRONT] == lab[BACK]:  # sides that are built alike are off alike
         off[BACK] = off[FRONT]
     return Parameters({name: lab[name] for name in lab.given} | off | numbers)

@@ -13,11 +13,9 @@ from sma_bench.installation import share_directory
 @options.command("example")
 def run(args: SimpleNamespace) -> int:
     share = share_directory()
-    files = {
-        folder.name: {path.name: path for path in sorted(folder.iterdir())}
-        for folder in sorted((share / "examples").iterdir())
-        if (folder / "lab.yaml").is_file()
-    }
+    files = {folder.name: {path.name: path for path in sorted(folder.iterdir())}
+             for folder in sorted((share / "examples").iterdir())
+             if (folder / "lab.yaml").is_file()}
     files |= {rig.stem: {"lab.yaml": rig} for rig in sorted((share / "config").glob("*_rig.yaml"))}
     if args.name is None:
         for name, found in files.items():

@@ -20,14 +20,11 @@ def run(args: SimpleNamespace) -> int:
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
     stated = parse_stated(args.stated) if args.stated else {}
-    phases: dict[str, Any] = dict(
-        options.pair("--phase", text, "FILE=martensite or FILE=austenite") for text in args.phases
-    )
+    phases: dict[str, Any] = dict(options.pair("--phase", text, "FILE=martensite or FILE=austenite")
+                                  for text in args.phases)
     with progress("identify") as report:
-        result = identify_files(
-            args.records, parameters, args.experiments or None, args.namespace, report, phases,
-            stated,
-        )  # fmt: skip
+        result = identify_files(args.records, parameters, args.experiments or None, args.namespace,
+                                report, phases, stated)
     write_json(args.json, result.to_json())
     if args.out:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)

@@ -83,9 +83,8 @@ def run(args: SimpleNamespace) -> int:
         say(str(account))
         spans = {name: {"unit": s.unit, "samples": len(s), "min": float(s.values.min()),
                         "max": float(s.values.max())} for name, s in record.signals.items()}
-        entries.append({
-            **about, "source": source, "format": table.format, "bag": str(record.path),
-            "map": map_file, "signals": spans, "notes": notes, "account": vars(account),
-        })
+        entries.append({**about, "source": source, "format": table.format, "bag": str(record.path),
+                        "map": map_file, "signals": spans, "notes": notes,
+                        "account": vars(account)})
     write_json(args.json, {"imported": entries})
     return 0

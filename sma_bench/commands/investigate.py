@@ -47,21 +47,17 @@ def run(args: SimpleNamespace) -> int:
         print_table(Table(HEADER, case.rows(), frozenset({0, 1}), title="the story"))
         say(f"{case.summary()}; page {case.write_page(args.command_line)}")
         if case.state == TEST:
-            say(
-                f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
+            say(f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
                 f"{case.folder}/believed.yaml, or record with the sensor and give the bag, then go "
-                "on with the same command"
-            )
+                "on with the same command")
     write_json(args.json, case.to_json())
     return 0
 
 
 def _agreed(offer: Mapping[str, Any], yes: bool) -> bool:
     """Whether the wires may be driven so."""
-    say(
-        f"next: {offer['protocol']}, {offer['minutes']:.1f} min, up to {offer['volts']:.2f} V "
-        f"({offer['file']})"
-    )
+    say(f"next: {offer['protocol']}, {offer['minutes']:.1f} min, up to {offer['volts']:.2f} V "
+        f"({offer['file']})")
     if yes:
         return True
     if not sys.stdin.isatty():

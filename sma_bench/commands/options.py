@@ -150,11 +150,9 @@ class Command(click.Command):
             made.append(arg)
         rest = super().parse_args(ctx, made)
         if not ctx.resilient_parsing:
-            written = {
-                "/".join(p.opts): (Path(value), p.type.kind) for p in self.params
-                if isinstance(p.type, Output) and p.name
-                and (value := ctx.params[p.name]) not in (None, STANDARD_OUTPUT)
-            }  # fmt: skip
+            written = {"/".join(p.opts): (Path(value), p.type.kind) for p in self.params
+                       if isinstance(p.type, Output) and p.name
+                       and (value := ctx.params[p.name]) not in (None, STANDARD_OUTPUT)}
             read = [p.name for p in self.params if p.name and not isinstance(p.type, Output)]
             given = paths_in(ctx.params.get(name) for name in read)
             try:
@@ -186,9 +184,8 @@ class Command(click.Command):
         formatter.write(f"\nexamples:\n{lines}\n")
 
 
-def command(
-    name: str, about: str = "", **settings: Any
-) -> Callable[[Callable[[SimpleNamespace], int]], Command]:
+def command(name: str, about: str = "",
+            **settings: Any) -> Callable[[Callable[[SimpleNamespace], int]], Command]:
     """A command as commands.yaml declares it; its function gets the options as one namespace, and
     as `command_line` what was typed."""
     table = read_yaml(Path(__file__).with_name("commands.yaml"))

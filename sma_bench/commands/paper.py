@@ -32,10 +32,8 @@ def run(args: SimpleNamespace) -> int:
         reading = in_turn(args.records, part(report, 0.0, _READ), lambda path: f"reading {path}")
         records = [open_record(path) for path in reading]
         page = paper_page(records, parameters, part(report, _READ, _COMPARED))
-        index = write_report(
-            args.out, text["title"], summary, page.sections(), made, column=column,
-            report=part(report, _COMPARED, 1.0),
-        )  # fmt: skip
+        index = write_report(args.out, text["title"], summary, page.sections(), made, column=column,
+                             report=part(report, _COMPARED, 1.0))
     for name, rows in page.tables.items():
         write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(csv_table(rows)).decode())
     write_json(args.json, page.to_json())

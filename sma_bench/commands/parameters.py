@@ -26,9 +26,8 @@ def run(args: SimpleNamespace) -> int:
         print(parameter_page(), end="")
     elif args.out:
         comment = "Parameters of an SMA bench in SI units.\nLoad with: --ros-args --params-file"
-        write_parameters(
-            args.out, parameters, comment, template=args.params or args.out, explain=True
-        )
+        write_parameters(args.out, parameters, comment, template=args.params or args.out,
+                         explain=True)
         print(args.out)
     else:
         rows = [(p.name, value_cell(parameters[p.name]), p.unit, p.provenance) for p in TABLE]

@@ -23,9 +23,8 @@ def run(args: SimpleNamespace) -> int:
         shown = [shown_input(path, k, args.namespace) for k, path in enumerate(reading, 1)]
         made = Made(args.command_line, [*args.inputs, *filter(None, [args.params])])
         drawing = part(report, _READING, 1.0)
-        page = write_collected_report(
-            args.out, args.title, shown, parameters, given, made, column, drawing
-        )
+        page = write_collected_report(args.out, args.title, shown, parameters, given, made, column,
+                                      drawing)
     about = {"command": args.command_line, "versions": versions(), "page": str(page)}
     write_json(args.json, {"inputs": [one.to_json() for one in shown], **about})
     for one in shown:

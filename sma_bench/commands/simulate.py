@@ -57,14 +57,10 @@ def run(args: SimpleNamespace) -> int:
         simulation = simulated(parameters)
         band: dict[str, Any] = {}
         if args.band is not None:
-            limits = band_of(
-                parameters, lambda drawn: bench.signals_of(simulated(drawn)), args.band,
-                part(report, 0.0, _INSTRUMENTS[0]),
-            )
-            named = {
-                name: {"low": own.low.tolist(), "high": own.high.tolist()}
-                for name, own in limits.items()
-            }
+            limits = band_of(parameters, lambda drawn: bench.signals_of(simulated(drawn)),
+                             args.band, part(report, 0.0, _INSTRUMENTS[0]))
+            named = {name: {"low": own.low.tolist(), "high": own.high.tolist()}
+                     for name, own in limits.items()}
             band = {"band": {"share": args.band, "time": simulation.time.tolist(), "limits": named}}
         time, signals, noise = simulation.time, bench.signals_of(simulation), "no noise"
         if args.noise is not None:
@@ -77,14 +73,11 @@ def run(args: SimpleNamespace) -> int:
     findings += [Finding("warning", name, f"does nothing: {fault}") for name, fault in idle]
     if protocol is not None and load_kind(simulation.parameters) == "displacement":
         findings.append(Finding("warning", "load.kind", STANDS))
-    write_json(args.json, {
-        "bag": args.out, "protocol": args.protocol, "input": args.input,
-        "effects": list(args.effects), "noise_seed": args.noise, "samples": len(time),
-        "duration": float(time[-1] - time[0]),
-        "signals": {signal.name: signal.unit for signal in signals},
-        **band,
-        "findings": [finding.to_json() for finding in findings],
-    })  # fmt: skip
+    write_json(args.json, {"bag": args.out, "protocol": args.protocol, "input": args.input,
+                           "effects": list(args.effects), "noise_seed": args.noise,
+                           "samples": len(time), "duration": float(time[-1] - time[0]),
+                           "signals": {signal.name: signal.unit for signal in signals}, **band,
+                           "findings": [finding.to_json() for finding in findings]})
     print_findings(findings)
     say(f"{args.out}: {len(time)} simulated samples over {time[-1] - time[0]:.1f} s, {noise}")
     return 0

@@ -49,18 +49,16 @@ def run(args: SimpleNamespace) -> int:
     asked = Invocation(tuple(bags), args.params or "", "", str(page))
     with terminal.progress("try") as report:
         try:
-            found = identify_files(
-                records, parameters, None, None, part(report, 0.0, _IDENTIFYING), {}, stated
-            )
+            found = identify_files(records, parameters, None, None, part(report, 0.0, _IDENTIFYING),
+                                   {}, stated)
         except InputError as error:
             if not (bags and args.params):
                 raise
             terminal.say(f"identify: {error}")
         else:
             misfit = found.is_misfit
-            write_identified(
-                written["identified.yaml"], found, "sma-bench try", records, args.params
-            )
+            write_identified(written["identified.yaml"], found, "sma-bench try", records,
+                             args.params)
             results["identified"] = found, replace(asked, out=str(written["identified.yaml"]))
         if bags and args.params:
             share = part(report, _IDENTIFYING, _DIAGNOSING)
@@ -101,9 +99,8 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
     for files in [tables] if args.together and tables else [[table] for table in tables]:
         bag = str(out / Path(files[0]).stem)
         asked = [*files, "--out", bag]
-        for option, values in (
-            ("--map", [args.map_file]), ("--params", [args.params]), ("--unit", args.units)
-        ):
+        for option, values in (("--map", [args.map_file]), ("--params", [args.params]),
+                               ("--unit", args.units)):
             asked += [word for value in values if value for word in (option, value)]
         asked += [f"--{name}" for name in ("together", "force") if getattr(args, name)]
         options.run_command(import_module("sma_bench.commands.import").run, "sma-bench try", asked)

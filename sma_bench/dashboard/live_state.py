@@ -125,10 +125,8 @@ class LiveState:
         self._voltages: dict[str, WireVoltage] = {}
         self._stopped: dict[str, float] = {}
 
-    def reading(
-        self, quantity: str, place: str, value: float, kind: str = MEASURED,
-        stamp: float | None = None,
-    ) -> None:
+    def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED,
+                stamp: float | None = None) -> None:
         """Take a reading in SI units; `kind` is measured, a command or a prediction. `stamp`: s of
         its source's clock, 0 where it sets none, which confirms no stop; the same one again is no
         reading: a driver that hangs repeats its last. None: when it comes."""
@@ -147,14 +145,12 @@ class LiveState:
                 return
             off_since = min(now, before.off_since if before else now)
             is_off = abs(value) <= NO_VOLTAGE
-            self._voltages[place] = WireVoltage(
-                value, now, off_since if is_off else math.inf, now if stamp is None else stamp, now
-            )
+            self._voltages[place] = WireVoltage(value, now, off_since if is_off else math.inf,
+                                                now if stamp is None else stamp, now)
             if not is_off and place in self._stopped and not self._panels.get("again"):
-                self._panels["again"] = {
-                    "place": place, "volts": QUANTITIES["voltage"].shown(value),
-                    "seconds": round(now - self._stopped[place], 1),
-                }
+                self._panels["again"] = {"place": place,
+                                         "volts": QUANTITIES["voltage"].shown(value),
+                                         "seconds": round(now - self._stopped[place], 1)}
 
     def voltages(self) -> dict[str, WireVoltage]:
         """By place."""
@@ -202,18 +198,14 @@ class LiveState:
                 trace, (quantity, place, kind) = self._traces[key], key
                 shape = QUANTITIES[quantity]
                 seen.points[key], points = trace.since(seen.points.get(key, 0))
-                signals.append({
-                    "quantity": quantity, "place": place, "kind": kind,
-                    "latest": shape.shown(trace.latest), "heard": round(trace.heard, 4),
-                    "points": [(round(t, 3), shape.shown(v)) for t, v in points],
-                })
+                signals.append({"quantity": quantity, "place": place, "kind": kind,
+                                "latest": shape.shown(trace.latest), "heard": round(trace.heard, 4),
+                                "points": [(round(t, 3), shape.shown(v)) for t, v in points]})
             panels = {name: json.dumps(content) for name, content in self._panels.items()}
             changed = [n for n, text in panels.items() if seen.panels.get(n) != text]
             seen.panels |= panels
-            return {
-                "now": round(self.clock(), 4), "span": SPAN, "signals": signals,
-                "panels": {name: self._panels[name] for name in changed},
-            }
+            return {"now": round(self.clock(), 4), "span": SPAN, "signals": signals,
+                    "panels": {name: self._panels[name] for name in changed}}
 
 
 def shown_limits(limits: Mapping[str, float]) -> dict[str, float | None]:

@@ -122,10 +122,9 @@ class DashboardServer:
             default_handler_class=_Nothing, default_handler_args=shared,
             log_function=lambda _: None, websocket_ping_interval=5.0, websocket_ping_timeout=5.0,
         )
-        self.http = _Server(
-            application, max_header_size=_LARGEST_REQUEST, max_body_size=_LARGEST_REQUEST,
-            idle_connection_timeout=_IDLE, body_timeout=_IDLE,
-        )
+        self.http = _Server(application, max_header_size=_LARGEST_REQUEST,
+                            max_body_size=_LARGEST_REQUEST, idle_connection_timeout=_IDLE,
+                            body_timeout=_IDLE)
         self.http.add_sockets(sockets)
 
     async def close(self) -> None:
@@ -261,10 +260,8 @@ class Wires:
     the voltages `before`. A replayed bag, or a driver that hangs, confirms nothing: what counts was
     acquired after the last reading before, by its own source's clock, where that goes on."""
 
-    def __init__(
-        self, begin: float, voltages: Mapping[str, WireVoltage],
-        before: Mapping[str, WireVoltage], foreign: Mapping[str, str],
-    ) -> None:
+    def __init__(self, begin: float, voltages: Mapping[str, WireVoltage],
+                 before: Mapping[str, WireVoltage], foreign: Mapping[str, str]) -> None:
         """`foreign`: by wire, the node that its voltage is from, where that takes no commands."""
         self._begin = begin
         self.live = {p: v for p, v in voltages.items() if v.said >= begin - _SILENT}
@@ -297,10 +294,8 @@ class Wires:
         """What they say, where nodes were `asked`."""
         silent = ", ".join(sorted(self.live.keys() - self._read.keys()))
         # Read for long enough, and not off for as long.
-        late = ", ".join(sorted(
-            place for place, v in self._read.items()
-            if self._off_for(v) < _STAYS_OFF <= v.heard - self._begin
-        ))
+        late = ", ".join(sorted(place for place, v in self._read.items()
+                                if self._off_for(v) < _STAYS_OFF <= v.heard - self._begin))
         if self.on:
             still = ", ".join(f"{place} {self.live[place].volts:.2f} V" for place in self.on)
             return f"NOT STOPPED, voltage is on: {still}. Use the emergency stop of the bench."
@@ -359,18 +354,14 @@ async def stop(bench: Any) -> dict[str, Any]:
     answers = []
     for node, future in sorted(futures.items()):
         answer = future.result() if future.done() else None
-        answers.append({
-            "node": node, "success": bool(answer and answer.success),
-            "message": str(answer.message) if answer else "no answer",
-            "seconds": answered.get(node),
-        })
+        answers.append({"node": node, "success": bool(answer and answer.success),
+                        "message": str(answer.message) if answer else "no answer",
+                        "seconds": answered.get(node)})
     flowing = ", ".join(bench.state.flowing())
     plug = f"PULL THE PLUG: current still flows with every output off, says {flowing}."
     volts = {place: v.volts for place, v in wires.live.items()}
-    return {
-        "stopped": wires.stay_off and not flowing,
-        "said": plug if flowing else wires.sentence(bool(futures)),
-        "seconds": round(wires.seconds, 4) if wires.stay_off else None,
-        "voltages": {place: round(v, 3) for place, v in volts.items() if math.isfinite(v)},
-        "answers": answers,
-    }
+    return {"stopped": wires.stay_off and not flowing,
+            "said": plug if flowing else wires.sentence(bool(futures)),
+            "seconds": round(wires.seconds, 4) if wires.stay_off else None,
+            "voltages": {place: round(v, 3) for place, v in volts.items() if math.isfinite(v)},
+            "answers": answers}

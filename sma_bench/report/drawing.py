@@ -44,15 +44,12 @@ def line_style(k: int, of: int, points: int) -> dict[str, Any]:
     # Marks of different lines lie side by side, also where the lines coincide.
     every = max(points // _MARKS_OF_A_LINE, 1)
     first = min((every * (2 * k + 1)) // (2 * of), max(points - 1, 0))
-    return {
-        "color": colour, "lw": 1.1, "ls": dash, "marker": mark, "ms": 4, "mfc": "white",
-        "mew": 1.0, "markevery": (first, every),
-    }
+    return {"color": colour, "lw": 1.1, "ls": dash, "marker": mark, "ms": 4, "mfc": "white",
+            "mew": 1.0, "markevery": (first, every)}
 
 
-def new_figure(
-    rows: int = 1, height: float = 4.0, shared: bool = True, heights: Sequence[float] | None = None
-) -> tuple[Figure, list[Axes]]:
+def new_figure(rows: int = 1, height: float = 4.0, shared: bool = True,
+               heights: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
     """A figure without pyplot, so without global state or display: `rows` axes above each other,
     `heights` in proportion, that share the horizontal axis if `shared`."""
     figure = Figure(figsize=(7.2, height), layout="constrained")
@@ -61,10 +58,8 @@ def new_figure(
     return figure, list(axes)
 
 
-def graph(
-    across: str, up: str, curves: Iterable[tuple[Any, Any, Mapping[str, Any]]] = (),
-    height: float = 4.0, **legend: Any,
-) -> tuple[Figure, Axes]:
+def graph(across: str, up: str, curves: Iterable[tuple[Any, Any, Mapping[str, Any]]] = (),
+          height: float = 4.0, **legend: Any) -> tuple[Figure, Axes]:
     """A figure of one graph: what its axes are, curves as x, y and style, and their legend."""
     figure, (ax,) = new_figure(height=height)
     ax.set(xlabel=across, ylabel=up)
@@ -111,10 +106,8 @@ def drawable(values: Array) -> Array:
 
 def legend_above(ax: Axes) -> None:
     """Its labels in a line above the axes, where no curve can lie."""
-    ax.legend(
-        fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4,
-        borderaxespad=0.2,
-    )
+    ax.legend(fontsize=8, frameon=False, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4,
+              borderaxespad=0.2)
 
 
 def plain(figure: Figure) -> Figure:
@@ -216,10 +209,8 @@ def drawn_rows(figure: Figure) -> list[tuple[str, ...]]:
             # Not a mark across the axes, nor the end of an error bar.
             if line.get_transform() == ax.transData and line.get_marker() not in ("|", "_"):
                 xs, ys = map(np.asarray, line.get_data())
-                points += [
-                    (_label(line), wide.get(float(x), x), high.get(float(y), y))
-                    for x, y in zip(xs, ys, strict=True)
-                ]
+                points += [(_label(line), wide.get(float(x), x), high.get(float(y), y))
+                           for x, y in zip(xs, ys, strict=True)]
         for bars in ax.containers:
             for bar in bars.patches if isinstance(bars, BarContainer) else ():
                 if bar.get_x() + bar.get_width():
@@ -234,15 +225,11 @@ def drawn_rows(figure: Figure) -> list[tuple[str, ...]]:
         for image in ax.images:
             # Colours may be cut where numbers are not.
             table = np.asarray(vars(image).get("table", image.get_array()), dtype=float)
-            points += [
-                ("", wide.get(column, column), high.get(row, row), value)
-                for (row, column), value in np.ndenumerate(table)
-            ]
+            points += [("", wide.get(column, column), high.get(row, row), value)
+                       for (row, column), value in np.ndenumerate(table)]
         head, along = _plain(_title(ax) or ax.get_title()) or f"{k}", ax.get_xlabel() or across
-        rows += [
-            (head, name, along, *map(_plain, (x, y, *(value or [""]))))
-            for name, x, y, *value in points
-        ]
+        rows += [(head, name, along, *map(_plain, (x, y, *(value or [""]))))
+                 for name, x, y, *value in points]
     return rows
 
 

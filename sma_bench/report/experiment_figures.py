@@ -148,10 +148,8 @@ def dsc_picture(e5: Experiment) -> Picture:
             # One row of labels a cycle: the onsets of cycles may coincide.
             place = (onset, sign * float(of[f"{end}/tangent"][0]))
             ax.plot(*place, **_marks("o", colour, ms=5))
-            ax.annotate(
-                f"${symbol}$ ({number})", place, (0, -9.5 * sign * number), fontsize=8,
-                textcoords="offset points", ha="center", va="center", color=colour,
-            )
+            ax.annotate(f"${symbol}$ ({number})", place, (0, -9.5 * sign * number), fontsize=8,
+                        textcoords="offset points", ha="center", va="center", color=colour)
     for height, direction in ((0.93, "heating"), (0.04, "cooling")):
         ax.text(0.015, height, direction, transform=ax.transAxes, color=FAINT, fontsize=9)
     ax.legend(loc="upper right")
@@ -178,9 +176,8 @@ def upfr_picture(e6: Experiment) -> Picture:
     tests, zeros = list(dict.fromkeys(test for test, _, _ in branches)), {}
     for one in tests:
         mine = [curves for (test, _, _), curves in branches.items() if test == one]
-        temperature, strain = (
-            np.concatenate([curves[name] for curves in mine]) for name in ("temperature", "strain")
-        )
+        temperature, strain = (np.concatenate([curves[name] for curves in mine])
+                               for name in ("temperature", "strain"))
         zeros[one] = float(np.median(strain[temperature < np.quantile(temperature, 0.1)]))
     relative = any(e.unit == "relative" for e in e6.details.values())
     up = f"contraction [{'% of its range' if relative else '%'}]"
@@ -192,10 +189,8 @@ def upfr_picture(e6: Experiment) -> Picture:
         if len(tests) > _SEVERAL:
             colour, label = f"C{tests.index(test) % 10}", test.rpartition("/")[2]
         step = max(len(curves["strain"]) // _DRAWN, 1)
-        ax.plot(
-            curves["temperature"][::step], 100.0 * (zeros[test] - curves["strain"][::step]), style,
-            color=colour, lw=1.2, alpha=0.75, label=None if label in labelled else label,
-        )
+        ax.plot(curves["temperature"][::step], 100.0 * (zeros[test] - curves["strain"][::step]),
+                style, color=colour, lw=1.2, alpha=0.75, label=None if label in labelled else label)
         labelled.add(label)
 
     # Tangents and cosine of the test in the middle: those of all would hide the curves.
@@ -227,9 +222,8 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
     """Transition temperatures over stress with the lines whose slopes are 1/C_A and 1/C_M."""
     figure, ax = graph("temperature [K]", "stress [MPa]", height=4.6)
     for name, (at_zero, influence, colour, marker) in _TRANSITIONS.items():
-        stress, kelvin, std = (
-            e6.curves[f"diagram/{name}/{quantity}"] for quantity in ("stress", "temperature", "std")
-        )
+        stress, kelvin, std = (e6.curves[f"diagram/{name}/{quantity}"]
+                               for quantity in ("stress", "temperature", "std"))
         ax.errorbar(kelvin, stress / 1e6, xerr=std, fmt=marker, color=colour, mfc="none", ms=6,
                     capsize=2, label=f"${name}$")  # fmt: skip
         if {at_zero, influence} <= set(e6.estimates) and len(stress):
@@ -238,11 +232,9 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
             ax.plot(line, ends / 1e6, color=colour, lw=1)
     ax.set_ylim(bottom=0.0)
     ax.legend()
-    slopes = [
-        f"{symbol} = {with_error(e.value / 1e6, e.std / 1e6)} MPa/K"
-        for symbol, (name, _) in (("C_A", _AUSTENITE), ("C_M", _MARTENSITE))
-        if (e := e6.estimates.get(name)) is not None
-    ]
+    slopes = [f"{symbol} = {with_error(e.value / 1e6, e.std / 1e6)} MPa/K"
+              for symbol, (name, _) in (("C_A", _AUSTENITE), ("C_M", _MARTENSITE))
+              if (e := e6.estimates.get(name)) is not None]
     found = ", ".join(slopes) or "none found"
     return pictured("stress_temperature", figure, slopes=found, source=e6.source)
 
@@ -272,10 +264,8 @@ def tensile_picture(e7: Experiment) -> Picture:
             longest = (_BEYOND * float(stress.max()) - lowest) / modulus.value
             ends = np.array([begins, begins + min(_LINE_STRAIN, longest)])
             label = f"${symbol}$ = {modulus.value / 1e9:.1f} ± {modulus.std / 1e9:.1f} GPa"
-            curves.append((
-                100.0 * ends, (lowest + modulus.value * (ends - begins)) / 1e6,
-                {"ls": "--", "color": MODEL, "lw": 1.5, "zorder": 3, "label": label},
-            ))  # fmt: skip
+            curves.append((100.0 * ends, (lowest + modulus.value * (ends - begins)) / 1e6,
+                           {"ls": "--", "color": MODEL, "lw": 1.5, "zorder": 3, "label": label}))
         seen.add(phase)
     figure, ax = graph("strain [%]", "stress [MPa]", curves, 4.6, loc="upper left")
     begin, end = (e7.details.get(f"martensite plateau {name}") for name in ("begin", "end"))
@@ -380,10 +370,8 @@ def operating_point_picture(model: Linearised) -> Picture:
     ax.plot(around[here], drawn[here], "--", color=MODEL, lw=1.4, label="linearised")
     ax.plot([kelvin], [1e3 * point.deflection], "o", color=MODEL, ms=6)
     ax.legend(fontsize=8)
-    return pictured(
-        "linearised", figure, volts=point.voltage[wire], branch=point.branch, slope=1e3 * slope,
-        kelvin=kelvin,
-    )
+    return pictured("linearised", figure, volts=point.voltage[wire], branch=point.branch,
+                    slope=1e3 * slope, kelvin=kelvin)
 
 
 _PICTURES: dict[str, tuple[Callable[[Experiment], Picture], ...]] = {

@@ -104,9 +104,8 @@ def captions() -> dict[str, dict[str, str]]:
     return found
 
 
-def pictured(
-    key: str, figure: Figure, name: str = "", over_time: bool = False, **facts: object
-) -> Picture:
+def pictured(key: str, figure: Figure, name: str = "", over_time: bool = False,
+             **facts: object) -> Picture:
     """A figure with the title and caption of `key` in captions.yaml, in which the facts stand."""
     title, caption = (captions()[key][part].format(**facts) for part in ("title", "caption"))
     return Picture(name or key, title, caption, figure, over_time)
@@ -135,10 +134,9 @@ class Made:
     when: datetime = field(default_factory=lambda: datetime.now(UTC))
 
 
-def write_report(
-    directory: str | Path, title: str, summary: str, sections: Sequence[Section],
-    made: Made | None = None, *, column: PaperColumn | None = None, report: Report = silent,
-) -> Path:
+def write_report(directory: str | Path, title: str, summary: str, sections: Sequence[Section],
+                 made: Made | None = None, *, column: PaperColumn | None = None,
+                 report: Report = silent) -> Path:
     """Write `index.html` (everything inside, all text escaped) and one PNG a figure; its path.
 
     All files appear, or none: a report that lies there already is replaced once all are made, as a
@@ -172,10 +170,8 @@ def write_report(
         # Nothing from elsewhere, and no other script than the page's own.
         hashed = hashlib.sha256(drawing.script().encode()).digest()
         digest = base64.b64encode(hashed).decode("ascii")
-        policy = (
-            "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
-            f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
-        )
+        policy = ("default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
+                  f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'")
         style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
         page = _template().render(
             title=title, summary=summary, sections=sections, curves_of=drawing.curves_of,

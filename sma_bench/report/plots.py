@@ -59,10 +59,8 @@ def record_picture(record: AnyRecord, name: str) -> Picture | None:
     curves: Curves
     if isinstance(record, DscRecord):
         key, axes = "heat_flow", ("temperature [K]", "heat flow [W/g], the file's sign")
-        curves = [
-            (f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s))
-            for s in record.segments if s.kind != "isothermal"
-        ]  # fmt: skip
+        curves = [(f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s))
+                  for s in record.segments if s.kind != "isothermal"]
     elif isinstance(record, IsobaricRecord):
         relative = record.strain_unit == "relative"
         key, axes = "strain", (axes[0], "strain over its range" if relative else "strain [%]")
@@ -112,9 +110,8 @@ def _bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture
                     path=record.path, steps=steps)  # fmt: skip
 
 
-def _over_time(
-    rows: Sequence[tuple[str, Curves]], markers: Sequence[tuple[float, str]] = ()
-) -> Figure:
+def _over_time(rows: Sequence[tuple[str, Curves]],
+               markers: Sequence[tuple[float, str]] = ()) -> Figure:
     """A graph a row, long signals by least and largest of each stretch; markers: protocol steps."""
     figure, axes = draw.new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
@@ -124,10 +121,8 @@ def _over_time(
         ax.set_ylabel(label)
     most = max(range(len(rows)), key=lambda k: len(rows[k][1]))
     if len(rows[most][1]) > 1:
-        figure.legend(
-            *axes[most].get_legend_handles_labels(), fontsize=8, frameon=False, ncols=4,
-            loc="outside upper right",
-        )
+        figure.legend(*axes[most].get_legend_handles_labels(), fontsize=8, frameon=False, ncols=4,
+                      loc="outside upper right")
     # Names that would lie over each other are left out.
     room, named = float(np.ptp(axes[0].get_xlim())) / 12.0, -np.inf
     for at, text in markers if len(markers) <= _MOST_MARKERS else ():
@@ -135,10 +130,8 @@ def _over_time(
             ax.axvline(at, color=draw.FAINT, lw=0.6, ls=":")
         if at - named > room:
             named = at
-            axes[0].annotate(
-                text, (at, 1.0), xycoords=("data", "axes fraction"), fontsize=6, rotation=30,
-                color=draw.FAINT, annotation_clip=True,
-            )
+            axes[0].annotate(text, (at, 1.0), xycoords=("data", "axes fraction"), fontsize=6,
+                             rotation=30, color=draw.FAINT, annotation_clip=True)
     axes[-1].set_xlabel("time [s]")
     return draw.plain(figure)
 
@@ -251,11 +244,9 @@ def correlation_picture(result: Identification, name: str = "correlation") -> Pi
     ax.set_xticks(range(len(names)), short, rotation=45, ha="right", fontsize=7)
     ax.set_yticks(range(len(names)), short, fontsize=7)
     form = ".2f" if len(names) <= _FEW else ".1f"
-    draw.cell_texts(ax, {
-        (row, column): (format(value, form), bool(abs(value) > 0.6))
-        for (row, column), value in np.ndenumerate(matrix)
-        if row != column and np.isfinite(value) and len(names) <= _MOST_NUMBERS
-    }, 6)
+    draw.cell_texts(ax, {(row, column): (format(value, form), bool(abs(value) > 0.6))
+                         for (row, column), value in np.ndenumerate(matrix) if row != column
+                         and np.isfinite(value) and len(names) <= _MOST_NUMBERS}, 6)
     figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
     return pictured("correlation", draw.plain(figure), name)
 
@@ -298,29 +289,24 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
             upper.plot(time, value, color=draw.MEASURED, lw=2.6, alpha=0.45, label="measured")
             half = 2.0 * factor * sample_noise(result.model.problem, signal.name)
             lower.axhspan(-half, half, color=draw.FAINT, alpha=0.18, lw=0, gid=draw.BAND)
-            for simulated, label, colour, dash in (
-                (factor * old, "as believed", draw.FAINT, "--"),
-                (factor * new, "improved", draw.MODEL, "-"),
-            ):
+            for simulated, label, colour, dash in ((factor * old, "as believed", draw.FAINT, "--"),
+                                                   (factor * new, "improved", draw.MODEL, "-")):
                 upper.plot(time, simulated, label=label, color=colour, lw=1.0, ls=dash)
                 lower.plot(time, value - simulated, color=colour, lw=1.0, ls=dash)
             upper.set_ylabel(f"[{unit}]")
             upper.set_title(signal.name, loc="left", fontsize=9)
             lower.set_ylabel(f"error [{unit}]")
         draw.legend_above(axes[0][0])
-        pictures.append(pictured(
-            "diagnosis_signals", figure, f"diagnosis_{quantity}", over_time=True,
-            quantity=quantity, path=obs.path, period=shown[0][0].period,
-        ))
+        pictures.append(pictured("diagnosis_signals", figure, f"diagnosis_{quantity}",
+                                 over_time=True, quantity=quantity, path=obs.path,
+                                 period=shown[0][0].period))
     return pictures
 
 
 def candidate_picture(result: DiagnosisResult, name: str = "diagnosis_candidates") -> Picture:
     """Probabilities of the candidates."""
-    shown = [
-        c for k, c in enumerate(result.candidates)
-        if c.name in _RIVALS or (k < _MOST_BARS and c.probability >= LEAST_SHOWN)
-    ]
+    shown = [c for k, c in enumerate(result.candidates) if c.name in _RIVALS
+             or (k < _MOST_BARS and c.probability >= LEAST_SHOWN)]
     figure, (ax,) = draw.new_figure(height=1.2 + 0.32 * len(shown))
     names = [f"{c.name} *" if c.name in result.credible else c.name for c in shown]
     stages = [[part for part in c.stage.split(JOIN) if part] for c in shown]
@@ -331,9 +317,8 @@ def candidate_picture(result: DiagnosisResult, name: str = "diagnosis_candidates
     return pictured("diagnosis_candidates", draw.plain(figure), name)
 
 
-def _bars(
-    ax: Axes, names: Sequence[str], values: Sequence[float], stages: Sequence[Sequence[str]]
-) -> Array:
+def _bars(ax: Axes, names: Sequence[str], values: Sequence[float],
+          stages: Sequence[Sequence[str]]) -> Array:
     """A bar a name in the colour of its stages; (n,) where they are."""
     place, legend = draw.named_rows(ax, names), dict[str, BarContainer]()
     for y, value, own in zip(place, values, stages, strict=True):
@@ -352,16 +337,13 @@ def evidence_picture(result: Diagnosis) -> Picture:
     search = result.search
     base = search.recalibrated.evidence
     gains = {name: search.gain(name) for name in search.ranked}
-    gains |= {
-        JOIN.join(pair): fit.evidence - base for pair, fit in search.pairs.items()
-        if fit.evidence - base > max(gains.values(), default=0.0)
-    }
+    gains |= {JOIN.join(pair): fit.evidence - base for pair, fit in search.pairs.items()
+              if fit.evidence - base > max(gains.values(), default=0.0)}
     gains["response of free form"] = search.flexible.gain
     ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
     figure, (ax,) = draw.new_figure(height=1.2 + 0.28 * len(ranked))
-    stages = [
-        list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS)) for n in ranked
-    ]
+    stages = [list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS))
+              for n in ranked]
     _bars(ax, ranked, [gains[name] for name in ranked], stages)
     left, right = max(min(gains.values()), -_AS_BAD), 1.5 * max(*gains.values(), _LINEAR)
     ax.set_xscale("symlog", linthresh=_LINEAR)
@@ -407,19 +389,14 @@ def gap_picture(result: Diagnosis) -> Picture:
         head = "what " + "\nand ".join(names) + f" {'does' if len(names) == 1 else 'do'}"
     else:
         head = "what recalibration\nchanges"
-    maps = (
-        ("measured less simulated,\nas believed", locate(problem, result.search.nominal.left)),
-        (head, middle),
-        ("left by the\nbest model", locate(problem, result.model.left)),
-    )
+    maps = (("measured less simulated,\nas believed", locate(problem, result.search.nominal.left)),
+            (head, middle), ("left by the\nbest model", locate(problem, result.model.left)))
 
     # Signals by quantity, the worst first; the deflection once a side.
-    rows = list(dict.fromkeys(
-        f"{signal.name}, {side}" if side else signal.name
-        for quantity in _quantities(result) for view in result.observations
-        for signal in view.signals if signal.quantity == quantity
-        for side in (view.sides if quantity == "deflection" else ("",))
-    ))  # fmt: skip
+    rows = list(dict.fromkeys(f"{signal.name}, {side}" if side else signal.name
+                              for quantity in _quantities(result) for view in result.observations
+                              for signal in view.signals if signal.quantity == quantity
+                              for side in (view.sides if quantity == "deflection" else ("",))))
     tables = {}
     for title, cells in maps:
         numbers = {
@@ -436,10 +413,8 @@ def gap_picture(result: Diagnosis) -> Picture:
         shown = np.clip(table, norm.vmin, norm.vmax)
         image = ax.imshow(shown, aspect="auto", cmap="YlOrRd", norm=norm)
         vars(image)["table"] = table
-        draw.cell_texts(ax, {
-            cell: (_short(value), float(norm(shown[cell])) > _DARK)
-            for cell, value in np.ndenumerate(table) if np.isfinite(value)
-        }, 8)  # fmt: skip
+        draw.cell_texts(ax, {cell: (_short(value), float(norm(shown[cell])) > _DARK)
+                             for cell, value in np.ndenumerate(table) if np.isfinite(value)}, 8)
         ax.tick_params(length=0)
         ax.set_title(title, fontsize=8)
         ax.set_xticks(range(len(PHASES)), PHASES, fontsize=8)

@@ -33,10 +33,9 @@ from sma_bench.report.tables import (
 from sma_bench.results import LARGEST, card, sentences, signed, with_error
 
 
-def write_identification_report(
-    directory: str | Path, result: Identification, report: Report = silent,
-    made: Made | None = None, column: PaperColumn | None = None,
-) -> Path:
+def write_identification_report(directory: str | Path, result: Identification,
+                                report: Report = silent, made: Made | None = None,
+                                column: PaperColumn | None = None) -> Path:
     """Write the report's index.html and figures. `report`: hears which figure comes; `made`: by
     which command and of which inputs; `column`: of a paper, for which the figures are written as
     well. Raises InputError: the folder cannot be written."""
@@ -53,16 +52,12 @@ def write_identification_report(
                 tables=[table_of(result, "plain_numbers", result.estimates, name="numbers")]),
     ]  # fmt: skip
     sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))
-    return write_report(
-        directory, "Identified parameters", f"From {sources}.", sections,
-        made or Made("sma_bench.identify"), column=column, report=report,
-    )
+    return write_report(directory, "Identified parameters", f"From {sources}.", sections,
+                        made or Made("sma_bench.identify"), column=column, report=report)
 
 
-def write_diagnosis_report(
-    directory: str | Path, result: Diagnosis, report: Report = silent,
-    made: Made | None = None, column: PaperColumn | None = None,
-) -> Path:
+def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Report = silent,
+                           made: Made | None = None, column: PaperColumn | None = None) -> Path:
     """The same of a diagnosis."""
     tables = diagnosis_tables(result)
     proposed = plots.next_experiment_picture(result, result.parameters)
@@ -91,11 +86,9 @@ def write_diagnosis_report(
     ]
     numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
     sources = list(dict.fromkeys(view.path for view in result.observations))
-    return write_report(
-        directory, "The gap between simulation and bench", f"From {'; '.join(sources)}.",
-        [Section("", card=card(result)), *numbered], made or Made("sma_bench.diagnose", sources),
-        column=column, report=report,
-    )
+    return write_report(directory, "The gap between simulation and bench",
+                        f"From {'; '.join(sources)}.", [Section("", card=card(result)), *numbered],
+                        made or Made("sma_bench.diagnose", sources), column=column, report=report)
 
 
 def _looked_at(result: Diagnosis) -> Section:
@@ -192,10 +185,8 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
                 title = f"{e.name} {e.title}, from {e.source}"
                 own_name = f"{name}_experiment_{k}"
                 tables.append(table_of(result, "plain_numbers", own, name=own_name, title=title))
-        pictures = _present(
-            plots.agreement_picture(result, f"{name}_agreement"),
-            plots.correlation_picture(result, f"{name}_correlation"),
-        )
+        pictures = _present(plots.agreement_picture(result, f"{name}_agreement"),
+                            plots.correlation_picture(result, f"{name}_correlation"))
         section = Section(f"Identification {path}", [], warnings, tables, pictures)
     else:
         kind = "diagnosis"
@@ -210,10 +201,9 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
     return ReportedInput(path, kind, said, section, worth, *digest(of_file), answer)
 
 
-def write_collected_report(
-    directory: str | Path, title: str, shown: Sequence[ReportedInput], parameters: Parameters,
-    given: str, made: Made, column: PaperColumn | None, report: Report,
-) -> Path:
+def write_collected_report(directory: str | Path, title: str, shown: Sequence[ReportedInput],
+                           parameters: Parameters, given: str, made: Made,
+                           column: PaperColumn | None, report: Report) -> Path:
     """The cards of all results, one that stands alone without heading; a line an input, and folded
     above them all their warnings; each input's own; the parameters, `given` by what. Raises
     InputError: the folder cannot be written."""
@@ -223,10 +213,8 @@ def write_collected_report(
     warnings = [text for one in shown for text in one.warnings]
     table = Table(("", "input", "kind", "what it says"), rows, frozenset({0}), "summary")
     head = f"{len(warnings)} warning{'s' if len(warnings) != 1 else ''}"
-    summary = Section(
-        "Summary", [] if warnings else ["No warnings."], tables=[table],
-        folded=[head, *warnings] if warnings else (),
-    )
+    summary = Section("Summary", [] if warnings else ["No warnings."], tables=[table],
+                      folded=[head, *warnings] if warnings else ())
     sections = [*cards, summary, *(one.section for one in shown)]
     if parameters.given:
         rows = []
@@ -240,9 +228,8 @@ def write_collected_report(
         text = f"As given in {given}; all others as in docs/parameters.md."
         sections.append(Section("Parameters", [text], tables=[table]))
     sources = "; ".join(dict.fromkeys(one.path for one in shown))
-    return write_report(
-        directory, title, f"From {sources}.", sections, made, column=column, report=report
-    )
+    return write_report(directory, title, f"From {sources}.", sections, made, column=column,
+                        report=report)
 
 
 def read_result(path: str | Path) -> Identification | DiagnosisResult:

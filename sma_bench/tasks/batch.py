@@ -74,9 +74,8 @@ def run_task(task: Task) -> Outcome:
     return Outcome(task.path, error=" ".join(reason.split()), seconds=time.perf_counter() - begin)
 
 
-def do_tasks(
-    tasks: Sequence[Task], jobs: int, cluster: str | None = None
-) -> Generator[tuple[int, Outcome], None, None]:
+def do_tasks(tasks: Sequence[Task], jobs: int,
+             cluster: str | None = None) -> Generator[tuple[int, Outcome], None, None]:
     """(index of the task, outcome) as soon as each is done, by so many processes of this machine,
     which end with this one; or by the workers of the dask scheduler at `cluster`, which have this
     package installed and see files under the same paths. Raises InputError: jobs out of range; no

@@ -32,9 +32,8 @@ from sma_bench.tasks.work import diagnose_files, write_improved
 
 HEADER = ("records", "minutes", "verdict", "probabilities", "then")
 BELIEVED, STORY = "believed.yaml", "investigation.json"
-OPEN, NAMED, INSEPARABLE, SPENT, TEST = (
-    "open", "named", "inseparable", "budget spent", "a test is needed"
-)
+OPEN, NAMED, INSEPARABLE, SPENT, TEST = ("open", "named", "inseparable", "budget spent",
+                                         "a test is needed")
 _ABOVE_FINISH = 25.0  # K to which the first drive heats a wire at rest
 _MOST_SHOWN = 5
 _SURE = 0.8  # probability from which an effect needs no more
@@ -75,9 +74,8 @@ class _Proposed:
 class Investigation:
     """One folder; what is in it already is not done again."""
 
-    def __init__(
-        self, folder: str | Path, budget: float, signals: Sequence[str] = QUANTITIES
-    ) -> None:
+    def __init__(self, folder: str | Path, budget: float,
+                 signals: Sequence[str] = QUANTITIES) -> None:
         """`budget`: minutes that the bench may be driven in all."""
         self.folder, self._budget, self._signals = Path(folder), budget, tuple(signals)
         self.given: list[str] = []
@@ -149,11 +147,9 @@ class Investigation:
         document = {**document, "name": f"{document['name']}_{number}"}
         write_text_atomically(path, json.dumps(document, indent=1) + "\n")  # YAML as well
         protocol = load_protocol(path, p)
-        return {
-            "protocol": protocol.name, "minutes": protocol.duration / 60.0,
-            "volts": max(max(*s.start, *s.stop) for s in protocol.segments),
-            "file": str(path), "bag": str(self.folder / f"record_{number}"),
-        }
+        return {"protocol": protocol.name, "minutes": protocol.duration / 60.0,
+                "volts": max(max(*s.start, *s.stop) for s in protocol.segments), "file": str(path),
+                "bag": str(self.folder / f"record_{number}")}
 
     @property
     def pending(self) -> bool:
@@ -173,11 +169,10 @@ class Investigation:
         result = diagnose_files(records, [], self.believed, self._signals, report)
         document = result.to_json()
         write_improved(self.folder / "improved.yaml", result, "sma-bench investigate")
-        self.chapters.append(Chapter(
-            len(records), self.minutes, document["verdict"], document["cause"],
-            {c["name"]: c["probability"] for c in document["candidates"]}, document["why"],
-            document["next_experiment"] or {},
-        ))
+        self.chapters.append(Chapter(len(records), self.minutes, document["verdict"],
+                                     document["cause"],
+                                     {c["name"]: c["probability"] for c in document["candidates"]},
+                                     document["why"], document["next_experiment"] or {}))
         write_text_atomically(self._last, json.dumps(document, indent=1) + "\n")
         self._keep()
         return result
@@ -218,10 +213,9 @@ class Investigation:
             for c in self.chapters
         ]
         table = Table(HEADER, self.rows(), frozenset({0, 1}), "story", "Probabilities by record")
-        return write_report(
-            self.folder / "story", "Investigation", f"{self.summary()}.",
-            [answer, Section("Story", tables=[table]), *sections], Made(command, self.records),
-        )
+        return write_report(self.folder / "story", "Investigation", f"{self.summary()}.",
+                            [answer, Section("Story", tables=[table]), *sections],
+                            Made(command, self.records))
 
     @property
     def outcome(self) -> str:

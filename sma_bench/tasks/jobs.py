@@ -42,10 +42,8 @@ class Worker:
         self._name, self._ended = name, ""
         self.process: Any = None
 
-    def run(
-        self, task: Task, settings: Mapping[str, Any], parameters: Parameters,
-        report: Report = silent,
-    ) -> str:
+    def run(self, task: Task, settings: Mapping[str, Any], parameters: Parameters,
+            report: Report = silent) -> str:
         """The task's result. Raises InputError: what the task raised, or why it was ended."""
         near, far = _SPAWN.Pipe(duplex=False)
         process = _SPAWN.Process(target=_work, args=(far, task, dict(settings), parameters))
@@ -120,9 +118,8 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
 # --- Where a task may read and write.
 
 
-def records_inside(
-    settings: Mapping[str, Any], parameter: str = "record", required: bool = False
-) -> list[str]:
+def records_inside(settings: Mapping[str, Any], parameter: str = "record",
+                   required: bool = False) -> list[str]:
     """Paths of the records that a list parameter names, relative ones below `record_root`. Raises
     InputError: one lies outside the root, links followed, those in the folder of a bag too; none
     is named where one is required."""

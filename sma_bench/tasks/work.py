@@ -36,11 +36,10 @@ _PLAN = {
 }
 
 
-def identify_files(
-    paths: Sequence[str], parameters: Parameters, experiments: Sequence[str] | None = None,
-    namespace: str | None = None, report: Report = silent,
-    phases: Mapping[str, Phase] | None = None, stated: Mapping[str, float] | None = None,
-) -> "Identification":
+def identify_files(paths: Sequence[str], parameters: Parameters,
+                   experiments: Sequence[str] | None = None, namespace: str | None = None,
+                   report: Report = silent, phases: Mapping[str, Phase] | None = None,
+                   stated: Mapping[str, float] | None = None) -> "Identification":
     """Identify from bags and instrument files (`identify/`). `paths`: of the records; parameters:
     what is known beforehand; `experiments`: of E0 to E10; all that the records allow when None;
     `namespace`: where two benches are in one bag, the one to take; `report`: called with how far it
@@ -58,10 +57,8 @@ def identify_files(
     return identify(records, parameters, experiments, part(report, _READING, 1.0), phases)
 
 
-def diagnose_files(
-    paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
-    quantities: Sequence[str] = QUANTITIES, report: Report = silent,
-) -> "Diagnosis":
+def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
+                   quantities: Sequence[str] = QUANTITIES, report: Report = silent) -> "Diagnosis":
     """Diagnose the gap between bags of one bench and its model (`diagnose/`). `paths`: of the bags;
     hold_out: of those on which the shrinkage is measured; `parameters`: as believed; quantities:
     that are compared; `report`: called with how far it is. Raises InputError: a bag that cannot be
@@ -70,19 +67,15 @@ def diagnose_files(
 
     load_aside(core.run, run_once)
     reading = part(report, 0.0, _READING_BAGS)
-    records = [
-        read_record(path)
-        for path in in_turn([*paths, *hold_out], reading, lambda path: f"reading {path}")
-    ]
+    records = [read_record(path)
+               for path in in_turn([*paths, *hold_out], reading, lambda path: f"reading {path}")]
     reporter = by_name(part(report, _READING_BAGS, 1.0), _PLAN)
     seen = len(paths)
     return diagnose(records[:seen], parameters, records[seen:], reporter, quantities)
 
 
-def write_identified(
-    path: str | Path, result: "Identification", author: str, sources: Sequence[str],
-    template: str | Path | None = None,
-) -> None:
+def write_identified(path: str | Path, result: "Identification", author: str,
+                     sources: Sequence[str], template: str | Path | None = None) -> None:
     """Write the parameters with what was identified put in; comments of the file `template` stay.
     Where the model does not fit within the noise, that is its first comment. Raises InputError: the
     file cannot be written."""
@@ -97,10 +90,8 @@ def write_improved(path: str | Path, result: "Diagnosis", author: str) -> None:
     """Write the improved parameters, but not what nobody stated and the records hardly tell. Raises
     InputError: the file cannot be written."""
     improved, stated = result.improved, result.parameters.given
-    told = {
-        n for n in improved.given
-        if (spread := BY_NAME[n].spread) is None or improved.std(n) < _TOLD * spread
-    }
+    told = {n for n in improved.given if (spread := BY_NAME[n].spread) is None
+            or improved.std(n) < _TOLD * spread}
     names = [n for n in improved if n in stated | told]
     sources = ", ".join(dict.fromkeys(view.path for view in result.observations))
     comment = f"Improved by {author} from {sources}".replace("\n", " ")

@@ -94,9 +94,8 @@ class SignalBins:
             self._scatter = float(max(white, steps, _LEAST[self.quantity]))
         return self._scatter
 
-    def read(
-        self, allowed: float, sides: int, fewest: int, window: float, threshold: float = np.inf
-    ) -> BinStatistics | None:
+    def read(self, allowed: float, sides: int, fewest: int, window: float,
+             threshold: float = np.inf) -> BinStatistics | None:
         """What the bins of the last `window` s say, None while there are too few.
 
         Args:
@@ -131,14 +130,12 @@ class SignalBins:
         power = float(cause @ cause)
         informative = power > 0.1 * float(tolerance @ tolerance)
         share = float(residual @ cause) / power if informative else np.nan
-        return BinStatistics(
-            energy, surprise, gap, residual[last], cause[last], tolerance[last], share
-        )
+        return BinStatistics(energy, surprise, gap, residual[last], cause[last], tolerance[last],
+                             share)
 
 
-def _noise_before(
-    level: Array, time: Array, count: Array, stop: int, scatter: float, allowed: float
-) -> Noise:
+def _noise_before(level: Array, time: Array, count: Array, stop: int, scatter: float,
+                  allowed: float) -> Noise:
     """Noise that the bins up to `stop` show, but no more than a sensor may have; as much while
     they are too few for an estimate."""
     white = scatter / float(np.sqrt(np.median(count)))
@@ -228,9 +225,8 @@ class Comparison:
         self._differences: deque[Array] = deque(maxlen=2 * _AHEAD + 1)
         self._doubts: deque[Array] = deque(maxlen=2 * _AHEAD + 1)
 
-    def take(
-        self, kind: str, wire: int, time: Array, value: Array, predicted: Array, std: Array
-    ) -> None:
+    def take(self, kind: str, wire: int, time: Array, value: Array, predicted: Array,
+             std: Array) -> None:
         """Samples (n,) of a current [A], a temperature [K] with its own standard deviations, or the
         mechanics: a deflection [m] or a force [N]."""
         number = self._closed - (_AHEAD if kind == "mechanics" else 0)

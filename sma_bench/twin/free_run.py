@@ -40,9 +40,8 @@ class MeasuredVoltages:
         self._forget()
 
     def _forget(self) -> None:
-        self._waiting: list[deque[tuple[float, float]]] = [
-            deque(maxlen=_QUEUE) for _ in range(self._wires)
-        ]
+        self._waiting: list[deque[tuple[float, float]]] = [deque(maxlen=_QUEUE)
+                                                           for _ in range(self._wires)]
         self._latest = [-math.inf] * self._wires
         self._held = [math.nan] * self._wires
 
@@ -118,9 +117,8 @@ class Trajectory:
 class FreeRun:
     """The model from the moment at which the twin joined."""
 
-    def __init__(
-        self, parameters: Parameters, time: float, temperature: Array, voltage: Array
-    ) -> None:
+    def __init__(self, parameters: Parameters, time: float, temperature: Array,
+                 voltage: Array) -> None:
         """Begin at `time` s with measured temperatures (w,) K, NaN where there is none; voltages
         (w,) V are held from then on."""
         self._measured = temperature

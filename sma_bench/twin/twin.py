@@ -57,11 +57,9 @@ class Prediction(NamedTuple):
     def moved(self, share: float) -> "Prediction":
         """A limit: what is `share` times `off` away."""
         assert self.off is not None
-        return Prediction(
-            self.stamp, self.voltage, self.current + share * self.off.current,
-            self.temperature + share * self.off.temperature,
-            self.mechanics + share * self.off.mechanics,
-        )
+        return Prediction(self.stamp, self.voltage, self.current + share * self.off.current,
+                          self.temperature + share * self.off.temperature,
+                          self.mechanics + share * self.off.mechanics)
 
 
 class Residual(NamedTuple):
@@ -99,10 +97,9 @@ class Twin:
     Stamps are ns, readings SI. What cannot be used (NaN, late, out of order) is counted.
     """
 
-    def __init__(
-        self, parameters: Parameters, settings: Settings,
-        on_prediction: Callable[[Prediction], None], on_residual: Callable[[Residual], None],
-    ) -> None:
+    def __init__(self, parameters: Parameters, settings: Settings,
+                 on_prediction: Callable[[Prediction], None],
+                 on_residual: Callable[[Residual], None]) -> None:
         """`settings` are the twin node's own parameters; the callbacks get the output. InputError:
         a bench whose motion is imposed, which the twin does not hear in time."""
         if (kind := load_kind(parameters)) == "displacement":
@@ -192,13 +189,11 @@ class Twin:
     @property
     def counts(self) -> dict[str, int]:
         """What was left out, by reason, and how often the twin began anew."""
-        return {
-            "voltages_not_a_number": self._voltages.dropped["not a number"],
-            "voltages_out_of_order": self._voltages.dropped["out of order"],
-            "readings_not_usable": self._ignored,
-            "readings_late": self._comparison.late if self._comparison else 0,
-            "restarts": self.restarts,
-        }
+        return {"voltages_not_a_number": self._voltages.dropped["not a number"],
+                "voltages_out_of_order": self._voltages.dropped["out of order"],
+                "readings_not_usable": self._ignored,
+                "readings_late": self._comparison.late if self._comparison else 0,
+                "restarts": self.restarts}
 
     @property
     def stamp(self) -> int:
@@ -212,9 +207,8 @@ class Twin:
     def _stamp(self, time: float) -> int:
         return (self._origin or 0) + round(time * NANOSECONDS)
 
-    def _queue(
-        self, kind: str, wire: int, stamp: int, value: float, factor: float = 1.0, std: float = 0.0
-    ) -> None:
+    def _queue(self, kind: str, wire: int, stamp: int, value: float, factor: float = 1.0,
+               std: float = 0.0) -> None:
         waiting = self._pending.setdefault((kind, wire), deque(maxlen=_QUEUE))
         waiting.append((self._time(stamp), stamp, value, factor, std))
 
@@ -239,10 +233,9 @@ class Twin:
             if doubt is not None:
                 w, away = len(volts[k]), doubt.off(row)
                 off = Prediction(stamp, volts[k], volts[k] * away[:w], away[w:-1], float(away[-1]))
-            self._on_prediction(Prediction(
-                stamp, volts[k], volts[k] * trajectory.conductance[row],
-                trajectory.reading[row], float(trajectory.mechanics[row]), off,
-            ))
+            self._on_prediction(Prediction(stamp, volts[k], volts[k] * trajectory.conductance[row],
+                                           trajectory.reading[row],
+                                           float(trajectory.mechanics[row]), off))
         for (kind, wire), waiting in self._pending.items():
             ready = []
             while waiting and waiting[0][0] <= run.time:
@@ -370,17 +363,14 @@ class Judge:
         return Verdict(GREW if grown else GAP, said, stages, tuple(dict.fromkeys(sides)), measured)
 
 
-def stage_states(
-    comparison: Comparison, settings: Settings, sides: int
-) -> tuple[tuple[StageState, ...], bool]:
+def stage_states(comparison: Comparison, settings: Settings,
+                 sides: int) -> tuple[tuple[StageState, ...], bool]:
     """Every stage that has a signal, in the order of the chain; and whether the thermometer is to
     be doubted: what follows from the voltages is right, what follows from its readings is not."""
     threshold, fewest = settings["threshold"], round(settings["learning"] / BIN)
     readings = {}
-    for name, signals in (
-        (ELECTRICAL, comparison.currents), (THERMAL, comparison.temperatures),
-        (MECHANICAL, [comparison.driven]), ("free", [comparison.free]),
-    ):
+    for name, signals in ((ELECTRICAL, comparison.currents), (THERMAL, comparison.temperatures),
+                          (MECHANICAL, [comparison.driven]), ("free", [comparison.free])):
         readings[name] = [
             signal.read(
                 settings[f"allowed.{signal.quantity}"], sides, fewest, settings["window"], threshold
