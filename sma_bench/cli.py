@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from sma_bench.commands import COMMANDS
+from sma_bench.commands import COMMANDS, MODULES
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import VERSION, one_blas_thread
 from sma_bench.lifeline import end_with_parent
@@ -101,7 +101,7 @@ def _dispatch(arguments: list[str]) -> int:
 
 def load_command(name: str) -> "click.Command":
     """The command of a name of COMMANDS; nothing else of the package is loaded for its help."""
-    return importlib.import_module(f"sma_bench.commands.{name}").run
+    return getattr(importlib.import_module(f"sma_bench.commands.{MODULES[name]}"), f"run_{name}")
 
 
 def _complete() -> None:

@@ -48,9 +48,6 @@ class Invocation:
     report: str = ""
 
 
-# --- JSON.
-
-
 def decoded(kind: type[T], document: Any, where: str) -> T:
     """A plain dataclass from what its JSON held; null, for what is not finite, becomes NaN. Raises
     InputError: one line that begins with `where` and names the field."""
@@ -90,9 +87,6 @@ def _finite(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
-
-
-# --- Numbers as people read them.
 
 
 class PaperUnit(NamedTuple):

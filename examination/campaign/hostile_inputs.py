@@ -27,7 +27,7 @@ from examination.campaign.drawn_bags import HABITS, Stream, write_bag
 from examination.campaign.outcome import Outcome, allowance
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
-from sma_bench.commands.identify import MISFIT
+from sma_bench.commands.answers import MISFIT
 from sma_bench.errors import InputError
 from sma_bench.records import Record
 from sma_bench.records.bag_writer import write_record

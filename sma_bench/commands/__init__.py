@@ -1,4 +1,4 @@
-"""The commands of sma-bench, a module each; ./bench reads this table without importing it."""
+"""The commands of sma-bench; ./bench reads their table without importing it."""
 
 COMMANDS = {
     "example": "the files of a documentation page, or a rig's parameters, in a new folder",
@@ -23,3 +23,11 @@ COMMANDS = {
     "run": "run a node: sma-bench run NODE [--ros-args ...]",
     "demo": "simulated benches, bags, identification, diagnosis, in one go",
 }
+# Of each command the module that it stands in, as `run_NAME`.
+MODULES = {name: module for module, names in {
+    "answers": ("identify", "diagnose", "try", "batch", "investigate"),
+    "records": ("info", "import"), "pages": ("report", "compare", "paper"),
+    "parameters": ("parameters", "effects", "audit", "example"),
+    "models": ("simulate", "linearise"), "nodes": ("run", "call", "dashboard"),
+    "calibrate": ("calibrate",), "demo": ("demo",),
+}.items() for name in names}

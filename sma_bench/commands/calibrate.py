@@ -31,7 +31,7 @@ _AVERAGED = 100  # readings of one known load, at 100 Hz
 
 
 @options.command("calibrate")
-def run(args: SimpleNamespace) -> int:
+def run_calibrate(args: SimpleNamespace) -> int:
     """Fit, print, write; a calibration of this sensor that --out holds goes with --force only."""
     name, sensor = args.sensor, SENSORS[args.sensor]
     # What stays in --out, and whether it has a sensor of the same quantity.

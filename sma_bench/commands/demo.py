@@ -56,7 +56,7 @@ _REACHED = 30.0
 
 
 @options.command("demo")
-def run(args: SimpleNamespace) -> int:
+def run_demo(args: SimpleNamespace) -> int:
     """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
     wrong, 1 when not. Raises InputError: no ROS 2 here, or a folder that cannot be made."""
     from sma_bench.compiled import is_compiled
@@ -217,9 +217,6 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
         steps[work](0.0, work)
         client.follow(node)
         return bags, json.loads(client.trigger(service, _PATIENCE))
-
-
-# --- What is simulated and hidden, and whether what was said of it is right.
 
 
 def _deviation(estimate: Mapping[str, Any], true: float) -> float:

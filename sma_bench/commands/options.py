@@ -185,7 +185,7 @@ class Command(click.Command):
 
 
 def command(name: str, about: str = "",
-            **settings: Any) -> Callable[[Callable[[SimpleNamespace], int]], Command]:
+            **context: Any) -> Callable[[Callable[[SimpleNamespace], int]], Command]:
     """A command as commands.yaml declares it; its function gets the options as one namespace, and
     as `command_line` what was typed."""
     table = read_yaml(Path(__file__).with_name("commands.yaml"))
@@ -200,15 +200,15 @@ def command(name: str, about: str = "",
     if any(isinstance(p.type, Output) and p.type.kind != NEW for p in params):
         replaces = "replace outputs that exist (inputs never)"
         params.append(click.Option(["--force"], is_flag=True, help=replaces))
-    settings.setdefault("context_settings", {"help_option_names": ["-h", "--help"]})
+    context["help_option_names"] = ["-h", "--help"]
 
     def made(function: Callable[[SimpleNamespace], int]) -> Command:
         def body(**options: Any) -> int:
             line = click.get_current_context().obj
             return function(SimpleNamespace(**options, command_line=line))
 
-        text = about or COMMANDS[name]
-        whole = Command(name, callback=body, params=params, help=text, **settings)
+        whole = Command(name, callback=body, params=params, help=about or COMMANDS[name],
+                        context_settings=context)
         whole.examples = table[name]["examples"]
         return whole
 
@@ -230,9 +230,6 @@ def run_command(whole: click.Command, path: str, arguments: Sequence[str]) -> in
         words = " ".join(error.format_message().split()).rstrip(".")
         said = words[:1].lower() + words[1:]
     raise InputError(f"{path.split()[-1]}: {said}; see {path} --help")
-
-
-# --- What commands make of their options.
 
 
 def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None:

@@ -1,13 +1,40 @@
-"""sma-bench parameters: every parameter, or a file to start from."""
+"""Parameters and effects as tables, the audit of a lab's own numbers, files to start from."""
 
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 from sma_bench.commands import options
-from sma_bench.commands.terminal import print_table, write_json
+from sma_bench.commands.terminal import print_findings, print_table, say, write_json
+from sma_bench.errors import InputError, did_you_mean
+from sma_bench.installation import share_directory
+
+
+@options.command("example")
+def run_example(args: SimpleNamespace) -> int:
+    share = share_directory()
+    files = {folder.name: {path.name: path for path in sorted(folder.iterdir())}
+             for folder in sorted((share / "examples").iterdir())
+             if (folder / "lab.yaml").is_file()}
+    files |= {rig.stem: {"lab.yaml": rig} for rig in sorted((share / "config").glob("*_rig.yaml"))}
+    if args.name is None:
+        for name, found in files.items():
+            say(f"{name}: {', '.join(found)}")
+        return 0
+    if args.name not in files:
+        hint = did_you_mean(args.name, files) or f", expected one of {', '.join(files)}"
+        raise InputError(f"no example {args.name!r}{hint}")
+    folder = Path(args.out or args.name)
+    options.keep_safe({"--out": (folder, options.FOLDER)}, [], args.force)
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, path in files[args.name].items():
+        shutil.copyfile(path, folder / name)
+        say(f"{folder / name}")
+    return 0
 
 
 @options.command("parameters")
-def run(args: SimpleNamespace) -> int:
+def run_parameters(args: SimpleNamespace) -> int:
     from sma_bench.parameters import write_parameters
     from sma_bench.parameters.node_tables import parameter_page
     from sma_bench.parameters.parameter import TABLE
@@ -32,4 +59,42 @@ def run(args: SimpleNamespace) -> int:
     else:
         rows = [(p.name, value_cell(parameters[p.name]), p.unit, p.provenance) for p in TABLE]
         print_table(Table(("parameter", "value", "unit", "source"), rows))
+    return 0
+
+
+@options.command("effects")
+def run_effects(args: SimpleNamespace) -> int:
+    from sma_bench.parameters.node_tables import effects_page, range_of
+    from sma_bench.parameters.parameter import EFFECTS
+    from sma_bench.report.tables import Table
+
+    numbers = ("name", "unit", "default", "low", "high")
+    entries = [
+        {"name": e.name, "stage": e.stage, "acts_on": list(e.acts_on), "shows": e.shows,
+         "parameters": [{key: getattr(p, key) for key in numbers} for p in e.parameters]}
+        for e in EFFECTS.values()
+    ]
+    write_json(args.json, {"effects": entries})
+    if args.markdown:
+        print(effects_page(), end="")
+    else:
+        rows = [(e.name, e.stage, range_of(e.size), e.shows) for e in EFFECTS.values()]
+        print_table(Table(("effect", "stage", "size", "how it shows"), rows))
+    return 0
+
+
+@options.command("audit")
+def run_audit(args: SimpleNamespace) -> int:
+    """Print every finding; exit code 0 (a clash is a result, not an error)."""
+    from sma_bench.parameters.audit import audit
+
+    if args.file and args.params:
+        raise InputError(f"audit: {args.file} and --params {args.params} given, expected one file")
+    args.params = args.params or args.file
+    parameters = options.parameters_from_options(args)
+    findings = audit(parameters, papers_own=args.paper or not parameters.given)
+    write_json(args.json, {"findings": [finding.to_json() for finding in findings]})
+    print_findings(findings)
+    clashes = sum(finding.severity != "info" for finding in findings)
+    print(f"{clashes} of {len(findings)} checks found a clash")
     return 0

@@ -21,19 +21,22 @@ from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 from sma_bench.arrays import Array
 
-MEASURED = "#1f4e79"
-SECOND = "#c0504d"
-MODEL = "#e08214"
-FAINT = "#8a8a8a"
+MEASURED, SECOND, MODEL, FAINT = "#1f4e79", "#c0504d", "#e08214", "#8a8a8a"
 BAND = "band"  # gid of the bands of noise, which the page's script draws too
 _LARGEST = 1e100  # an axis that is longer cannot be divided
-
 # Lines side by side, told apart by lightness, dash and mark, not by hue alone.
 _LINES = (
     ("#0b3c5d", "-", "o"), ("#b5402f", "--", "s"), ("#2f8f83", "-.", "^"), ("#d99a2b", ":", "D"),
     ("#7b4ea3", (0, (6, 1.5, 1, 1.5, 1, 1.5)), "v"), ("#4a4a4a", (0, (1, 1)), "P"),
 )
 _MARKS_OF_A_LINE = 6
+MOST_POINTS = 1000  # of a line, least and largest of equal parts; the figure's CSV has more
+_DASHES = {"-": [], "None": [], "": [], "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0],
+           ":": [1.5, 3.0]}
+_WIDE = 2.0
+TABLE_HEADER = ("panel", "curve", "across", "x", "y", "value")
+_INCH = 25.4  # mm
+_LEAST_FONT, _TALLEST = 5.0, 9.5  # pt; inches, of a page
 
 
 def line_style(k: int, of: int, points: int) -> dict[str, Any]:
@@ -130,16 +133,6 @@ def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
     return x[kept], y[kept]
 
 
-# --- Figures over time that answer to the pointer: their lines as data, and the script.
-
-MOST_POINTS = 1000  # of a line, least and largest of equal parts; the figure's CSV has more
-_DASHES = {
-    "-": [], "None": [], "": [],
-    "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0], ":": [1.5, 3.0],
-}  # fmt: skip
-_WIDE = 2.0
-
-
 def curves_of(figure: Figure) -> list[dict[str, Any]]:
     """The lines of every axes of a figure, plain values for JSON. Of each axes `title`, `x_label`,
     `marks` (vertical lines), `bands` (lowest and highest) and `lines`: `label`, `colour` (#rrggbb),
@@ -187,11 +180,6 @@ def _label(drawn: Line2D | Container) -> str:
 
 def _title(ax: Axes) -> str:
     return " ".join(f"{ax.get_title(loc='left')} {ax.get_ylabel()}".split())
-
-
-# --- A figure as a table: everything that is drawn, in plain numbers.
-
-TABLE_HEADER = ("panel", "curve", "across", "x", "y", "value")
 
 
 def drawn_rows(figure: Figure) -> list[tuple[str, ...]]:
@@ -245,13 +233,6 @@ def _plain(value: float | str) -> str:
     if isinstance(value, str):
         return " ".join(value.split())
     return f"{float(value):.8g}" if np.isfinite(value) else ""
-
-
-# --- The same figure for a column of print.
-
-_INCH = 25.4  # mm
-_LEAST_FONT = 5.0  # pt
-_TALLEST = 9.5  # inches, of a page
 
 
 class PaperColumn(NamedTuple):

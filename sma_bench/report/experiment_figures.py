@@ -113,31 +113,27 @@ def validation_picture(record: Record, parameters: Parameters) -> Picture:
     figure, (upper, lower) = new_figure(rows=2, height=5.0)
     upper.plot(time, voltage[:, 0], color=MEASURED, lw=1)
     upper.set(ylabel="voltage [V]")
-    dots = _marks(".", MEASURED, "measured", ms=1.5, rasterized=True)
-    lower.plot(measured.time, measured.values, **dots)
+    lower.plot(measured.time, measured.values,
+               **_marks(".", MEASURED, "measured", ms=1.5, rasterized=True))
     lower.plot(time, simulated, color=MODEL, lw=1, label=f"simulated, rms error {rms:.2f} K")
     lower.set(xlabel="time [s]", ylabel="temperature [K]")
     legend_above(lower)
     return pictured("figure_06_validation", figure, source=record.path)
 
 
-# --- Fig. 7 of the paper: heat flow of a DSC run, and the tangents that give the temperatures.
-
-
 def dsc_picture(e5: Experiment) -> Picture:
-    """Heat flow over temperature, endothermic up: heating above, cooling below, by cycle, with
-    baselines, tangents and their crossings."""
+    """Fig. 7: heat flow over temperature, endothermic up: heating above, cooling below, by cycle,
+    with baselines, tangents and their crossings."""
     figure, ax = graph("temperature [K]", "heat flow, endothermic up [W/kg]", height=4.8)
-    colours, counts = (MEASURED, SECOND, "#2e7d32", "#7b4ea3"), {"heating": 0, "cooling": 0}
+    colours, counts = (MEASURED, SECOND, "#2e7d32", "#7b4ea3"), {1.0: 0, -1.0: 0}
     for scan in [m[1] for key in e5.curves if (m := re.match(r"(.*segment_\d+)/heat_flow\Z", key))]:
         of = {n.removeprefix(f"{scan}/"): curve for n, curve in e5.curves.items()}
         onsets = {end: e5.details[f"{scan}/{end}"].value for end in ("start", "finish")}
         # The curves have their peaks upward; a graph of the run has cooling below.
-        direction, symbols, sign = "heating", ("A_s", "A_f"), 1.0
-        if onsets["start"] >= onsets["finish"]:
-            direction, symbols, sign = "cooling", ("M_s", "M_f"), -1.0
-        counts[direction] += 1
-        number = counts[direction]
+        is_heating = onsets["start"] < onsets["finish"]
+        symbols, sign = (("A_s", "A_f"), 1.0) if is_heating else (("M_s", "M_f"), -1.0)
+        counts[sign] += 1
+        number = counts[sign]
         colour = colours[(number - 1) % len(colours)]
         label = f"cycle {number}" if sign > 0.0 else None
         ax.plot(of["temperature"], sign * of["heat_flow"], lw=1.2, color=colour, label=label)
@@ -154,9 +150,6 @@ def dsc_picture(e5: Experiment) -> Picture:
         ax.text(0.015, height, direction, transform=ax.transAxes, color=FAINT, fontsize=9)
     ax.legend(loc="upper right")
     return pictured("figure_07_dsc", figure, source=e5.source)
-
-
-# --- Fig. 8 of the paper and the stress-temperature diagram, from E6.
 
 
 def has_diagram(e6: Experiment) -> bool:
@@ -209,9 +202,8 @@ def upfr_picture(e6: Experiment) -> Picture:
     for name, style in (("A_s", ":"), ("A_f", "-.")):
         means = [e for key, e in e6.details.items() if key.startswith(f"{name} (tangent) at ")]
         if len(means) == 1:
-            (mean,) = means
-            label = f"${name}$ = {with_error(mean.value, mean.std)} K"
-            ax.axvline(mean.value, color=FAINT, lw=0.8, ls=style, label=label)
+            label = f"${name}$ = {with_error(means[0].value, means[0].std)} K"
+            ax.axvline(means[0].value, color=FAINT, lw=0.8, ls=style, label=label)
     ax.legend(loc="center left", fontsize=8)
     most = e6.estimates.get("wire.maximum_recoverable_strain")
     limit = f"; ε_L = {most.value:.2%} ± {most.std:.2%}" if most else ""
@@ -239,9 +231,6 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
     return pictured("stress_temperature", figure, slopes=found, source=e6.source)
 
 
-# --- Figs. 9 and 10 of the paper: tensile tests (E7) and the clamped staircase (E8).
-
-
 def tensile_picture(e7: Experiment) -> Picture:
     """Fig. 9: stress over strain of both phases with the slopes that are E_M and E_A."""
     curves: list[Curve] = []
@@ -258,8 +247,7 @@ def tensile_picture(e7: Experiment) -> Picture:
             # The line begins where the part that gave the modulus does.
             modulus = e7.estimates[SYMBOLS[symbol]]
             after = phase == "martensite" and f"{symbol} after the plateau" in e7.details
-            begins = e7.details[f"{phase} {'plateau end' if after else 'toe'}"].value
-            begins = max(begins, 0.0)
+            begins = max(e7.details[f"{phase} {'plateau end' if after else 'toe'}"].value, 0.0)
             lowest = float(np.interp(begins, strain, stress))
             longest = (_BEYOND * float(stress.max()) - lowest) / modulus.value
             ends = np.array([begins, begins + min(_LINE_STRAIN, longest)])
@@ -288,9 +276,6 @@ def thermal_expansion_picture(e8: Experiment) -> Picture:
         (kelvin[used][order], curves["line"][used][order] / 1e6, {"color": MODEL, "label": label}),
     ))  # fmt: skip
     return pictured("figure_10_thermal_expansion", figure, source=e8.source)
-
-
-# --- E9 and E10: what was measured, and the model that was fitted to all of it.
 
 
 def constitutive_picture(e9: Experiment) -> Picture:
@@ -342,9 +327,6 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
     return pictures
 
 
-# --- E11: a tangent of the steady states.
-
-
 def operating_point_picture(model: Linearised) -> Picture:
     """Steady deflection (or its kin) over the temperature of the warmest wire, both branches, and
     the tangent of eqs. (18) to (23)."""
@@ -358,12 +340,9 @@ def operating_point_picture(model: Linearised) -> Picture:
     figure, ax = graph("temperature of the driven wires [K]", "deflection [mm]", height=4.2)
     branches: tuple[tuple[Branch, str], ...] = (("heating", SECOND), ("cooling", MEASURED))
     for branch, colour in branches:
-        steady = [
-            1e3 * OperatingPoint.at_temperature(
-                parameters, np.where(together, t, point.temperature), branch
-            ).deflection
-            for t in around
-        ]
+        kelvins = (np.where(together, t, point.temperature) for t in around)
+        steady = [1e3 * OperatingPoint.at_temperature(parameters, own, branch).deflection
+                  for own in kelvins]
         ax.plot(around, steady, color=colour, lw=1.6, label=f"steady, {branch}")
     drawn = 1e3 * (point.deflection + slope * (around - kelvin))
     here = np.abs(drawn - 1e3 * point.deflection) < 0.7 * max(np.ptp(drawn), 1e-9)

@@ -144,13 +144,11 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
     file of a report's name, an input is gone, or another report is being written there.
 
     Args:
-        directory: made if it does not exist.
-        title, summary: head of the page.
+        directory: made if it does not exist; title, summary: head of the page.
         sections: in reading order.
         made: adds the date to the head, and a last section with the inputs' hashes.
         column: of a paper, for which every figure is written as SVG and PDF too, and as CSV what is
-            drawn and the named tables.
-        report: called before each figure is drawn.
+            drawn and the named tables; report: called before each figure is drawn.
     """
     directory = Path(directory)
     with border.claimed(os.path.realpath(directory), "being written as a report already"):
@@ -173,11 +171,9 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
         policy = ("default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
                   f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'")
         style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
-        page = _template().render(
-            title=title, summary=summary, sections=sections, curves_of=drawing.curves_of,
-            policy=policy, plot_style=style,
-            script=drawing.script() if any(picture.over_time for picture in pictures) else "",
-        )
+        script = drawing.script() if any(picture.over_time for picture in pictures) else ""
+        page = _template().render(title=title, summary=summary, sections=sections, policy=policy,
+                                  curves_of=drawing.curves_of, plot_style=style, script=script)
         _write_together(directory, {**files, _PAGE: page.encode("utf-8")})
         return directory / _PAGE
 
@@ -231,10 +227,8 @@ def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
     except (InputError, OSError):
         is_report = False
     if foreign := [] if is_report else [n for n in files if os.path.exists(directory / n)]:
-        raise InputError(
-            f"{directory}: holds {foreign[0]}, which is not of a report of sma-bench; expected "
-            "another folder"
-        )
+        raise InputError(f"{directory}: holds {foreign[0]}, which is not of a report of sma-bench; "
+                         "expected another folder")
     try:
         directory.mkdir(parents=True, exist_ok=True)
         border.write_files({directory / name: content for name, content in files.items()})

@@ -33,21 +33,32 @@ from sma_bench.results import scale_of
 
 Curves = Sequence[tuple[str, Array, Array]]  # label, time or abscissa, values
 
-_MOST_DRAWN = 3000
-_MOST_MARKERS = 40
-_QUANTITIES = (  # from above
-    "voltage_command", "voltage", "current", "temperature", "deflection", "range", "elongation",
-    "force",
-)  # fmt: skip
+_MOST_DRAWN, _MOST_MARKERS = 3000, 40
+_QUANTITIES = ("voltage_command", "voltage", "current", "temperature", "deflection", "range",
+               "elongation", "force")  # from above
 # States of a simulation: label and factor from SI to its unit.
 _STATES = {
     "voltage": ("voltage\n[V]", 1.0), "current": ("current\n[A]", 1.0),
     "temperature": ("temperature\n[K]", 1.0), "martensite_fraction": ("martensite\nfraction", 1.0),
     "stress": ("stress\n[MPa]", 1e-6), "deflection": ("deflection\n[mm]", 1e3),
 }
-
-
-# --- Records, before anything is made of them.
+_FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
+STAGE_COLOURS = {
+    "electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
+    "mechanical": "#2a7f62", "sensor": "#1f4e79",
+}
+_TWO_STAGES = "#4a4a4a"
+_RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
+_MOST_BARS = 10
+_LINEAR = 3.0  # nats, within which the axis of evidence is linear
+_AS_BAD = 20.0  # nats below recalibration, where bars are cut
+_PROTOCOL_STEP = 0.05  # s
+PHASES = (INITIAL, DRIVE, REST)
+_LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
+_DARK = 0.65  # of the colours, from where on letters are white
+_MOST_SIGNALS = 3
+_WORTH_A_PICTURE = 0.05  # of all that is missing
+_COLOURS = dict(zip(PHASES, (draw.FAINT, draw.MODEL, draw.MEASURED), strict=True))
 
 
 def record_picture(record: AnyRecord, name: str) -> Picture | None:
@@ -103,11 +114,9 @@ def _bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture
             rows.append((f"{quantity.replace('_', ' ')}\n[{unit}]", curves))
     if not rows:
         return None
-    steps = "; vertical lines: steps of the protocol" if record.markers else ""
-    which = "Signals" if what else "All signals"
-    figure = _over_time(rows, record.markers)
-    return pictured("signals_over_time", figure, name, over_time=True, which=which,
-                    path=record.path, steps=steps)  # fmt: skip
+    return pictured("signals_over_time", _over_time(rows, record.markers), name, over_time=True,
+                    which="Signals" if what else "All signals", path=record.path,
+                    steps="; vertical lines: steps of the protocol" if record.markers else "")
 
 
 def _over_time(rows: Sequence[tuple[str, Curves]],
@@ -134,9 +143,6 @@ def _over_time(rows: Sequence[tuple[str, Curves]],
                              rotation=30, color=draw.FAINT, annotation_clip=True)
     axes[-1].set_xlabel("time [s]")
     return draw.plain(figure)
-
-
-# --- Simulations, and records and models over each other.
 
 
 def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Picture | None:
@@ -182,22 +188,16 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
                 time = base.time[inside]
                 apart = factor * (np.interp(time, own.time, own.values) - base.values[inside])
                 lower.plot(*draw.thinned(time, draw.drawable(apart), _MOST_DRAWN), **style)
-        for d in found.differences:
-            if d.signal == signal:
-                lower.plot([d.at], [factor * d.worst], "x", ms=7, color="black", label="_worst")
+        for d in (d for d in found.differences if d.signal == signal):
+            lower.plot([d.at], [factor * d.worst], "x", ms=7, color="black", label="_worst")
         upper.set_title(signal, loc="left", fontsize=9)
         upper.set_ylabel(f"[{unit}]")
         lower.set_ylabel(f"difference [{unit}]")
     draw.legend_above(axes[0][0])
-    first = next(iter(found.records))
     shifts = ", ".join(f"{n} {s:+.3g} s" for n, s in found.shifts.items() if abs(s) > 1e-3)
-    said = f" Clocks shifted by the voltages: {shifts}." if shifts else ""
-    return pictured("overlay", draw.plain(figure), name, over_time=True, first=first, shifts=said)
-
-
-# --- Identifications.
-
-_FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
+    return pictured("overlay", draw.plain(figure), name, over_time=True,
+                    first=next(iter(found.records)),
+                    shifts=f" Clocks shifted by the voltages: {shifts}." if shifts else "")
 
 
 def agreement_picture(result: Identification, name: str = "agreement") -> Picture | None:
@@ -251,20 +251,6 @@ def correlation_picture(result: Identification, name: str = "correlation") -> Pi
     return pictured("correlation", draw.plain(figure), name)
 
 
-# --- Diagnoses: signals, candidates, evidence, the next experiment.
-
-STAGE_COLOURS = {
-    "electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
-    "mechanical": "#2a7f62", "sensor": "#1f4e79",
-}
-_TWO_STAGES = "#4a4a4a"
-_RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
-_MOST_BARS = 10
-_LINEAR = 3.0  # nats, within which the axis of evidence is linear
-_AS_BAD = 20.0  # nats below recalibration, where bars are cut
-_PROTOCOL_STEP = 0.05  # s
-
-
 def signal_pictures(result: Diagnosis) -> list[Picture]:
     """Measured against simulated, before and after: a picture a quantity of the held-out data."""
     pictures = []
@@ -293,8 +279,8 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
                                                    (factor * new, "improved", draw.MODEL, "-")):
                 upper.plot(time, simulated, label=label, color=colour, lw=1.0, ls=dash)
                 lower.plot(time, value - simulated, color=colour, lw=1.0, ls=dash)
-            upper.set_ylabel(f"[{unit}]")
             upper.set_title(signal.name, loc="left", fontsize=9)
+            upper.set_ylabel(f"[{unit}]")
             lower.set_ylabel(f"error [{unit}]")
         draw.legend_above(axes[0][0])
         pictures.append(pictured("diagnosis_signals", figure, f"diagnosis_{quantity}",
@@ -335,8 +321,7 @@ def _bars(ax: Axes, names: Sequence[str], values: Sequence[float],
 def evidence_picture(result: Diagnosis) -> Picture:
     """What each effect alone, and the best pairs, would explain."""
     search = result.search
-    base = search.recalibrated.evidence
-    gains = {name: search.gain(name) for name in search.ranked}
+    base, gains = search.recalibrated.evidence, {n: search.gain(n) for n in search.ranked}
     gains |= {JOIN.join(pair): fit.evidence - base for pair, fit in search.pairs.items()
               if fit.evidence - base > max(gains.values(), default=0.0)}
     gains["response of free form"] = search.flexible.gain
@@ -367,15 +352,8 @@ def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Pictur
     for side, colour in zip(dict.fromkeys(sides), (draw.MEASURED, draw.MODEL), strict=False):
         ax.plot(time, voltage[:, sides == side].max(axis=1), color=colour, lw=1.2, label=side)
     ax.legend(fontsize=8)
-    separates = ", ".join(result.next_experiment.separates)
-    return pictured("diagnosis_next_experiment", figure, separates=separates)
-
-
-# --- Heat maps of a diagnosis: the gap by signal, side and phase.
-
-PHASES = (INITIAL, DRIVE, REST)
-_LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
-_DARK = 0.65  # of the colours, from where on letters are white
+    return pictured("diagnosis_next_experiment", figure,
+                    separates=", ".join(result.next_experiment.separates))
 
 
 def gap_picture(result: Diagnosis) -> Picture:
@@ -393,8 +371,9 @@ def gap_picture(result: Diagnosis) -> Picture:
             (head, middle), ("left by the\nbest model", locate(problem, result.model.left)))
 
     # Signals by quantity, the worst first; the deflection once a side.
+    quantities = dict.fromkeys([*(quantity for quantity, _ in result.worst_first), *QUANTITIES])
     rows = list(dict.fromkeys(f"{signal.name}, {side}" if side else signal.name
-                              for quantity in _quantities(result) for view in result.observations
+                              for quantity in quantities for view in result.observations
                               for signal in view.signals if signal.quantity == quantity
                               for side in (view.sides if quantity == "deflection" else ("",))))
     tables = {}
@@ -423,26 +402,12 @@ def gap_picture(result: Diagnosis) -> Picture:
     return pictured("diagnosis_where", figure)
 
 
-def _quantities(result: Diagnosis) -> list[str]:
-    """Those that were compared, the worst first."""
-    compared = {quantity for view in result.observations for quantity in view.quantities}
-    held_out = [quantity for quantity, _ in result.worst_first]
-    return [q for q in dict.fromkeys((*held_out, *QUANTITIES)) if q in compared]
-
-
 def _short(value: float) -> str:
     if abs(value) < 0.05:
         return "0"
     if abs(value) < 9.95:
         return f"{value:.1f}"
     return f"{value:.0f}" if abs(value) < 9999.5 else f"{value / 1e3:.0f}k"
-
-
-# --- The shape of what no effect explains: against time, simulated temperature and voltage.
-
-_MOST_SIGNALS = 3
-_WORTH_A_PICTURE = 0.05  # of all that is missing
-_COLOURS = dict(zip(PHASES, (draw.FAINT, draw.MODEL, draw.MEASURED), strict=True))
 
 
 def missing_pictures(result: Diagnosis) -> list[Picture]:
@@ -497,18 +462,14 @@ def _missing(result: Diagnosis, name: str) -> Picture:
                     signal=name, shown=shown)  # fmt: skip
 
 
-# --- For `plot()`.
-
 # Parts of a result by name, the one that matters most first.
-_OF_IDENTIFICATION: dict[str, Callable[[Any], Picture | None]] = {
-    "agreement": agreement_picture, "correlation": correlation_picture,
-}
-_OF_DIAGNOSIS: dict[str, Callable[[Any], Picture | None]] = {
-    "signals": lambda result: signal_pictures(result)[0],
-    "where": gap_picture,
-    "candidates": candidate_picture,
-    "evidence": evidence_picture,
-    "next": lambda result: next_experiment_picture(result, result.parameters),
+_PARTS: dict[type, dict[str, Callable[[Any], Picture | None]]] = {
+    Identification: {"agreement": agreement_picture, "correlation": correlation_picture},
+    Diagnosis: {
+        "signals": lambda result: signal_pictures(result)[0], "where": gap_picture,
+        "candidates": candidate_picture, "evidence": evidence_picture,
+        "next": lambda result: next_experiment_picture(result, result.parameters),
+    },
 }
 
 
@@ -516,7 +477,7 @@ def picture_of(thing: Any, *what: str) -> Picture:
     """The figure of a thing, or that part of it. Raises InputError: it has nothing of that name."""
     held: Iterable[str] = ()
     if isinstance(thing, Identification | Diagnosis):
-        parts = _OF_IDENTIFICATION if isinstance(thing, Identification) else _OF_DIAGNOSIS
+        parts = _PARTS[Identification if isinstance(thing, Identification) else Diagnosis]
         name = what[0] if what else next(iter(parts))
         if name not in parts or len(what) > 1:
             raise InputError(f"plot: {', '.join(what)}, expected one of {', '.join(parts)}")

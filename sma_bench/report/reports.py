@@ -40,17 +40,14 @@ def write_identification_report(directory: str | Path, result: Identification,
     which command and of which inputs; `column`: of a paper, for which the figures are written as
     well. Raises InputError: the folder cannot be written."""
     pictures = _present(plots.agreement_picture(result), plots.correlation_picture(result))
-    answer = card(result, numbers=True)
     sections = [
-        Section("", notes=list(map(str, result.notes)), pictures=pictures, card=answer),
-        *(
-            Section(f"{e.name} {e.title}", [e.source], list(map(str, e.findings)),
-                    pictures=experiment_pictures(e))
-            for e in result.experiments
-        ),
+        Section("", notes=list(map(str, result.notes)), pictures=pictures,
+                card=card(result, numbers=True)),
+        *(Section(f"{e.name} {e.title}", [e.source], list(map(str, e.findings)),
+                  pictures=experiment_pictures(e)) for e in result.experiments),
         Section("How each number was found",
                 tables=[table_of(result, "plain_numbers", result.estimates, name="numbers")]),
-    ]  # fmt: skip
+    ]
     sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))
     return write_report(directory, "Identified parameters", f"From {sources}.", sections,
                         made or Made("sma_bench.identify"), column=column, report=report)
@@ -64,17 +61,14 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
     sections = [
         Section("Is there a gap beyond the noise?", sentences(result, "is_there"),
                 tables=[_noise(result)], pictures=plots.signal_pictures(result)),
-        Section("Where is it?", sentences(result, "where"),
-                pictures=[plots.gap_picture(result)]),
+        Section("Where is it?", sentences(result, "where"), pictures=[plots.gap_picture(result)]),
         Section("Which effect, and how sure?", [*sentences(result, "which"), *result.why],
                 tables=[tables["candidates"]],
                 pictures=[plots.candidate_picture(result), plots.evidence_picture(result)]),
     ]
     if result.verdict == UNEXPLAINED:
-        text = (
-            "What a further effect would have to do to the readings; what causes it, the figures "
-            "can only suggest."
-        )
+        text = ("What a further effect would have to do to the readings; what causes it, the "
+                "figures can only suggest.")
         shape = plots.missing_pictures(result)
         sections.append(Section("The shape of what is missing", [text], pictures=shape))
     sections += [
@@ -92,12 +86,10 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
 
 
 def _looked_at(result: Diagnosis) -> Section:
-    rows = []
     parts = [("fitted", v) for v in result.fitted] + [("held out", v) for v in result.held_out]
-    for part, view in parts:
-        for s in view.signals:
-            span = f"{s.time[0]:.1f} to {s.time[-1]:.1f}"
-            rows.append((view.path, part, s.name, span, f"{int(s.count.sum())}", f"{s.period:.2g}"))
+    rows = [(view.path, part, s.name, f"{s.time[0]:.1f} to {s.time[-1]:.1f}",
+             f"{int(s.count.sum())}", f"{s.period:.2g}") for part, view in parts
+            for s in view.signals]
     left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
     paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
     header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
@@ -108,15 +100,12 @@ def _looked_at(result: Diagnosis) -> Section:
 
 def _noise(result: Diagnosis) -> Table:
     """Of every sensor, those of the worst quantity first."""
-    problem = result.model.problem
-    order = list(dict.fromkeys([*(q for q, _ in result.worst_first), *QUANTITIES]))
-    sensors = [
-        (name, sample_noise(problem, name), max(noise.drift, 0.0), noise.time)
-        for name, noise in sorted(
-            problem.noise.items(), key=lambda item: order.index(item[0].rpartition(".")[2])
-        )
-    ]
-    return table_of(result, "noise_table", sensors)
+    problem, order = result.model.problem, [*(q for q, _ in result.worst_first), *QUANTITIES]
+    names = sorted(problem.noise, key=lambda name: order.index(name.rpartition(".")[2]))
+    noises = [(name, problem.noise[name]) for name in names]
+    return table_of(result, "noise_table", [
+        (name, sample_noise(problem, name), max(own.drift, 0.0), own.time) for name, own in noises
+    ])
 
 
 def improvements(result: Diagnosis) -> Table:
@@ -127,14 +116,10 @@ def improvements(result: Diagnosis) -> Table:
     rows = []
     for item, x, value, std in zip(unknowns.items, deviations, values, stds, strict=True):
         name, believed = item.name, item.value(0.0)  # of what the geometry gives: from there
-        effect = name.startswith("effect.") or not item.std
-        moved = "" if effect else signed(float(x), ".1f")
+        moved = "" if name.startswith("effect.") or not item.std else signed(float(x), ".1f")
         rows.append((name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved))
     header = ("parameter", "as believed", "improved", "unit", "moved by (its own std)")
     return Table(header, rows, frozenset({1, 2, 4}))
-
-
-# --- Records and result files on one page.
 
 
 @dataclass(frozen=True)
@@ -192,9 +177,8 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
         kind = "diagnosis"
         warnings = [str(f) for f in result.findings if f.severity != "info"]
         tables = [replace(t, name=f"{name}_{t.name}") for t in diagnosis_tables(result).values()]
-        pictures = [plots.candidate_picture(result, f"{name}_candidates")]
-        findings = [str(f) for f in result.findings]
-        section = Section(f"Diagnosis {path}", result.why, findings, tables, pictures)
+        section = Section(f"Diagnosis {path}", result.why, [str(f) for f in result.findings],
+                          tables, [plots.candidate_picture(result, f"{name}_candidates")])
     (said,) = sentences(result, "headline")
     worth = [f"{path}: {text}" for text in warnings]
     answer = Section(path, card=card(result, numbers=True))
@@ -239,9 +223,8 @@ def read_result(path: str | Path) -> Identification | DiagnosisResult:
     if not isinstance(document, dict) or not {"verdict", "parameters"} & {*document}:
         raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
                          "verdict in it")  # fmt: skip
-    if "verdict" in document:
-        return diagnosis_from(document, str(path))
-    return identification_from(document, str(path))
+    read = diagnosis_from if "verdict" in document else identification_from
+    return read(document, str(path))
 
 
 def _present(*pictures: Picture | None) -> list[Picture]:

@@ -170,9 +170,6 @@ def _inside(root: str, path: str, parameter: str, root_parameter: str) -> Path:
     return found
 
 
-# --- The tasks.
-
-
 def identify(settings: Mapping[str, Any], parameters: Parameters, report: Report) -> str:
     """Identify from `record`; `identified.yaml` and `identified.json` go to `output_directory`."""
     records = records_inside(settings, required=True)

@@ -15,7 +15,7 @@ import time
 import pytest
 
 from sma_bench.commands import batch
-from sma_bench.commands.batch import file_names
+from sma_bench.commands.answers import file_names
 from sma_bench.commands.options import run_command
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters

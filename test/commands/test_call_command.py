@@ -32,14 +32,14 @@ def terminals():
 
 @pytest.mark.slow
 def test_the_terminals_of_the_page_record_a_bench(tmp_path, capsys, ros_domain, monkeypatch):
-    monkeypatch.setattr("sma_bench.commands.call._PRESENCE", 1.0)
+    monkeypatch.setattr("sma_bench.commands.nodes._PRESENCE", 1.0)
     assert main(["call", "experiment/start"]) == 2
     # Pytest shows what the first import of ROS's parser deprecates.
     (error,) = [
         line for line in capsys.readouterr().err.splitlines() if "is deprecated" not in line
     ]
     assert "/bench/experiment/start: no such service found within 1 s" in error
-    monkeypatch.setattr("sma_bench.commands.call._PRESENCE", PATIENCE)
+    monkeypatch.setattr("sma_bench.commands.nodes._PRESENCE", PATIENCE)
     protocol = tmp_path / "short.yaml"
     protocol.write_text(yaml.safe_dump({"name": "short", "steps": STEPS}))
     *nodes, call = terminals()

@@ -6,7 +6,7 @@ import signal
 import pytest
 from planted import believed
 
-from sma_bench.commands.investigate import run_bench
+from sma_bench.commands.answers import run_bench
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.records import read_record

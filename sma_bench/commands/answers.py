@@ -1,0 +1,351 @@
+"""From records to answers: identify, diagnose, try, batch, investigate."""
+
+import os
+import sys
+import time
+from collections.abc import Mapping
+from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+from sma_bench.border import make_folder, printable
+from sma_bench.commands import options, terminal
+from sma_bench.commands.records import run_import
+from sma_bench.errors import InputError
+from sma_bench.findings import Finding, fold_audit
+from sma_bench.lifeline import interrupts_held
+from sma_bench.parameters.yaml_file import write_text_atomically
+from sma_bench.progress import counted, part
+from sma_bench.results import Invocation
+
+if TYPE_CHECKING:
+    from sma_bench.parameters import Parameters
+    from sma_bench.tasks.batch import Outcome
+
+_CELLS_SHOWN = 6
+_IDENTIFYING, _DIAGNOSING = 0.3, 0.9  # of the time, about
+BAD_INPUT, MISFIT = 2, 3  # exit status: a record failed; the model does not fit the records
+
+
+@options.command("identify")
+def run_identify(args: SimpleNamespace) -> int:
+    """Identify, print a table, write files; 3 where the model does not fit the records."""
+    from sma_bench.records.open import parse_stated
+    from sma_bench.results import card, card_lines, card_text
+    from sma_bench.tasks.work import identify_files, write_identified
+
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
+    stated = parse_stated(args.stated) if args.stated else {}
+    phases: dict[str, Any] = dict(options.pair("--phase", text, "FILE=martensite or FILE=austenite")
+                                  for text in args.phases)
+    with terminal.progress("identify") as report:
+        result = identify_files(args.records, parameters, args.experiments or None, args.namespace,
+                                report, phases, stated)
+    terminal.write_json(args.json, result.to_json())
+    if args.out:
+        write_identified(args.out, result, "sma-bench identify", args.records, args.params)
+
+    # The card, with advice that depends on what was asked: only bags can be diagnosed.
+    bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
+    asked = Invocation(tuple(bags), *(text or "" for text in (args.params, args.out, args.report)))
+    console, text = terminal.output_console(), card_text(result, asked=asked)
+    if max(map(len, text.splitlines())) > console.width:  # no room for columns
+        text = "\n".join(card_lines(card(result, asked, numbers=True), console.width))
+    console.print(f"{text}\n", markup=False, soft_wrap=True)
+    terminal.print_findings(result.notes)
+    for experiment in result.experiments:
+        terminal.say(f"\n{experiment.name} {experiment.title} ({experiment.source})")
+        terminal.print_findings(experiment.findings)
+    for line in result.accounts:
+        terminal.say(line)
+    if args.report:
+        from sma_bench.report.reports import write_identification_report
+
+        made = options.made_of(args, args.records)
+        with terminal.progress("drawing the report") as report:
+            page = write_identification_report(args.report, result, report, made, column)
+        terminal.say(f"report {page}")
+    return MISFIT if result.is_misfit else 0
+
+
+@options.command("diagnose")
+def run_diagnose(args: SimpleNamespace) -> int:
+    from sma_bench.estimation.observation import QUANTITIES
+    from sma_bench.report.tables import diagnosis_tables
+    from sma_bench.results import card_text
+    from sma_bench.tasks.work import diagnose_files, write_improved
+
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
+    with terminal.progress("diagnose") as report:
+        compared = args.signals or QUANTITIES
+        result = diagnose_files(args.records, args.hold_out, parameters, compared, report)
+    terminal.write_json(args.json, result.to_json())
+    if args.out:
+        write_improved(args.out, result, "sma-bench diagnose")
+
+    # The card, the tables, what speaks for it, and what should be known of the records.
+    params, out, page = (text or "" for text in (args.params, args.out, args.report))
+    console, asked = terminal.output_console(), Invocation(tuple(args.records), params, out, page)
+    console.print(f"{card_text(result, console.width, asked)}\n", markup=False, soft_wrap=True)
+    for name, table in diagnosis_tables(result).items():
+        rows = table.rows[:_CELLS_SHOWN] if name == "where" else table.rows
+        terminal.print_table(replace(table, rows=rows))
+        console.print()
+    for sentence in result.why:
+        console.print(printable(sentence), markup=False)
+    own, audit = fold_audit(result.findings)
+    terminal.print_findings([*own, *audit[:1]])
+    if args.report:
+        from sma_bench.report.reports import write_diagnosis_report
+
+        made = options.made_of(args, args.records, args.hold_out)
+        with terminal.progress("drawing the report") as report:
+            page = str(write_diagnosis_report(args.report, result, report, made, column))
+        terminal.say(f"report {page}")
+    return 0
+
+
+@options.command("try")
+def run_try(args: SimpleNamespace) -> int:
+    """Import tables, identify, diagnose what the bench's file states, draw; 3 where the model does
+    not fit, and 2 with the reason of identify where nothing can be found."""
+    from sma_bench.records.open import parse_stated
+    from sma_bench.records.storage import is_bag
+    from sma_bench.report.page import Made
+    from sma_bench.report.reports import shown_input, write_collected_report
+    from sma_bench.results import Invocation, card_text
+    from sma_bench.tasks.work import (
+        diagnose_files,
+        identify_files,
+        write_identified,
+        write_improved,
+    )
+
+    out = Path(args.out or f"{Path(args.files[0]).stem}_tried")
+    given = options.paths_in([args.files, args.map_file, args.params])
+    names = "identified.json", "identified.yaml", "diagnosis.json", "improved.yaml"
+    written, page = {name: out / name for name in names}, out / "page"
+    kept = {name: (path, options.FILE) for name, path in written.items()}
+    options.keep_safe({**kept, "page": (page, options.FOLDER)}, given, args.force)
+    parameters = options.parameters_from_options(args)
+    stated = parse_stated(args.stated) if args.stated else {}
+    make_folder(out)
+    for path in written.values():  # what this run does not find again
+        path.unlink(missing_ok=True)
+    records = _imported(args, out, stated)
+    bags = [record for record in records if is_bag(Path(record))]
+
+    results, pages, misfit = dict[str, Any](), [*records], False
+    asked = Invocation(tuple(bags), args.params or "", "", str(page))
+    with terminal.progress("try") as report:
+        try:
+            found = identify_files(records, parameters, None, None, part(report, 0.0, _IDENTIFYING),
+                                   {}, stated)
+        except InputError as error:
+            if not (bags and args.params):
+                raise
+            terminal.say(f"identify: {error}")
+        else:
+            misfit = found.is_misfit
+            write_identified(written["identified.yaml"], found, "sma-bench try", records,
+                             args.params)
+            results["identified"] = found, replace(asked, out=str(written["identified.yaml"]))
+        if bags and args.params:
+            share = part(report, _IDENTIFYING, _DIAGNOSING)
+            gap = diagnose_files(bags, [], parameters, report=share)
+            write_improved(written["improved.yaml"], gap, "sma-bench try")
+            results["diagnosis"] = gap, replace(asked, out=str(written["improved.yaml"]))
+        for name, (result, _) in results.items():
+            terminal.write_json(str(written[f"{name}.json"]), result.to_json())
+            pages.append(str(written[f"{name}.json"]))
+        written_page = write_collected_report(
+            page, f"First look at {', '.join(Path(file).name for file in args.files)}",
+            [shown_input(path, k, None) for k, path in enumerate(pages, 1)], parameters,
+            args.params or "", Made(args.command_line, [*map(str, given)]), None,
+            part(report, _DIAGNOSING, 1.0),
+        )  # fmt: skip
+    console = terminal.output_console()
+    for result, own in results.values():
+        console.print(f"{card_text(result, console.width, own)}\n", markup=False, soft_wrap=True)
+    if bags and not args.params:
+        terminal.say("no --params: nothing is believed of this bench, so no gap was looked for")
+    terminal.say(f"page {written_page}")
+    entries = {name: result.to_json() for name, (result, _) in results.items()}
+    terminal.write_json(args.json, {"page": str(written_page), "records": records, **entries})
+    return MISFIT if misfit else 0
+
+
+def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> list[str]:
+    """Paths of records: those of the files, and of loggers' tables the bags made of them."""
+    from sma_bench.records import open_records
+
+    records, tables = [], []
+    for file in args.files:
+        try:
+            open_records(file, None, stated)
+            records.append(file)
+        except InputError:  # import says what is wrong with what is no logger's table either
+            tables.append(file)
+    for files in [tables] if args.together and tables else [[table] for table in tables]:
+        bag = str(out / Path(files[0]).stem)
+        asked = [*files, "--out", bag]
+        for option, values in (("--map", [args.map_file]), ("--params", [args.params]),
+                               ("--unit", args.units)):
+            asked += [word for value in values if value for word in (option, value)]
+        asked += [f"--{name}" for name in ("together", "force") if getattr(args, name)]
+        options.run_command(run_import, "sma-bench try", asked)
+        made = Path(bag)
+        records += [bag] if (made / "metadata.yaml").is_file() else map(str, sorted(made.iterdir()))
+    return records
+
+
+@options.command("batch")
+def run_batch(args: SimpleNamespace) -> int:
+    """Do every record, print a table in their order; 2 where one failed, 3 where one misfits."""
+    from sma_bench.tasks.batch import Outcome, Task, do_tasks
+
+    parameters = options.parameters_from_options(args)
+    paths = [str(Path(path).absolute()) for path in args.records]
+    params = args.params and str(Path(args.params).absolute())
+    tasks, names = [Task(args.kind, p, parameters, params) for p in paths], file_names(paths)
+    if args.out:
+        files = [Path(args.out) / f"{name}{end}" for name in names for end in (".json", ".yaml")]
+        given = options.paths_in([*paths, args.params])
+        options.keep_safe({str(file): (file, options.FILE) for file in files}, given, args.force)
+        make_folder(Path(args.out))
+    outcomes: dict[int, Outcome] = {}
+    try:
+        jobs = len(os.sched_getaffinity(0)) if args.jobs is None else args.jobs
+        work = do_tasks(tasks, jobs, args.dask)
+        with terminal.progress(f"batch {args.kind}") as report, closing(work):
+            count = counted(report, len(tasks), "record")
+            for k, outcome in work:
+                outcomes[k] = outcome
+                if args.out and outcome.result is not None:
+                    file = str(Path(args.out) / names[k])
+                    with interrupts_held():  # both or none
+                        terminal.write_json(f"{file}.json", outcome.result)
+                        write_text_atomically(f"{file}.yaml", outcome.yaml)
+                count(len(outcomes))
+    except (KeyboardInterrupt, InputError) as error:
+        if outcomes:
+            reason = str(error) if isinstance(error, InputError) else "interrupted"
+            lost = (Outcome(path, error=f"not done: {reason}") for path in paths)
+            _print_outcomes(args, [outcomes.get(k, other) for k, other in enumerate(lost)])
+        raise
+    return _print_outcomes(args, [outcome for _, outcome in sorted(outcomes.items())])
+
+
+def file_names(paths: list[str]) -> list[str]:
+    """A name a record for its files: the record's own, numbered where it comes again."""
+    own = [Path(path).name for path in paths]
+    counts = [own[: k + 1].count(name) for k, name in enumerate(own)]
+    names = [f"{name}_{n}" if n > 1 else name for name, n in zip(own, counts, strict=True)]
+    while len(set(names)) < len(names):  # a record may be called as another's number makes it
+        names = [f"{k + 1}_{name}" for k, name in enumerate(names)]
+    return names
+
+
+def _print_outcomes(args: SimpleNamespace, outcomes: "list[Outcome]") -> int:
+    from sma_bench.report.tables import Table
+    from sma_bench.tasks.batch import IDENTIFY
+
+    entries = [
+        {"record": o.path, "seconds": o.seconds, "error": o.error or None, "result": o.result}
+        for o in outcomes
+    ]
+    terminal.write_json(args.json, {"kind": args.kind, "records": entries})
+    rows, misfit = [], False
+    for given, o in zip(args.records, outcomes, strict=True):
+        said, state = "", "failed" if o.error else "done"
+        if o.result is not None and args.kind == IDENTIFY:
+            found = o.result["parameters"].items()
+            said = ", ".join(f"{name} {entry['value']:.5g}" for name, entry in found)
+            if any(fit["verdict"] == "misfit" for fit in o.result["fit"].values()):
+                state, misfit, said = "misfit", True, f"{o.result['card'][0][1]}. {said}"
+        elif o.result is not None:
+            said = ": ".join(filter(None, (o.result["verdict"], ", ".join(o.result["cause"]))))
+        rows.append((given, state, said, f"{o.seconds:.1f}"))
+    terminal.print_table(Table(("record", "", "result", "s"), rows, frozenset({3})))
+    failed = [o for o in outcomes if o.error]
+    terminal.print_findings(Finding("error", "batch", o.error) for o in failed)
+    print(f"\n{len(outcomes) - len(failed)} of {len(outcomes)} records done")
+    return BAD_INPUT if failed else MISFIT if misfit else 0
+
+
+@options.command("investigate")
+def run_investigate(args: SimpleNamespace) -> int:
+    """Go on until named, inseparable, or out of time; 0 whatever the verdict."""
+    from sma_bench.report.tables import Table
+    from sma_bench.tasks.investigation import HEADER, OPEN, QUANTITIES, TEST, Investigation
+
+    options.one_only(args, "simulated", "namespace")
+    if not args.budget > 0.0:
+        raise InputError(f"--budget is {args.budget:g} min, expected more than 0")
+    options.written_by_nobody_else([Path(args.folder)])
+    case = Investigation(args.folder, args.budget, args.signals or QUANTITIES)
+    case.begin(options.parameters_from_options(args), args.records)
+    while True:
+        if case.pending:
+            with terminal.progress("investigate") as report:
+                result = case.diagnose(report)
+            terminal.say(f"{result}\n")
+        if case.state != OPEN:
+            break
+        following = case.next_run()
+        if not _agreed(following, args.yes):
+            terminal.say(f"stopped; the same command goes on from {args.folder}")
+            break
+        if args.simulated:
+            _run_simulated(following, args.simulated, case.believed)
+        else:
+            run_bench(following, args.namespace)
+    if case.chapters:
+        terminal.print_table(Table(HEADER, case.rows(), frozenset({0, 1}), title="the story"))
+        terminal.say(f"{case.summary()}; page {case.write_page(args.command_line)}")
+        if case.state == TEST:
+            terminal.say(f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
+                f"{case.folder}/believed.yaml, or record with the sensor and give the bag, then go "
+                "on with the same command")
+    terminal.write_json(args.json, case.to_json())
+    return 0
+
+
+def _agreed(offer: Mapping[str, Any], yes: bool) -> bool:
+    """Whether the wires may be driven so."""
+    terminal.say(f"next: {offer['protocol']}, {offer['minutes']:.1f} min, "
+                 f"up to {offer['volts']:.2f} V ({offer['file']})")
+    if yes:
+        return True
+    if not sys.stdin.isatty():
+        terminal.say("not confirmed: no terminal to ask on; --yes runs without asking")
+        return False
+    with suppress(EOFError):
+        return input("run it? [y/N] ").strip().lower() in ("y", "yes")
+    return False
+
+
+def _run_simulated(run: Mapping[str, Any], bench: str, believed: "Parameters") -> None:
+    """Drive the bench of a file in software, and record it."""
+    from sma_bench.live.virtual_bench import SimulatedRun
+    from sma_bench.parameters import read_parameters
+    from sma_bench.protocols import load_protocol
+    from sma_bench.records.bag_writer import write_record
+
+    hidden, seed = read_parameters(bench), run["bag"].rpartition("_")[2]
+    protocol = load_protocol(run["file"], believed)
+    with terminal.progress(protocol.name):
+        signals, markers = SimulatedRun(hidden, believed, int(seed)).follow(protocol)
+    made = {"how": "simulated bench", "source": bench}
+    write_record(run["bag"], signals, start_ns=time.time_ns(), markers=markers, provenance=made)
+
+
+def run_bench(run: Mapping[str, Any], namespace: str | None) -> None:
+    """Drive a bench by its experiment node, with a recorder of our own."""
+    with options.needs_ros("investigate", "--simulated needs no ROS 2"):
+        from sma_bench.ros.bench_client import BenchClient
+    name, seconds = run["protocol"], 60.0 * run["minutes"]
+    with terminal.progress(name) as report, BenchClient(options.namespace_of(namespace)) as client:
+        client.run_recorded(run["file"], name, seconds, run["bag"], lambda s: report(0.0, s))

@@ -1,0 +1,119 @@
+"""A running bench: its nodes and services, as `ros2 run` and `ros2 service call` have them but
+without a ROS 2 installation, and its page in the browser."""
+
+import math
+import re
+import runpy
+import signal
+import sys
+import time
+from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any
+
+from sma_bench.border import MEGABYTE, read_json
+from sma_bench.commands import COMMANDS, options
+from sma_bench.commands.terminal import progress, say, write_json
+from sma_bench.errors import InputError
+from sma_bench.parameters.node_tables import NODE_TABLES
+
+NETWORK_OPTION = "--network"
+_LARGEST_ANSWER = 64 * MEGABYTE
+_PRESENCE, _ANSWER = 10.0, 600.0  # s within which a node has to be found, and to answer
+_NAME = re.compile(r"/?([A-Za-z_]\w*/)*[A-Za-z_]\w*|/", re.ASCII)
+_LARGEST_PORT = 65535
+
+
+# What follows NODE is the node's.
+@options.command("run", f"{COMMANDS['run']}\n\nnodes: {', '.join(sorted(NODE_TABLES))}",
+                 ignore_unknown_options=True, allow_interspersed_args=False)
+def run_run(args: SimpleNamespace) -> int:
+    """Run a node until it ends. Raises InputError: no ROS 2 in this environment."""
+    rest = list(args.rest)
+    if network := rest[:1] == [NETWORK_OPTION]:
+        from sma_bench.ros.processes import choose_discovery
+
+        choose_discovery(network=True)
+    sys.argv[1:] = [args.node, *rest[network:]]
+    # As `python -m` would, and it ends this process: commands and nodes do not know of each other.
+    with options.needs_ros("run"):
+        runpy.run_module("sma_bench.nodes.start", run_name="__main__")
+    return 0
+
+
+@options.command("call")
+def run_call(args: SimpleNamespace) -> int:
+    node, slash, service = args.service.strip("/").rpartition("/")
+    if not slash:
+        raise InputError(f"call: {args.service!r}, expected NODE/SERVICE, e.g. experiment/start")
+    if not _NAME.fullmatch(args.service):
+        raise InputError(f"call: {args.service!r} is no ROS name, expected letters, digits, _, /")
+    if args.patience is not None and not 0.0 < args.patience < math.inf:
+        raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
+    settings = dict(map(options.named_value, args.settings))
+    with options.needs_ros("call"):
+        from sma_bench.ros.bench_client import BenchClient
+
+    def look() -> None:
+        if found := client.progress(node):
+            report(*found)
+
+    name, namespace = f"{node}/{service}", options.namespace_of(args.namespace)
+    with (progress(name) as report,
+          BenchClient(namespace, look, options.ros_arguments(args)) as client):
+        end = time.monotonic() + (args.patience or 0.0)
+        client.follow(node)
+        client.find(name, args.patience or _PRESENCE)
+        if settings:
+            client.set_parameters(node, settings)
+        left = max(end - time.monotonic(), 0.0) if args.patience else _ANSWER
+        answer = client.trigger(name, left)
+    parsed: Any = answer
+    with suppress(InputError):  # results are JSON themselves
+        parsed = read_json(answer, "answer", _LARGEST_ANSWER)
+    write_json(args.json, {"service": name, "answer": parsed})
+    say(answer.rstrip() or "done")
+    return 0
+
+
+@options.command("dashboard")
+def run_dashboard(args: SimpleNamespace) -> int:
+    """Serve until SIGINT or SIGTERM; 0 then. Raises InputError: no ROS 2 or no tornado here, a port
+    that is taken, a namespace that cannot be."""
+    if not 0 <= args.port <= _LARGEST_PORT:
+        raise InputError(f"dashboard: --port is {args.port}, expected 0 to {_LARGEST_PORT}")
+    import asyncio
+
+    with options.needs_ros("dashboard"):
+        from sma_bench.ros.dashboard import listening_node
+    with options.needs_ros("dashboard", "apt install python3-tornado"):
+        from sma_bench.dashboard.live_state import LiveState
+        from sma_bench.dashboard.server import DashboardServer, is_loopback
+
+    async def serve() -> None:
+        loop = asyncio.get_running_loop()
+        end: asyncio.Future[Any] = loop.create_future()
+
+        def finish(error: Exception | None = None) -> None:
+            if not end.done():
+                end.set_exception(error) if error else end.set_result(None)
+
+        for number in (signal.SIGINT, signal.SIGTERM):
+            loop.add_signal_handler(number, finish)
+        namespace = options.namespace_of(args.namespace)
+        with listening_node(namespace, LiveState(),
+                            lambda error: loop.call_soon_threadsafe(finish, error),
+                            options.ros_arguments(args)) as node:
+            namespace = node.get_namespace()  # ROS's arguments may name another
+            server = DashboardServer(node, namespace, args.host, args.port)
+            if not is_loopback(args.host):
+                print("sma-bench: note: others on the network who learn this address can see and "
+                      "stop the bench; it is not encrypted", file=sys.stderr)
+            print(f"dashboard of {namespace}, until Ctrl-C:\n{server.url}", flush=True)
+            try:
+                await end
+            finally:
+                await server.close()
+
+    asyncio.run(serve())
+    return 0

@@ -1,0 +1,110 @@
+"""Pages of records and results, of a comparison, and of the paper redrawn from data."""
+
+import time
+from pathlib import Path
+from types import SimpleNamespace
+
+from sma_bench.border import read_yaml
+from sma_bench.commands import options
+from sma_bench.commands.terminal import print_findings, print_table, progress, say, write_json
+from sma_bench.errors import InputError
+from sma_bench.parameters.yaml_file import write_text_atomically
+from sma_bench.progress import in_turn, part
+
+_LEAST_SHIFT = 1e-3  # s, worth a line
+# Shares of the time, about: of a report all inputs, of the paper all records read; all compared.
+_READING, _READ, _COMPARED = 0.3, 0.05, 0.5
+
+
+@options.command("report")
+def run_report(args: SimpleNamespace) -> int:
+    """Read everything, then write everything; 0 whatever the inputs say."""
+    from sma_bench.report.page import Made, versions
+    from sma_bench.report.reports import shown_input, write_collected_report
+
+    args.column = args.column or "double"
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
+    given = " and ".join([*([args.params] if args.params else []), *args.overrides])
+    with progress("report") as report:
+        reading = in_turn(args.inputs, part(report, 0.0, _READING), lambda path: f"reading {path}")
+        shown = [shown_input(path, k, args.namespace) for k, path in enumerate(reading, 1)]
+        made = Made(args.command_line, [*args.inputs, *filter(None, [args.params])])
+        drawing = part(report, _READING, 1.0)
+        page = write_collected_report(args.out, args.title, shown, parameters, given, made, column,
+                                      drawing)
+    about = {"command": args.command_line, "versions": versions(), "page": str(page)}
+    write_json(args.json, {"inputs": [one.to_json() for one in shown], **about})
+    for one in shown:
+        say(f"{one.path}: {one.said}")
+    warnings = sum(len(one.warnings) for one in shown)
+    say(f"warnings {warnings}\nreport   {page}, {page.stat().st_size / 1e6:.1f} MB")
+    return 0
+
+
+@options.command("compare")
+def run_compare(args: SimpleNamespace) -> int:
+    from sma_bench.api import compare, load
+    from sma_bench.records.overlay import HEADER
+    from sma_bench.report.tables import Table
+
+    column = options.column_of(args)
+    if args.signals and not args.out:
+        raise InputError("--signals is what the page shows, expected --out DIR with it")
+    with progress("compare") as report:
+        report(0.1, "reading and simulating")
+        found = compare([load(path, args.namespace) for path in args.records], args.models)
+    write_json(args.json, found.to_json())
+    rows = [d.cells() for d in found.differences]
+    print_table(Table(HEADER, rows, frozenset({2, 3, 4, 5})))
+    for name, shift in found.shifts.items():
+        if abs(shift) >= _LEAST_SHIFT:
+            say(f"{name}: its clock was shifted by {shift:+.3f} s")
+    for remark in found.remarks:
+        say(remark)
+    if args.out:
+        from sma_bench.report.page import Section, write_report
+        from sma_bench.report.plots import overlay_picture
+
+        table = Table(HEADER, rows, frozenset({2, 3, 4, 5}), "differences", "Largest first")
+        sections = [
+            Section("", found.remarks, pictures=[overlay_picture(found, "overlay", args.signals)]),
+            Section("Differences from the first", tables=[table]),
+        ]
+        *others, last = found.records
+        title = f"{', '.join(others)} and {last}, compared" if others else f"{last}, compared"
+        made = options.made_of(args, args.records, args.models)
+        with progress("drawing the page") as report:
+            page = write_report(args.out, title, "", sections, made, column=column, report=report)
+        say(f"report {page}")
+    return 0
+
+
+@options.command("paper")
+def run_paper(args: SimpleNamespace) -> int:
+    from sma_bench.paper.lab import paper_page
+    from sma_bench.paper.page import csv_table
+    from sma_bench.records import open_record
+    from sma_bench.report.page import csv_text, write_report
+
+    started, made = time.monotonic(), options.made_of(args, args.records)
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
+    given = ", ".join(args.records)
+    own = ", ".join([*([args.params] if args.params else []), *args.overrides])
+    text = read_yaml(Path(__file__).with_name("paper.yaml"))
+    origin = text["own"].format(given=own) if own else text["synthetic"]
+    summary = text["summary"].format(origin=text["mixed"].format(given=given) if given else origin)
+    with progress("paper") as report:
+        reading = in_turn(args.records, part(report, 0.0, _READ), lambda path: f"reading {path}")
+        records = [open_record(path) for path in reading]
+        page = paper_page(records, parameters, part(report, _READ, _COMPARED))
+        index = write_report(args.out, text["title"], summary, page.sections(), made, column=column,
+                             report=part(report, _COMPARED, 1.0))
+    for name, rows in page.tables.items():
+        write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(csv_table(rows)).decode())
+    write_json(args.json, page.to_json())
+    print_findings(page.notes)
+    synthetic = sum(outcome.synthetic for outcome in page.outcomes.values())
+    measured = len(page.outcomes) - synthetic
+    print(f"experiments: {measured} from the records given, {synthetic} synthetic")
+    print(f"report   {index}\n{time.monotonic() - started:.0f} s")
+    return 0
