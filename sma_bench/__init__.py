@@ -24,9 +24,8 @@ __all__ = [
 
 
 class _Package(ModuleType):
-    """`sma_bench.identify` and `sma_bench.diagnose` are functions here, and rooms of the package:
-    an import of the room would put the room in the function's place, were it not for a property.
-    `from sma_bench.identify import ...` finds the room all the same."""
+    """`sma_bench.identify` and `sma_bench.diagnose` are functions here and rooms of the package; an
+    import of the room would put the room in the function's place, were it not for a property."""
 
 
 def _on_first_use(name: str) -> property:

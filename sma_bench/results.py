@@ -1,10 +1,6 @@
 """Results: their files (docs/topics.md), their numbers as people read them, and the answer on one
-card, the same on a terminal, a page, a topic and in a notebook.
-
-The types stand in the rooms that compute them: `identify/result.py`, `diagnose/result.py`. They
-hold facts; every sentence is made last, by the template of the result's kind in `templates/`, and
-no program reads one.
-"""
+card. Their types stand in `identify/result.py` and `diagnose/result.py` and hold facts; every
+sentence is made last, by the template of the result's kind in `templates/`."""
 
 import json
 import math
@@ -183,8 +179,7 @@ def cells(result: Any, macro: str, *more: Any) -> list[tuple[str, ...]]:
 
 
 def card(result: Any, asked: Invocation | None = None, numbers: bool = False) -> Card:
-    """The card of an identification or a diagnosis. `asked`: the command that made it; numbers:
-    with a row for each, where no table has them."""
+    """The card of a result, for the command `asked`; `numbers`: a row for each, as no table has."""
     lines = sentences(result, "card", asked)
     if numbers and getattr(result, "estimates", None):
         lines[1:1] = sentences(result, "number_lines")

@@ -18,7 +18,8 @@ from sma_bench.findings import Finding, fold_audit
 from sma_bench.lifeline import interrupts_held
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import counted, part
-from sma_bench.results import Invocation
+from sma_bench.report.tables import Table, diagnosis_tables
+from sma_bench.results import Invocation, card, card_lines, card_text
 
 if TYPE_CHECKING:
     from sma_bench.parameters import Parameters
@@ -33,7 +34,6 @@ BAD_INPUT, MISFIT = 2, 3  # exit status: a record failed; the model does not fit
 def run_identify(args: SimpleNamespace) -> int:
     """Identify, print a table, write files; 3 where the model does not fit the records."""
     from sma_bench.records.open import parse_stated
-    from sma_bench.results import card, card_lines, card_text
     from sma_bench.tasks.work import identify_files, write_identified
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
@@ -73,8 +73,6 @@ def run_identify(args: SimpleNamespace) -> int:
 @options.command("diagnose")
 def run_diagnose(args: SimpleNamespace) -> int:
     from sma_bench.estimation.observation import QUANTITIES
-    from sma_bench.report.tables import diagnosis_tables
-    from sma_bench.results import card_text
     from sma_bench.tasks.work import diagnose_files, write_improved
 
     parameters, column = options.parameters_from_options(args), options.column_of(args)
@@ -86,8 +84,8 @@ def run_diagnose(args: SimpleNamespace) -> int:
         write_improved(args.out, result, "sma-bench diagnose")
 
     # The card, the tables, what speaks for it, and what should be known of the records.
-    params, out, page = (text or "" for text in (args.params, args.out, args.report))
-    console, asked = terminal.output_console(), Invocation(tuple(args.records), params, out, page)
+    given = (text or "" for text in (args.params, args.out, args.report))
+    console, asked = terminal.output_console(), Invocation(tuple(args.records), *given)
     console.print(f"{card_text(result, console.width, asked)}\n", markup=False, soft_wrap=True)
     for name, table in diagnosis_tables(result).items():
         rows = table.rows[:_CELLS_SHOWN] if name == "where" else table.rows
@@ -102,26 +100,19 @@ def run_diagnose(args: SimpleNamespace) -> int:
 
         made = options.made_of(args, args.records, args.hold_out)
         with terminal.progress("drawing the report") as report:
-            page = str(write_diagnosis_report(args.report, result, report, made, column))
+            page = write_diagnosis_report(args.report, result, report, made, column)
         terminal.say(f"report {page}")
     return 0
 
 
 @options.command("try")
 def run_try(args: SimpleNamespace) -> int:
-    """Import tables, identify, diagnose what the bench's file states, draw; 3 where the model does
-    not fit, and 2 with the reason of identify where nothing can be found."""
+    """From tables to a page, by identify and diagnose; 3 on a misfit, 2 where nothing is found."""
     from sma_bench.records.open import parse_stated
     from sma_bench.records.storage import is_bag
     from sma_bench.report.page import Made
     from sma_bench.report.reports import shown_input, write_collected_report
-    from sma_bench.results import Invocation, card_text
-    from sma_bench.tasks.work import (
-        diagnose_files,
-        identify_files,
-        write_identified,
-        write_improved,
-    )
+    from sma_bench.tasks import work
 
     out = Path(args.out or f"{Path(args.files[0]).stem}_tried")
     given = options.paths_in([args.files, args.map_file, args.params])
@@ -141,31 +132,30 @@ def run_try(args: SimpleNamespace) -> int:
     asked = Invocation(tuple(bags), args.params or "", "", str(page))
     with terminal.progress("try") as report:
         try:
-            found = identify_files(records, parameters, None, None, part(report, 0.0, _IDENTIFYING),
-                                   {}, stated)
+            share = part(report, 0.0, _IDENTIFYING)
+            found = work.identify_files(records, parameters, report=share, stated=stated)
         except InputError as error:
             if not (bags and args.params):
                 raise
             terminal.say(f"identify: {error}")
         else:
             misfit = found.is_misfit
-            write_identified(written["identified.yaml"], found, "sma-bench try", records,
-                             args.params)
-            results["identified"] = found, replace(asked, out=str(written["identified.yaml"]))
+            file = written["identified.yaml"]
+            work.write_identified(file, found, "sma-bench try", records, args.params)
+            results["identified"] = found, replace(asked, out=str(file))
         if bags and args.params:
             share = part(report, _IDENTIFYING, _DIAGNOSING)
-            gap = diagnose_files(bags, [], parameters, report=share)
-            write_improved(written["improved.yaml"], gap, "sma-bench try")
+            gap = work.diagnose_files(bags, [], parameters, report=share)
+            work.write_improved(written["improved.yaml"], gap, "sma-bench try")
             results["diagnosis"] = gap, replace(asked, out=str(written["improved.yaml"]))
         for name, (result, _) in results.items():
             terminal.write_json(str(written[f"{name}.json"]), result.to_json())
             pages.append(str(written[f"{name}.json"]))
+        title = f"First look at {', '.join(Path(file).name for file in args.files)}"
+        shown = [shown_input(path, k, None) for k, path in enumerate(pages, 1)]
         written_page = write_collected_report(
-            page, f"First look at {', '.join(Path(file).name for file in args.files)}",
-            [shown_input(path, k, None) for k, path in enumerate(pages, 1)], parameters,
-            args.params or "", Made(args.command_line, [*map(str, given)]), None,
-            part(report, _DIAGNOSING, 1.0),
-        )  # fmt: skip
+            page, title, shown, parameters, args.params or "",
+            Made(args.command_line, [*map(str, given)]), None, part(report, _DIAGNOSING, 1.0))
     console = terminal.output_console()
     for result, own in results.values():
         console.print(f"{card_text(result, console.width, own)}\n", markup=False, soft_wrap=True)
@@ -189,15 +179,15 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
         except InputError:  # import says what is wrong with what is no logger's table either
             tables.append(file)
     for files in [tables] if args.together and tables else [[table] for table in tables]:
-        bag = str(out / Path(files[0]).stem)
-        asked = [*files, "--out", bag]
+        bag = out / Path(files[0]).stem
+        asked = [*files, "--out", str(bag)]
         for option, values in (("--map", [args.map_file]), ("--params", [args.params]),
                                ("--unit", args.units)):
             asked += [word for value in values if value for word in (option, value)]
         asked += [f"--{name}" for name in ("together", "force") if getattr(args, name)]
         options.run_command(run_import, "sma-bench try", asked)
-        made = Path(bag)
-        records += [bag] if (made / "metadata.yaml").is_file() else map(str, sorted(made.iterdir()))
+        is_one = (bag / "metadata.yaml").is_file()
+        records += map(str, [bag] if is_one else sorted(bag.iterdir()))
     return records
 
 
@@ -249,13 +239,10 @@ def file_names(paths: list[str]) -> list[str]:
 
 
 def _print_outcomes(args: SimpleNamespace, outcomes: "list[Outcome]") -> int:
-    from sma_bench.report.tables import Table
     from sma_bench.tasks.batch import IDENTIFY
 
-    entries = [
-        {"record": o.path, "seconds": o.seconds, "error": o.error or None, "result": o.result}
-        for o in outcomes
-    ]
+    entries = [{"record": o.path, "seconds": o.seconds, "error": o.error or None,
+                "result": o.result} for o in outcomes]
     terminal.write_json(args.json, {"kind": args.kind, "records": entries})
     rows, misfit = [], False
     for given, o in zip(args.records, outcomes, strict=True):
@@ -278,7 +265,6 @@ def _print_outcomes(args: SimpleNamespace, outcomes: "list[Outcome]") -> int:
 @options.command("investigate")
 def run_investigate(args: SimpleNamespace) -> int:
     """Go on until named, inseparable, or out of time; 0 whatever the verdict."""
-    from sma_bench.report.tables import Table
     from sma_bench.tasks.investigation import HEADER, OPEN, QUANTITIES, TEST, Investigation
 
     options.one_only(args, "simulated", "namespace")

@@ -1,5 +1,4 @@
-"""sma-bench demo: two acts on benches of real nodes, simulated and recorded: Table I of a wire,
-and a composite that hides an effect. The diagnosis node sees a lab's file and two bags of it."""
+"""sma-bench demo: Table I of a wire, and a composite that hides an effect, by real nodes."""
 
 import json
 import subprocess
@@ -170,8 +169,7 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
                         simulator: Mapping[str, Any], steps: Mapping[str, Report], service: str,
                         settings: Callable[[list[str]], Mapping[str, Any]],
                         files: tuple[Path, ...] = ()) -> tuple[list[str], dict[str, Any]]:
-    """Bags of protocols, run one after the other by the nodes of the file's simulated bench; and
-    what a node's `service` makes of them, with these settings and parameter files."""
+    """Bags of protocols that a simulated bench ran, and what a node's `service` makes of them."""
     node, _, work = service.partition("/")
     with options.needs_ros("demo"):
         from sma_bench.ros.bench_client import BenchClient
@@ -225,8 +223,7 @@ def _deviation(estimate: Mapping[str, Any], true: float) -> float:
 
 
 def hidden_bench(lab: Parameters, seed: int) -> Parameters:
-    """The bench as it is: what the lab believes, off by the errors that it states, and one effect
-    on; `seed` draws everything."""
+    """What the lab believes, off by the errors that it states, and one effect on; all by `seed`."""
     from sma_bench.estimation.unknowns import BACK, FRONT
 
     rng = np.random.default_rng(seed)
@@ -250,8 +247,7 @@ def hidden_effect(bench: Parameters) -> tuple[str, dict[str, float]]:
 
 
 def confidently_wrong(answer: Mapping[str, Any], hidden: Parameters) -> bool:
-    """Whether a diagnosis result of a bench names an effect, or holds anything for all but
-    certain, that is not the truth."""
+    """Whether a diagnosis names, or holds for all but certain, what is not the truth."""
     effect, _ = hidden_effect(hidden)
     certain = [c["name"] for c in answer["candidates"] if c["probability"] >= _ALL_BUT_CERTAIN]
     named = [answer["cause"]] if answer["cause"] else []

@@ -1,5 +1,4 @@
-"""A running bench: its nodes and services, as `ros2 run` and `ros2 service call` have them but
-without a ROS 2 installation, and its page in the browser."""
+"""A running bench: its nodes, their services, and its page in the browser."""
 
 import math
 import re

@@ -1,10 +1,4 @@
-"""What the command lines share: options, what may be written, examples in the help.
-
-A command is a function of its options, which commands.yaml declares together with examples:
-
-    @options.command("info")
-    def run(args: SimpleNamespace) -> int: ...
-"""
+"""What commands share: options as commands.yaml declares them, what may be written, examples."""
 
 import re
 import shlex
@@ -186,8 +180,7 @@ class Command(click.Command):
 
 def command(name: str, about: str = "",
             **context: Any) -> Callable[[Callable[[SimpleNamespace], int]], Command]:
-    """A command as commands.yaml declares it; its function gets the options as one namespace, and
-    as `command_line` what was typed."""
+    """A command as commands.yaml declares it, of its options and `command_line`, what was typed."""
     table = read_yaml(Path(__file__).with_name("commands.yaml"))
     rows: dict[str, dict[str, Any]] = {}
     for shown, row in table[name]["takes"].items():
@@ -216,8 +209,7 @@ def command(name: str, about: str = "",
 
 
 def run_command(whole: click.Command, path: str, arguments: Sequence[str]) -> int:
-    """Run a command of this path, "sma-bench info" say; its exit status. Raises InputError: it does
-    not take these arguments."""
+    """Run a command, "sma-bench info" say; its exit status. InputError: not its arguments."""
     try:
         with whole.make_context(path, list(arguments)) as context:
             return whole.invoke(context) or 0

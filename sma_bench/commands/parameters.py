@@ -8,6 +8,11 @@ from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, print_table, say, write_json
 from sma_bench.errors import InputError, did_you_mean
 from sma_bench.installation import share_directory
+from sma_bench.parameters import write_parameters
+from sma_bench.parameters.audit import audit
+from sma_bench.parameters.node_tables import effects_page, parameter_page, range_of
+from sma_bench.parameters.parameter import EFFECTS, TABLE
+from sma_bench.report.tables import Table, value_cell
 
 
 @options.command("example")
@@ -35,11 +40,6 @@ def run_example(args: SimpleNamespace) -> int:
 
 @options.command("parameters")
 def run_parameters(args: SimpleNamespace) -> int:
-    from sma_bench.parameters import write_parameters
-    from sma_bench.parameters.node_tables import parameter_page
-    from sma_bench.parameters.parameter import TABLE
-    from sma_bench.report.tables import Table, value_cell
-
     parameters = options.parameters_from_options(args)
     entries = [
         {"name": p.name, "unit": p.unit,
@@ -64,16 +64,10 @@ def run_parameters(args: SimpleNamespace) -> int:
 
 @options.command("effects")
 def run_effects(args: SimpleNamespace) -> int:
-    from sma_bench.parameters.node_tables import effects_page, range_of
-    from sma_bench.parameters.parameter import EFFECTS
-    from sma_bench.report.tables import Table
-
     numbers = ("name", "unit", "default", "low", "high")
-    entries = [
-        {"name": e.name, "stage": e.stage, "acts_on": list(e.acts_on), "shows": e.shows,
-         "parameters": [{key: getattr(p, key) for key in numbers} for p in e.parameters]}
-        for e in EFFECTS.values()
-    ]
+    entries = [{"name": e.name, "stage": e.stage, "acts_on": list(e.acts_on), "shows": e.shows,
+                "parameters": [{key: getattr(p, key) for key in numbers} for p in e.parameters]}
+               for e in EFFECTS.values()]
     write_json(args.json, {"effects": entries})
     if args.markdown:
         print(effects_page(), end="")
@@ -86,8 +80,6 @@ def run_effects(args: SimpleNamespace) -> int:
 @options.command("audit")
 def run_audit(args: SimpleNamespace) -> int:
     """Print every finding; exit code 0 (a clash is a result, not an error)."""
-    from sma_bench.parameters.audit import audit
-
     if args.file and args.params:
         raise InputError(f"audit: {args.file} and --params {args.params} given, expected one file")
     args.params = args.params or args.file

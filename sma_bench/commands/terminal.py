@@ -34,8 +34,7 @@ def say(text: str) -> None:
 
 
 def write_json(path: str | None, document: dict[str, Any]) -> None:
-    """Write a result file, whole or not at all, where a path is given; "-" is standard output.
-    Raises InputError: the folder cannot be written."""
+    """Write a result to `path`, "-" standard output, None nowhere. InputError: it cannot be."""
     if path == STANDARD_OUTPUT:
         print(json_text(document), end="", flush=True, file=results[-1] if results else None)
     elif path:

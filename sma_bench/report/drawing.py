@@ -1,5 +1,4 @@
-"""Figures: the look that all share, their lines as data for the page's script and for a table, and
-in the width of a paper's column."""
+"""Figures: the look that all share, their lines as data for a script and a table, and in print."""
 
 import copy
 import math

@@ -1,5 +1,4 @@
-"""What records, simulations, overlays, identifications and diagnoses look like, for `plot()` and
-reports; figures of the experiments are drawn in a file of their own."""
+"""What records, simulations, overlays and results look like, for `plot()` and reports."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -160,9 +159,8 @@ def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Pict
 
 
 def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
-    """Of each quantity the signal that differs most, or those that are named: all records, and
-    below them the differences from the first, the largest marked. Raises InputError: the records
-    share nothing of that name."""
+    """Of each quantity the signal that differs most, or those that are named: all records, below
+    them the differences from the first. Raises InputError: the records share nothing like that."""
     worst: dict[str, str] = {}
     for d in found.differences:
         quantity = d.signal.rpartition(".")[2]

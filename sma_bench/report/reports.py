@@ -1,5 +1,4 @@
-"""The reports: of an identification, of a diagnosis (the argument as a careful experimenter makes
-it), and of records and results of other commands, their answers first."""
+"""Reports: of an identification, of a diagnosis, of records and results of other commands."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -188,9 +187,8 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
 def write_collected_report(directory: str | Path, title: str, shown: Sequence[ReportedInput],
                            parameters: Parameters, given: str, made: Made,
                            column: PaperColumn | None, report: Report) -> Path:
-    """The cards of all results, one that stands alone without heading; a line an input, and folded
-    above them all their warnings; each input's own; the parameters, `given` by what. Raises
-    InputError: the folder cannot be written."""
+    """The cards of all results; a line an input, and folded above them all their warnings; each
+    input's own; the parameters, `given` by what. InputError: the folder cannot be written."""
     cards = [one.answer for one in shown if one.answer is not None]
     cards = cards if len(cards) > 1 else [replace(section, title="") for section in cards]
     rows = [(str(k), one.path, one.kind, one.said) for k, one in enumerate(shown, 1)]
@@ -217,8 +215,7 @@ def write_collected_report(directory: str | Path, title: str, shown: Sequence[Re
 
 
 def read_result(path: str | Path) -> Identification | DiagnosisResult:
-    """Read a result file, whichever command has written it. Raises InputError: unreadable, not
-    JSON, or not a result; one line that names what is missing."""
+    """A result of whichever command. Raises InputError: unreadable, not JSON, or not a result."""
     document = read_json(read_text(path, LARGEST), str(path), LARGEST)
     if not isinstance(document, dict) or not {"verdict", "parameters"} & {*document}:
         raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "

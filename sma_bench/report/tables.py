@@ -17,10 +17,8 @@ _NOTHING = 1e-12  # the last bits of doubles, of a signal's times
 
 @dataclass(frozen=True)
 class Table:
-    """Header and rows of text; `numeric` are the columns set flush right.
-
-    A table with a `name` is written as CSV beside a page too; its `title` stands above it.
-    """
+    """Header and rows of text, the `numeric` columns flush right; with a `name` it is written as
+    CSV too, and its `title` stands above it."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -30,8 +28,7 @@ class Table:
 
 
 def table_of(result: Any, macro: str, *more: Any, name: str = "", title: str = "") -> Table:
-    """The cells that a macro of the result's template makes, headings first; a # before a heading
-    marks a column of numbers."""
+    """Cells that a macro of the result's template makes, headings first, # before numeric ones."""
     header, *rows = cells(result, macro, *more)
     numeric = frozenset(k for k, cell in enumerate(header) if cell.startswith("#"))
     return Table([cell.lstrip("#") for cell in header], rows, numeric, name, title)

@@ -42,8 +42,7 @@ _CHAPTER = 8 * MEGABYTE
 
 @dataclass(frozen=True)
 class Chapter:
-    """What was said after so many records, for which the bench was driven so many minutes;
-    `proposed` is the experiment, {} for none."""
+    """What was said after so many records and minutes; `proposed`: the experiment, {} for none."""
 
     records: int
     minutes: float
@@ -128,9 +127,8 @@ class Investigation:
         return sum(load_protocol(path, self.believed).duration / 60.0 for path in done)
 
     def next_run(self) -> dict[str, Any]:
-        """What the bench is to be driven with next: the name of the `protocol`, its `minutes`,
-        highest `volts` and `file`, which is written, and the `bag` it is to be recorded in. Raises
-        InputError: the bench's limits refuse it."""
+        """What the bench is driven with next: name of the `protocol`, `minutes`, highest `volts`,
+        the `file`, which is written, and the `bag` to record. InputError: the bench refuses it."""
         number = len(self._own()) + 1
         path = self.folder / f"protocol_{number}.yaml"
         p = self.believed

@@ -35,8 +35,7 @@ _LONGEST = 3600  # s of the processor; the longest diagnosis takes minutes
 
 
 class Worker:
-    """Runs one task at a time in a process, which `end` may end from any thread; `name` leads what
-    is said of failures."""
+    """Runs one task at a time in a process, which `end` may end from any thread."""
 
     def __init__(self, name: str) -> None:
         self._name, self._ended = name, ""
@@ -120,9 +119,8 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
 
 def records_inside(settings: Mapping[str, Any], parameter: str = "record",
                    required: bool = False) -> list[str]:
-    """Paths of the records that a list parameter names, relative ones below `record_root`. Raises
-    InputError: one lies outside the root, links followed, those in the folder of a bag too; none
-    is named where one is required."""
+    """Paths of the records that a list parameter names, relative ones below `record_root`.
+    InputError: one, or what a bag of them links to, is outside the root; none, if `required`."""
     # ROS cannot type an empty array: [""] stands for none.
     names, root = [name for name in settings[parameter] if name], settings["record_root"]
     if required and not names:

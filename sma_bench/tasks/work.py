@@ -40,12 +40,11 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
                    experiments: Sequence[str] | None = None, namespace: str | None = None,
                    report: Report = silent, phases: Mapping[str, Phase] | None = None,
                    stated: Mapping[str, float] | None = None) -> "Identification":
-    """Identify from bags and instrument files (`identify/`). `paths`: of the records; parameters:
-    what is known beforehand; `experiments`: of E0 to E10; all that the records allow when None;
-    `namespace`: where two benches are in one bag, the one to take; `report`: called with how far it
-    is; `phases`: of tensile tests, by file name or pattern of names; `stated`: what instruments'
-    files do not hold (`records.open.open_records`). Raises InputError: a record that cannot be
-    read, or nothing that can be identified."""
+    """Identify from bags and instrument files (`identify/`). `parameters`: known beforehand;
+    `experiments`: of E0 to E10, None for all that the records allow; `namespace`: where two benches
+    are in one bag, the one to take; `phases`: of tensile tests, by file name or pattern of names;
+    `stated`: what instruments' files do not hold (`records.open.open_records`). Raises InputError:
+    a record that cannot be read, or nothing that can be identified."""
     from sma_bench.identify import identify
 
     load_aside(core.run, run_once)
@@ -59,10 +58,9 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
 
 def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
                    quantities: Sequence[str] = QUANTITIES, report: Report = silent) -> "Diagnosis":
-    """Diagnose the gap between bags of one bench and its model (`diagnose/`). `paths`: of the bags;
-    hold_out: of those on which the shrinkage is measured; `parameters`: as believed; quantities:
-    that are compared; `report`: called with how far it is. Raises InputError: a bag that cannot be
-    read, or nothing that can be compared."""
+    """Diagnose the gap between bags of one bench and its model (`diagnose/`), its shrinkage on
+    those of `hold_out`; `parameters`: as believed; `quantities`: that are compared. InputError: a
+    bag that cannot be read, or nothing that can be compared."""
     from sma_bench.diagnose import diagnose
 
     load_aside(core.run, run_once)
@@ -76,9 +74,8 @@ def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Pa
 
 def write_identified(path: str | Path, result: "Identification", author: str,
                      sources: Sequence[str], template: str | Path | None = None) -> None:
-    """Write the parameters with what was identified put in; comments of the file `template` stay.
-    Where the model does not fit within the noise, that is its first comment. Raises InputError: the
-    file cannot be written."""
+    """Write the parameters with what was identified; comments of the file `template` stay, and that
+    the model does not fit is the first. Raises InputError: the file cannot be written."""
     comment = f"Identified by {author} from {', '.join(sources)}".replace("\n", " ")
     if said := result.fit_line:
         comment = f"{said}.\n{comment}"

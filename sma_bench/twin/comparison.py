@@ -136,8 +136,7 @@ class SignalBins:
 
 def _noise_before(level: Array, time: Array, count: Array, stop: int, scatter: float,
                   allowed: float) -> Noise:
-    """Noise that the bins up to `stop` show, but no more than a sensor may have; as much while
-    they are too few for an estimate."""
+    """Noise that the bins up to `stop` show, or may have while they are too few; no more."""
     white = scatter / float(np.sqrt(np.median(count)))
     period = max(round(float(np.median(np.diff(time))), 2), 0.01)
     if stop < 2:
@@ -166,8 +165,7 @@ def judge(noise: Noise, level: Array) -> tuple[float, float]:
 
 
 def _whitened(noise: Noise, level: Array) -> Array:
-    """The level (n,) and ones, each with the noise as unit variance; exact from the first bin on,
-    unlike the recursion that whitens long records."""
+    """The level (n,) and ones, whitened by the noise's covariance: exact from the first bin on."""
     lags = np.arange(len(level)) * (noise.period / noise.time)
     covariance = toeplitz(noise.drift**2 * np.exp(-lags))
     covariance[np.diag_indices_from(covariance)] += noise.white**2

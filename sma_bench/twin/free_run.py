@@ -203,8 +203,7 @@ class FreeRun:
 
 class Doubt:
     """How far a sound bench may be from the prediction, its sensors' noise not counted: benches
-    within what is open of the parameters run beside it, each in a run of its own
-    (estimation/bands.py)."""
+    within what is open of the parameters run along, each by itself (estimation/bands.py)."""
 
     def __init__(self, run: FreeRun, benches: Sequence[Parameters], probability: float) -> None:
         self._run, self._reach = run, reach_of(probability)

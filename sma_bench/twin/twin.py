@@ -81,8 +81,7 @@ class StageState(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """`state` is learning, quiet, gap (as it was known) or grew; `stages` and `sides` are those
-    named in the message."""
+    """`state`: learning, quiet, gap (as it was known), grew; `stages`, `sides`: in the message."""
 
     state: str
     message: str

@@ -16,8 +16,8 @@ from wire_records import ramp
 
 import sma_bench
 from sma_bench.cli import main
-from sma_bench.commands import batch
 from sma_bench.records import Record
+from sma_bench.tasks import batch
 from sma_bench.tasks.batch import run_task
 
 LAG = "sensor.temperature.lag"
