@@ -1,8 +1,7 @@
 """Test bench software for shape-memory-alloy actuators (Keshtkar et al.).
 
 For notebooks: `sma_bench.load`, `simulate`, `measure`, `identify`, `diagnose`, `compare`,
-`to_frame`, and what else `sma_bench.api` lists, which is imported at its first use.
-"""
+`to_frame`, and what else `sma_bench.api` lists, which is imported at its first use."""
 
 import sys
 from importlib import import_module
@@ -16,11 +15,9 @@ if TYPE_CHECKING:
     from sma_bench.api import *  # what type checkers see; the list below is its `__all__`
 
 __version__ = VERSION
-__all__ = [
-    "Diagnosis", "Identification", "InputError", "Overlay", "Parameters", "Record", "Signal",
-    "Simulation", "compare", "diagnose", "identify", "load", "load_parameters", "measure",
-    "simulate", "to_frame", "write_parameters", "write_record",
-]
+__all__ = ["Diagnosis", "Identification", "InputError", "Overlay", "Parameters", "Record", "Signal",
+           "Simulation", "compare", "diagnose", "identify", "load", "load_parameters", "measure",
+           "simulate", "to_frame", "write_parameters", "write_record"]
 
 
 class _Package(ModuleType):

@@ -1,8 +1,7 @@
 """What `import sma_bench` gives a notebook: the commands' and nodes' own functions on arrays.
 
 Everything is in SI units (K, V, A, m, Pa, s). Whatever a user can get wrong raises `InputError`, a
-ValueError of one line. Nothing is computed here: see the room that each function names.
-"""
+ValueError of one line. Nothing is computed here: see the room that each function names."""
 
 import os
 import warnings
@@ -26,26 +25,16 @@ from sma_bench.physics import Simulation
 from sma_bench.physics.effects import with_effect
 from sma_bench.protocols import load_protocol, parse_protocol, protocol_names
 from sma_bench.records import Record, Signal, open_record, open_records
+from sma_bench.records import record as recording
 from sma_bench.records.bag_writer import write_record
 from sma_bench.records.import_map import record_of_table
 from sma_bench.records.open import AnyRecord
 from sma_bench.records.overlay import Overlay, overlay
-from sma_bench.records.record import (
-    as_calibrated,
-    drive_of,
-    frame_from_record,
-    record_from_arrays,
-    record_from_frame,
-    require_pandas,
-    with_stated_lag,
-)
 from sma_bench.synthetic import bench_records
 
-__all__ = [
-    "Diagnosis", "Identification", "InputError", "Overlay", "Parameters", "Record", "Signal",
-    "Simulation", "compare", "diagnose", "identify", "load", "load_parameters", "measure",
-    "simulate", "to_frame", "write_parameters", "write_record",
-]
+__all__ = ["Diagnosis", "Identification", "InputError", "Overlay", "Parameters", "Record", "Signal",
+           "Simulation", "compare", "diagnose", "identify", "load", "load_parameters", "measure",
+           "simulate", "to_frame", "write_parameters", "write_record"]
 
 
 def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] | None = None,
@@ -58,26 +47,22 @@ def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] 
             the shared clock `time` (n,) s, or to pairs (time, values); a pandas DataFrame with
             such columns; a simulation, which is then read exactly; a record as it is.
         namespace: where two benches are in one bag, the one to take.
-        units: of a logger's table, by column where titles do not tell; it is then read as
-            `sma-bench import` reads it.
+        units: of a logger's table, by column; it is then read as `sma-bench import` does.
         params: the rig's parameter file for such a table.
 
     `record["wire.voltage"]` has `time` (n,) s and `values` (n,); an instrument file is a record of
-    its own kind. Raises InputError: nothing readable, or arrays that do not fit each other.
-    """
+    its own kind. Raises InputError: nothing readable, or arrays that do not fit each other."""
     if isinstance(source, AnyRecord):
         return source
     if isinstance(source, Simulation):
         return _recorded(bench_records.signals_of(source), "simulation")
     if all(hasattr(source, name) for name in ("columns", "index", "to_numpy")):  # of pandas
-        return record_from_frame(source)
+        return recording.record_from_frame(source)
     if isinstance(source, Mapping):
-        return record_from_arrays(source)
+        return recording.record_from_arrays(source)
     if not isinstance(source, str | Path):
-        raise InputError(
-            f"load: {type(source).__name__} given, expected a path, a mapping of arrays, a "
-            "DataFrame, a simulation or a record"
-        )
+        raise InputError(f"load: {type(source).__name__} given, expected a path, a mapping of "
+                         "arrays, a DataFrame, a simulation or a record")
     if units is None and params is None:
         return open_record(source, namespace)
     return record_of_table(source, load_parameters(params), units or {})
@@ -97,9 +82,8 @@ def load_parameters(source: Any = None) -> Parameters:
         return Parameters(flatten(source))
     if isinstance(source, str | Path):
         return read_parameters(source)
-    raise InputError(
-        f"parameters: {type(source).__name__} given, expected a path, a mapping or Parameters"
-    )
+    raise InputError(f"parameters: {type(source).__name__} given, expected a path, a mapping or "
+                     "Parameters")
 
 
 def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float] | None = None,
@@ -119,8 +103,7 @@ def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float]
 
     The simulation has `time` (n,) s, `voltage`, `current`, `temperature`, `martensite_fraction`,
     `stress` (n, w), `deflection` (n,) m; `measure` makes a record of it. Raises InputError: no such
-    protocol or effect, one that the load cannot have, wrong shapes, a voltage above the limit.
-    """
+    protocol or effect, one that the load cannot have, wrong shapes, a voltage above the limit."""
     bench = load_parameters(parameters)
     for name, size in (effects or {}).items():
         with errors_in(f"effects: {name}"):
@@ -152,7 +135,7 @@ def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float]
         raise InputError(f"simulate: {drive}: neither a bag nor a protocol, expected one of "
                          f"{', '.join(protocol_names())}")
     (record,) = _bags([load(drive)])
-    return bench_records.simulate_finely(*drive_of(record, bench))
+    return bench_records.simulate_finely(*recording.drive_of(record, bench))
 
 
 def measure(simulation: Simulation, seed: int = 1) -> Record:
@@ -177,8 +160,7 @@ def identify(records: Any, parameters: Any = None,
 
     `estimates` by name have `value`, `std`, `unit`; `parameters` are the given ones improved;
     `warnings` are to be read before the numbers are used. Raises InputError: nothing to identify,
-    or an experiment asked for that the records do not allow.
-    """
+    or an experiment asked for that the records do not allow."""
     wanted = [experiments] if isinstance(experiments, str) else experiments
     return _identify(_records(records), load_parameters(parameters), wanted)
 
@@ -196,8 +178,7 @@ def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
 
     The result has `verdict`, `cause`, `candidates`, `where`, `shrinkage`, `improved`
     parameters; `to_json()` is the result file of `sma-bench diagnose`. Raises InputError: no
-    record, an instrument's file, or nothing that can be compared.
-    """
+    record, an instrument's file, or nothing that can be compared."""
     unknown = sorted({signals} if isinstance(signals, str) else set(signals) - set(QUANTITIES))
     if unknown:
         raise InputError(f"diagnose: signals {unknown[0]!r}, expected some of {list(QUANTITIES)}")
@@ -215,8 +196,7 @@ def compare(records: Any, models: Any = ()) -> Overlay:
             is simulated under the voltages of the first record.
 
     `differences` has the largest first; `print` shows a table, `plot()` a figure. Raises
-    InputError: fewer than two in all, or nothing in common.
-    """
+    InputError: fewer than two in all, or nothing in common."""
 
     def named(given: Any, kind: str) -> dict[str, Any]:
         """Things by name: their own, that of their file, or a number."""
@@ -243,8 +223,9 @@ def compare(records: Any, models: Any = ()) -> Overlay:
     for name, model in named(models, "model").items():
         bench = load_parameters(model)
         if not modelled:  # readings as the first model's owner knows his sensors
-            shown = {key: as_calibrated(record, bench) for key, record in shown.items()}
-        run = bench_records.simulate_finely(*drive_of(first, with_stated_lag(bench)))
+            shown = {key: recording.as_calibrated(record, bench) for key, record in shown.items()}
+        drive = recording.drive_of(first, recording.with_stated_lag(bench))
+        run = bench_records.simulate_finely(*drive)
         own = name if name not in shown else f"{name} (model)"
         modelled[own] = _recorded(bench_records.signals_of(run), name)
     return overlay(shown | modelled, tuple(modelled))
@@ -267,8 +248,8 @@ def to_frame(thing: Any) -> Any:
             rows[candidate["name"]] = {name: candidate[name] for name in columns}
     else:
         (record,) = _bags([load(thing)])
-        return frame_from_record(record)
-    frame = require_pandas().DataFrame.from_dict(rows, orient="index")
+        return recording.frame_from_record(record)
+    frame = recording.require_pandas().DataFrame.from_dict(rows, orient="index")
     frame.index.name = index
     return frame
 

@@ -2,8 +2,7 @@
 
 Exit status: 0 done, 2 bad input (one line on standard error), 3 the model does not fit, 130
 interrupted. Click completes commands, options and names in bash, zsh and fish:
-`eval "$(_SMA_BENCH_COMPLETE=bash_source sma-bench)"`.
-"""
+`eval "$(_SMA_BENCH_COMPLETE=bash_source sma-bench)"`."""
 
 import gc
 import importlib

@@ -28,6 +28,10 @@ _LARGEST_NUMBER = 1e100
 T = TypeVar("T")
 NUMBER_HEADER = ("parameter", "value ± statistical ± systematic", "from the records", "reference",
                  "off it", "by")
+_SCALES = {
+    "voltage_command": ("V", 1.0), "voltage": ("V", 1.0), "current": ("mA", 1e3),
+    "temperature": ("K", 1.0), "force": ("N", 1.0),
+    **dict.fromkeys(("deflection", "range", "elongation"), ("mm", 1e3))}
 TEMPLATES = Path(__file__).with_name("templates")
 _NO_BORDERS = str.maketrans("\n|", " /")
 _WIDTH, _NARROWEST = 96, 40  # cells
@@ -85,24 +89,9 @@ def _finite(value: Any) -> Any:
     return value
 
 
-class PaperUnit(NamedTuple):
-    """Unit on paper and the factor from SI to it."""
-
-    unit: str
-    factor: float
-
-
-_SCALES = {
-    "voltage_command": PaperUnit("V", 1.0), "voltage": PaperUnit("V", 1.0),
-    "current": PaperUnit("mA", 1e3), "temperature": PaperUnit("K", 1.0),
-    "deflection": PaperUnit("mm", 1e3), "range": PaperUnit("mm", 1e3),
-    "elongation": PaperUnit("mm", 1e3), "force": PaperUnit("N", 1.0),
-}
-
-
-def scale_of(signal: str) -> PaperUnit:
-    """Of a quantity, or of a signal `channel.quantity`; of an unknown one as it is."""
-    return _SCALES.get(signal.rpartition(".")[2], PaperUnit("", 1.0))
+def scale_of(signal: str) -> tuple[str, float]:
+    """Of a quantity or a signal `channel.quantity`: unit on paper, and the factor from SI to it."""
+    return _SCALES.get(signal.rpartition(".")[2], ("", 1.0))
 
 
 def in_print(value: float, signal: str) -> str:
@@ -135,8 +124,7 @@ def with_error(value: float, std: float) -> str:
     """`value ± std`, the value to the decimals that the error leaves it."""
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
         return f"{value:.4g}"
-    size = max(abs(value), std)
-    digits = math.floor(math.log10(size)) - math.floor(math.log10(std)) + 2
+    digits = math.floor(math.log10(max(abs(value), std))) - math.floor(math.log10(std)) + 2
     return f"{value:.{min(max(digits, 2), 8)}g} ± {std:.2g}"
 
 
@@ -214,8 +202,7 @@ def _templates(folder: Path) -> "jinja2.Environment":
         loader=jinja2.FileSystemLoader(folder), trim_blocks=True, lstrip_blocks=True,
         undefined=jinja2.StrictUndefined, bytecode_cache=Translated(str(kept)), auto_reload=False,
         # What comes from a file begins no row and no cell of its own.
-        finalize=lambda shown: shown.translate(_NO_BORDERS) if isinstance(shown, str) else shown,
-    )
+        finalize=lambda shown: shown.translate(_NO_BORDERS) if isinstance(shown, str) else shown)
     environment.globals["effects"] = EFFECTS
     environment.filters |= {
         "in_print": in_print, "percent": percent, "signed": signed, "quoted": shlex.quote,
@@ -224,8 +211,7 @@ def _templates(folder: Path) -> "jinja2.Environment":
         "with_error": lambda number: with_error(number.value, number.std),
         "with_std": lambda value, std: with_error(value, std).partition(" ")[0],
         # JSON has null for a number that does not exist.
-        "or_empty": lambda value, form, unit="": f"{value:{form}}{unit}" * math.isfinite(value),
-    }
+        "or_empty": lambda value, form, unit="": f"{value:{form}}{unit}" * math.isfinite(value)}
     return environment
 
 
@@ -249,8 +235,7 @@ def card_lines(shown: Card, width: int = _WIDTH) -> list[str]:
 
 
 def card_text(result: Any, width: int = _WIDTH, asked: Invocation | None = None) -> str:
-    """The card as lines for a terminal of `width`, folded, labels once; of an identification with
-    a number a line below its title, in those columns that have something in them."""
+    """The card as lines of `width` cells; below an identification's title a line a number."""
     shown, rows = card(result, asked), number_rows(result)
     title = card_lines(Card(shown.title, ()), width)
     every = [NUMBER_HEADER, *rows] if rows else []
@@ -267,6 +252,5 @@ def number_rows(result: Any) -> list[tuple[str, ...]]:
 
 def card_html(result: Any) -> str:
     """The same as tables, every text escaped."""
-    return _templates(TEMPLATES).get_template("card.html.j2").render(
-        card=card(result), header=NUMBER_HEADER, numbers=number_rows(result)
-    )
+    template = _templates(TEMPLATES).get_template("card.html.j2")
+    return template.render(card=card(result), header=NUMBER_HEADER, numbers=number_rows(result))

@@ -46,7 +46,6 @@ def run_identify(args: SimpleNamespace) -> int:
     terminal.write_json(args.json, result.to_json())
     if args.out:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
-
     # The card, with advice that depends on what was asked: only bags can be diagnosed.
     bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
     asked = Invocation(tuple(bags), *(text or "" for text in (args.params, args.out, args.report)))
@@ -82,7 +81,6 @@ def run_diagnose(args: SimpleNamespace) -> int:
     terminal.write_json(args.json, result.to_json())
     if args.out:
         write_improved(args.out, result, "sma-bench diagnose")
-
     # The card, the tables, what speaks for it, and what should be known of the records.
     given = (text or "" for text in (args.params, args.out, args.report))
     console, asked = terminal.output_console(), Invocation(tuple(args.records), *given)

@@ -1,8 +1,5 @@
-"""sma-bench calibrate SENSOR: gain and offset of a sensor of the Uno from known loads.
-
-Pairs come from the command line, from a CSV file, or from the device while somebody applies one
-known load after the other. The outputs stay off.
-"""
+"""sma-bench calibrate SENSOR: gain and offset of a sensor of the Uno, from pairs of reading and
+known load: typed, of a CSV file, or of the device while one load after the other is applied."""
 
 import csv
 import math
@@ -12,6 +9,7 @@ import statistics
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -46,7 +44,6 @@ def run_calibrate(args: SimpleNamespace) -> int:
     own = [f"calibration.{name}.", *([] if others else [f"uncertainty.sensor.{sensor.quantity}."])]
     if (held := [key for key in kept if key.startswith(tuple(own))]) and not args.force:
         raise InputError(f"{args.out}: holds {held[0]} already; --force replaces it")
-
     # The pairs, and the lens of a range sensor.
     if sum(map(bool, (args.pairs, args.csv, args.device))) != 1:
         raise InputError("calibrate: expected pairs, or --csv FILE, or --device PORT")
@@ -74,7 +71,6 @@ def run_calibrate(args: SimpleNamespace) -> int:
     fit = fit_sensor(name, readings, known, shift)
     for key, value in fit.parameters.items():
         _TABLE[key].validated(value, "calibrate")
-
     # What came of it; identification is to believe the worst of both boards, or sides.
     std = {key: value if math.isfinite(value) else None for key, value in fit.std.items()}
     for key, value in fit.parameters.items():
@@ -86,8 +82,8 @@ def run_calibrate(args: SimpleNamespace) -> int:
     unit = sensor.known_unit
     span = f"{len(pairs)} pairs from {min(known):g} to {max(known):g} {unit}"
     print(f"{span}, rms of what is left {fit.rest:.2g} {unit}")
-    rest = {"parameters": fit.parameters, "std": std, "rms": fit.rest, "pairs": pairs}
-    write_json(args.json, {**rest, "uncertainty": fit.uncertainty})
+    write_json(args.json, {"parameters": fit.parameters, "std": std, "rms": fit.rest,
+                           "pairs": pairs, "uncertainty": fit.uncertainty})
     if args.out:
         worst = {key: max(v, kept.get(key, 0.0)) if others else v for key, v in stated.items()}
         values = {**kept, **fit.parameters, **worst}
@@ -106,10 +102,9 @@ def _pair(words: Sequence[str], where: str) -> tuple[float, float]:
 
 def _measured(name: str, port: str, known: Sequence[float]) -> Iterator[tuple[float, float]]:
     """A pair for each load, once the person at the bench has applied it."""
-    readings: list[Telemetry] = []
-    sensor, link = SENSORS[name], SerialLink(lambda: open_port(port), on_reading=readings.append)
-    link.start()
-    try:
+    sensor, readings = SENSORS[name], list[Telemetry]()
+    with closing(SerialLink(lambda: open_port(port), on_reading=readings.append)) as link:
+        link.start()
         if not link.wait_connected(_CONNECTING):
             raise InputError(f"{port}: {link.status.problem or 'no answer'}")
         for load in known:
@@ -127,5 +122,3 @@ def _measured(name: str, port: str, known: Sequence[float]) -> Iterator[tuple[fl
             mean, scatter = statistics.fmean(values), statistics.stdev(values)
             print(f"  {mean:.5g} {sensor.unit}, scatter {scatter:.2g} {sensor.unit}")
             yield mean, load
-    finally:
-        link.close()

@@ -23,8 +23,7 @@ from sma_bench.protocols import load_protocol
 from sma_bench.report.tables import Table, diagnosis_tables
 from sma_bench.results import card_text
 
-# The first act: the paper's E1 to E3 on short forms of its protocols, and what a lab knows of its
-# wire without a volt, by a scale and a ruler.
+# The first act: the paper's E1 to E3 in short, and what scale and ruler say of the wire.
 TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
              "wire.specific_heat": "c_p"}
 QUICK = ("quick_staircase", "quick_ramp")
@@ -33,18 +32,15 @@ _PAPER = Parameters.of_paper()
 _WEIGHED = {name: _PAPER[name] for name in ("wire.mass", "wire.surface_area", "wire.diameter")}
 
 # The second act.
-HIDEABLE: dict[str, dict[str, tuple[float, float]]] = read_yaml(
-    Path(__file__).with_name("demo.yaml")
-)["hideable"]
+HIDEABLE: dict[str, dict[str, tuple[float, float]]]
+HIDEABLE = read_yaml(Path(__file__).with_name("demo.yaml"))["hideable"]
 RECORD, HOLD_OUT = "composite_diagnosis_triangles", "composite_diagnosis_steps"
 LAB_FILE = share_directory() / "config" / "demo_rig.yaml"  # what the lab believes of its bench
 _EITHER_SIGN = ("phase_dependent_resistance",)
 _FARTHEST = 2.0  # standard errors
 _ALL_BUT_CERTAIN = 0.8  # probability of a candidate
-# An Uno's own 5 V range. Over the usual 10 V, 10 bit are steps of 10 mV, far above the noise: a
-# held level would be off by what heats the wire as much as a small effect.
+# An Uno's own 5 V range: over 10 V, a step of its 10 bit heats as much as a small effect.
 _INSTRUMENTS = {"sensor.voltage_resolution": 5.0 / 1023}
-
 # One a command: nodes that talk cost more of the processor than all that is computed.
 _RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.0)
 _PROTOCOLS = share_directory() / "config" / "protocols"
@@ -56,8 +52,7 @@ _REACHED = 30.0
 
 @options.command("demo")
 def run_demo(args: SimpleNamespace) -> int:
-    """Both acts; 0 when Table I holds what the demo promises and the diagnosis is not confidently
-    wrong, 1 when not. Raises InputError: no ROS 2 here, or a folder that cannot be made."""
+    """Both acts; 1 where Table I or the diagnosis is not as promised. InputError: no ROS 2 here."""
     from sma_bench.compiled import is_compiled
     from sma_bench.diagnose.result import diagnosis_from
     from sma_bench.physics import core
@@ -74,9 +69,8 @@ def run_demo(args: SimpleNamespace) -> int:
         truth = truth.replace({n: float(truth[n] * rng.uniform(0.9, 1.1)) for n in TABLE_ONE})
     out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
     gap = out / "simulated_gap"
-    for folder in (out, gap):
-        make_folder(folder / "bags")
-        make_folder(folder / "logs")
+    for folder in (out / "bags", out / "logs", gap / "bags", gap / "logs"):
+        make_folder(folder)
     write_parameters(out / "truth.yaml", truth, "What the simulated bench is made of.")
     hidden_file = gap / "hidden.yaml"
     write_parameters(hidden_file, hidden_bench(lab, seed), "The truth of the simulated bench.")
@@ -100,11 +94,10 @@ def run_demo(args: SimpleNamespace) -> int:
                 while process.poll() is None:
                     steps[COMPILING]((time.monotonic() - begin) / _COMPILING, COMPILING)
                     time.sleep(0.1)
+        settings: dict[str, Any] = {"output_directory": ".", **_WEIGHED}
         bags, found = _recorded_and_asked(
             out, "/demo", out / "truth.yaml", QUICK, {"speed": speed}, steps,
-            "identification/identify",
-            lambda bags: {"output_directory": ".", **_WEIGHED, "record": bags},
-        )
+            "identification/identify", lambda bags: {**settings, "record": bags})
         result = identify_files(bags, Parameters(_WEIGHED))  # as the node did, for its page
         page = write_identification_report(out / "report", result, steps["report"])
     estimates, rows = found["parameters"], []
@@ -116,20 +109,17 @@ def run_demo(args: SimpleNamespace) -> int:
         known = f"{_PAPER[name]:.5g}", f"{truth[name]:.5g}"
         rows.append((symbol, BY_NAME[name].unit, *known, *cells))
     header = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
-    terminal.print_table(Table(header, rows, frozenset(range(2, len(header))), title="Table I"))
+    terminal.print_table(Table(header, rows, frozenset(range(2, 7)), title="Table I"))
     for warning in found["warnings"]:
         terminal.say(f"note {warning}")
     # R, h and c_p are all there, and what the scales of the sensors leave of their errors is small.
-    holds = all(
-        name in estimates
-        and abs(_deviation(estimates[name], truth[name])) <= SIGMAS
-        and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
-        for name in TABLE_ONE
-    )
+    holds = all(name in estimates and abs(_deviation(estimates[name], truth[name])) <= SIGMAS
+                and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
+                for name in TABLE_ONE)
     terminal.say(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
                  f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")
-    identified = out / "identified.yaml"
-    terminal.say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {identified}")
+    loaded = out / "identified.yaml"
+    terminal.say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {loaded}")
 
     # The second: the card and the candidates, then the truth, which only the bench has read so far.
     console.print("\n[bold]2. The gap between simulation and bench[/]")
@@ -140,9 +130,8 @@ def run_demo(args: SimpleNamespace) -> int:
         files = {"improved": str(improved.resolve()), "report": str(gap_page.parent.resolve())}
         _, answer = _recorded_and_asked(
             gap, "/demo_gap", hidden_file, (RECORD, HOLD_OUT), simulator, steps,
-            "diagnosis/diagnose",
-            lambda bags: {"record": bags[:1], "hold_out": bags[1:], **files}, (LAB_FILE,),
-        )
+            "diagnosis/diagnose", lambda bags: {"record": bags[:1], "hold_out": bags[1:], **files},
+            (LAB_FILE,))
     terminal.write_json(str(gap / "diagnosis.json"), answer)
     diagnosis = diagnosis_from(answer, "diagnosis")
     console.print(f"{card_text(diagnosis, console.width)}\n", markup=False, soft_wrap=True)
@@ -158,10 +147,10 @@ def run_demo(args: SimpleNamespace) -> int:
     effect, numbers = hidden_effect(hidden)
     true = {"table_one": {name: truth[name] for name in TABLE_ONE},
             "gap": {"effect": effect, "numbers": numbers}}
-    terminal.write_json(args.json, {"synthetic": True, "folder": str(out), "holds": right,
-                                    "truth": true,
-                                    "report": {"table_one": str(page), "gap": str(gap_page)},
-                                    "estimates": estimates, "diagnosis": answer, "draw": seed})
+    pages = {"table_one": str(page), "gap": str(gap_page)}
+    terminal.write_json(args.json, {
+        "synthetic": True, "folder": str(out), "holds": right, "truth": true, "report": pages,
+        "estimates": estimates, "diagnosis": answer, "draw": seed})
     return 0 if all(right.values()) else 1
 
 
@@ -175,8 +164,7 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
         from sma_bench.ros.bench_client import BenchClient
         from sma_bench.ros.processes import NodeProcesses, private_ros_environment
     private_ros_environment()
-    bench = read_parameters(file)
-    kinds = ("power", "temperature")
+    bench, kinds = read_parameters(file), ("power", "temperature")
     readings = [f"{channel}/{kind}" for channel in bench["bench.channels"] for kind in kinds]
 
     def look() -> None:
@@ -192,8 +180,8 @@ def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Seq
             if state.startswith("running"):
                 begin[:] = begin or [client.simulated_seconds]
                 gone = client.simulated_seconds - begin[0]
-                done = f"{protocol}, {gone:.0f} of {duration:.0f} simulated s"
-                steps[protocol](gone / duration, done)
+                steps[protocol](gone / duration,
+                                f"{protocol}, {gone:.0f} of {duration:.0f} simulated s")
 
         steps[protocol](0.0, protocol)
         bag = (folder / "bags" / protocol).resolve()
@@ -258,11 +246,10 @@ def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
     """The truth against what was said, a sentence a line; arguments of `confidently_wrong`."""
     effect, numbers = hidden_effect(hidden)
     amounts = {name: f"{value:.4g} {BY_NAME[name].unit}".removesuffix(" 1")
-               for name, value in numbers.items()}  # fmt: skip
+               for name, value in numbers.items()}
     short = {name: name.removeprefix(EFFECT_PREFIX) for name in numbers}
     sizes = ", ".join(f"{short[name]} {amount}" for name, amount in amounts.items())
     yield f"The bench hid {effect} ({EFFECTS[effect].stage}): {sizes}."
-
     first = answer["candidates"][0]
     with_truth = [c for c in answer["candidates"] if effect in c["name"].split("+")]
     said = f"First choice of the diagnosis: {first['name']}, probability {first['probability']:.2f}"

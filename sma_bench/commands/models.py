@@ -107,7 +107,6 @@ def run_linearise(args: SimpleNamespace) -> int:
     model = linearise(point, args.latent_heat)
     coefficients = coefficient_table(point, int(point.temperature.argmax()))  # the warmest wire
     gains = model.deflection_per_volt()
-
     if args.json:
         space = model.state_space()
         numbers = {n: dict(zip(channels, getattr(point, n).tolist(), strict=True)) for n in _AT}
@@ -123,25 +122,18 @@ def run_linearise(args: SimpleNamespace) -> int:
                 **{matrix: getattr(space, matrix).tolist() for matrix in "ABCD"},
             },
             "poles": np.linalg.eigvals(space.A).real.tolist(),
-            "deflection_per_volt": dict(zip(channels, gains.tolist(), strict=True)),
-        })  # fmt: skip
-    wires = [
-        (channel, f"{point.voltage[k]:.4g}", f"{point.temperature[k]:.2f}",
-         f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6:.4g}",
-         f"{1e3 * gains[k]:.4g}")
-        for k, channel in enumerate(channels)
-    ]  # fmt: skip
-    rows = [
-        (row.name, row.equation, f"{row.printed:.5g}", f"{row.corrected:.5g}", row.unit, row.remark)
-        for row in coefficients
-    ]
+            "deflection_per_volt": dict(zip(channels, gains.tolist(), strict=True))})
+    wires = [(channel, f"{point.voltage[k]:.4g}", f"{point.temperature[k]:.2f}",
+              f"{point.martensite_fraction[k]:.4f}", f"{point.stress[k] / 1e6:.4g}",
+              f"{1e3 * gains[k]:.4g}") for k, channel in enumerate(channels)]
+    rows = [(c.name, c.equation, f"{c.printed:.5g}", f"{c.corrected:.5g}", c.unit, c.remark)
+            for c in coefficients]
     title = f"Operating point on {point.branch}, deflection {1e3 * point.deflection:.4g} mm"
     tables = [
         Table(("wire", "V", "K", "xi", "MPa", "mm/V"), wires, frozenset(range(1, 6)),
               "operating_point", title),
         Table(("coefficient", "eq.", "printed", "corrected", "unit", "what was wrong"), rows,
-              frozenset({2, 3}), "coefficients", "Coefficients"),
-    ]  # fmt: skip
+              frozenset({2, 3}), "coefficients", "Coefficients")]
     for table in tables:
         print_table(table)
     if args.report:
@@ -149,8 +141,7 @@ def run_linearise(args: SimpleNamespace) -> int:
         from sma_bench.report.page import Section, write_report
 
         section = Section("", tables=tables, pictures=[operating_point_picture(model)])
-        about = "E11, eqs. (18) to (23), corrected."
-        page = write_report(args.report, "Linearised model", about, [section],
-                            options.made_of(args), column=column)  # fmt: skip
+        page = write_report(args.report, "Linearised model", "E11, eqs. (18) to (23), corrected.",
+                            [section], options.made_of(args), column=column)
         say(f"report {page}")
     return 0

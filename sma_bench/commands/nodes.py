@@ -77,8 +77,7 @@ def run_call(args: SimpleNamespace) -> int:
 
 @options.command("dashboard")
 def run_dashboard(args: SimpleNamespace) -> int:
-    """Serve until SIGINT or SIGTERM; 0 then. Raises InputError: no ROS 2 or no tornado here, a port
-    that is taken, a namespace that cannot be."""
+    """Serve until SIGINT or SIGTERM. InputError: no ROS 2 or tornado, a port that is taken."""
     if not 0 <= args.port <= _LARGEST_PORT:
         raise InputError(f"dashboard: --port is {args.port}, expected 0 to {_LARGEST_PORT}")
     import asyncio

@@ -28,6 +28,7 @@ FILE, FOLDER, BAG, NEW, OWN = "file", "folder", "bag", "new folder", "own"
 """what a command writes: a file, a folder of files with names of their own, a bag, a folder that is
 never replaced, or what the command itself calls `keep_safe` for once it knows the files"""
 _BAG_FILE = "metadata.yaml"
+_DECLARED = read_yaml(Path(__file__).with_name("commands.yaml"))
 _LONGEST_PATH = 4096
 _NARROWEST, _WIDEST = 30.0, 500.0  # mm of a column of print
 _SMALLEST, _LARGEST = 4.0, 24.0  # pt of its letters
@@ -102,8 +103,7 @@ _TYPES = {"file": Files(), "float": float, "int": int, "unprocessed": click.UNPR
 
 
 def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
-    """One of click from its row; `shown` is "--rate HZ", "--yes" (a flag), or of an argument
-    RECORD, [RECORD], RECORD... or [RECORD...]."""
+    """One of click from its row; `shown`: "--rate HZ", "--yes" (a flag), RECORD, or [RECORD...]."""
     name, dest, several = row.pop("name", None), row.pop("dest", None), row.pop("several", False)
     kind, writes, words = row.pop("type", None), row.pop("writes", None), row.pop("words", None)
     if words is not None:
@@ -127,8 +127,7 @@ class Command(click.Command):
     examples: Sequence[str] = ()
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """The arguments, once no output of theirs endangers a file. An option with several values
-        is given each of them anew; all behind --ros-args is one value."""
+        """The arguments, options repeated for each value, once no output endangers a file."""
         ctx.obj = shlex.join([*ctx.command_path.split(), *args])
         several = {o for p in self.params if isinstance(p, Several) for o in p.opts}
         for_ros = any(p.name == "ros_args" for p in self.params)
@@ -158,8 +157,7 @@ class Command(click.Command):
         return rest
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run it. Where the result goes to standard output as JSON, what is for people goes to
-        standard error; a polite kill tidies up as Ctrl-C does."""
+        """Run it. With JSON on standard output, what is for people goes to standard error."""
         if ctx.ignore_unknown_options:  # a node, which ends in its own way
             return super().invoke(ctx)
         apart = ctx.params.get("json") == STANDARD_OUTPUT
@@ -181,28 +179,27 @@ class Command(click.Command):
 def command(name: str, about: str = "",
             **context: Any) -> Callable[[Callable[[SimpleNamespace], int]], Command]:
     """A command as commands.yaml declares it, of its options and `command_line`, what was typed."""
-    table = read_yaml(Path(__file__).with_name("commands.yaml"))
     rows: dict[str, dict[str, Any]] = {}
-    for shown, row in table[name]["takes"].items():
+    for shown, row in _DECLARED[name]["takes"].items():
         # A shared row is completed by what this command says of it.
-        for own, filled in table["shared"].get(shown, {shown: row}).items():
+        for own, filled in _DECLARED["shared"].get(shown, {shown: row}).items():
             rows[own] = {"help": filled} if isinstance(filled, str) else dict(filled)
-            if shown in table["shared"]:
+            if shown in _DECLARED["shared"]:
                 rows[own]["help"] = rows[own]["help"].replace("{}", str(row))
     params = [_parameter(shown, row) for shown, row in rows.items()]
     if any(isinstance(p.type, Output) and p.type.kind != NEW for p in params):
-        replaces = "replace outputs that exist (inputs never)"
-        params.append(click.Option(["--force"], is_flag=True, help=replaces))
+        params.append(click.Option(["--force"], is_flag=True,
+                                   help="replace outputs that exist (inputs never)"))
     context["help_option_names"] = ["-h", "--help"]
 
     def made(function: Callable[[SimpleNamespace], int]) -> Command:
         def body(**options: Any) -> int:
-            line = click.get_current_context().obj
-            return function(SimpleNamespace(**options, command_line=line))
+            options["command_line"] = click.get_current_context().obj
+            return function(SimpleNamespace(**options))
 
         whole = Command(name, callback=body, params=params, help=about or COMMANDS[name],
                         context_settings=context)
-        whole.examples = table[name]["examples"]
+        whole.examples = _DECLARED[name]["examples"]
         return whole
 
     return made
@@ -234,8 +231,7 @@ def one_only(args: SimpleNamespace, *names: str, required: bool = False) -> None
 
 
 def parameters_from_options(args: SimpleNamespace) -> "Parameters":
-    """Parameters of --params with the --set overrides applied. Raises InputError: bad file, unknown
-    name, wrong type or value, in one line."""
+    """Parameters of --params with --set applied. InputError: bad file, name, type or value."""
     from sma_bench.parameters import Parameters, read_parameters
 
     parameters = read_parameters(args.params) if args.params else Parameters.defaults()
@@ -260,8 +256,7 @@ def named_value(text: str) -> tuple[str, Any]:
 
 
 def column_of(args: SimpleNamespace) -> "PaperColumn | None":
-    """The column for which figures are written. Raises InputError: a width that no paper has,
-    letters that nobody can read, or without a column."""
+    """The column for which figures are written. InputError: a width or letters no paper has."""
     if args.font is not None and (args.column is None or not _SMALLEST <= args.font <= _LARGEST):
         size = f"{_SMALLEST:g} to {_LARGEST:g} pt"
         raise InputError(f"--font is {args.font:g} pt, expected {size}, and --column with it")

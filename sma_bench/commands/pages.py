@@ -66,10 +66,9 @@ def run_compare(args: SimpleNamespace) -> int:
         from sma_bench.report.plots import overlay_picture
 
         table = Table(HEADER, rows, frozenset({2, 3, 4, 5}), "differences", "Largest first")
-        sections = [
-            Section("", found.remarks, pictures=[overlay_picture(found, "overlay", args.signals)]),
-            Section("Differences from the first", tables=[table]),
-        ]
+        picture = overlay_picture(found, "overlay", args.signals)
+        sections = [Section("", found.remarks, pictures=[picture]),
+                    Section("Differences from the first", tables=[table])]
         *others, last = found.records
         title = f"{', '.join(others)} and {last}, compared" if others else f"{last}, compared"
         made = options.made_of(args, args.records, args.models)

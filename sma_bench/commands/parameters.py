@@ -41,13 +41,11 @@ def run_example(args: SimpleNamespace) -> int:
 @options.command("parameters")
 def run_parameters(args: SimpleNamespace) -> int:
     parameters = options.parameters_from_options(args)
-    entries = [
-        {"name": p.name, "unit": p.unit,
-         "value": list(value) if isinstance(value := parameters[p.name], tuple) else value,
-         "std": parameters.std(p.name) if p.uncertainty is not None else None,
-         "low": p.low, "high": p.high, "description": p.description, "source": p.provenance}
-        for p in TABLE
-    ]
+    entries = [{"name": p.name, "unit": p.unit,
+                "value": list(value) if isinstance(value := parameters[p.name], tuple) else value,
+                "std": parameters.std(p.name) if p.uncertainty is not None else None, "low": p.low,
+                "high": p.high, "description": p.description, "source": p.provenance}
+               for p in TABLE]
     write_json(args.json, {"parameters": entries})
     if args.markdown:
         print(parameter_page(), end="")

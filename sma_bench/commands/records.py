@@ -37,10 +37,8 @@ def run_info(args: SimpleNamespace) -> int:
             say("no findings")
         say(description["account"])
     if found[0]["kind"] == "bag" and not found[0]["signals"] + found[0]["markers"]:
-        raise InputError(
-            f"{args.record}: nothing of a bench in it, expected topics of docs/topics.md, e.g. "
-            "<channel>/power, joint_states"
-        )
+        raise InputError(f"{args.record}: nothing of a bench in it, expected topics of "
+                         "docs/topics.md, e.g. <channel>/power, joint_states")
     return 0
 
 
@@ -58,8 +56,7 @@ def run_import(args: SimpleNamespace) -> int:
     given = maps.read_map(args.map_file) if args.map_file else None
     bench = read_parameters(args.params) if args.params else Parameters.defaults()
     units = dict(options.pair("--unit", text, "COLUMN=UNIT") for text in args.units)
-    # Each file, and each sheet that is a run of its own, has a bag and a map. Maps lie beside the
-    # folder of bags, where `identify week/*` does not trip over them.
+    # A bag and a map for each file or sheet; no map is in the folder of bags, for `week/*`.
     out, tables = Path(args.out), [read_table_file(file) for file in args.files]
     runs = [(f, *run) for f, t in zip(args.files, tables, strict=True) for run in maps.runs_of(t)]
     runs = [(args.files[0], "", maps.together(tables))] if args.together else runs
@@ -82,7 +79,6 @@ def run_import(args: SimpleNamespace) -> int:
             raise InputError(f"{path}: exists already; --map {path} uses it, --force replaces it")
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text_atomically(path, text)
-
     # Everything is read before anything is written, but for a map that is to be filled in.
     read = []
     for (source, _, table), bag, path in zip(runs, bags, paths, strict=True):

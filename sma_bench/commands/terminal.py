@@ -20,12 +20,15 @@ if TYPE_CHECKING:
 
     from sma_bench.report.tables import Table
 
-# A table is no wider than the terminal, or this in a file or a pipe. What does not fit is folded,
-# never cut, since a name that is cut cannot be looked up.
+# A table is no wider than the terminal, or this in a file; what does not fit is folded, not cut.
 _FOR_FILES = 100  # cells
 _NAME_WHOLE = 36  # cells of the first column, by which one looks things up, that are not folded
 _LEAST, _BETWEEN = 10, 2  # cells of a column that is folded, and between columns
 _SEVERITIES = {"info": "green", "warning": "yellow", "error": "red"}
+# How far a command is stands on standard error: on a terminal in one line that is written anew,
+# elsewhere in a line now and then; nothing at all where it is over in a moment.
+FIRST_SHOWN, FIRST_LINE, NEXT_LINE, _REFRESH = 1.0, 5.0, 15.0, 0.1  # s
+_LEAST_SHARE = 0.02  # less says nothing of the rest
 
 
 def say(text: str) -> None:
@@ -76,10 +79,8 @@ def print_table(table: "Table") -> None:
             kept = {}
     shown = Shown(box=None, pad_edge=False)
     for k, heading in enumerate(table.header):
-        side = "right" if k in table.numeric else "left"
-        shown.add_column(
-            Text(heading), justify=side, overflow="fold", width=kept.get(k)  # type: ignore[arg-type]
-        )
+        shown.add_column(Text(heading), justify="right" if k in table.numeric else "left",
+                         overflow="fold", width=kept.get(k))
     for row in rows:
         shown.add_row(*map(Text, row))
     console.print(shown)
@@ -99,19 +100,10 @@ def print_findings(findings: Iterable[Finding]) -> None:
         console.print(row)
 
 
-# --- How far a command is and what time is left, on standard error: on a terminal one line that is
-# written anew, elsewhere a line now and then; nothing at all where it is over in a moment.
-
-FIRST_SHOWN, FIRST_LINE, NEXT_LINE = 1.0, 5.0, 15.0  # s
-_REFRESH = 0.1  # s
-_LEAST_SHARE = 0.02  # less says nothing of the rest
-
-
 class WorkState:
     """How a piece of work goes: the share done, what is being done, and the time left."""
 
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        """`clock` gives s."""
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:  # s
         self.share, self.what = 0.0, ""
         self._clock, self._begin = clock, clock()
         self._heard = self._begin
@@ -152,9 +144,7 @@ def progress(title: str, state: WorkState | None = None) -> Iterator[Report]:
 
     def show() -> None:
         stays = sys.stderr.isatty() and environ.get("TERM") not in ("dumb", "unknown")
-        wait, begin, end = FIRST_LINE, "", "\n"
-        if stays:
-            wait, begin, end = FIRST_SHOWN, "\r\x1b[2K", ""
+        wait, begin, end = (FIRST_SHOWN, "\r\x1b[2K", "") if stays else (FIRST_LINE, "", "\n")
         shown = False
         while not over.wait(wait):
             what = f" ({state.what})" if state.what else ""

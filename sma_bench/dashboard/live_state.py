@@ -1,7 +1,4 @@
-"""What a page shows of a bench: signals, limits, protocol, nodes, the last results.
-
-Whoever listens to the bench writes, any number of pages read; both may be threads of their own.
-"""
+"""What a page shows of a bench. One thread writes what it hears, any number of pages read."""
 
 import json
 import math
@@ -19,6 +16,7 @@ from sma_bench.results import in_unit, with_error
 
 SPAN = 60.0  # s that a trace remembers
 BUCKET = 0.1  # s of which only the least and the largest reading are kept
+_BEYOND = 1e9  # which no scale of a plot has room for
 
 
 class Trace:
@@ -54,9 +52,6 @@ class Trace:
         return self._count, list(self._closed)[-missing:] if missing > 0 else []
 
 
-_BEYOND = 1e9  # which no scale of a plot has room for
-
-
 @dataclass(frozen=True)
 class ShownQuantity:
     """How a quantity in SI units is shown: `factor` times it, less `zero`; and its limit's name."""
@@ -76,9 +71,8 @@ class ShownQuantity:
 QUANTITIES = {  # in the page's order
     "voltage": ShownQuantity("Voltage", "V", limit="bench.maximum_voltage"),
     "current": ShownQuantity("Current", "A", limit="bench.maximum_current"),
-    "temperature": ShownQuantity(
-        "Temperature", "°C", zero=CELSIUS_ZERO, limit="bench.maximum_temperature"
-    ),
+    "temperature": ShownQuantity("Temperature", "°C", 1.0, CELSIUS_ZERO,
+                                 "bench.maximum_temperature"),
     "deflection": ShownQuantity("Deflection", "mm", 1e3),
     "elongation": ShownQuantity("Elongation", "mm", 1e3),
     "force": ShownQuantity("Force", "N"),
@@ -94,15 +88,13 @@ MEASURED, COMMANDED, MODEL = "measured", "commanded", "model"
 
 
 class WireVoltage(NamedTuple):
-    """The measured voltage of a wire: the newest [V], when it was heard, and since when all have
-    been 0 (inf while one is not), s of the state's clock; its stamp, s of its source's clock; when
-    its source said anything last, were it the same reading again."""
+    """The measured voltage of a wire; times in s of the state's clock."""
 
-    volts: float
-    heard: float
-    off_since: float
-    stamp: float
-    said: float
+    volts: float  # the newest [V]
+    heard: float  # when that was heard
+    off_since: float  # since when all have been 0; inf while one is not
+    stamp: float  # of the newest, s of its source's clock
+    said: float  # when its source said anything last, were it the same reading again
 
 
 @dataclass
@@ -221,9 +213,8 @@ def result_summary(node: str, text: str) -> dict[str, Any]:
     try:
         found = read_fields(text, fields, where)
         card = found["card"]
-        if not card or not all(
-            isinstance(r, list) and len(r) == 2 and all(isinstance(t, str) for t in r) for r in card
-        ):
+        if not card or not all(isinstance(r, list) and list(map(type, r)) == [str, str]
+                               for r in card):
             raise InputError(f"{where}: card is not pairs of texts")
     except InputError as error:
         return {"problem": shown(str(error))}

@@ -35,15 +35,12 @@ UPDATE_PERIOD = 0.2  # s between two updates of a page
 _MOST_PAGES, _MOST_STRANGERS = 16, 32
 _IDLE = 30.0  # s without a whole request
 _LARGEST_REQUEST = 1 << 14  # bytes
-_FILES = {
-    "dashboard.css": "text/css", "dashboard.js": "text/javascript", "uPlot.min.css": "text/css",
-    "uPlot.min.js": "text/javascript",
-}
+_FILES = {"dashboard.css": "text/css", "dashboard.js": "text/javascript",
+          "uPlot.min.css": "text/css", "uPlot.min.js": "text/javascript"}
 _HEADERS = {
-    "Content-Security-Policy": (
+    "Content-Security-Policy":
         "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
-        "img-src data:; form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
-    ),
+        "img-src data:; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
     "Cache-Control": "no-store",
     # Not no-referrer: a form without JavaScript would be sent from the origin "null".
     "Referrer-Policy": "same-origin",
@@ -53,12 +50,9 @@ _HEADERS = {
 
 
 class Access:
-    """Who may see a page served at `host`, and press its button: a token, and names that lead here.
-
-    The token keeps other users and programs of the computer out. The Host header keeps out a web
-    page whose own name was made to lead to this address after it had loaded (DNS rebinding); the
-    Origin header keeps out every other web page.
-    """
+    """Who may see a page served at `host`, and press its button. The token keeps other users and
+    programs of the computer out; the Host header a web page whose own name was made to lead to this
+    address after it had loaded (DNS rebinding); the Origin header every other web page."""
 
     def __init__(self, host: str) -> None:
         self.token = secrets.token_urlsafe(16)
@@ -68,8 +62,7 @@ class Access:
         self._names = {"localhost", "127.0.0.1", "::1", own.lower()}
 
     def refusal(self, host: str | None, origin: str | None, token: str) -> str:
-        """Why a request may not be answered, or "". `host, origin`: the headers; None where there
-        is none; `token`: what stands for it in the address."""
+        """Why a request may not be answered, or ""; None: no such header; `token`: the path's."""
         try:
             name = (urlsplit(f"//{host}").hostname or "") if host else ""
         except ValueError:
@@ -120,8 +113,7 @@ class DashboardServer:
         application = tornado.web.Application(
             [(f"/([^/]+)/{name}", handler, shared) for name, handler in pages.items()],
             default_handler_class=_Nothing, default_handler_args=shared,
-            log_function=lambda _: None, websocket_ping_interval=5.0, websocket_ping_timeout=5.0,
-        )
+            log_function=lambda _: None, websocket_ping_interval=5.0, websocket_ping_timeout=5.0)
         self.http = _Server(application, max_header_size=_LARGEST_REQUEST,
                             max_body_size=_LARGEST_REQUEST, idle_connection_timeout=_IDLE,
                             body_timeout=_IDLE)
@@ -156,8 +148,7 @@ class _Guarded(tornado.web.RequestHandler):
         headers, http = self.request.headers, self.server.http
         token = self.path_args[0] if self.path_args else ""
         origin = headers.get("Origin", headers.get("Sec-WebSocket-Origin"))  # of old browsers
-        refusal = self.server.access.refusal(headers.get("Host"), origin, token)
-        if refusal:
+        if refusal := self.server.access.refusal(headers.get("Host"), origin, token):
             self.refuse(403, refusal)
         else:
             admitted = getattr(self.request.connection, "stream", None)
@@ -252,9 +243,6 @@ def _read(name: str) -> bytes:
     return resources.files("sma_bench.dashboard").joinpath(name).read_bytes()
 
 
-# --- The stop: every node is asked at once, and the voltages show whether it worked.
-
-
 class Wires:
     """What the voltages say of a stop that was asked for at `begin`, s of the state's clock, after
     the voltages `before`. A replayed bag, or a driver that hangs, confirms nothing: what counts was
@@ -266,12 +254,10 @@ class Wires:
         self._begin = begin
         self.live = {p: v for p, v in voltages.items() if v.said >= begin - _SILENT}
         self._foreign = {place: foreign[place] for place in self.live if place in foreign}
-
-        def is_new(place: str, v: WireVoltage) -> bool:
-            gone = v.stamp - before[place].stamp if place in before else math.inf
-            return v.heard >= begin and gone > _LEAST_ADVANCE * (v.heard - begin)
-
-        self._read = {p: v for p, v in self.live.items() if is_new(p, v)}
+        gone = {place: v.stamp - before[place].stamp if place in before else math.inf
+                for place, v in self.live.items()}
+        self._read = {place: v for place, v in self.live.items() if v.heard >= begin
+                      and gone[place] > _LEAST_ADVANCE * (v.heard - begin)}
         # That a voltage is on is believed of any reading, that it is off of new ones only.
         self.on = [place for place, v in self.live.items() if math.isinf(v.off_since)]
         self.unclear = bool(self.on) or not self.live or self._read.keys() != self.live.keys()
@@ -319,15 +305,12 @@ class Wires:
 
 
 async def stop(bench: Any) -> dict[str, Any]:
-    """Stop a bench and say what came of it; it has what `ros.dashboard.DashboardNode` has.
-
-    0 V is commanded until the voltages are gone, so that a bench stops which has no service, or
-    whose commander is not asked by one.
+    """Stop a bench, which has what `ros.dashboard.DashboardNode` has, and say what came of it. 0 V
+    is commanded until the voltages are gone: a bench stops, too, whose commander has no service.
 
     Returns `stopped`: True only where every live wire was read at 0 V and stayed there, and no node
     says that current still flows; `said`: one sentence; `seconds` until 0 V (None: never);
-    `voltages` (V) by wire; `answers` of the nodes.
-    """
+    `voltages` (V) by wire; `answers` of the nodes."""
     clock = bench.state.clock
     begin = commanded = clock()
     before = bench.state.voltages()
@@ -359,9 +342,9 @@ async def stop(bench: Any) -> dict[str, Any]:
                         "seconds": answered.get(node)})
     flowing = ", ".join(bench.state.flowing())
     plug = f"PULL THE PLUG: current still flows with every output off, says {flowing}."
-    volts = {place: v.volts for place, v in wires.live.items()}
     return {"stopped": wires.stay_off and not flowing,
             "said": plug if flowing else wires.sentence(bool(futures)),
             "seconds": round(wires.seconds, 4) if wires.stay_off else None,
-            "voltages": {place: round(v, 3) for place, v in volts.items() if math.isfinite(v)},
+            "voltages": {place: round(v.volts, 3) for place, v in wires.live.items()
+                         if math.isfinite(v.volts)},
             "answers": answers}

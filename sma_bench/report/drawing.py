@@ -24,10 +24,9 @@ MEASURED, SECOND, MODEL, FAINT = "#1f4e79", "#c0504d", "#e08214", "#8a8a8a"
 BAND = "band"  # gid of the bands of noise, which the page's script draws too
 _LARGEST = 1e100  # an axis that is longer cannot be divided
 # Lines side by side, told apart by lightness, dash and mark, not by hue alone.
-_LINES = (
-    ("#0b3c5d", "-", "o"), ("#b5402f", "--", "s"), ("#2f8f83", "-.", "^"), ("#d99a2b", ":", "D"),
-    ("#7b4ea3", (0, (6, 1.5, 1, 1.5, 1, 1.5)), "v"), ("#4a4a4a", (0, (1, 1)), "P"),
-)
+_LINES = (("#0b3c5d", "-", "o"), ("#b5402f", "--", "s"), ("#2f8f83", "-.", "^"),
+          ("#d99a2b", ":", "D"), ("#7b4ea3", (0, (6, 1.5, 1, 1.5, 1, 1.5)), "v"),
+          ("#4a4a4a", (0, (1, 1)), "P"))
 _MARKS_OF_A_LINE = 6
 MOST_POINTS = 1000  # of a line, least and largest of equal parts; the figure's CSV has more
 _DASHES = {"-": [], "None": [], "": [], "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0],
@@ -52,8 +51,7 @@ def line_style(k: int, of: int, points: int) -> dict[str, Any]:
 
 def new_figure(rows: int = 1, height: float = 4.0, shared: bool = True,
                heights: Sequence[float] | None = None) -> tuple[Figure, list[Axes]]:
-    """A figure without pyplot, so without global state or display: `rows` axes above each other,
-    `heights` in proportion, that share the horizontal axis if `shared`."""
+    """A figure without pyplot's global state: `rows` axes above each other, in these `heights`."""
     figure = Figure(figsize=(7.2, height), layout="constrained")
     axes = figure.subplots(rows, 1, sharex=shared, squeeze=False, height_ratios=heights)[:, 0]
     plain_axes(*axes)
@@ -152,8 +150,7 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
                     "label": _label(line) or labels[colour + style], "colour": colour,
                     "dash": _DASHES.get(style, [2.0, 2.0]), "wide": line.get_linewidth() > _WIDE,
                     "x": [float(f"{value:.6g}") for value in x],
-                    "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y],
-                })  # fmt: skip
+                    "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y]})
         for patch in ax.patches:
             if patch.get_gid() == BAND:
                 up = patch.get_patch_transform().transform(patch.get_path().vertices)[:, 1]

@@ -64,8 +64,7 @@ def plateau_picture(experiment: Experiment) -> Picture:
     figure, _ = graph("voltage [V]", axis, (
         (curves["voltage"][up], curves[quantity][up], _marks("+", SECOND, "heating")),
         (curves["voltage"][~up], curves[quantity][~up], _marks("o", MEASURED, "cooling")),
-        (curves["line_voltage"], curves[f"line_{quantity}"], {"color": MODEL, "label": label}),
-    ))  # fmt: skip
+        (curves["line_voltage"], curves[f"line_{quantity}"], {"color": MODEL, "label": label})))
     return pictured(name, figure, source=experiment.source)
 
 
@@ -77,8 +76,7 @@ def ramp_picture(e3: Experiment) -> Picture:
     figure, _ = graph("voltage [V]", "temperature [K]", (
         (volts, e3.curves["temperature"], _marks(".", MEASURED, "measured")),
         (volts, np.where(jump, np.nan, e3.curves["model"]),
-         {"color": MODEL, "lw": 1, "label": "eq. (2), fitted"}),
-    ))  # fmt: skip
+         {"color": MODEL, "lw": 1, "label": "eq. (2), fitted"})))
     return pictured("figure_04_ramp", figure, source=e3.source)
 
 
@@ -122,16 +120,15 @@ def validation_picture(record: Record, parameters: Parameters) -> Picture:
 
 
 def dsc_picture(e5: Experiment) -> Picture:
-    """Fig. 7: heat flow over temperature, endothermic up: heating above, cooling below, by cycle,
-    with baselines, tangents and their crossings."""
+    """Fig. 7: heat flow over temperature, endothermic up, by cycle, with tangents and crossings."""
     figure, ax = graph("temperature [K]", "heat flow, endothermic up [W/kg]", height=4.8)
     colours, counts = (MEASURED, SECOND, "#2e7d32", "#7b4ea3"), {1.0: 0, -1.0: 0}
     for scan in [m[1] for key in e5.curves if (m := re.match(r"(.*segment_\d+)/heat_flow\Z", key))]:
         of = {n.removeprefix(f"{scan}/"): curve for n, curve in e5.curves.items()}
         onsets = {end: e5.details[f"{scan}/{end}"].value for end in ("start", "finish")}
         # The curves have their peaks upward; a graph of the run has cooling below.
-        is_heating = onsets["start"] < onsets["finish"]
-        symbols, sign = (("A_s", "A_f"), 1.0) if is_heating else (("M_s", "M_f"), -1.0)
+        is_cooling = onsets["start"] >= onsets["finish"]
+        symbols, sign = (("M_s", "M_f"), -1.0) if is_cooling else (("A_s", "A_f"), 1.0)
         counts[sign] += 1
         number = counts[sign]
         colour = colours[(number - 1) % len(colours)]
@@ -164,7 +161,6 @@ def upfr_picture(e6: Experiment) -> Picture:
         if not key.startswith("diagram/"):
             test, cycle, direction, quantity = key.rsplit("/", 3)
             branches.setdefault((test, cycle, direction), {})[quantity] = values
-
     # Contraction counts from the strain of a test where it is coldest.
     tests, zeros = list(dict.fromkeys(test for test, _, _ in branches)), {}
     for one in tests:
@@ -185,19 +181,15 @@ def upfr_picture(e6: Experiment) -> Picture:
         ax.plot(curves["temperature"][::step], 100.0 * (zeros[test] - curves["strain"][::step]),
                 style, color=colour, lw=1.2, alpha=0.75, label=None if label in labelled else label)
         labelled.add(label)
-
     # Tangents and cosine of the test in the middle: those of all would hide the curves.
     shown = tests[len(tests) // 2]
     first = next(cycle for test, cycle, _ in branches if test == shown)
-    looks: dict[str, dict[str, Any]] = {"cosine": {"color": MODEL}, "tangents": {
-        "ls": ":", "color": FAINT, "marker": "o", "markevery": [1, 2], "ms": 4, "mfc": "none",
-        "zorder": 3,
-    }}  # fmt: skip
+    tangents = {**_marks("o", FAINT, ms=4), "ls": ":", "markevery": [1, 2], "zorder": 3}
+    looks: dict[str, dict[str, Any]] = {"cosine": {"color": MODEL}, "tangents": tangents}
     for (test, cycle, _), curves in branches.items():
         for part, look in looks.items() if (test, cycle) == (shown, first) else ():
             kelvin, strain = curves[part].T
             ax.plot(kelvin, 100.0 * (zeros[shown] - strain), lw=1.2, **look)
-
     # A_s and A_f under the load, where one load was tested.
     for name, style in (("A_s", ":"), ("A_f", "-.")):
         means = [e for key, e in e6.details.items() if key.startswith(f"{name} (tangent) at ")]
@@ -227,8 +219,8 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
     slopes = [f"{symbol} = {with_error(e.value / 1e6, e.std / 1e6)} MPa/K"
               for symbol, (name, _) in (("C_A", _AUSTENITE), ("C_M", _MARTENSITE))
               if (e := e6.estimates.get(name)) is not None]
-    found = ", ".join(slopes) or "none found"
-    return pictured("stress_temperature", figure, slopes=found, source=e6.source)
+    return pictured("stress_temperature", figure, slopes=", ".join(slopes) or "none found",
+                    source=e6.source)
 
 
 def tensile_picture(e7: Experiment) -> Picture:
@@ -273,8 +265,7 @@ def thermal_expansion_picture(e8: Experiment) -> Picture:
     drawn = ((used, _marks("o", MEASURED, "plateaus")), (~used, _marks("x", FAINT, "left out")))
     figure, _ = graph("temperature [K]", "stress [MPa]", (
         *((kelvin[chosen], stress[chosen], style) for chosen, style in drawn if chosen.any()),
-        (kelvin[used][order], curves["line"][used][order] / 1e6, {"color": MODEL, "label": label}),
-    ))  # fmt: skip
+        (kelvin[used][order], curves["line"][used][order] / 1e6, {"color": MODEL, "label": label})))
     return pictured("figure_10_thermal_expansion", figure, source=e8.source)
 
 
@@ -293,8 +284,7 @@ def constitutive_picture(e9: Experiment) -> Picture:
 
 
 def bench_fit_pictures(e10: Experiment) -> list[Picture]:
-    """Signals of the rig over time with the fitted simulation, one picture a record; of wires that
-    move a load with the limits of 90 % of another such run's readings."""
+    """Signals over time with the fitted simulation, and 90 % of another such run's readings."""
     observations = e10.laws[0].fit.problem.observations if e10.laws else ()
     bands = [predict(e10.laws, one) for one in observations]
     records: dict[str, list[tuple[str, str]]] = {}  # signals with their quantity
@@ -328,8 +318,7 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
 
 
 def operating_point_picture(model: Linearised) -> Picture:
-    """Steady deflection (or its kin) over the temperature of the warmest wire, both branches, and
-    the tangent of eqs. (18) to (23)."""
+    """Steady states over the warmest wire's temperature, and the tangent of eqs. (18) to (23)."""
     point, parameters = model.point, model.point.parameters
     wire = int(np.argmax(point.temperature))
     kelvin = float(point.temperature[wire])
@@ -338,8 +327,8 @@ def operating_point_picture(model: Linearised) -> Picture:
     coldest = max(kelvin - _AROUND, parameters["environment.ambient_temperature"])
     around = np.linspace(coldest, kelvin + _AROUND, 121)
     figure, ax = graph("temperature of the driven wires [K]", "deflection [mm]", height=4.2)
-    branches: tuple[tuple[Branch, str], ...] = (("heating", SECOND), ("cooling", MEASURED))
-    for branch, colour in branches:
+    branches: dict[Branch, str] = {"heating": SECOND, "cooling": MEASURED}
+    for branch, colour in branches.items():
         kelvins = (np.where(together, t, point.temperature) for t in around)
         steady = [1e3 * OperatingPoint.at_temperature(parameters, own, branch).deflection
                   for own in kelvins]

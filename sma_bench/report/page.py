@@ -31,6 +31,7 @@ from sma_bench.results import TEMPLATES, Card
 _PAGE = "index.html"
 _MARK = b'<meta name="generator" content="sma_bench">'
 _LARGEST_PAGE = 1 << 30  # bytes
+_MEASURE = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?: to ([-+]?[\d.]+))?(?: (\D\S*))?")
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,7 @@ class Picture:
         return {f"{self.name}.{kind}": self._file(shown, kind) for kind in ("svg", "pdf", "csv")}
 
     def save(self, path: str | Path, column: PaperColumn = COLUMNS["double"]) -> None:
-        """Write the figure: PNG, SVG or PDF in the width of a column, or CSV of what is drawn.
-        Raises InputError: another kind of file, or one that cannot be written."""
+        """Write PNG, SVG or PDF in a column's width, or CSV. InputError: no such kind, no place."""
         path = Path(path)
         kind = path.suffix[1:].lower()
         if kind not in ("png", "svg", "pdf", "csv"):
@@ -113,8 +113,7 @@ def pictured(key: str, figure: Figure, name: str = "", over_time: bool = False,
 
 @dataclass(frozen=True)
 class Section:
-    """One heading with what stands below it, in this order; a card first. Of `folded` the first
-    line is seen, the others when it is opened."""
+    """What stands below a heading, in this order, a card first; of `folded` one line is seen."""
 
     title: str
     paragraphs: Sequence[str] = ()
@@ -148,8 +147,7 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
         sections: in reading order.
         made: adds the date to the head, and a last section with the inputs' hashes.
         column: of a paper, for which every figure is written as SVG and PDF too, and as CSV what is
-            drawn and the named tables; report: called before each figure is drawn.
-    """
+            drawn and the named tables; report: called before each figure is drawn."""
     directory = Path(directory)
     with border.claimed(os.path.realpath(directory), "being written as a report already"):
         if made is not None:
@@ -164,7 +162,6 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
         if column is not None:
             tables = [t for section in sections for t in section.tables if t.name]
             files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
-
         # Nothing from elsewhere, and no other script than the page's own.
         hashed = hashlib.sha256(drawing.script().encode()).digest()
         digest = base64.b64encode(hashed).decode("ascii")
@@ -181,12 +178,11 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
 @cache
 def _template() -> jinja2.Template:
     environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(TEMPLATES), autoescape=True,
+        autoescape=True, loader=jinja2.FileSystemLoader(TEMPLATES),
         undefined=jinja2.StrictUndefined,
         # Names from outside without what ends or turns a text.
         finalize=lambda shown: border.printable(shown, "\n").replace(" +- ", " ± ")
-        if type(shown) is str else shown,
-    )
+        if type(shown) is str else shown)
     environment.filters["base64"] = lambda content: base64.b64encode(content).decode("ascii")
     return environment.get_template("page.html.j2")
 
@@ -197,9 +193,6 @@ def csv_text(table: Table) -> bytes:
     rows = [map(border.csv_cell, row) for row in (table.header, *table.rows)]
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8")
-
-
-_MEASURE = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?: to ([-+]?[\d.]+))?(?: (\D\S*))?")
 
 
 def _in_plain_numbers(table: Table) -> Table:
@@ -277,8 +270,6 @@ def _provenance(made: Made) -> Section:
     about = {"command": made.command, "made": when, **versions()}
     files = Table(("file", "SHA-256", "bytes"), rows, frozenset({2}), "provenance_files", "Files")
     by = Table(("", ""), list(about.items()), frozenset(), "provenance_versions", "Made by")
-    text = (
-        "A folder's hash covers the names, sizes and contents of its files in alphabetical order."
-        if rows else "Made of the package's own numbers: no file was read."
-    )
+    text = "Made of the package's own numbers: no file was read." if not rows else (
+        "A folder's hash covers the names, sizes and contents of its files in alphabetical order.")
     return Section("Provenance", [text], tables=[files, by] if rows else [by])

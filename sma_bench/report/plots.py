@@ -42,13 +42,10 @@ _STATES = {
     "stress": ("stress\n[MPa]", 1e-6), "deflection": ("deflection\n[mm]", 1e3),
 }
 _FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
-STAGE_COLOURS = {
-    "electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
-    "mechanical": "#2a7f62", "sensor": "#1f4e79",
-}
-_TWO_STAGES = "#4a4a4a"
+STAGE_COLOURS = {"electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
+                 "mechanical": "#2a7f62", "sensor": "#1f4e79"}
+_TWO_STAGES, _MOST_BARS = "#4a4a4a", 10
 _RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
-_MOST_BARS = 10
 _LINEAR = 3.0  # nats, within which the axis of evidence is linear
 _AS_BAD = 20.0  # nats below recalibration, where bars are cut
 _PROTOCOL_STEP = 0.05  # s
@@ -61,8 +58,7 @@ _COLOURS = dict(zip(PHASES, (draw.FAINT, draw.MODEL, draw.MEASURED), strict=True
 
 
 def record_picture(record: AnyRecord, name: str) -> Picture | None:
-    """What was recorded: of a bag every signal, of a DSC run heat flow over temperature, of
-    isobaric tests strain over temperature, of a tensile test stress over strain; or None."""
+    """Signals of a bag; heat flow, strain or stress of an instrument's file; None of nothing."""
     if isinstance(record, Record):
         return _bag_picture(record, f"{name}_signals_over_time")
     axes, facts = ("temperature [K]", ""), dict[str, Any]()
@@ -75,11 +71,9 @@ def record_picture(record: AnyRecord, name: str) -> Picture | None:
         relative = record.strain_unit == "relative"
         key, axes = "strain", (axes[0], "strain over its range" if relative else "strain [%]")
         facts["stress"] = record.stress / 1e6
-        curves = [
-            (f"cycle {cycle.number} {branch.direction}", branch.temperature,
-             (1.0 if relative else 100.0) * branch.strain)
-            for cycle in record.cycles for branch in cycle.branches
-        ]  # fmt: skip
+        factor = 1.0 if relative else 100.0
+        curves = [(f"cycle {cycle.number} {branch.direction}", branch.temperature,
+                   factor * branch.strain) for cycle in record.cycles for branch in cycle.branches]
     else:
         key, axes = "stress", ("strain [%]", "stress [MPa]")
         curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
@@ -199,8 +193,7 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
 
 
 def agreement_picture(result: Identification, name: str = "agreement") -> Picture | None:
-    """How far each number is off what the parameter file states, with its errors (alone where it
-    states none), and the share of its information that the records gave. None: no number."""
+    """How far each number is off what was stated, its errors, and how far the records inform it."""
     known = {key: (n, (n.stated or n).value) for key, n in result.estimates.items()}
     names = [key for key, (_, value) in known.items() if value and np.isfinite(value)]
     if not names:
@@ -255,7 +248,6 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
     for quantity, _ in result.worst_first:
         obs = next(v for v in result.held_out if quantity in v.quantities)
         unit, factor = scale_of(quantity)
-
         # Of each side the signal that the belief misses most.
         before = obs.readings(obs.simulate(result.parameters))
         after = obs.readings(obs.simulate(result.improved))
@@ -265,7 +257,6 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
         for row in sorted(rows, key=lambda r: float(np.mean((r[0].value - r[1]) ** 2))):
             worst[obs.sides[row[0].wire]] = row
         shown = [worst[side] for side in dict.fromkeys(obs.sides[r[0].wire] for r in rows)]
-
         # Readings, and below them their errors with the band of the noise.
         figure, axes = draw.read_and_error(len(shown), 0.8 + 2.9 * len(shown))
         for (upper, lower), (signal, old, new) in zip(axes, shown, strict=True):
@@ -367,7 +358,6 @@ def gap_picture(result: Diagnosis) -> Picture:
         head = "what recalibration\nchanges"
     maps = (("measured less simulated,\nas believed", locate(problem, result.search.nominal.left)),
             (head, middle), ("left by the\nbest model", locate(problem, result.model.left)))
-
     # Signals by quantity, the worst first; the deflection once a side.
     quantities = dict.fromkeys([*(quantity for quantity, _ in result.worst_first), *QUANTITIES])
     rows = list(dict.fromkeys(f"{signal.name}, {side}" if side else signal.name
@@ -376,12 +366,9 @@ def gap_picture(result: Diagnosis) -> Picture:
                               for side in (view.sides if quantity == "deflection" else ("",))))
     tables = {}
     for title, cells in maps:
-        numbers = {
-            (f"{c.signal}, {c.side}" if c.signal == "deflection" else c.signal, c.phase): c.gap
-            for c in cells
-        }
+        numbers = {(f"{c.signal}, {c.side}" if c.signal == "deflection" else c.signal, c.phase):
+                   c.gap for c in cells}
         tables[title] = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
-
     # Maps side by side with the phases across, one colour bar for all; numbers in their cells.
     norm = LogNorm(_LOWEST, _HIGHEST)
     figure = Figure(figsize=(7.8, 1.6 + 0.34 * len(rows)), layout="constrained")
@@ -434,7 +421,6 @@ def _missing(result: Diagnosis, name: str) -> Picture:
                 if found.record == obs.path:
                     over_time.axvspan(found.start, found.stop, color=draw.FAINT, alpha=0.2)
                 draw.legend_above(over_time)
-
         # What the term may depend on: of a wire, or of the sides' warmest and highest.
         at = np.clip(np.searchsorted(obs.grid, time), 0, len(obs.grid) - 1)
         causes = (obs.simulate(model.parameters).temperature[at], obs.voltage[at])

@@ -35,9 +35,8 @@ from sma_bench.results import LARGEST, card, sentences, signed, with_error
 def write_identification_report(directory: str | Path, result: Identification,
                                 report: Report = silent, made: Made | None = None,
                                 column: PaperColumn | None = None) -> Path:
-    """Write the report's index.html and figures. `report`: hears which figure comes; `made`: by
-    which command and of which inputs; `column`: of a paper, for which the figures are written as
-    well. Raises InputError: the folder cannot be written."""
+    """The page of an identification: `made` of which inputs, `column`: of a paper, for which the
+    figures are written; `report` hears which comes. InputError: the folder cannot be written."""
     pictures = _present(plots.agreement_picture(result), plots.correlation_picture(result))
     sections = [
         Section("", notes=list(map(str, result.notes)), pictures=pictures,
@@ -45,8 +44,7 @@ def write_identification_report(directory: str | Path, result: Identification,
         *(Section(f"{e.name} {e.title}", [e.source], list(map(str, e.findings)),
                   pictures=experiment_pictures(e)) for e in result.experiments),
         Section("How each number was found",
-                tables=[table_of(result, "plain_numbers", result.estimates, name="numbers")]),
-    ]
+                tables=[table_of(result, "plain_numbers", result.estimates, name="numbers")])]
     sources = "; ".join(dict.fromkeys(experiment.source for experiment in result.experiments))
     return write_report(directory, "Identified parameters", f"From {sources}.", sections,
                         made or Made("sma_bench.identify"), column=column, report=report)
@@ -57,54 +55,45 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
     """The same of a diagnosis."""
     tables = diagnosis_tables(result)
     proposed = plots.next_experiment_picture(result, result.parameters)
+    # Of every sensor, those of the worst quantity first.
+    problem, order = result.model.problem, [*(q for q, _ in result.worst_first), *QUANTITIES]
+    names = sorted(problem.noise, key=lambda name: order.index(name.rpartition(".")[2]))
+    noises = [(name, sample_noise(problem, name), max(problem.noise[name].drift, 0.0),
+               problem.noise[name].time) for name in names]
     sections = [
         Section("Is there a gap beyond the noise?", sentences(result, "is_there"),
-                tables=[_noise(result)], pictures=plots.signal_pictures(result)),
+                tables=[table_of(result, "noise_table", noises)],
+                pictures=plots.signal_pictures(result)),
         Section("Where is it?", sentences(result, "where"), pictures=[plots.gap_picture(result)]),
         Section("Which effect, and how sure?", [*sentences(result, "which"), *result.why],
                 tables=[tables["candidates"]],
-                pictures=[plots.candidate_picture(result), plots.evidence_picture(result)]),
-    ]
+                pictures=[plots.candidate_picture(result), plots.evidence_picture(result)])]
     if result.verdict == UNEXPLAINED:
         text = ("What a further effect would have to do to the readings; what causes it, the "
                 "figures can only suggest.")
         shape = plots.missing_pictures(result)
         sections.append(Section("The shape of what is missing", [text], pictures=shape))
+    # What was looked at, and what not.
+    parts = [("fitted", v) for v in result.fitted] + [("held out", v) for v in result.held_out]
+    rows = [(view.path, part, s.name, f"{s.time[0]:.1f} to {s.time[-1]:.1f}",
+             f"{int(s.count.sum())}", f"{s.period:.2g}") for part, view in parts
+            for s in view.signals]
+    header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
+    left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
+    paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
+    findings, audit = (list(map(str, own)) for own in fold_audit(result.findings))
     sections += [
         Section("How far does it shrink?", sentences(result, "how_far"),
                 tables=[tables["shrinkage"],
                         *([] if result.verdict == NO_GAP else [improvements(result)])]),
         Section("What next?", sentences(result, "next", None), pictures=_present(proposed)),
-        _looked_at(result),
-    ]
+        Section("What was looked at", paragraphs, findings,
+                [Table(header, rows, frozenset({4, 5}))], folded=audit)]
     numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
     sources = list(dict.fromkeys(view.path for view in result.observations))
     return write_report(directory, "The gap between simulation and bench",
                         f"From {'; '.join(sources)}.", [Section("", card=card(result)), *numbered],
                         made or Made("sma_bench.diagnose", sources), column=column, report=report)
-
-
-def _looked_at(result: Diagnosis) -> Section:
-    parts = [("fitted", v) for v in result.fitted] + [("held out", v) for v in result.held_out]
-    rows = [(view.path, part, s.name, f"{s.time[0]:.1f} to {s.time[-1]:.1f}",
-             f"{int(s.count.sum())}", f"{s.period:.2g}") for part, view in parts
-            for s in view.signals]
-    left_out = dict.fromkeys(name for view in result.observations for name in view.left_out)
-    paragraphs = [f"Recorded and not compared: {', '.join(left_out)}."] if left_out else []
-    header = ("record", "used", "signal", "time [s]", "samples", "bin [s]")
-    findings, audit = (list(map(str, own)) for own in fold_audit(result.findings))
-    tables = [Table(header, rows, frozenset({4, 5}))]
-    return Section("What was looked at", paragraphs, findings, tables, folded=audit)
-
-
-def _noise(result: Diagnosis) -> Table:
-    """Of every sensor, those of the worst quantity first."""
-    problem, order = result.model.problem, [*(q for q, _ in result.worst_first), *QUANTITIES]
-    names = sorted(problem.noise, key=lambda name: order.index(name.rpartition(".")[2]))
-    noises = [(name, problem.noise[name]) for name in names]
-    return table_of(result, "noise_table", [
-        (name, sample_noise(problem, name), max(own.drift, 0.0), own.time) for name, own in noises
-    ])
 
 
 def improvements(result: Diagnosis) -> Table:

@@ -17,8 +17,7 @@ _NOTHING = 1e-12  # the last bits of doubles, of a signal's times
 
 @dataclass(frozen=True)
 class Table:
-    """Header and rows of text, the `numeric` columns flush right; with a `name` it is written as
-    CSV too, and its `title` stands above it."""
+    """Rows of text, `numeric` columns flush right; with a `name` a CSV file, too; below `title`."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
@@ -36,13 +35,12 @@ def table_of(result: Any, macro: str, *more: Any, name: str = "", title: str = "
 
 def diagnosis_tables(result: "DiagnosisResult") -> dict[str, Table]:
     """Candidates, where the gap lies, and what shrinks, by name."""
-    title = "How far the gap shrinks, on data that no fit saw"
     return {
         "candidates": table_of(result, "candidate_table", LEAST_SHOWN, name="candidates_table",
                                title="Candidates"),
         "where": table_of(result, "place_table", name="where", title="Where the gap lies"),
-        "shrinkage": table_of(result, "shrinkage_table", name="shrinkage", title=title),
-    }  # fmt: skip
+        "shrinkage": table_of(result, "shrinkage_table", name="shrinkage",
+                              title="How far the gap shrinks, on data that no fit saw")}
 
 
 def value_cell(value: Any) -> str:
@@ -60,10 +58,8 @@ def record_tables(described: Mapping[str, Any], name: str = "") -> list[Table]:
         for row in described.get(key) or ():
             values = [(row[of], form) for of, form in columns.values()]
             values = [(0.0 if form and v and abs(v) < _NOTHING else v, form) for v, form in values]
-            rows.append([
-                "" if v is None else ", ".join(v) if isinstance(v, list) else format(v, form)
-                for v, form in values
-            ])  # fmt: skip
+            rows.append(["" if v is None else ", ".join(v) if isinstance(v, list)
+                         else format(v, form) for v, form in values])
         numeric = frozenset(k for k, (_, form) in enumerate(columns.values()) if form)
         if rows:
             tables.append(Table([*columns], rows, numeric, f"{name}_{key}", key.capitalize()))

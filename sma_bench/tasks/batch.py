@@ -29,8 +29,7 @@ _CONNECTING = 3.0  # s
 
 @dataclass(frozen=True)
 class Task:
-    """A record to identify or diagnose (`kind`), by the path at which the worker sees it; with the
-    priors, or what the diagnosis holds against it, and their file. Travels to who does it."""
+    """A record to identify or diagnose (`kind`), by its path as the worker sees it, with priors."""
 
     kind: str
     path: str
@@ -40,8 +39,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one record: the document that its command writes as JSON and the text of the
-    parameter file that it writes, or why it failed, in one line; and how long it took [s]."""
+    """What came of one record: result and parameter file's text, or why it failed; time [s]."""
 
     path: str
     result: dict[str, Any] | None = None

@@ -5,8 +5,7 @@ more would settle it, or the time is spent. Kept in a folder after every step, t
     record_1, record_2, ... bags, beside those that were given
     protocol_2.yaml         what was proposed for record_2
     diagnosis_1.json        of all records up to then
-    investigation.json      the story: records, minutes, probabilities
-"""
+    investigation.json      the story: records, minutes, probabilities"""
 
 import json
 import math
@@ -129,9 +128,8 @@ class Investigation:
     def next_run(self) -> dict[str, Any]:
         """What the bench is driven with next: name of the `protocol`, `minutes`, highest `volts`,
         the `file`, which is written, and the `bag` to record. InputError: the bench refuses it."""
-        number = len(self._own()) + 1
+        number, p = len(self._own()) + 1, self.believed
         path = self.folder / f"protocol_{number}.yaml"
-        p = self.believed
         if self.chapters:
             document = self.chapters[-1].proposed["protocol"]
         else:
@@ -167,10 +165,10 @@ class Investigation:
         result = diagnose_files(records, [], self.believed, self._signals, report)
         document = result.to_json()
         write_improved(self.folder / "improved.yaml", result, "sma-bench investigate")
-        self.chapters.append(Chapter(len(records), self.minutes, document["verdict"],
-                                     document["cause"],
-                                     {c["name"]: c["probability"] for c in document["candidates"]},
-                                     document["why"], document["next_experiment"] or {}))
+        probabilities = {c["name"]: c["probability"] for c in document["candidates"]}
+        self.chapters.append(Chapter(
+            len(records), self.minutes, document["verdict"], document["cause"], probabilities,
+            document["why"], document["next_experiment"] or {}))
         write_text_atomically(self._last, json.dumps(document, indent=1) + "\n")
         self._keep()
         return result
@@ -195,9 +193,8 @@ class Investigation:
         for c in self.chapters:
             ranked = sorted(c.probabilities.items(), key=lambda pair: -pair[1])[:_MOST_SHOWN]
             likely = ", ".join(f"{name} {percent(p)}" for name, p in ranked if p >= 0.02)
-            verdict, then = ", ".join([c.verdict, *c.cause]), c.proposed.get("why", "")
-            then = then.partition(":")[0]
-            rows.append((str(c.records), f"{c.minutes:.1f}", verdict, likely, then))
+            said, then = ", ".join([c.verdict, *c.cause]), c.proposed.get("why", "")
+            rows.append((str(c.records), f"{c.minutes:.1f}", said, likely, then.partition(":")[0]))
         return rows
 
     def write_page(self, command: str = "") -> Path:
@@ -205,11 +202,9 @@ class Investigation:
         where = str(self._last)
         document = read_json(read_text(where, _CHAPTER), where, _CHAPTER)
         answer = Section("", card=card(diagnosis_from(document, where)))
-        sections = [
-            Section(f"After {_counted(c.records)}", [*c.why],
-                    notes=[c.proposed["why"]] if c.proposed else [])
-            for c in self.chapters
-        ]
+        sections = [Section(f"After {_counted(c.records)}", [*c.why],
+                            notes=[c.proposed["why"]] if c.proposed else [])
+                    for c in self.chapters]
         table = Table(HEADER, self.rows(), frozenset({0, 1}), "story", "Probabilities by record")
         return write_report(self.folder / "story", "Investigation", f"{self.summary()}.",
                             [answer, Section("Story", tables=[table]), *sections],
@@ -226,8 +221,7 @@ class Investigation:
 
     def to_json(self) -> dict[str, Any]:
         """The story and its state."""
-        chapters = [asdict(chapter) for chapter in self.chapters]
-        return {"given": self.given, "chapters": chapters, "state": self.state}
+        return {"given": self.given, "chapters": [*map(asdict, self.chapters)], "state": self.state}
 
     def _keep(self) -> None:
         write_text_atomically(self.folder / STORY, json.dumps(self.to_json(), indent=1) + "\n")

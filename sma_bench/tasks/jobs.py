@@ -1,16 +1,14 @@
 """Identification, diagnosis and investigation as the work of a process of its own, for nodes.
 
-A task takes a node's own parameters (`settings`), the contract's, and a reporter; it returns its
-result as JSON. Whoever may set a ROS parameter must not read or write any file of this computer:
-tasks read below `record_root` and write below `output_root`.
-"""
+A task takes a node's own parameters (`settings`), the contract's, and a reporter; it returns JSON.
+Whoever may set a ROS parameter must not read or write any file: tasks read below `record_root` and
+write below `output_root`."""
 
 import multiprocessing
 import os
 import re
 import resource
 import signal
-import threading
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -18,6 +16,7 @@ from typing import Any
 
 from sma_bench.border import is_inside, make_folder, read_bytes
 from sma_bench.errors import InputError
+from sma_bench.lifeline import end_after
 from sma_bench.parameters import Parameters
 from sma_bench.progress import COMPILING, Report, part, silent
 from sma_bench.results import json_text, write_result
@@ -81,14 +80,9 @@ class Worker:
 def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parameters) -> None:
     """The process: (share, what) of its progress, then (True, result) or (False, what is wrong)."""
     os.setsid()  # Ctrl-C in a terminal is for the node, which then ends this process
-    parent = multiprocessing.parent_process()
-    assert parent is not None
-
-    def end_with_node() -> None:
-        parent.join()
-        os._exit(1)
-
-    threading.Thread(target=end_with_node, daemon=True).start()
+    node = multiprocessing.parent_process()
+    assert node is not None and node.pid is not None
+    end_after(node.pid, signal.SIGKILL)
     # A node that is punctual may live in the parent, too; work is not.
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     os.setpriority(os.PRIO_PROCESS, 0, max(os.getpriority(os.PRIO_PROCESS, 0), 0))
@@ -112,9 +106,6 @@ def _work(pipe: Any, task: Task, settings: Mapping[str, Any], parameters: Parame
         traceback.print_exc()
         said = " ".join(str(error).split())
         pipe.send((False, f"failed: {type(error).__name__}: {said}"))
-
-
-# --- Where a task may read and write.
 
 
 def records_inside(settings: Mapping[str, Any], parameter: str = "record",

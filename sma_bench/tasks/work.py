@@ -51,8 +51,7 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
     records = [
         record
         for path in in_turn(paths, part(report, 0.0, _READING), lambda path: f"reading {path}")
-        for record in open_records(path, namespace, stated)
-    ]
+        for record in open_records(path, namespace, stated)]
     return identify(records, parameters, experiments, part(report, _READING, 1.0), phases)
 
 
@@ -74,8 +73,8 @@ def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Pa
 
 def write_identified(path: str | Path, result: "Identification", author: str,
                      sources: Sequence[str], template: str | Path | None = None) -> None:
-    """Write the parameters with what was identified; comments of the file `template` stay, and that
-    the model does not fit is the first. Raises InputError: the file cannot be written."""
+    """Write the parameters with what was identified; comments of the file `template` stay, and
+    that the model does not fit is the first. Raises InputError: the file cannot be written."""
     comment = f"Identified by {author} from {', '.join(sources)}".replace("\n", " ")
     if said := result.fit_line:
         comment = f"{said}.\n{comment}"
@@ -84,8 +83,7 @@ def write_identified(path: str | Path, result: "Identification", author: str,
 
 
 def write_improved(path: str | Path, result: "Diagnosis", author: str) -> None:
-    """Write the improved parameters, but not what nobody stated and the records hardly tell. Raises
-    InputError: the file cannot be written."""
+    """Write the improved parameters, if stated or learnt. InputError: it cannot be written."""
     improved, stated = result.improved, result.parameters.given
     told = {n for n in improved.given if (spread := BY_NAME[n].spread) is None
             or improved.std(n) < _TOLD * spread}

@@ -15,8 +15,6 @@ from sma_bench.physics.boundary import side_of_channels
 from sma_bench.physics.simulate import TemperatureDriven
 from sma_bench.twin.free_run import FreeRun
 
-# --- Residuals of one signal in bins.
-
 BIN = 0.2  # s, as the diagnosis has it
 MEMORY = 350  # bins from which noise is learned, and which are judged by it
 _SLOW = 30.0  # s that noise must be known for; a drift slower than that is not seen in less
@@ -47,16 +45,12 @@ class BinStatistics(NamedTuple):
     """What the last bins of a signal say."""
 
     energy: float  # mean square of the whitened residual, 1 for noise
-    # standard deviations by which energy or level are beyond the noise's before the window
-    surprise: float
-    # rms of the residual over the noise of a sample, per side, NaN where the signal was not there
-    gap: Array
+    surprise: float  # standard deviations of energy or level beyond the noise before the window
+    gap: Array  # rms of the residual over a sample's noise, a side; NaN where no signal was there
     residual: Array  # (n,) of the bins, in the signal's unit
     cause: Array  # (n,)
     tolerance: Array  # (n,)
-    # residual over cause, least squares over all bins at hand, not just the last, NaN where the
-    # causes are no larger than the tolerance
-    share: float
+    share: float  # residual over cause of all bins, NaN where causes are below the tolerance
 
 
 class SignalBins:
@@ -96,19 +90,14 @@ class SignalBins:
 
     def read(self, allowed: float, sides: int, fewest: int, window: float,
              threshold: float = np.inf) -> BinStatistics | None:
-        """What the bins of the last `window` s say, None while there are too few.
-
-        Args:
-            allowed: slow drift that the sensor may have, in the signal's unit.
-            sides: how many there are; fewest: bins that make a verdict.
-            threshold: a surprising gap beyond it is not learned as noise.
-        """
+        """What the bins of the last `window` s say, None while there are less than `fewest`.
+        `allowed`: slow drift that the sensor may have, in the signal's unit; a surprising gap
+        beyond the `threshold` is not learned as noise."""
         scatter = self.scatter
         if len(self.bins) < fewest or np.isnan(scatter):
             return None
         time, residual, count, off, cause, side = np.array(self.bins).T
         last = slice(min(int(np.searchsorted(time, time[-1] - window)), len(time) - fewest), None)
-
         # The gap: against what a sample may be off by, of each side.
         steady = np.hypot(scatter, allowed)
         tolerance = np.hypot(steady, off)
@@ -117,7 +106,6 @@ class SignalBins:
         gap = np.sqrt((squares * there).sum(axis=1) / len(squares))
         gap[~there.any(axis=1)] = np.nan
         size = float(np.sqrt(np.mean(squares)))
-
         # How surprising it is as noise. Bins where a reading's moment matters count as they inform.
         level = residual * steady / tolerance
         noise = self._learned
@@ -143,8 +131,7 @@ def _noise_before(level: Array, time: Array, count: Array, stop: int, scatter: f
         return Noise(white, allowed, _FAST, period, allowed)
     found = estimate_noise([level[:stop]], white, period, allowed)
     # As fast as it was seen to go, and as far as it may: nobody has seen that within a minute.
-    share = allowed / max(found.drift, 1e-3 * allowed)
-    seen = max(share**2 * found.time, period)
+    seen = max((allowed / max(found.drift, 1e-3 * allowed)) ** 2 * found.time, period)
     # So few bins may have shown a slower one by chance.
     surely = seen * float(chdtri(stop, 1.0 - _CHANCE)) / stop
     white = min(found.white, _MOST_WHITE * white)
@@ -180,8 +167,7 @@ def _whitened(noise: Noise, level: Array) -> Array:
 #     V -> deflection        the free run's reading
 #
 # The measured temperature is the model's plus the smoothed difference, which moves only when it
-# has changed by more than its noise. So the mechanical bins come a
-# second after the others.
+# has changed by more than its noise: so the mechanical bins come a second after the others.
 
 _LATE = 0.2  # s that a reading may come after the voltages of its moment
 _AHEAD = 5  # bins on either side that smooth a bin's temperatures
@@ -212,8 +198,7 @@ class Comparison:
         # By kind and wire, of bins that are open: time, value, prediction, own error.
         self._open: dict[tuple[str, int], Array] = defaultdict(lambda: np.empty((4, 0)))
         self._led = TemperatureDriven(parameters, run.state)
-        # The same a little warmer on one side and cooler on the other: what a camera's unknown
-        # zero, and its drift, do to the mechanics.
+        # The same a little warmer here and cooler there: what a camera's zero and drift do.
         self._warmer = TemperatureDriven(parameters, run.state)
         self._last_led = run.trajectory.mechanics[-1]
         self._doubt = float(np.hypot(_ZERO_STD, drift))
@@ -225,8 +210,7 @@ class Comparison:
 
     def take(self, kind: str, wire: int, time: Array, value: Array, predicted: Array,
              std: Array) -> None:
-        """Samples (n,) of a current [A], a temperature [K] with its own standard deviations, or the
-        mechanics: a deflection [m] or a force [N]."""
+        """Samples (n,): current [A], temperature [K] and its std, deflection [m] or force [N]."""
         number = self._closed - (_AHEAD if kind == "mechanics" else 0)
         fresh = time >= self._start + number * BIN
         self.late += int(np.count_nonzero(~fresh))
@@ -289,21 +273,15 @@ class Comparison:
         play = np.array([signal.play for signal in self.temperatures])
         before, after = self._correction, np.clip(self._correction, smooth - play, smooth + play)
         self._correction = after
-
         # The model led through these, and a little warmer.
         share = np.clip((time[1:] - start) / BIN, 0.0, 1.0)[:, np.newaxis]
         kelvin = trajectory.temperature[rows][1:] + before + share * (after - before)
         rough = np.nan_to_num(np.abs(self._differences[-1 - _AHEAD] - after))
         doubt = np.sqrt(self._doubt**2 + rough**2 + self._doubts[-1 - _AHEAD] ** 2)
-        led, warmer = (
-            deflection if self._moves else force[:, 0]
-            for deflection, force in (
-                self._led.run(time, kelvin), self._warmer.run(time, kelvin + self._sign * doubt)
-            )
-        )
+        runs = self._led.run(time, kelvin), self._warmer.run(time, kelvin + self._sign * doubt)
+        led, warmer = (deflection if self._moves else force[:, 0] for deflection, force in runs)
         spread = float(np.mean(np.abs(warmer - led)))
         led, self._last_led = np.insert(led, 0, self._last_led), float(led[-1])
-
         # Its bins, once the wires' phases are known.
         at, values, _, _ = self._samples("mechanics", 0, stop)
         if not len(at) or start < run.known_since + _SURELY:

@@ -28,20 +28,17 @@ _OFF = 0.1  # V
 
 class MeasuredVoltages:
     """Readings of each channel until every channel has one as late: only then is it known what
-    drove the bench up to there. A voltage is held until the channel's next reading.
-    """
+    drove the bench up to there. A voltage is held until the channel's next reading."""
 
     timeout: float  # s; a longer hole between two readings of a channel hides what drove it
 
     def __init__(self, wires: int) -> None:
         self._wires = wires
-        # Readings left out, by reason.
-        self.dropped = {"not a number": 0, "out of order": 0}
+        self.dropped = {"not a number": 0, "out of order": 0}  # readings left out, by reason
         self._forget()
 
     def _forget(self) -> None:
-        self._waiting: list[deque[tuple[float, float]]] = [deque(maxlen=_QUEUE)
-                                                           for _ in range(self._wires)]
+        self._waiting = [deque[tuple[float, float]](maxlen=_QUEUE) for _ in range(self._wires)]
         self._latest = [-math.inf] * self._wires
         self._held = [math.nan] * self._wires
 
@@ -72,8 +69,7 @@ class MeasuredVoltages:
         """Times (n,) s of the readings, as far as all channels are known, and the voltages (n, w) V
         held from each on; NaN for a wire whose first reading is yet to come."""
         until = min(self._latest)  # -inf until every channel has been heard
-        times: list[float] = []
-        volts: list[list[float]] = []
+        times, volts = list[float](), list[list[float]]()
         while (time := min((w[0][0] for w in self._waiting if w), default=math.inf)) <= until:
             for k, waiting in enumerate(self._waiting):
                 if waiting and waiting[0][0] == time:
@@ -99,19 +95,11 @@ class Trajectory:
         first = max(int(np.searchsorted(self.time, start, side="right")) - 1, 0)
         return slice(first, int(np.searchsorted(self.time, stop, side="right")))
 
-    def column(self, kind: str, wire: int) -> Array:
-        """(n,) of what a sensor reads; of a current, the conductance."""
-        if kind == "mechanics":
-            return self.mechanics
-        return (self.conductance if kind == "current" else self.reading)[:, wire]
-
     def followed_by(self, other: Self) -> "Trajectory":
         """The last seconds of this one, then the other one without its first row."""
         kept = int(np.searchsorted(self.time, self.time[-1] - _RECENT))
-        return Trajectory(*(
-            np.concatenate([own[kept:], more[1:]])
-            for own, more in zip(vars(self).values(), vars(other).values(), strict=True)
-        ))
+        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
+        return Trajectory(*(np.concatenate([own[kept:], more[1:]]) for own, more in pairs))
 
 
 class FreeRun:
@@ -124,8 +112,7 @@ class FreeRun:
         self._measured = temperature
         self.time = self._joined = time  # s, up to which it has run
         self.spacing = 0.0  # s, the longest between two of the newest readings of a voltage
-        # s, when the martensite fraction of every wire was known: one that was joined warm may have
-        # been heated or cooled there.
+        # s, when every wire's martensite was known: a warm one may have been heated or cooled.
         self.known_since = np.inf
         self._known = np.zeros(len(temperature), dtype=bool)
         self._volts, self._driven = voltage, 0

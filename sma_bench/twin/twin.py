@@ -2,8 +2,7 @@
 
 The verdict says where along the chain the model has stopped following, from what the signals' bins
 say: a stage is named where its signal is off by more than a threshold times the noise, and where
-that is no coloured noise. What an earlier stage explains is not held against a later one.
-"""
+that is no coloured noise. What an earlier stage explains is not held against a later one."""
 
 import math
 from collections import deque
@@ -19,15 +18,14 @@ from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics.boundary import side_names
-from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, BinStatistics, Comparison
+from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, Comparison
 from sma_bench.twin.free_run import Doubt, FreeRun, MeasuredVoltages
 
 Settings = Mapping[str, Any]
 
 NANOSECONDS = 1_000_000_000
 CURRENT, TEMPERATURE, MECHANICS = "current", "temperature", "mechanics"
-_WAIT_FOR_TEMPERATURES = 1.0  # s
-_FRESH = 0.5  # s
+_WAIT_FOR_TEMPERATURES, _FRESH = 1.0, 0.5  # s
 _FAR_AHEAD = 2.0  # s; readings of a record's last round
 _QUEUE = 4000  # readings that wait for the voltages of their moment
 _EVERY = 5  # bins between two verdicts
@@ -44,15 +42,14 @@ _MUCH = 2.0  # times
 
 
 class Prediction(NamedTuple):
-    """What the model says at a time (ns): (w,) A and K, and the deflection [m] or force [N]; `off`:
-    the same, how far a sound bench may be from it, where that is asked for."""
+    """What the model says at a time."""
 
-    stamp: int
-    voltage: Array
-    current: Array
-    temperature: Array
-    mechanics: float
-    off: "Prediction | None" = None
+    stamp: int  # ns
+    voltage: Array  # (w,) V
+    current: Array  # (w,) A
+    temperature: Array  # (w,) K
+    mechanics: float  # deflection [m] or force [N]
+    off: "Prediction | None" = None  # how far a sound bench may be from it, where asked for
 
     def moved(self, share: float) -> "Prediction":
         """A limit: what is `share` times `off` away."""
@@ -91,10 +88,8 @@ class Verdict(NamedTuple):
 
 
 class Twin:
-    """Runs the model on measured voltages and compares what else is measured.
-
-    Stamps are ns, readings SI. What cannot be used (NaN, late, out of order) is counted.
-    """
+    """Runs the model on measured voltages and compares what else is measured. Stamps are ns,
+    readings SI. What cannot be used (NaN, late, out of order) is counted."""
 
     def __init__(self, parameters: Parameters, settings: Settings,
                  on_prediction: Callable[[Prediction], None],
@@ -235,14 +230,16 @@ class Twin:
             self._on_prediction(Prediction(stamp, volts[k], volts[k] * trajectory.conductance[row],
                                            trajectory.reading[row],
                                            float(trajectory.mechanics[row]), off))
+        columns = {CURRENT: trajectory.conductance, TEMPERATURE: trajectory.reading,
+                   MECHANICS: trajectory.mechanics[:, np.newaxis]}
         for (kind, wire), waiting in self._pending.items():
             ready = []
             while waiting and waiting[0][0] <= run.time:
                 ready.append(waiting.popleft())
             if ready:
-                at, stamps, *columns = zip(*ready, strict=True)
-                moments, (value, factor, std) = np.array(at), np.array(columns)
-                model = np.interp(moments, trajectory.time, trajectory.column(kind, wire))
+                at, stamps, *numbers = zip(*ready, strict=True)
+                moments, (value, factor, std) = np.array(at), np.array(numbers)
+                model = np.interp(moments, trajectory.time, columns[kind][:, wire])
                 comparison.take(kind, wire, moments, value, model * factor, std)
                 for k in self._due(kind, wire, moments):
                     residual = float(value[k] - model[k] * factor[k])
@@ -346,7 +343,6 @@ class Judge:
         if not gaps:
             apart = f"; not judged: {', '.join(waiting)}" if waiting else ""
             return Verdict(QUIET, f"no gap beyond the noise{apart}", measured=measured)
-
         # Where it is: the stages, and of each the sides that are alike.
         stages, sides, places = tuple(grown or gaps), [], []
         for stage in stages:
@@ -367,15 +363,10 @@ def stage_states(comparison: Comparison, settings: Settings,
     """Every stage that has a signal, in the order of the chain; and whether the thermometer is to
     be doubted: what follows from the voltages is right, what follows from its readings is not."""
     threshold, fewest = settings["threshold"], round(settings["learning"] / BIN)
-    readings = {}
-    for name, signals in ((ELECTRICAL, comparison.currents), (THERMAL, comparison.temperatures),
-                          (MECHANICAL, [comparison.driven]), ("free", [comparison.free])):
-        readings[name] = [
-            signal.read(
-                settings[f"allowed.{signal.quantity}"], sides, fewest, settings["window"], threshold
-            )
-            for signal in signals
-        ]
+    signals = {ELECTRICAL: comparison.currents, THERMAL: comparison.temperatures,
+               MECHANICAL: [comparison.driven], "free": [comparison.free]}
+    readings = {name: [s.read(settings[f"allowed.{s.quantity}"], sides, fewest, settings["window"],
+                              threshold) for s in own] for name, own in signals.items()}
     driven, free = readings[MECHANICAL][0], readings["free"][0]
     states = []
     for stage in MEASURED_STAGES:
@@ -385,7 +376,10 @@ def stage_states(comparison: Comparison, settings: Settings,
             continue
         energy = float(np.mean([reading.energy for reading in known]))
         gap = float(max(np.nanmax(reading.gap) for reading in known))
-        counted = np.array([_counted(reading, sides) for reading in readings[stage]])
+        # (signals, sides) their gaps, as far as they are no noise.
+        counted = np.array([
+            np.nan_to_num(r.gap) if r and r.surprise >= SURPRISING else np.zeros(sides)
+            for r in readings[stage]])
         # The thermal gap that is left when a wire is heated in proportion to its current error:
         # once where the resistance is wrong, twice where the voltage is; the smaller rest counts.
         for k, heat in enumerate(readings[stage] if stage == THERMAL else ()):
@@ -403,9 +397,3 @@ def stage_states(comparison: Comparison, settings: Settings,
     known_both = not (np.isnan(thermal.energy) or np.isnan(mechanical.energy))
     wrong = min(thermal.counted.max(), mechanical.counted.max()) >= threshold
     return tuple(states), bool(known_both and wrong and free and np.nanmax(free.gap) < threshold)
-
-
-def _counted(reading: BinStatistics | None, sides: int) -> Array:
-    """(sides,) the gap of a signal, as far as it is no noise."""
-    surprising = reading is not None and reading.surprise >= SURPRISING
-    return np.nan_to_num(reading.gap) if surprising and reading else np.zeros(sides)

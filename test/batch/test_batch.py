@@ -14,7 +14,7 @@ import time
 
 import pytest
 
-from sma_bench.commands import answers
+from sma_bench.commands.answers import file_names, run_batch
 from sma_bench.commands.options import run_command
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters
@@ -53,7 +53,7 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
     (tmp_path / "not_a_bag").write_text("nothing")
     given = [bags / "wire_2.9", tmp_path / "not_a_bag", bags / "wire_2.5"]
     words = ["--jobs", 2, "--out", tmp_path / "out", "--json", tmp_path / "all.json"]
-    assert run_command(answers.run_batch, "batch", list(map(str, ["identify", *given, *words]))) == 2
+    assert run_command(run_batch, "batch", list(map(str, ["identify", *given, *words]))) == 2
     done = json.loads((tmp_path / "all.json").read_text())["records"]
     assert [entry["record"] for entry in done] == list(map(str, given))
     first, failed, last = done
@@ -68,8 +68,8 @@ def test_results_come_in_input_order_and_a_bad_record_harms_no_other(
     assert out.index("wire_2.9") < out.index("not_a_bag") < out.index("wire_2.5")
     assert "2 of 3 records done" in out
     # Files of records with one name do not meet.
-    assert answers.file_names(["/a/bag", "/b/bag", "/c/other"]) == ["bag", "bag_2", "other"]
-    assert len(set(answers.file_names(["/a/bag", "/b/bag", "/c/bag_2"]))) == 3
+    assert file_names(["/a/bag", "/b/bag", "/c/other"]) == ["bag", "bag_2", "other"]
+    assert len(set(file_names(["/a/bag", "/b/bag", "/c/bag_2"]))) == 3
 
 
 @pytest.mark.slow
