@@ -94,7 +94,7 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
         bins = Bins.of(one.temperature)
         binned.append((bins.mean(one.temperature), bins.mean(one.strain)))
     (t, strain), *others = binned
-    way, span, noise = branch.direction, float(np.ptp(strain)), 0.0
+    way, span = branch.direction, float(np.ptp(strain))
     if len(t) < _FEWEST_BINS:
         raise refusal("few temperatures", way=way, count=len(t), least=_FEWEST_BINS)
     noise = scatter(strain)
@@ -111,9 +111,9 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
         raise refusal("no straight stretches", way=way, low=t[0], high=t[-1])
     ((cold, hot), short), (values, variances) = zip(*drawn[0][0], strict=True), drawn[0][1]
     error = np.hypot(np.std([found[0] for _, found in drawn], axis=0), np.sqrt(variances))
-    low, high, step = zip(values.tolist(), error.tolist(), strict=True)
-    low, high = ((v, math.hypot(std, _gap_at(t, v) / math.sqrt(12.0))) for v, std in (low, high))
-    start, finish = (low, high) if way == "heating" else (high, low)
+    *ends, step = zip(values.tolist(), error.tolist(), strict=True)
+    ends = [(v, math.hypot(std, _gap_at(t, v) / math.sqrt(12.0))) for v, std in ends]
+    start, finish = ends if way == "heating" else ends[::-1]
     return StrainTangents(start, finish, step, cold, hot, short)
 
 
@@ -124,11 +124,9 @@ def _gap_at(t: Array, where: float) -> float:
     return max(float(np.max(here, initial=0.0)) - 2.0 * float(np.median(steps)), 0.0)
 
 
-def _outer_lines(
-    t: Array, strain: Array, others: list[tuple[Array, Array]], straight: float
-) -> list[tuple[Line, bool]]:
-    """Cold and hot line of a rising branch and whether they are short; `others`: the other branch
-    of the cycle, if any."""
+def _outer_lines(t: Array, strain: Array, others: list[tuple[Array, Array]],
+                 straight: float) -> list[tuple[Line, bool]]:
+    """Cold and hot line of a rising branch and whether they are short; `others`: as in a cycle."""
     found = []
     for sign in (1, -1):
         # The hot line is the cold one of the branch read backwards, its temperature negated.
@@ -138,10 +136,8 @@ def _outer_lines(
             beside, _ = _outer_line(sign * other[::sign], other_strain[::sign], straight)
             if abs(beside.slope) < abs(line.slope):  # that slope, through this branch's end
                 x, y = x[:_SHORTEST_LINE], y[:_SHORTEST_LINE]
-                line = replace(
-                    beside, at=float(x.mean()), value=float(y.mean()),
-                    value_variance=float(y.var()) / _SHORTEST_LINE,
-                )
+                line = replace(beside, at=float(x.mean()), value=float(y.mean()),
+                               value_variance=float(y.var()) / _SHORTEST_LINE)
         found.append((replace(line, at=sign * line.at, slope=sign * line.slope), is_short))
     return found
 
@@ -177,9 +173,8 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
     return line, is_steep or float(np.ptp(t[:longest])) < _SHORT * float(np.ptp(t))
 
 
-def _draw(
-    t: Array, strain: Array, cold: Line, hot: Line, width: float
-) -> tuple[Array, Array] | None:
+def _draw(t: Array, strain: Array, cold: Line, hot: Line,
+          width: float) -> tuple[Array, Array] | None:
     """With the steep line where the share `width` of the material transforms: cold and hot crossing
     [K] and the step of strain, (3,), and their variances; None where the lines do not cross so."""
     # The steepest stretch in which that share transforms.
@@ -201,33 +196,25 @@ def _draw(
     inverse = straight_line(y, x)
     if inverse.slope == 0.0:
         return None
-    n, slope, value, of_slope = (
-        len(x), 1.0 / inverse.slope, inverse.value_variance, inverse.slope_variance
-    )
+    n, slope = len(x), 1.0 / inverse.slope
+    value, of_slope = inverse.value_variance, inverse.slope_variance
     if n <= 3:  # two points leave no scatter: a third of their distance stands for it
         variance = float(np.ptp(x) / 3.0) ** 2
         value, of_slope = variance / n, variance / float(n * np.var(y))
     steep = Line(float(x.mean()), float(y.mean()), slope, value * slope**2, of_slope * slope**4)
-
     low, high = steep.crossing(cold), steep.crossing(hot)
     if not t[0] - np.ptp(t) < low < high < t[-1] + np.ptp(t):
         return None
-    variances = [
-        (steep.variance(x) + side.variance(x)) / (slope - side.slope) ** 2
-        for x, side in ((low, cold), (high, hot))
-    ]
+    variances = [(steep.variance(x) + side.variance(x)) / (slope - side.slope) ** 2
+                 for x, side in ((low, cold), (high, hot))]
     middle = 0.5 * (low + high)
     step = float(cold(np.array(middle)) - hot(np.array(middle)))
-    return np.array([low, high, step]), np.array(
-        [*variances, cold.variance(middle) + hot.variance(middle)]
-    )
-
-
-# --- The cosine of eqs. (10), (11) that one branch follows.
+    variances.append(cold.variance(middle) + hot.variance(middle))
+    return np.array([low, high, step]), np.array(variances)
 
 
 class BranchCosine(NamedTuple):
-    """The cosine of one branch."""
+    """The cosine of eqs. (10), (11) that one branch follows."""
 
     start: Number  # K, in the order of transformation
     finish: Number  # K
@@ -237,40 +224,27 @@ class BranchCosine(NamedTuple):
     strain: Array  # (n,), fitted
 
 
-def fit_cosine(
-    branch: Branch, tangents: StrainTangents, parameters: Parameters, stress: float
-) -> BranchCosine:
-    """Least squares of one branch; the tangents give the start of the search.
-
-    Where the branch has no straight stretch of its own at one end, the slope there is that of the
-    tangents (the other branch's). Errors hold scatter with its autocorrelation, the choice of the
-    points, what the moduli's errors do to the bow, and gaps of the logging at the ends.
-
-    `parameters`: E_A, E_M; `stress`: Pa; 0 where strain has no unit.
-    """
+def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
+               stress: float) -> BranchCosine:
+    """Least squares of one branch; the tangents give the start of the search, and the slope at an
+    end where the branch has no straight stretch of its own. Errors hold scatter with its
+    autocorrelation, the choice of the points, what the moduli's errors do to the bow, and gaps of
+    the logging at the ends. `parameters`: E_A, E_M; `stress`: Pa; 0 where strain has no unit."""
     bins = Bins.of(branch.temperature)
-    t = bins.mean(branch.temperature)
-    given = [
-        line.slope if short else None
-        for line, short in zip((tangents.cold, tangents.hot), tangents.short, strict=True)
-    ]
-    begin = np.sort(tangents.cosine_ends())
-    ends, variances, slopes, step, model, left = _fit(
-        branch, bins, begin, given, parameters, stress
-    )
+    t, begin = bins.mean(branch.temperature), np.sort(tangents.cosine_ends())
+    outer = zip((tangents.cold, tangents.hot), tangents.short, strict=True)
+    given = [line.slope if short else None for line, short in outer]
+    ends, variance, slopes, step, model, left = _fit(branch, bins, begin, given, parameters, stress)
 
     # Other choices of the points, with the lines as they are; and without the bow.
-    tried, steps = [ends], [step[0]]
-    for margin in _MARGINS:
-        window = ends + margin * float(np.ptp(ends)) * np.array([-1.0, 1.0])
-        own, _, _, own_step, *_ = _fit(branch, bins, ends, slopes, parameters, stress, window)
-        tried.append(own)
-        steps.append(own_step[0])
+    windows = [ends + m * float(np.ptp(ends)) * np.array([-1.0, 1.0]) for m in _MARGINS]
+    others = [_fit(branch, bins, ends, slopes, parameters, stress, window) for window in windows]
+    tried = [ends, *(own for own, *_ in others)]
+    steps = [step[0], *(own_step[0] for _, _, _, own_step, *_ in others)]
     doubt = math.hypot(*(parameters.std(name) / parameters[name] for name in MODULI))
     plain = _fit(branch, bins, ends, given, parameters, 0.0)[0] if stress else ends
     gaps = np.array([_gap_at(t, float(end)) for end in ends]) / math.sqrt(12.0)
-    std = np.sqrt(variances + np.var(tried, axis=0) + (doubt * (ends - plain)) ** 2 + gaps**2)
-
+    std = np.sqrt(variance + np.var(tried, axis=0) + (doubt * (ends - plain)) ** 2 + gaps**2)
     low, high = zip(ends.tolist(), std.tolist(), strict=True)
     start, finish = (low, high) if branch.direction == "heating" else (high, low)
     rms = float(np.sqrt(np.mean(left**2))) / max(abs(step[0]), 1e-12)
@@ -278,26 +252,22 @@ def fit_cosine(
     return BranchCosine(start, finish, whole, rms, t, model)
 
 
-def _fit(
-    branch: Branch, bins: Bins, begin: Array, slopes: Sequence[float | None],
-    parameters: Parameters, stress: float, window: Array | None = None,
-) -> tuple[Array, Array, list[float], Number, Array, Array]:
+def _fit(branch: Branch, bins: Bins,
+         begin: Array, slopes: Sequence[float | None], parameters: Parameters, stress: float,
+         window: Array | None = None) -> tuple[Array, Array, list[float], Number, Array, Array]:
     """Between the line along martensite and the line along austenite strain follows the fraction:
     eps = xi cold(T) + (1 - xi) hot(T) + sigma [1/E(xi) - xi/E_M - (1 - xi)/E_A]. The bracket is the
     bow of eq. (7): compliance is no straight line in xi, which shifts the middle of the range in
-    proportion to stress and would pass for 1 % of C_A.
-
-    `begin`: (2,) K, ends from which the search starts; `slopes`: of the lines that are given, None
-    where free; `window`: (2,) K between which points count, all when None. Returns the ends (2,) K
-    and their variances, both slopes, the step, the model (n,) and what it leaves (n,)."""
+    proportion to stress and would pass for 1 % of C_A. `begin`: (2,) K, ends from which the search
+    starts; `slopes`: of the lines that are given, None where free; `window`: (2,) K between which
+    points count, all when None. Returns the ends (2,) K and their variances, both slopes, the step,
+    the model (n,) and what it leaves (n,)."""
     from scipy.optimize import least_squares  # half a second to load
-
     raw, (soft, stiff) = branch.temperature, (parameters[name] for name in MODULI)
     t, strain = bins.mean(raw), bins.mean(branch.strain)
     span, at, scale = float(np.ptp(t)), float(np.mean(begin)), float(np.ptp(strain))
-    inside = np.ones(len(t), dtype=bool)
-    if window is not None:
-        inside = (t >= window[0]) & (t <= window[1])
+    low, high = (-np.inf, np.inf) if window is None else window
+    inside = (t >= low) & (t <= high)
 
     def parts(x: Array) -> tuple[Array, Array]:
         """(n,) known strain and (n, k) columns of the free parts; `x` lower end and width, K."""
@@ -322,19 +292,15 @@ def _fit(
 
     first = np.array([begin[0], max(float(begin[1] - begin[0]), 2.0 * _NARROWEST)])
     bounds = ([t[0] - span, _NARROWEST], [t[-1] + span, 3.0 * span])
-    x = least_squares(
-        lambda x: eliminated(x)[0][inside] / scale, np.clip(first, *bounds), bounds=bounds,
-        x_scale=np.full(2, first[1]), xtol=1e-6, max_nfev=60,
-    ).x
+    x = least_squares(lambda x: eliminated(x)[0][inside] / scale, np.clip(first, *bounds),
+                      bounds=bounds, x_scale=np.full(2, first[1]), xtol=1e-6, max_nfev=60).x
     residual, weights = eliminated(x)
     known, columns = parts(x)
-    model = known + columns @ weights
+    model, step = known + columns @ weights, 1e-4 * x[1]
 
     # Each point with its own scatter (larger where strain is steep), all with one autocorrelation.
-    moves = []
-    for k in range(2):
-        moved_known, moved_columns = parts(x + np.where(np.arange(2) == k, 1e-4 * x[1], 0.0))
-        moves.append((moved_known + moved_columns @ weights - model) / (1e-4 * x[1]))
+    moved = [parts(x + step * unit) for unit in np.eye(2)]
+    moves = [(own + free @ weights - model) / step for own, free in moved]
     design, left = np.column_stack([*moves, columns])[inside], residual[inside]
     n, count = design.shape
     size = np.sqrt(np.sum(design**2, axis=0))
@@ -356,5 +322,5 @@ def _fit(
         remaining.pop(0)
         found.append(remaining.pop(0) / span if slope is None else slope)
     of_step = np.array(to_step)
-    step = (float(of_step[2:] @ weights) + value, math.sqrt(of_step @ covariance @ of_step))
-    return ends, np.diag(to_ends @ covariance[:2, :2] @ to_ends.T), found, step, model, residual
+    number = (float(of_step[2:] @ weights) + value, math.sqrt(of_step @ covariance @ of_step))
+    return ends, np.diag(to_ends @ covariance[:2, :2] @ to_ends.T), found, number, model, residual

@@ -59,12 +59,9 @@ _AT_BOUND = 1e-3  # of the distance of the bounds
 _STRONG = 0.9  # correlation
 _SIGNIFICANT = 2.0  # standard errors
 _STIFFEST = 90e9  # Pa, of any NiTi
-_UNITS = {
-    **dict.fromkeys(TRANSITIONS, "K"), "eps_L": "1", "H_min": "1", "dH": "1", "k": "1/(100 MPa)",
-    "alpha_A": "1e-6/K", "alpha_M": "1e-6/K", "Theta_T": "MPa/K", "fading": "1e-3/K",
-    "bend_A": "K/(100 MPa)^2", "bend_M": "K/(100 MPa)^2",
-}
-_SLOPE_UNIT = "K/(100 MPa)"
+_UNITS = {**dict.fromkeys(TRANSITIONS, "K"), "eps_L": "1", "H_min": "1", "dH": "1",
+          "k": "1/(100 MPa)", "alpha_A": "1e-6/K", "alpha_M": "1e-6/K", "Theta_T": "MPa/K",
+          "fading": "1e-3/K", "bend_A": "K/(100 MPa)^2", "bend_M": "K/(100 MPa)^2"}
 # Of the time that everything takes; the rest is for cycles fitted one by one.
 _SHARES: dict[Law, tuple[float, float]] = {"contract": (0.0, 0.2), "extended": (0.2, 0.8)}
 
@@ -87,26 +84,20 @@ class Loop(NamedTuple):
 
 def loop_of(record: IsobaricRecord, cycle: Cycle) -> Loop:
     """A cycle in bins, with what its tangents tell."""
-    branches = tuple(
-        (b, Bins.of(b.temperature, _BINS, b.direction == "heating")) for b in cycle.branches
-    )
-    ends: dict[str, float] = {}
-    steps: dict[str, float] = {}
+    branches, ends, steps = [], dict[str, float](), dict[str, float]()
     for branch in cycle.branches:
-        way, other = branch.direction, "cooling" if branch.direction == "heating" else "heating"
+        way, rising = branch.direction, branch.direction == "heating"
+        branches.append((branch, Bins.of(branch.temperature, _BINS, rising)))
         with suppress(InputError):
-            found = strain_tangents(branch, cycle.get(other))
+            found = strain_tangents(branch, cycle.get("cooling" if rising else "heating"))
             ends.update(zip(_ENDS[way], sorted(found.cosine_ends()), strict=True))
             steps[way] = found.step[0]
-    kelvin, strain = (
-        np.concatenate([bins.mean(getattr(b, name)) for b, bins in branches])
-        for name in ("temperature", "strain")
-    )
+    kelvin = np.concatenate([bins.mean(b.temperature) for b, bins in branches])
+    strain = np.concatenate([bins.mean(b.strain) for b, bins in branches])
     recovered = steps.get("heating", steps.get("cooling", 0.0))
-    return Loop(
-        f"{record.name}, cycle {cycle.number}", record.stress, branches, kelvin, strain, ends,
-        steps, recovered if recovered > 0.0 else float(np.ptp(strain)), record.strain_unit != "1",
-    )
+    return Loop(f"{record.name}, cycle {cycle.number}", record.stress, tuple(branches), kelvin,
+                strain, ends, steps, recovered if recovered > 0.0 else float(np.ptp(strain)),
+                record.strain_unit != "1")
 
 
 class LawFit(NamedTuple):
@@ -137,42 +128,35 @@ class LawFit(NamedTuple):
     @property
     def errors(self) -> dict[float, float]:
         """The same of the loops at each stress [Pa]."""
-        each = [(loop.stress, rms) for loop, rms in zip(self.loops, self.rms, strict=True)]
-        return {
-            stress: float(np.sqrt(np.mean([rms**2 for own, rms in each if own == stress])))
-            for stress in sorted({own for own, _ in each})
-        }
+        each: dict[float, list[float]] = {}
+        for loop, rms in zip(self.loops, self.rms, strict=True):  # in order of stress
+            each.setdefault(loop.stress, []).append(rms**2)
+        return {stress: float(np.sqrt(np.mean(squares))) for stress, squares in each.items()}
 
     def all_with(self, values: Array) -> dict[str, float]:
         """Numbers of the law by name, its unknowns at `values`."""
-        return {**self.fixed, **dict(zip(self.names, values.tolist(), strict=True))}
+        return self.fixed | dict(zip(self.names, values.tolist(), strict=True))
 
 
-def fit_constitutive(
-    records: Sequence[IsobaricRecord], parameters: Parameters, report: Report = silent
-) -> Experiment:
+def fit_constitutive(records: Sequence[IsobaricRecord], parameters: Parameters,
+                     report: Report = silent) -> Experiment:
     """Fit the law to isobaric tests of one material, all stresses and cycles at once: the
     contract's where its rms is below 5 % of the recovered strain at every stress, else the extended
-    one, with both errors in the findings.
-
-    `details` holds every fitted number and the fit error per stress, as rms over the strain
-    recovered at that stress; `curves` `<record, cycle>/temperature`, `/strain` and `/model`.
-
-    `parameters`: E_A and E_M with their uncertainties (isobaric tests cannot tell them from eps_L),
-    and C_A, C_M should all tests be at one stress. InputError: no records, or too few points.
-    """
+    one, with both errors in the findings. `details` holds every fitted number and the fit error per
+    stress, as rms over the strain recovered at that stress; `curves` `<record, cycle>/temperature`,
+    `/strain` and `/model`. `parameters`: E_A and E_M with their uncertainties (isobaric tests
+    cannot tell them from eps_L), and C_A, C_M should all tests be at one stress. InputError: no
+    records, or too few points."""
     if not records:
         raise InputError("constitutive fit: no records")
-    loops = [loop_of(record, cycle) for record in records for cycle in record.cycles]
-    loops.sort(key=lambda loop: loop.stress)
-    fits: list[LawFit] = []
+    every = (loop_of(record, cycle) for record in records for cycle in record.cycles)
+    loops, fits = sorted(every, key=lambda loop: loop.stress), list[LawFit]()
     for law, shares in _SHARES.items():
         fits.append(_fit_law(loops, law, parameters, part(report, *shares)))
         if max(fits[-1].errors.values()) < _TOLERANCE:
             break
     chosen = fits[-1]
-    findings = [finding for record in records for finding in record.findings]
-    findings.extend(_about_fits(fits))
+    findings = [*(f for record in records for f in record.findings), *_about_fits(fits)]
 
     def fit_error(error: float, n: int) -> Estimate:
         return Estimate(error, error / math.sqrt(2.0 * n), "1", "rms over recovered strain", n)
@@ -181,7 +165,7 @@ def fit_constitutive(
     for fit in fits:
         n = sum(map(len, fit.left))
         for name, value, std in zip(fit.names, fit.values.tolist(), fit.std.tolist(), strict=True):
-            unit = _UNITS.get(name, _SLOPE_UNIT)
+            unit = _UNITS.get(name, "K/(100 MPa)")  # of a slope
             details[f"{fit.law}: {name}"] = Estimate(value, std, unit, "joint fit", n)
         for stress, error in fit.errors.items():
             n = sum(len(loop.strain) for loop in loops if loop.stress == stress)
@@ -189,40 +173,31 @@ def fit_constitutive(
 
     # Where cycles of one record do not fit one set of numbers, each gets its own.
     for record in records:
-        mine = [k for k, own in enumerate(loops) if own.label.startswith(f"{record.name}, cycle ")]
-        joint = float(np.sqrt(np.mean([chosen.rms[k] ** 2 for k in mine])))
+        mine = [(loop, rms) for loop, rms in zip(loops, chosen.rms, strict=True)
+                if loop.label.startswith(f"{record.name}, cycle ")]
+        joint = float(np.sqrt(np.mean([rms**2 for _, rms in mine])))
         if len(mine) < 3 or joint < _TOLERANCE:
             continue
         errors = []
-        for loop in (loops[k] for k in mine):
+        for loop, _ in mine:
             own, n = _fit_law([loop], "extended", parameters), len(loop.strain)
-            stds = dict(zip(own.names, own.std.tolist(), strict=True))
-            for name in (*TRANSITIONS, "eps_L"):
-                details[f"{loop.label}: {name}"] = Estimate(
-                    own.all_with(own.values)[name], stds.get(name, 0.0), _UNITS[name],
-                    "fit of this cycle alone", n,
-                )
             errors.append(own.rms[0])
+            values, stds = own.all_with(own.values), dict(zip(own.names, own.std, strict=True))
+            for name in (*TRANSITIONS, "eps_L"):
+                number = values[name], float(stds.get(name, 0.0)), _UNITS[name]
+                details[f"{loop.label}: {name}"] = Estimate(*number, "fit of this cycle alone", n)
             details[f"{loop.label}: fit error"] = fit_error(errors[-1], n)
-        findings.append(remark(
-            "material changes", record=record.name, joint=joint, best_cycle=min(errors),
-            worst_cycle=max(errors),
-        ))
-
+        findings.append(remark("material changes", record=record.name, joint=joint,
+                               best_cycle=min(errors), worst_cycle=max(errors)))
     estimates, correlation = _estimates(chosen, parameters, findings)
     curves: dict[str, Array] = {}
     for loop, left in zip(loops, chosen.left, strict=True):
-        curves |= {
-            f"{loop.label}/temperature": loop.temperature, f"{loop.label}/strain": loop.strain,
-            f"{loop.label}/model": loop.strain - left,
-        }
-    return Experiment(
-        "E9", "Joint fit of the constitutive law (eqs. 6 to 11)", estimates, tuple(findings),
-        curves, "; ".join(str(record.path) for record in records), details, correlation,
-    )
-
-
-# --- The law and its least squares.
+        shown = {"temperature": loop.temperature, "strain": loop.strain,
+                 "model": loop.strain - left}
+        curves |= {f"{loop.label}/{kind}": values for kind, values in shown.items()}
+    return Experiment("E9", "Joint fit of the constitutive law (eqs. 6 to 11)", estimates,
+                      tuple(findings), curves, "; ".join(str(record.path) for record in records),
+                      details, correlation)
 
 
 def _grown(p: Mapping[str, float], s: float) -> float:
@@ -237,14 +212,12 @@ def _slopes(law: Law, ends: Sequence[str]) -> list[str]:
     return [f"slope_{ends[0][0]}"] * 2 if law == "contract" else [f"slope_{end}" for end in ends]
 
 
-def _strain(
-    law: Law, p: Mapping[str, float], loop: Loop, elastic: tuple[float, float, float]
-) -> tuple[Array, Array]:
-    """Strain (n,) without its free parts, and those parts' columns (n, 1 or 2): the reference
-    strain and, of the extended law, the material transformed so far, to which irrecoverable strain
-    is proportional. `elastic`: E_A, E_M in Pa and the temperature of zero expansion, K."""
-    stiff, soft, ambient = elastic
-    s = loop.stress / _REFERENCE_STRESS
+def _strain(law: Law, p: Mapping[str, float], loop: Loop,
+            elastic: tuple[float, float, float]) -> tuple[Array, Array]:
+    """Strain (n,) without its free parts, and their columns (n, 1 or 2): reference strain and, of
+    the extended law, the material transformed so far, to which irrecoverable strain is
+    proportional. `elastic`: E_A, E_M in Pa and the temperature of zero expansion, K."""
+    (stiff, soft, ambient), s = elastic, loop.stress / _REFERENCE_STRESS
     grown, strains, columns, transformed = _grown(p, s), [], [], 0.0
     xi_reversed = 1.0 if loop.branches[0][0].direction == "heating" else 0.0
     for branch, bins in loop.branches:
@@ -259,7 +232,6 @@ def _strain(
         share = left / left[0] if left[0] > 1e-9 else left
         xi = xi_reversed * share if rising else 1.0 - (1.0 - xi_reversed) * share
         xi_reversed = float(xi[-1])
-
         modulus = stiff + xi * (soft - stiff)
         strain = -grown * (1.0 - xi)
         if not loop.is_relative:
@@ -277,19 +249,13 @@ def _strain(
     return np.concatenate(strains), np.concatenate(columns)[:, : 1 if law == "contract" else 2]
 
 
-def _fit_law(
-    loops: Sequence[Loop], law: Law, parameters: Parameters, report: Report = silent
-) -> LawFit:
-    """Fit one law to all loops, each loop's residual in units of the strain it recovers; `report`
-    is called at every start.
-
-    Standard errors hold the scatter in every loop with its autocorrelation (a misfit of the law
-    is no white noise), and the uncertainty of E_A and E_M, which the data do not give.
-
-    Raises InputError: fewer points than unknowns, or no loop that shows a transformation.
-    """
+def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
+             report: Report = silent) -> LawFit:
+    """Fit one law to all loops, each loop's residual in units of the strain it recovers. Standard
+    errors hold the scatter in every loop with its autocorrelation (a misfit of the law is no white
+    noise), and the uncertainty of E_A and E_M, which the data do not give. Raises InputError: fewer
+    points than unknowns, or no loop that shows a transformation."""
     from scipy.optimize import least_squares  # half a second to load
-
     unknowns, fixed = _unknowns(loops, law, parameters)
     total = sum(len(loop.strain) for loop in loops)
     if total <= 2 * len(unknowns):
@@ -301,7 +267,7 @@ def _fit_law(
 
     def left_of(x: Array, loop: Loop, moduli: tuple[float, float] = (stiff, soft)) -> Array:
         """What the law leaves of a loop's strain at its best free parts."""
-        p = {**fixed, **dict(zip(names, x.tolist(), strict=True))}
+        p = fixed | dict(zip(names, x.tolist(), strict=True))
         strain, columns = _strain(law, p, loop, (*moduli, ambient))
         columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
         left = loop.strain - strain
@@ -315,18 +281,15 @@ def _fit_law(
     for k in range(_STARTS):
         report(k / _STARTS, f"{law} law, start {k + 1} of {_STARTS}")
         start = first + size * rng.standard_normal(len(first)) if k else first
-        solutions.append(least_squares(
-            residuals, np.clip(start, low + margin, high - margin), bounds=(low, high),
-            x_scale=size, max_nfev=300,
-        ))
+        solutions.append(least_squares(residuals, np.clip(start, low + margin, high - margin),
+                                       bounds=(low, high), x_scale=size, max_nfev=300))
     x = min(solutions, key=lambda s: s.cost).x
     left = tuple(left_of(x, loop) for loop in loops)
 
     # Sandwich: each loop with its own scatter, all with one autocorrelation.
     columns = []
-    for i, step in enumerate(1e-3 * size):
-        up, down = x.copy(), x.copy()
-        up[i], down[i] = min(x[i] + step, high[i]), max(x[i] - step, low[i])
+    for i, step in enumerate(np.diag(1e-3 * size)):
+        up, down = np.minimum(x + step, high), np.maximum(x - step, low)
         columns.append((residuals(up) - residuals(down)) / (up[i] - down[i]))
     jacobian = np.column_stack(columns)
     bread = np.linalg.pinv(jacobian.T @ jacobian)
@@ -346,7 +309,7 @@ def _fit_law(
         slope = -bread @ jacobian.T @ ((residuals(x, moved) - residuals(x)) / step)
         covariance += np.outer(slope, slope) * parameters.std(name) ** 2
     near = np.minimum(x - low, high - x) < _AT_BOUND * (high - low)
-    at_bound = tuple(np.array(names)[near].tolist())
+    at_bound = tuple(name for name, is_near in zip(names, near, strict=True) if is_near)
     return LawFit(law, names, x, covariance, at_bound, fixed, tuple(loops), left)
 
 
@@ -367,10 +330,8 @@ def _unknowns(
         slopes, influence = _slopes(law, ends), SYMBOLS[f"C_{ends[0][0]}"]
         # A stress beyond belief must not shift anything: temperatures stay as measured.
         slope = _REFERENCE_STRESS / parameters[influence] if stress.max() <= STRONGEST else 0.0
-        read = [
-            (loop.stress / _REFERENCE_STRESS, loop.ends[ends[0]], loop.ends[ends[1]])
-            for loop in loops if ends[0] in loop.ends
-        ]
+        read = [(loop.stress / _REFERENCE_STRESS, *(loop.ends[end] for end in ends))
+                for loop in loops if ends[0] in loop.ends]
         if not read:
             # A direction without a branch plays no part; any numbers will do.
             fixed |= {n: parameters[TRANSITIONS[n]] for n in ends} | dict.fromkeys(slopes, slope)
@@ -392,12 +353,11 @@ def _unknowns(
     # The transformation strain, expansion, and what only the extended law has.
     largest, least = max(float(steps.max()), 1e-4), max(float(steps.min()), 1e-6)
     top = 3.0 * max(largest, *(loop.recovered for loop in loops))
+    whole = (largest, 0.0, top, 0.1 * largest)
     if bends:
-        unknowns["H_min"] = (0.5 * least, 0.0, top, 0.1 * largest)
-        unknowns["dH"] = (largest, 0.0, top, 0.1 * largest)
-        unknowns["k"] = (1.0, 0.01, 30.0, 0.3)
+        unknowns |= {"H_min": (0.5 * least, *whole[1:]), "dH": whole, "k": (1.0, 0.01, 30.0, 0.3)}
     else:
-        unknowns["eps_L"] = (largest, 0.0, top, 0.1 * largest)
+        unknowns["eps_L"] = whole
     is_relative = loops[0].is_relative  # 3000e-6 of the strain's range per K is a typical size
     if law == "contract":
         of_relative, own = (0.0, -1e4, 1e4, 10.0), (-0.2, -50.0, 50.0, 0.2)
@@ -407,17 +367,13 @@ def _unknowns(
     fixed["T_ref"] = float(np.mean(np.concatenate([loop.temperature for loop in loops])))
     if bends:
         unknowns["fading"] = (0.5, -20.0, 20.0, 0.5)
-        for start, _ in (ends for ends in _ENDS.values() if ends[0] in unknowns):
+        for start in (start for start, _ in _ENDS.values() if start in unknowns):
             unknowns[f"bend_{start[0]}"] = (0.0, -30.0, 30.0, 0.5)
     return unknowns, fixed
 
 
-# --- What the fitted law says.
-
-
-def _estimates(
-    fit: LawFit, parameters: Parameters, findings: list[Finding]
-) -> tuple[dict[str, Estimate], Correlation]:
+def _estimates(fit: LawFit, parameters: Parameters,
+               findings: list[Finding]) -> tuple[dict[str, Estimate], Correlation]:
     """The contract's parameters that records show, in their ranges, and the errors' correlation."""
     largest = max(loop.stress for loop in fit.loops)
     if largest > STRONGEST:
@@ -438,10 +394,8 @@ def _estimates(
         return found | {"eps_L": _grown(p, top), "Theta_T": theta}
 
     values, steps = contract(fit.values), 1e-6 * np.maximum(np.abs(fit.values), 1.0)
-    sides = [
-        [np.array([*contract(fit.values + sign * step).values()]) for sign in (1.0, -1.0)]
-        for step in np.diag(steps)
-    ]
+    sides = [[np.array([*contract(fit.values + sign * step).values()]) for sign in (1.0, -1.0)]
+             for step in np.diag(steps)]
     turn = np.array([up - down for up, down in sides]).T / (2.0 * steps)
     covariance = turn @ fit.covariance @ turn.T
     error = dict(zip(values, np.sqrt(np.diag(covariance)).tolist(), strict=True))
@@ -463,9 +417,7 @@ def _estimates(
             value = _REFERENCE_STRESS / slope
             found[label] = Estimate(value, value * std / slope, "Pa/K", method, n)
         elif not one_stress:
-            findings.append(
-                remark("influence not told", subject=label, label=label, slope=slope, std=std)
-            )
+            findings.append(remark("influence not told", subject=label, slope=slope, std=std))
     if not fit.loops[0].is_relative:
         where = "" if "eps_L" in fit.names else f", at the largest stress {largest / 1e6:.0f} MPa"
         found["eps_L"] = Estimate(values["eps_L"], error["eps_L"], "1", method + where, n)
@@ -486,9 +438,7 @@ def _estimates(
         name, e = SYMBOLS[symbol], found.pop(symbol)
         low, high = BY_NAME[name].low, BY_NAME[name].high
         if (low is not None and e.value < low) or (high is not None and e.value > high):
-            findings.append(
-                remark("out of range", subject=name, name=name, value=e.value, unit=e.unit)
-            )
+            findings.append(remark("out of range", subject=name, value=e.value, unit=e.unit))
         else:
             found[symbol] = e
     chosen = [list(values).index(symbol) for symbol in found]
@@ -503,28 +453,21 @@ def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
     """The error of each law at each stress, and whether the contract's constant eps_L suffices; of
     the last one bounds, what was taken as given, and correlations."""
     for fit in fits:
-        errors = fit.errors
-        more, fails = "", max(errors.values()) >= _TOLERANCE
-        if fails:
-            more = f"; above {_TOLERANCE:.0%}"
+        errors, fails = fit.errors, max(fit.errors.values()) >= _TOLERANCE
+        more = f"; above {_TOLERANCE:.0%}" * fails
         if fails and fit.law == "contract" and len(errors) > 1:
             more += ": a constant eps_L and constant C_A, C_M do not suffice for this material"
-        yield remark(
-            "fit error", "warning" if fails else "info", law=fit.law, more=more,
-            numbers={f"{s / 1e6:.0f} MPa": e for s, e in errors.items()},
-            table=", ".join(f"{e:.1%} at {s / 1e6:.0f} MPa" for s, e in errors.items()),
-        )
+        yield remark("fit error", "warning" if fails else "info", law=fit.law, more=more,
+                     numbers={f"{s / 1e6:.0f} MPa": e for s, e in errors.items()},
+                     table=", ".join(f"{e:.1%} at {s / 1e6:.0f} MPa" for s, e in errors.items()))
     if fit.at_bound:
         yield remark("at a bound", names=", ".join(fit.at_bound))
     if given := {name: value for name, value in fit.fixed.items() if name != "T_ref"}:
         listed = ", ".join(f"{name} = {value:.4g}" for name, value in given.items())
         yield remark("taken as given", numbers=given, listed=listed)
     correlation = fit.covariance / np.outer(fit.std, fit.std)
-    pairs = {
-        f"{one}, {other}": float(correlation[i, j])
-        for i, one in enumerate(fit.names) for j, other in enumerate(fit.names[:i])
-        if abs(correlation[i, j]) > _STRONG
-    }
+    strong = np.argwhere(np.abs(np.tril(correlation, -1)) > _STRONG)
+    pairs = {f"{fit.names[i]}, {fit.names[j]}": float(correlation[i, j]) for i, j in strong}
     if pairs:
         listed = "; ".join(f"{pair} {c:+.2f}" for pair, c in pairs.items())
         yield remark("correlated numbers", numbers=pairs, listed=listed)

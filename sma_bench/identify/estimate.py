@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
+from scipy.special import stdtrit
 
 from sma_bench.arrays import Array, Mask
 from sma_bench.errors import InputError
@@ -18,11 +19,9 @@ from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 
 GAUGE = "sensor.deflection.gain"
 MODULI = ("wire.martensite_modulus", "wire.austenite_modulus")
-SYMBOLS = {
-    **TRANSITIONS, "C_A": "wire.stress_influence_austenite",
-    "C_M": "wire.stress_influence_martensite", "E_M": MODULI[0], "E_A": MODULI[1],
-    "eps_L": "wire.maximum_recoverable_strain", "Theta_T": "wire.thermal_expansion_factor",
-}
+SYMBOLS = {**TRANSITIONS, "C_A": "wire.stress_influence_austenite",
+           "C_M": "wire.stress_influence_martensite", "E_M": MODULI[0], "E_A": MODULI[1],
+           "eps_L": "wire.maximum_recoverable_strain", "Theta_T": "wire.thermal_expansion_factor"}
 
 
 def combine(estimates: Sequence[Estimate]) -> Estimate:
@@ -38,22 +37,17 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     statistical = max(1.0, birge) / math.sqrt(float(np.sum(weights)))
     # What is the same in every record does not average out.
     last = max(estimates, key=lambda e: e.systematic)
-    return Estimate(
-        value=mean, std=math.hypot(statistical, last.systematic), unit=last.unit,
-        method=f"{estimates[0].method}; weighted mean of {len(estimates)} records",
-        n=sum(e.n for e in estimates), systematic=last.systematic, shares=last.shares,
-    )
+    method = f"{estimates[0].method}; weighted mean of {len(estimates)} records"
+    return Estimate(mean, math.hypot(statistical, last.systematic), last.unit, method,
+                    sum(e.n for e in estimates), last.systematic, shares=last.shares)
 
 
-def mean_of_repeats(
-    readings: Sequence[tuple[float, float]], scatter: float | None = None, freedom: int = 0
-) -> tuple[float, float, float]:
+def mean_of_repeats(readings: Sequence[tuple[float, float]], scatter: float | None = None,
+                    freedom: int = 0) -> tuple[float, float, float]:
     """Mean of readings (value, own standard error) of one number, the standard error that their own
     errors leave, and that of what they differ by beyond: it grows as Student's t does, so that
     1.645 of it hold the truth in 90 %. `scatter`: variance between repeats where more of them,
     with `freedom`, tell it."""
-    from scipy.special import stdtrit  # half a second to load
-
     values, n = [value for value, _ in readings], len(readings)
     own = float(np.mean([std**2 for _, std in readings]))
     if scatter is None:
@@ -76,9 +70,8 @@ def diameter_error(parameters: Parameters) -> float:
     """Relative, of the diameter by which a testing machine gave stress: the stated one's, else what
     a careful lab knows it to."""
     name = "wire.diameter"
-    if name in parameters.given:
-        return parameters.std(name) / parameters[name]
-    return (BY_NAME[name].uncertainty or 0.0) / parameters[name]
+    careful = BY_NAME[name].uncertainty or 0.0
+    return (parameters.std(name) if name in parameters.given else careful) / parameters[name]
 
 
 def scatter(values: Array) -> float:
@@ -151,16 +144,12 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
         raise InputError("readings that no bench has: no straight line fits them") from None
     left = target - whitened @ beta
     freedom = max(len(values) - design.shape[1], 1)
-    return LinearFit(
-        np.asarray(beta), np.linalg.pinv(whitened.T @ whitened), float(left @ left) / freedom,
-        values - design @ beta,
-    )
+    return LinearFit(np.asarray(beta), np.linalg.pinv(whitened.T @ whitened),
+                     float(left @ left) / freedom, values - design @ beta)
 
 
-def fit_slope(
-    columns: Sequence[Array | Mask], values: Array, covariance: Callable[[float], Array],
-    slope: int = 1,
-) -> LinearFit:
+def fit_slope(columns: Sequence[Array | Mask], values: Array, covariance: Callable[[float], Array],
+              slope: int = 1) -> LinearFit:
     """`fit_linear` of values (n,) by k columns (n,) where what is on the abscissa has errors too,
     which count through the slope: `covariance` of beta[slope] is (n, n)."""
     design = np.column_stack(columns).astype(np.float64)

@@ -19,17 +19,9 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.rig import find_rig
 from sma_bench.findings import Finding
-from sma_bench.identify import branches
+from sma_bench.identify import branches, estimate
 from sma_bench.identify.branches import BranchCosine, Number, StrainTangents
-from sma_bench.identify.estimate import (
-    GAUGE,
-    MODULI,
-    SYMBOLS,
-    diameter_error,
-    fit_linear,
-    mean_and_deviation,
-    mean_of_repeats,
-)
+from sma_bench.identify.estimate import GAUGE, MODULI, SYMBOLS, fit_linear, mean_of_repeats
 from sma_bench.identify.result import Experiment, remark
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import TRANSITIONS
@@ -74,27 +66,22 @@ class Reading(NamedTuple):
 
 
 Level = tuple[float, dict[str, list[Reading]]]  # stress in Pa, and its readings by direction
+Estimates = dict[str, Estimate]
 
 
-def identify_isobaric(
-    records: Sequence[IsobaricRecord], parameters: Parameters | None = None,
-) -> Experiment:
-    """Evaluate isobaric tests of one material.
-
-    Cycles and records at the same stress are repeats, of which mean and deviation are given.
-    `details` holds every stress and cycle, the tangents' crossings as "A_s (tangent) ...";
-    `curves` the branches with tangents and cosine (`<record>/<cycle>/<direction>/temperature`,
-    `/strain`, `/tangents` (4, 2) and `/cosine` (n, 2) K and strain) and the stress-temperature
-    diagram (`diagram/A_s/stress`, ...).
-
-    `parameters`: moduli for the elastic part of the strain, and C_A, C_M to refer a single stress
-    to zero; the table's when None. Raises InputError: no records, or no transformation.
-    """
+def identify_isobaric(records: Sequence[IsobaricRecord],
+                      parameters: Parameters | None = None) -> Experiment:
+    """Evaluate isobaric tests of one material. Cycles and records at the same stress are repeats,
+    of which mean and deviation are given. `details` holds every stress and cycle, the tangents'
+    crossings as "A_s (tangent) ..."; `curves` the branches with tangents and cosine
+    (`<record>/<cycle>/<direction>/temperature`, `/strain`, `/tangents` (4, 2) and `/cosine` (n, 2)
+    K and strain) and the stress-temperature diagram (`diagram/A_s/stress`, ...). `parameters`:
+    moduli for the elastic part of the strain, and C_A, C_M to refer a single stress to zero; the
+    table's when None. Raises InputError: no records, or no transformation."""
     parameters = parameters or Parameters.defaults()
     if not records:
         raise InputError("isobaric test: no records")
     findings = [finding for record in records for finding in record.findings]
-
     # Tangents and cosine of every branch; one without a transformation becomes a finding.
     readings: list[Reading] = []
     for record in records:
@@ -105,9 +92,8 @@ def identify_isobaric(
             try:
                 tangents = branches.strain_tangents(branch, other)
             except InputError as error:
-                findings.append(remark(
-                    "no tangents", record=record.name, cycle=cycle.number, error=error
-                ))
+                findings.append(remark("no tangents", record=record.name, cycle=cycle.number,
+                                       error=error))
             else:
                 cosine = branches.fit_cosine(branch, tangents, parameters, stress)
                 readings.append(Reading(record, cycle.number, branch, tangents, cosine))
@@ -122,53 +108,45 @@ def identify_isobaric(
             groups[-1].append(reading)
         else:
             groups.append([reading])
-    levels = [
-        (float(np.mean([r.record.stress for r in group])),
-         {way: [r for r in group if r.branch.direction == way] for way in PHASES})
-        for group in groups
-    ]
+    levels = [(float(np.mean([r.record.stress for r in group])),
+               {way: [r for r in group if r.branch.direction == way] for way in PHASES})
+              for group in groups]
 
     # Stress-free temperatures by both conventions, and the temperatures at every stress.
     estimates, details, diagram = _temperatures(levels, "cosine", parameters, findings)
     crossings = _temperatures(levels, "tangent", parameters, [])[0]
     method = "tangents, referred to zero stress: inside the range of eqs. (10), (11)"
-    details |= {
-        f"{symbol} (tangent), stress free": replace(crossings[name], method=method)
-        for symbol, name in TRANSITIONS.items() if name in crossings
-    }
+    details |= {f"{symbol} (tangent), stress free": replace(crossings[name], method=method)
+                for symbol, name in TRANSITIONS.items() if name in crossings}
+    conventions: tuple[Convention, ...] = ("tangent", "cosine")
     for stress, along in levels:
         for direction, (*ends, _) in PHASES.items():
             found = along[direction]
             n = sum(len(r.branch.strain) for r in found)
             for end, name in enumerate(ends if found else ()):
-                conventions: tuple[Convention, ...] = ("tangent", "cosine")
                 for convention in conventions:
-                    details[f"{name} ({convention}) at {stress / 1e6:.0f} MPa"] = Estimate(
-                        *mean_and_deviation([r.ends(convention)[end] for r in found]), "K",
-                        f"{convention}, {len(found)} readings: mean and deviation", n,
-                    )
+                    mean = estimate.mean_and_deviation([r.ends(convention)[end] for r in found])
+                    words = f"{convention}, {len(found)} readings: mean and deviation"
+                    label = f"{name} ({convention}) at {stress / 1e6:.0f} MPa"
+                    details[label] = Estimate(*mean, "K", words, n)
                 for r in found if len(found) > 1 else ():
-                    details[f"{name}, {r.record.name}, cycle {r.cycle}, {direction}"] = Estimate(
-                        *r.ends("tangent")[end], "K", "tangent", len(r.branch.strain)
-                    )
+                    own, label = r.ends("tangent")[end], f"{name}, {r.record.name}, cycle {r.cycle}"
+                    own_n = len(r.branch.strain)
+                    details[f"{label}, {direction}"] = Estimate(*own, "K", "tangent", own_n)
     estimates |= _strains(levels, parameters, details, findings)
     findings.extend(_about_branches(records, readings))
-
     curves: dict[str, Array] = {}
     for r in readings:
+        shown = {"temperature": r.branch.temperature, "strain": r.branch.strain,
+                 "tangents": r.tangents.polyline(r.branch),
+                 "cosine": np.column_stack([r.cosine.temperature, r.cosine.strain])}
         stem = f"{r.record.name}/{r.cycle}/{r.branch.direction}"
-        curves |= {
-            f"{stem}/temperature": r.branch.temperature, f"{stem}/strain": r.branch.strain,
-            f"{stem}/tangents": r.tangents.polyline(r.branch),
-            f"{stem}/cosine": np.column_stack([r.cosine.temperature, r.cosine.strain]),
-        }
+        curves |= {f"{stem}/{kind}": curve for kind, curve in shown.items()}
     for name, points in diagram.items():
-        for kind, curve in zip(("stress", "temperature", "std"), points, strict=False):
-            curves[f"diagram/{name}/{kind}"] = curve
-    return Experiment(
-        "E6", "UPFR and isobaric tests (Fig. 8)", with_scales(estimates, parameters),
-        tuple(findings), curves, "; ".join(str(record.path) for record in records), details,
-    )
+        named = zip(("stress", "temperature", "std"), points, strict=False)
+        curves |= {f"diagram/{name}/{kind}": curve for kind, curve in named}
+    return Experiment("E6", "UPFR and isobaric tests (Fig. 8)", with_scales(estimates, parameters),
+                      tuple(findings), curves, "; ".join(str(r.path) for r in records), details)
 
 
 def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
@@ -178,16 +156,14 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
     rig = find_rig(record, parameters)
     time, elongation = samples(record, "elongation")
     kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
-    tests: list[IsobaricRecord] = []
+    length, tests = wire_length(parameters), []
     for hold in rig.holds:
         inside = (time >= hold.start) & (time <= hold.stop)
         short = hold.clamped or hold.stop - hold.start < _SHORTEST_TEST
         if short or np.ptp(kelvin[inside]) < instruments.SMALLEST_RANGE:
             continue
-        stress = hold.value / channel_section(parameters)
-        name = f"{record.path.name} {stress / 1e6:.0f} MPa"
-        strain = elongation[inside] / wire_length(parameters)
-        held = np.full(len(strain), stress)
+        stress, strain = hold.value / channel_section(parameters), elongation[inside] / length
+        name, held = f"{record.path.name} {stress / 1e6:.0f} MPa", np.full(len(strain), stress)
         cycles, remarks = instruments.find_cycles(kelvin[inside], strain, held, name)
         tests.append(IsobaricRecord(record.path, name, stress, "1", tuple(cycles), tuple(remarks)))
     return tuple(tests)
@@ -196,7 +172,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
 def with_scales(estimates: Mapping[str, Estimate], parameters: Parameters) -> dict[str, Estimate]:
     """The same with what thermometer, gauge length and section are off by."""
     shares: dict[str, dict[str, float]] = {}
-    section = 2.0 * diameter_error(parameters)
+    section = 2.0 * estimate.diameter_error(parameters)
     for sign, (*ends, label) in zip((1.0, -1.0), PHASES.values(), strict=True):
         for symbol in ends:
             shares[SYMBOLS[symbol]] = {"thermometer": _THERMOMETER_STD, "lag": -sign * _LAG_STD}
@@ -208,16 +184,12 @@ def with_scales(estimates: Mapping[str, Estimate], parameters: Parameters) -> di
     return {n: e.with_shares({**e.shares, **shares.get(n, {})}) for n, e in estimates.items()}
 
 
-def _temperatures(
-    levels: Sequence[Level], convention: Convention, parameters: Parameters,
-    findings: list[Finding],
-) -> tuple[dict[str, Estimate], dict[str, Estimate], dict[str, Array]]:
+def _temperatures(levels: Sequence[Level], convention: Convention, parameters: Parameters,
+                  findings: list[Finding]) -> tuple[Estimates, Estimates, dict[str, Array]]:
     """Stress-free temperatures, C_A and C_M; the slope of each temperature by itself; and A_s, A_f,
     M_s, M_f against stress, (4, n): stress in Pa, value, error in K, and the part of the error by
     which cycles differ, which moves start and finish together."""
-    estimates: dict[str, Estimate] = {}
-    details: dict[str, Estimate] = {}
-    points: dict[str, Array] = {}
+    estimates, details, points = dict[str, Estimate](), dict[str, Estimate](), dict[str, Array]()
     believable = levels[-1][0] <= instruments.STRONGEST
     if not believable:
         findings.append(remark("stress beyond belief", stress=levels[-1][0]))
@@ -237,22 +209,21 @@ def _temperatures(
             continue
         if not shown:
             listed = f"{start}, {finish}, {label}"
-            findings.append(remark("no branch", subject=listed, direction=direction, names=listed))
+            findings.append(remark("no branch", subject=listed, direction=direction))
             continue
         n, stress = sum(len(r.branch.strain) for _, own in shown for r in own), points[start][0]
         if float(np.ptp(stress)) < SMALLEST_STRESS_RANGE:
             # One stress: referred to zero with what is known of C.
             c, doubt, held = parameters[influence], parameters.std(influence), float(stress.mean())
-            unstated = ", which nobody stated" if influence not in parameters.given else ""
-            findings.append(remark(
-                "one stress", subject=label, label=label, stress=held, shift=held / c, c=c,
-                doubt=doubt, unstated=unstated,
-            ))
+            unstated = ", which nobody stated" * (influence not in parameters.given)
+            findings.append(remark("one stress", subject=label, stress=held,
+                                   shift=held / c, c=c, doubt=doubt, unstated=unstated))
             method = f"cosine at {held / 1e6:.3g} MPa, referred to zero stress with {label}"
+            shares = {influence: held * doubt / c**2}
             for name in pair:
                 _, kelvin, std, _ = points[name].mean(axis=1).tolist()
-                estimate = Estimate(kelvin - held / c, std, "K", method, n)
-                estimates[SYMBOLS[name]] = estimate.with_shares({influence: held * doubt / c**2})
+                number = Estimate(kelvin - held / c, std, "K", method, n)
+                estimates[SYMBOLS[name]] = number.with_shares(shares)
             continue
 
         # Several: T = T_0 + sigma/C, lines with one slope through start and finish, and a slope of
@@ -265,19 +236,16 @@ def _temperatures(
         covariance = np.diag(std**2) + np.where(together, np.outer(common, common), 0.0)
         fit = fit_linear(np.column_stack([zero, along_stress]), value, covariance)
         slope, slope_std = float(fit.beta[2]) / scale, float(fit.std[2]) / scale
-        method = f"cosines at {len(stress)} stresses, line to zero stress"
-        own_slopes = []
+        method, alone = f"cosines at {len(stress)} stresses, line to zero stress", []
         for k, name in enumerate(pair):
             part = zero[:, k] > 0.0
             design = np.column_stack([np.ones(part.sum()), along_stress[part]])
             line = fit_linear(design, value[part], np.diag(std[part] ** 2))
-            own_slopes.append((float(line.beta[1]) / scale, float(line.std[1]) / scale))
-            details[f"d{name}/dsigma"] = Estimate(
-                *own_slopes[k], "K/Pa", "line through this transition alone", n
-            )
-            estimates[SYMBOLS[name]] = Estimate(
-                float(fit.beta[k]), float(fit.std[k]), "K", method, n
-            )
+            alone.append((float(line.beta[1]) / scale, float(line.std[1]) / scale))
+            words = "line through this transition alone"
+            details[f"d{name}/dsigma"] = Estimate(*alone[k], "K/Pa", words, n)
+            at_zero = float(fit.beta[k]), float(fit.std[k])
+            estimates[SYMBOLS[name]] = Estimate(*at_zero, "K", method, n)
         facts: dict[str, Any] = {"start": start, "finish": finish, "label": label}
         if slope > _RISES * slope_std:
             # C = 1/slope; the error is that of a 90 % interval's two sides in the mean, which an
@@ -285,27 +253,23 @@ def _temperatures(
             relative = slope_std / slope
             sides = 1.0 - (1.645 * min(relative, 1.0 / _RISES)) ** 2
             low, high = stress.min() / 1e6, stress.max() / 1e6
-            estimates[influence] = Estimate(
-                1.0 / slope, relative / (slope * sides), "Pa/K",
-                f"common slope of {start} and {finish} over {low:.0f} to {high:.0f} MPa", n,
-            )
+            words = f"common slope of {start} and {finish} over {low:.0f} to {high:.0f} MPa"
+            c, std_of_c = 1.0 / slope, relative / (slope * sides)
+            estimates[influence] = Estimate(c, std_of_c, "Pa/K", words, n)
         else:
             findings.append(remark("no rise", subject=label, slope=slope, std=slope_std, **facts))
         if fit.misfit > _SIGNIFICANT:
-            findings.append(remark(
-                "off the line", subject=f"{label}, {start}, {finish}", misfit=fit.misfit,
-                worst=float(np.max(np.abs(fit.residuals))), **facts,
-            ))
-        (first, first_std), (last, last_std) = own_slopes
+            listed, worst = f"{label}, {start}, {finish}", float(np.max(np.abs(fit.residuals)))
+            findings.append(remark("off the line", subject=listed, misfit=fit.misfit, worst=worst,
+                                   **facts))
+        (first, first_std), (last, last_std) = alone
         if abs(first - last) > _SIGNIFICANT * math.hypot(first_std, last_std):
             findings.append(remark("range widens", subject=label, first=first, last=last, **facts))
     return estimates, details, points
 
 
-def _strains(
-    levels: Sequence[Level], parameters: Parameters, details: dict[str, Estimate],
-    findings: list[Finding],
-) -> dict[str, Estimate]:
+def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str, Estimate],
+             findings: list[Finding]) -> dict[str, Estimate]:
     """eps_L of the contract; the recovered strain at each stress goes into `details`."""
     transformed: list[tuple[float, Estimate]] = []
     for held, along in levels:
@@ -313,10 +277,8 @@ def _strains(
         is_relative = readings[0].record.strain_unit != "1"
         value, *errors = mean_of_repeats([r.cosine.step for r in readings])
         std, n = math.hypot(*errors), sum(len(r.branch.strain) for r in readings)
-        details[f"recovered strain at {held / 1e6:.0f} MPa"] = Estimate(
-            value, std, "relative" if is_relative else "1", "distance of the outer lines half-way",
-            n,
-        )
+        unit, words = "relative" if is_relative else "1", "distance of the outer lines half-way"
+        details[f"recovered strain at {held / 1e6:.0f} MPa"] = Estimate(value, std, unit, words, n)
         if is_relative or held > instruments.STRONGEST:
             continue
         # Strain by which martensite gives more than austenite at this stress and temperature.
@@ -327,13 +289,11 @@ def _strains(
         of_soft, of_stiff = (parameters.std(name) / parameters[name] for name in MODULI)
         expansion = parameters.std(EXPANSION) * warmer * (soft - stiff) / stress if stress else 0.0
         elastic_std = math.hypot(soft * of_soft, stiff * of_stiff, expansion)
-        estimate = Estimate(
-            value - (soft - stiff), std, "1",
-            f"recovered strain at {held / 1e6:.3g} MPa less "
-            "[sigma - Theta_T (T - T_inf)] (1/E_M - 1/E_A)", n,
-        ).with_shares({_ELASTIC: elastic_std})
-        transformed.append((held, estimate))
-        details[f"eps_L at {held / 1e6:.0f} MPa"] = estimate
+        method = (f"recovered strain at {held / 1e6:.3g} MPa less "
+                  "[sigma - Theta_T (T - T_inf)] (1/E_M - 1/E_A)")
+        number = Estimate(value - (soft - stiff), std, "1", method, n)
+        transformed.append((held, number.with_shares({_ELASTIC: elastic_std})))
+        details[f"eps_L at {held / 1e6:.0f} MPa"] = transformed[-1][1]
     if not transformed:
         return {}
 
@@ -348,13 +308,12 @@ def _strains(
     elastic = high * (1.0 / parameters[MODULI[0]] - 1.0 / parameters[MODULI[1]])
     if not set(MODULI) <= parameters.given and elastic > 0.02 * most.value:
         findings.append(remark("moduli of the table", elastic=elastic, stress=high))
-    largest = max((estimate for _, estimate in transformed), key=lambda e: e.value)
+    largest = max((number for _, number in transformed), key=lambda e: e.value)
     return {STRAIN: largest} if largest.value > 0.0 else {}
 
 
-def _about_branches(
-    records: Sequence[IsobaricRecord], readings: Sequence[Reading]
-) -> Iterator[Finding]:
+def _about_branches(records: Sequence[IsobaricRecord],
+                    readings: Sequence[Reading]) -> Iterator[Finding]:
     """Clipped strain, branches turned round early, no cosines, and cycles that are no repeats."""
     # Strain that stays at its extreme to the last digit: the extensometer has no more travel.
     for record in records:
@@ -363,32 +322,24 @@ def _about_branches(
         for value, which in ((strain.max(), "highest"), (strain.min(), "lowest")):
             longest = max((len(run) for run in runs if run[0] == value), default=0)
             if longest >= _CLIPPED:
-                yield remark(
-                    "strain clipped", record=record.name, which=which, value=value, count=longest
-                )
+                yield remark("strain clipped", record=record.name, which=which, value=value,
+                             count=longest)
 
-    early: dict[tuple[str, str, str], list[int]] = {}
-    rough: dict[str, list[Reading]] = {}
+    early, rough = dict[tuple[str, str, str], list[int]](), dict[str, list[Reading]]()
     for r in readings:
-        way = r.branch.direction
-        sides = (("cold", "M_f", "A_s"), ("hot", "M_s", "A_f"))
-        for short, (side, on_cooling, on_heating) in zip(r.tangents.short, sides, strict=True):
+        colder_first = ("M_f", "M_s") if r.branch.direction == "cooling" else ("A_s", "A_f")
+        for short, side, name in zip(r.tangents.short, ("cold", "hot"), colder_first, strict=True):
             if short:
-                name = on_cooling if way == "cooling" else on_heating
                 early.setdefault((r.record.name, name, side), []).append(r.cycle)
         if r.cosine.rms > _ROUGH:
-            rough.setdefault(way, []).append(r)
+            rough.setdefault(r.branch.direction, []).append(r)
     for (where, name, side), cycles in early.items():
-        yield remark(
-            "turned round early", subject=name, record=where, side=side, name=name,
-            numbers={"cycles": float(len(cycles))}, cycles=", ".join(map(str, cycles)),
-        )
+        yield remark("turned round early", subject=name, record=where, side=side,
+                     numbers={"cycles": float(len(cycles))}, cycles=", ".join(map(str, cycles)))
     for direction, found in rough.items():
         worst = max(found, key=lambda r: r.cosine.rms)
-        yield remark(
-            "no cosine", count=len(found), direction=direction, rms=worst.cosine.rms,
-            record=worst.record.name,
-        )
+        yield remark("no cosine", count=len(found), direction=direction, rms=worst.cosine.rms,
+                     record=worst.record.name)
 
     # Temperatures that drift from cycle to cycle of one record are no repeats.
     for record in {r.record.name: r.record for r in readings}.values():
@@ -401,8 +352,6 @@ def _about_branches(
                 kelvin = np.array([r.ends("tangent")[end][0] for r in mine])
                 correlation = float(np.corrcoef(cycle, kelvin)[0, 1])
                 if abs(correlation) >= _TREND and np.ptp(kelvin) >= _SMALLEST_DRIFT:
-                    yield remark(
-                        "cycles drift", subject=name, record=record.name, name=name,
-                        first=kelvin[0], first_cycle=mine[0].cycle, last=kelvin[-1],
-                        last_cycle=mine[-1].cycle,
-                    )
+                    yield remark("cycles drift", subject=name, record=record.name,
+                                 first=kelvin[0], first_cycle=mine[0].cycle, last=kelvin[-1],
+                                 last_cycle=mine[-1].cycle)

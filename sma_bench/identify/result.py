@@ -64,10 +64,6 @@ class Correlation:
     names: tuple[str, ...]
     matrix: Array
 
-    def to_json(self) -> dict[str, Any]:
-        """As in the contract, section 5."""
-        return {"names": list(self.names), "matrix": np.round(self.matrix, 6).tolist()}
-
 
 @dataclass(frozen=True)
 class Law:
@@ -93,22 +89,12 @@ class Experiment:
     correlation: Correlation | None = None  # of the errors of estimates which one fit gave together
     laws: tuple[Any, ...] = ()  # of the wire, best first, of LawFit: no file holds them
 
-    @property
-    def model(self) -> dict[str, str]:
-        """What names the model that the estimates are numbers of, where laws were weighed."""
-        own = self.laws[0].fit.parameters
-        return {name: own[name] for name in ("wire.law", "wire.convection")}
-
     def to_json(self) -> dict[str, Any]:
         """Everything but the curves."""
-        estimates, details = (
-            {name: e.to_json() for name, e in found.items()}
-            for found in (self.estimates, self.details)
-        )
-        return {
-            "name": self.name, "title": self.title, "source": self.source, "estimates": estimates,
-            "details": details, "findings": [finding.to_json() for finding in self.findings],
-        }
+        return {"name": self.name, "title": self.title, "source": self.source,
+                "estimates": {name: e.to_json() for name, e in self.estimates.items()},
+                "details": {name: e.to_json() for name, e in self.details.items()},
+                "findings": [finding.to_json() for finding in self.findings]}
 
 
 @dataclass(frozen=True, repr=False)
@@ -142,9 +128,7 @@ class Identification(Carded, Reported):
             raise refusal("nothing to predict from")
         from sma_bench.estimation.bands import predict
         from sma_bench.estimation.observation import observe
-
-        observation = observe(record, laws[0].fit.parameters)
-        return predict(laws, observation, probability)
+        return predict(laws, observe(record, laws[0].fit.parameters), probability)
 
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from, "" of none."""
@@ -172,27 +156,20 @@ class Identification(Carded, Reported):
     def linked(self) -> list[tuple[float, str, str]]:
         """Correlations of errors worth a line, the closest first, with the two names."""
         names, matrix = self.correlation.names, self.correlation.matrix
-        pairs = [
-            (float(matrix[i, j]), names[i], names[j])
-            for i in range(len(names)) for j in range(i) if abs(matrix[i, j]) > _TOGETHER
-        ]
+        close = np.argwhere(np.abs(np.tril(matrix, -1)) > _TOGETHER)
+        pairs = [(float(matrix[i, j]), names[i], names[j]) for i, j in close]
         return sorted(pairs, key=lambda pair: -abs(pair[0]))
 
     def to_json(self) -> dict[str, Any]:
         """The result file of the contract, section 5."""
-        law = {"law": asdict(self.law)} if self.law else {}
-        return {
-            "parameters": {
-                name: {**e.to_json(), "warnings": list(e.warnings)}
-                for name, e in self.estimates.items()
-            },
-            "fit": {name: asdict(one) for name, one in self.fit.items()},
-            "card": card_rows(self),
-            "correlation": self.correlation.to_json(),
-            "experiments": [experiment.to_json() for experiment in self.experiments],
-            "warnings": list(self.warnings),
-            **law,
-        }
+        matrix = np.round(self.correlation.matrix, 6).tolist()
+        correlation = {"names": list(self.correlation.names), "matrix": matrix}
+        return {"parameters": {name: {**e.to_json(), "warnings": list(e.warnings)}
+                               for name, e in self.estimates.items()},
+                "fit": {name: asdict(one) for name, one in self.fit.items()},
+                "card": card_rows(self), "correlation": correlation,
+                "experiments": [experiment.to_json() for experiment in self.experiments],
+                "warnings": list(self.warnings), **({"law": asdict(self.law)} if self.law else {})}
 
 
 @dataclass(frozen=True)
@@ -215,19 +192,13 @@ def identification_from(document: Any, where: str) -> Identification:
     try:
         numbers = np.array(matrix, dtype=np.float64).reshape(k, k)
     except (TypeError, ValueError):
-        wrong = f"correlation of {k} names is not as many rows and columns of numbers"
-        raise InputError(f"{where}: damaged result: {wrong}") from None
-    estimates = {
-        name: e if "informed" in document["parameters"][name] else replace(e, informed=np.nan)
-        for name, e in found.parameters.items()
-    }
-    return Identification(
-        Parameters.defaults(), estimates, found.experiments, (), found.fit,
-        Correlation(tuple(map(str, names)), numbers), found.warnings, where, law=found.law,
-    )
-
-
-# --- Remarks.
+        raise InputError(f"{where}: damaged result: correlation of {k} names is not as many rows "
+                         "and columns of numbers") from None
+    estimates = {name: e if "informed" in document["parameters"][name]
+                 else replace(e, informed=np.nan) for name, e in found.parameters.items()}
+    return Identification(Parameters.defaults(), estimates, found.experiments, (), found.fit,
+                          Correlation(tuple(map(str, names)), numbers), found.warnings, where,
+                          law=found.law)
 
 
 class _Words(string.Formatter):
@@ -243,10 +214,8 @@ class _Words(string.Formatter):
 
 
 @cache
-def _table() -> dict[str, dict[str, Any]]:
-    text = Path(__file__).with_name("remarks.yaml").read_text(encoding="utf-8")
-    found: dict[str, dict[str, Any]] = load_yaml(text)
-    return found
+def _table() -> Any:
+    return load_yaml(Path(__file__).with_name("remarks.yaml").read_text(encoding="utf-8"))
 
 
 def words(cause: str, **facts: object) -> str:
@@ -259,16 +228,13 @@ def refusal(cause: str, **facts: object) -> InputError:
     return InputError(words(cause, **facts))
 
 
-def remark(
-    cause: str, severity: Severity | None = None, subject: str = "",
-    numbers: Mapping[str, float] | None = None, **facts: Any,
-) -> Finding:
+def remark(cause: str, severity: Severity | None = None, subject: str = "",
+           numbers: Mapping[str, float] | None = None, **facts: Any) -> Finding:
     """The remark of a cause, its facts in SI units. `severity`, `subject`: other than the table's;
     `numbers`: for machines, else the facts that the table lists."""
     entry = _table()[cause]
+    subject = subject or entry["subject"]
     if numbers is None:
         numbers = {name: float(facts[name]) for name in entry.get("numbers", ())}
-    return Finding(
-        severity or entry.get("severity", "info"), subject or entry["subject"],
-        words(cause, **facts), dict(numbers),
-    )
+    text = words(cause, subject=subject, **facts)
+    return Finding(severity or entry.get("severity", "info"), subject, text, dict(numbers))

@@ -10,7 +10,7 @@ import numpy as np
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.unknowns import MATERIAL, PRODUCTS
-from sma_bench.findings import Finding
+from sma_bench.findings import Finding, Severity
 from sma_bench.identify.estimate import combine
 from sma_bench.identify.result import Correlation, Experiment, remark
 from sma_bench.identify.signals import AMBIENT, COEFFICIENT, SPECIFIC_HEAT
@@ -20,16 +20,12 @@ from sma_bench.parameters.parameters import NITI_DENSITY
 
 # Standard errors: that numbers differ, that a statement surprises, that two experiments do.
 SIGNIFICANT, _SURPRISING, _FAR_APART = 3.0, 3.5, 4.0
-_ORDER = tuple(
-    (TRANSITIONS[lower], TRANSITIONS[upper])
-    for lower, upper in (("A_s", "A_f"), ("M_f", "M_s"), ("M_s", "A_f"), ("M_f", "A_s"))
-)
+_ORDER = tuple((TRANSITIONS[lower], TRANSITIONS[upper])
+               for lower, upper in (("A_s", "A_f"), ("M_f", "M_s"), ("M_s", "A_f"), ("M_f", "A_s")))
 _NARROWEST, _PASSES = 0.2, 100  # K; of the pairs, which pull at each other
 _WRONG = 1.5  # a factor of h and c_p, which a camera's spot that is half filled shows in alone
-_BEHIND = {
-    "wire.mass": SPECIFIC_HEAT, "wire.surface_area": COEFFICIENT,
-    "wire.diameter": "Theta_T, C_A, C_M",
-}
+_BEHIND = {"wire.mass": SPECIFIC_HEAT, "wire.surface_area": COEFFICIENT,
+           "wire.diameter": "Theta_T, C_A, C_M"}
 _DENSITY_STD, _LENGTH_STD = 0.01, 0.005  # shares
 _TOLD = 0.1  # error of a factor, beyond which a split of the product is the priors'
 # A file states errors by two digits: one that is as large may be this measurement's own.
@@ -38,8 +34,8 @@ _ROUNDED = 1.06
 
 @dataclass
 class IdentificationRun:
-    """Results by experiment and by parameter, remarks, and reasons by experiment. `asked` is False
-    where nobody named the experiments: then slow ones wait to be asked for."""
+    """Results by experiment and parameter, remarks, and reasons by experiment. `asked` is False
+    where no experiment was named: then slow ones wait to be asked for."""
 
     given: Parameters
     wanted: frozenset[str]
@@ -74,12 +70,12 @@ class IdentificationRun:
         """An identified number, else the given one; a default nobody measured is remarked."""
         if name in self.estimates:
             return self.estimates[name]
-        value, std = self.given[name], self.given.std(name)
+        prior = Estimate(self.given[name], self.given.std(name), "", "given")
         cause = "taken from the file" if name in self.given.given else "taken from the table"
-        finding = remark(cause, subject=name, value=value, std=std)
+        finding = remark(cause, subject=name, value=prior.value, std=prior.std)
         if finding not in self.notes:
             self.notes.append(finding)
-        return Estimate(value, std, "", "given", 0)
+        return prior
 
     def join(self, name: str) -> None:
         """Put an experiment's estimates, joined over its records, among the results."""
@@ -91,43 +87,41 @@ class IdentificationRun:
                 # tangents, the cosines of a loaded wire, the joint fit of all.
                 apart = (own.value - other.value) / math.hypot(own.std, other.std)
                 cause = "taken instead" if abs(apart) <= SIGNIFICANT else "taken, but far"
-                self.notes.append(remark(
-                    cause, subject=parameter, own=own, name=name, deviations=apart, other=other
-                ))
+                self.notes.append(remark(cause, subject=parameter, own=own, name=name,
+                                         deviations=apart, other=other))
             self.estimates[parameter] = own
 
     def take_sharper(self, whole: Experiment | None) -> None:
         """Of what an experiment of its own and the whole model both tell, the sharper number
         counts. They may rest on the same samples, so they are not averaged. Of a product, whose
         other factor the experiment took as given, its number goes with that factor as found."""
-        told = whole.estimates if whole else {}
-        for name, estimate in told.items():
+        found = whole.estimates if whole else {}
+        for name, estimate in found.items():
             other = self.estimates.get(name)
-            if other is not None and (factor := told.get(PRODUCTS.get(name, ""))):
+            if other is None:
+                self.estimates[name] = estimate
+                continue
+            if factor := found.get(PRODUCTS.get(name, "")):
                 times = self.given[PRODUCTS[name]] / factor.value
                 shares = {source: times * share for source, share in other.shares.items()}
                 shares[PRODUCTS[name]] = -times * other.value * factor.relative_std
-                other = replace(
-                    other, value=times * other.value, std=times * other.statistical, systematic=0.0
-                ).with_shares(shares)
-                other = self.estimates[name] = replace(
-                    other, method=f"{other.method}; then {PRODUCTS[name]} is {factor.value:.4g}"
-                )
-            if other is not None:
-                apart = (estimate.value - other.value) / math.hypot(estimate.std, other.std)
-                if abs(apart) > _FAR_APART:
-                    self.notes.append(remark(
-                        "whole model differs", subject=name, e=estimate, deviations=apart,
-                        other=other,
-                    ))
-            if other is None or estimate.std < other.std:
+                words = f"{other.method}; then {PRODUCTS[name]} is {factor.value:.4g}"
+                own = replace(other, value=times * other.value, std=times * other.statistical,
+                              systematic=0.0, method=words)
+                other = self.estimates[name] = own.with_shares(shares)
+            apart = (estimate.value - other.value) / math.hypot(estimate.std, other.std)
+            if abs(apart) > _FAR_APART:
+                self.notes.append(remark("whole model differs", subject=name, e=estimate,
+                                         deviations=apart, other=other))
+            if estimate.std < other.std:
                 self.estimates[name] = estimate
 
     def improved(self) -> Parameters:
         """The given parameters with what is identified put in, as far as they may hold it."""
-        found, waiting = self.given, dict(self.estimates)
-        reasons: dict[str, str] = {}
-        if model := next((e.model for e in self.experiments if e.laws), None):
+        found, waiting, reasons = self.given, dict(self.estimates), dict[str, str]()
+        if laws := next((e.laws for e in self.experiments if e.laws), ()):
+            own = laws[0].fit.parameters
+            model = {name: own[name] for name in ("wire.law", "wire.convection")}
             values = {name: e.value for name, e in waiting.items()}
             std = {name: e.std for name, e in waiting.items()}
             with suppress(InputError):  # then one by one, what cannot be is named
@@ -143,9 +137,8 @@ class IdentificationRun:
                 else:
                     del waiting[name]
         for name, e in waiting.items():
-            self.notes.append(
-                remark("not given", subject=name, e=e, value=e.value, reason=reasons[name])
-            )
+            reason = reasons[name]
+            self.notes.append(remark("not given", subject=name, e=e, value=e.value, reason=reason))
             del self.estimates[name]
         return found
 
@@ -153,27 +146,26 @@ class IdentificationRun:
         """Join what was measured with what was stated of the same number: nothing is less sure than
         it was before. A surer measurement counts alone, made to replace what was stated; so does
         one beside a default that nobody stated. Whole-model fits have weighed the priors."""
-        told = [estimate for fit in fits if fit for estimate in fit.estimates.values()]
+        weighed = [estimate for fit in fits if fit for estimate in fit.estimates.values()]
         given, notes = self.given, self.notes
         for name, e in list(self.estimates.items()):
-            prior = Estimate(given[name], given.std(name), e.unit, "given", 0)
+            prior = Estimate(given[name], given.std(name), e.unit, "given")
             if name not in given.given:
                 if e.std > prior.std and BY_NAME[name].spread is not None:
                     notes.append(remark("no surer", subject=name, e=e, prior=prior))
                 continue
-            if any(e is one for one in told):
+            if any(e is one for one in weighed):
                 continue
             away = (e.value - prior.value) / max(math.hypot(e.std, prior.std), 1e-300)
             ratio = e.std / prior.std if prior.std > 0.0 else 0.0
             if ratio > _ROUNDED:
                 weight = 1.0 / (1.0 + ratio * ratio)
                 std = prior.std * math.sqrt(1.0 - weight)
+                value, shares = prior.value + weight * (e.value - prior.value), e.shares.items()
                 self.estimates[name] = replace(
-                    e, value=prior.value + weight * (e.value - prior.value), std=std,
-                    method=f"{e.method}, joined with what was known",
+                    e, value=value, std=std, method=f"{e.method}, joined with what was known",
                     systematic=min(weight * e.systematic, std), informed=weight,
-                    shares={source: weight * share for source, share in e.shares.items()},
-                )
+                    shares={source: weight * share for source, share in shares})
             elif ratio:
                 informed = 1.0 - min(ratio, 1.0) ** 2
                 self.estimates[name] = replace(e.capped(prior.std), informed=informed)
@@ -184,33 +176,24 @@ class IdentificationRun:
                 notes.append(remark("surprising", subject=name, e=e, prior=prior, deviations=away))
             of_stated = e.value / prior.value if name in (COEFFICIENT, SPECIFIC_HEAT) else 1.0
             if not 1.0 / _WRONG < of_stated < _WRONG:
-                notes.append(
-                    remark("camera off", subject=name, e=e, ratio=of_stated, stated=prior.value)
-                )
+                notes.append(remark("camera off", subject=name, e=e, ratio=of_stated, prior=prior))
         for name, factor in PRODUCTS.items():
             default = Estimate(given[factor], given.std(factor), BY_NAME[factor].unit)
             other = self.estimates.get(factor, default)
             known = factor in given.given or (other is not default and other.relative_std < _TOLD)
-            if name in self.estimates and not known:
-                notes.append(remark(
-                    "only a product", subject=name, factor=factor, e=self.estimates[name],
-                    other=other,
-                ))
-        if others := self.another_alloy():
-            shown = ", ".join(
-                f"{n} {self.estimates[n].value:.4g} +- {self.estimates[n].std:.2g} for "
-                f"{given[n]:.4g} {BY_NAME[n].unit}" for n in others
-            )
-            notes.append(remark("another alloy", shown=shown, contradicted=len(others)))
+            if (own := self.estimates.get(name)) and not known:
+                notes.append(remark("only a product", subject=name, factor=factor, e=own,
+                                    other=other))
+        if others := {n: self.estimates[n] for n in self.another_alloy()}:
+            each = (f"{n} {e.value:.4g} +- {e.std:.2g} for {given[n]:.4g} {BY_NAME[n].unit}"
+                    for n, e in others.items())
+            notes.append(remark("another alloy", shown=", ".join(each), contradicted=len(others)))
 
     def another_alloy(self) -> list[str]:
         """Numbers of the alloy that nobody stated and whose default the records contradict."""
-        found = []
-        for name in (n for n in MATERIAL if n in self.estimates and n not in self.given.given):
-            e = self.estimates[name]
-            error = math.hypot(e.std, BY_NAME[name].uncertainty or 0.0)
-            found += [name] if abs(e.value - self.given[name]) > SIGNIFICANT * error else []
-        return found
+        found = {n: e for n, e in self.estimates.items() if n not in self.given.given}
+        return [n for n in MATERIAL if (e := found.get(n)) and abs(e.value - self.given[n])
+                > SIGNIFICANT * math.hypot(e.std, BY_NAME[n].uncertainty or 0.0)]
 
     def keep_order(self, whole: Experiment | None) -> None:
         """A_f lies above A_s and M_s, and these above M_f: estimates that errors carried past each
@@ -219,10 +202,8 @@ class IdentificationRun:
         found = {n: e for n, e in self.estimates.items() if n in TRANSITIONS.values()}
         if whole and found and all(e is whole.estimates.get(n) for n, e in found.items()):
             return
-        known = {
-            n: (self.given[n], self.given.std(n))
-            for n in self.given.given.intersection(TRANSITIONS.values())
-        }
+        stated = self.given.given.intersection(TRANSITIONS.values())
+        known = {n: (self.given[n], self.given.std(n)) for n in stated}
         known |= {n: (e.value, e.std) for n, e in found.items()}
         for _ in range(_PASSES):
             for lower, upper in (pair for pair in _ORDER if known.keys() >= {*pair}):
@@ -233,14 +214,11 @@ class IdentificationRun:
                     known[lower] = low - share * short, low_std
                     known[upper] = high + (1.0 - share) * short, high_std
         for name, e in found.items():
-            moved = known[name][0] - e.value
-            if moved:
+            if moved := known[name][0] - e.value:
                 self.estimates[name] = replace(e, value=known[name][0])
-                far = abs(moved) > SIGNIFICANT * e.std
-                self.notes.append(remark(
-                    "moved", "warning" if far else "info", name, moved=moved,
-                    errors=abs(moved) / e.std,
-                ))
+                severity: Severity = "warning" if abs(moved) > SIGNIFICANT * e.std else "info"
+                errors = abs(moved) / e.std
+                self.notes.append(remark("moved", severity, name, moved=moved, errors=errors))
 
     def correlation(self) -> Correlation:
         """Of all errors; between experiments as far as the same sensors are behind them."""
@@ -248,17 +226,15 @@ class IdentificationRun:
         matrix = np.eye(len(names))
         for own in self.experiments:
             known = own.correlation.names if own.correlation else ()
-            chosen = [
-                (known.index(name), k) for k, name in enumerate(names)
-                if name in known and own.estimates.get(name) == self.estimates[name]
-            ]
+            chosen = [(known.index(name), k) for k, name in enumerate(names) if name in known
+                      and own.estimates.get(name) == self.estimates[name]]
             if chosen and own.correlation:
                 here, there = np.array(chosen).T
                 matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
         # Of an error the statistical part, and the parts that others share.
         std = np.array([max(e.std, 1e-300) for e in every])
-        own_parts = np.array([e.statistical for e in every]) / std
-        matrix = matrix * np.outer(own_parts, own_parts)
+        statistical = np.array([e.statistical for e in every]) / std
+        matrix = matrix * np.outer(statistical, statistical)
         for source in sorted({source for e in every for source in e.shares}):
             share = np.array([e.shares.get(source, 0.0) for e in every]) / std
             matrix += np.outer(share, share)
@@ -272,28 +248,19 @@ def about_wire(known: Parameters) -> list[Finding]:
     length = known["wire.length"]
     if not length:
         return []
-    mass, area, diameter = (known.std(name) / known[name] for name in _BEHIND)
-    by_mass = math.sqrt(4.0 * known["wire.mass"] / (math.pi * NITI_DENSITY * length))
-    found = {  # m, and its relative error
-        "wire.mass": (by_mass, 0.5 * math.hypot(mass, _DENSITY_STD, _LENGTH_STD)),
-        "wire.surface_area": (
-            known["wire.surface_area"] / (math.pi * length), math.hypot(area, _LENGTH_STD)
-        ),
-        "wire.diameter": (known["wire.diameter"], diameter),
-    }
-
-    def agree(one: str, other: str) -> bool:
-        (a, a_std), (b, b_std) = found[one], found[other]
-        return abs(math.log(a / b)) <= SIGNIFICANT * math.hypot(a_std, b_std)
-
+    mass, area, diameter = (known[name] for name in _BEHIND)
+    of_mass, of_area, of_diameter = (known.std(name) / known[name] for name in _BEHIND)
+    by_mass = math.sqrt(4.0 * mass / (math.pi * NITI_DENSITY * length))
+    found = {"wire.mass": (by_mass, 0.5 * math.hypot(of_mass, _DENSITY_STD, _LENGTH_STD)),
+             "wire.surface_area": (area / (math.pi * length), math.hypot(of_area, _LENGTH_STD)),
+             "wire.diameter": (diameter, of_diameter)}  # m, and its relative error
     # The odd one is that without which the other two agree; all are where that is none of them.
-    agreeing = [name for name in found if agree(*(n for n in found if n != name))]
-    if len(agreeing) == len(found):
-        return []
-    odd = agreeing or list(found)
+    agreeing = []
+    for name in found:
+        (a, a_std), (b, b_std) = (number for other, number in found.items() if other != name)
+        if abs(math.log(a / b)) <= SIGNIFICANT * math.hypot(a_std, b_std):
+            agreeing.append(name)
+    odd = (agreeing or found) if len(agreeing) < len(found) else ()
     shown = ", ".join(f"{d * 1e3:.4g} mm by {name}" for name, (d, _) in found.items())
-    return [
-        remark("wire's statements clash", subject=_BEHIND[name], length=length, shown=shown,
-               name=name)
-        for name in odd
-    ]
+    return [remark("wire's statements clash", subject=_BEHIND[name], length=length, shown=shown,
+                   name=name) for name in odd]

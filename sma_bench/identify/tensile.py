@@ -13,27 +13,20 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
+from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
 
-from sma_bench.arrays import Array
+from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.load_frame import find_pulls
 from sma_bench.estimation.noise_model import autocorrelation, inflation
 from sma_bench.findings import Finding
+from sma_bench.identify import estimate
 from sma_bench.identify.branches import Bins
-from sma_bench.identify.estimate import (
-    GAUGE,
-    SYMBOLS,
-    Line,
-    diameter_error,
-    mean_and_deviation,
-    mean_of_repeats,
-    scatter,
-    straight_line,
-)
+from sma_bench.identify.estimate import GAUGE, SYMBOLS, Line, scatter, straight_line
 from sma_bench.identify.result import Experiment, refusal, remark
 from sma_bench.identify.signals import about_length
 from sma_bench.parameters import Parameters
@@ -57,9 +50,6 @@ _REVERSAL = 0.03  # of the ranges of strain and stress, which both fall
 _ROWS = 60  # of a pull in a bag, each a mean
 _PARTS = 5
 _NOISE_OF_PARTS = 4.0 * 1.25 * _PARTS  # the median of their slopes, in standard errors of the whole
-
-
-# --- What one tensile curve shows: toe, elastic rises, plateau, unloading.
 
 
 class Rise(NamedTuple):
@@ -108,14 +98,11 @@ def read_curve(record: TensileRecord) -> TensileReading:
         """The steepest piece, joined with neighbours of nearly its slope."""
         if not chosen:
             return None
-        at = chosen.index(max(long(chosen), key=lambda p: lines[p].slope))
-        like = [lines[p].slope > _SAME_SLOPE * lines[chosen[at]].slope for p in chosen]
-        first, last = at, at
-        while first > 0 and like[first - 1]:
-            first -= 1
-        while last + 1 < len(chosen) and like[last + 1]:
-            last += 1
-        return chosen[first][0], chosen[last][1]
+        best = max(long(chosen), key=lambda p: lines[p].slope)
+        flatter = [p for p in chosen if not lines[p].slope > _SAME_SLOPE * lines[best].slope]
+        first = max((p[1] + 1 for p in flatter if p < best), default=chosen[0][0])
+        last = min((p[0] - 1 for p in flatter if p > best), default=chosen[-1][1])
+        return first, last
 
     def rise(piece: tuple[int, int]) -> Rise:
         low, high = float(x[piece[0]]), float(x[piece[1]])
@@ -128,16 +115,12 @@ def read_curve(record: TensileRecord) -> TensileReading:
     # The plateau: the longest run of flat pieces after the first steep one.
     steep = max(lines[p].slope for p in long(pieces))
     rising = [k for k, p in enumerate(pieces) if lines[p].slope > 0.5 * steep]
-    runs: list[tuple[int, int]] = []
-    for first, last in pieces[rising[0] :] if rising else ():
-        if lines[first, last].slope > _PLATEAU_SLOPE * steep:
-            continue
-        if runs and runs[-1][1] + 1 == first:
-            runs[-1] = (runs[-1][0], last)
-        else:
-            runs.append((first, last))
-    flat = [run for run in runs if x[run[1]] - x[run[0]] > _PLATEAU_STRAIN]
-    plateau = max(flat, key=lambda run: float(x[run[1]] - x[run[0]]), default=None)
+    later, limit = pieces[rising[0] :] if rising else [], _PLATEAU_SLOPE * steep
+    groups = groupby(later, lambda p: lines[p].slope > limit)
+    runs = [[*group] for is_steep, group in groups if not is_steep]
+    lengths = {(run[0][0], run[-1][1]): x[run[-1][1]] - x[run[0][0]] for run in runs}
+    flat = [run for run, length in lengths.items() if length > _PLATEAU_STRAIN]
+    plateau = max(flat, key=lengths.__getitem__, default=None)
     initial = steepest([p for p in pieces if plateau is None or p[1] < plateau[0]])
     if initial is None:
         raise InputError(f"{record.path}: no elastic rise before the plateau")
@@ -157,12 +140,10 @@ def read_curve(record: TensileRecord) -> TensileReading:
         chosen = np.flatnonzero(down[: int(np.argmax(down <= low)) + 1] <= high)
         if len(chosen) >= 5 and np.ptp(way[chosen]) > 0.0:
             unloading = _modulus(way[chosen], down[chosen])
-    a, b = initial
-    line = straight_line(x[a : b + 1], y[a : b + 1])
-    ends = [[x[k], float(lines[p](x[k]))] for p in pieces for k in p]
-    return TensileReading(
-        rise(initial), after, unloading, level, line.crossing(Line(0.0, 0.0, 0.0)), np.array(ends)
-    )
+    whole = slice(initial[0], initial[1] + 1)
+    toe = straight_line(x[whole], y[whole]).crossing(Line(0.0, 0.0, 0.0))
+    ends = np.array([[x[k], float(lines[p](x[k]))] for p in pieces for k in p])
+    return TensileReading(rise(initial), after, unloading, level, toe, ends)
 
 
 def _straight_pieces(x: Array, y: Array, tolerance: float) -> list[tuple[int, int]]:
@@ -176,32 +157,22 @@ def _straight_pieces(x: Array, y: Array, tolerance: float) -> list[tuple[int, in
         vxx, vxy, vyy = sxx - sx * sx / m, sxy - sx * sy / m, syy - sy * sy / m
         cost = np.maximum(vyy - np.where(vxx > 0.0, vxy * vxy / vxx, 0.0), 0.0)
     cost[m < _SHORTEST_PIECE] = np.inf
-
-    best = np.full((_MOST_PIECES + 1, n + 1), np.inf)
-    best[0, 0] = 0.0
-    origin = np.zeros((_MOST_PIECES + 1, n + 1), dtype=int)
-    for count in range(1, _MOST_PIECES + 1):
-        for end in range(_SHORTEST_PIECE, n + 1):
-            begins = slice(0, end - _SHORTEST_PIECE + 1)
-            totals = best[count - 1, begins] + cost[begins, end]
-            origin[count, end] = int(np.argmin(totals))
-            best[count, end] = totals[origin[count, end]]
-        if best[count, n] <= n * tolerance**2:
-            break
-    pieces: list[tuple[int, int]] = []
-    end = n
-    for k in range(count, 0, -1):
-        pieces.insert(0, (int(origin[k, end]), end - 1))
-        end = pieces[0][0]
-    return pieces
+    best, origins = np.append(0.0, np.full(n, np.inf)), list[IntArray]()
+    while best[n] > n * tolerance**2 and len(origins) < _MOST_PIECES:
+        totals = best[:, None] + cost
+        best, origins = totals.min(axis=0), [*origins, totals.argmin(axis=0)]
+    pieces, end = [], n
+    for origin in reversed(origins):
+        pieces.append((int(origin[end]), end - 1))
+        end = pieces[-1][0]
+    return pieces[::-1]
 
 
 def _modulus(strain: Array, stress: Array) -> Rise:
     """Slope, its error from coloured scatter, and from the curvature that halves would show."""
-    line, n = straight_line(strain, stress), len(strain)
+    line, n, bend = straight_line(strain, stress), len(strain), 0.0
     variance = line.slope_variance * inflation(autocorrelation([stress - line(strain)]))
     lower = strain <= 0.5 * (strain.min() + strain.max())
-    bend = 0.0
     if min(np.sum(lower), np.sum(~lower)) >= 8:
         low, high = (straight_line(strain[h], stress[h]).slope for h in (lower, ~lower))
         # Halves of noise alone differ by 4 sqrt(2) standard errors of the whole.
@@ -216,23 +187,14 @@ def _modulus(strain: Array, stress: Array) -> Rise:
     return Rise(line.slope, math.hypot(math.sqrt(variance), bend), n)
 
 
-# --- The experiment.
-
-
-def identify_tensile(
-    records: Sequence[TensileRecord], parameters: Parameters | None = None, *,
-    phases: Mapping[str, Phase] | None = None,
-) -> Experiment:
-    """Evaluate tensile tests of one material; tests of one phase are repeats.
-
-    `details` holds plateau stresses, toe, other rises; `curves` `<phase>/<file>/strain`, `/stress`
-    and `/pieces` (m, 2).
-
-    `parameters`: M_f and A_f of this wire, given or identified, which with the test's temperature
-    tell the phase, and its length and diameter where a file has elongation and force; defaults do
-    not count; `phases`: phase by file name or pattern of names, before everything else. Raises
-    InputError: no records, a test of unknown phase, or a curve without elastic part.
-    """
+def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | None = None, *,
+                     phases: Mapping[str, Phase] | None = None) -> Experiment:
+    """Evaluate tensile tests of one material; tests of one phase are repeats. `details` holds
+    plateau stresses, toe, other rises; `curves` `<phase>/<file>/strain`, `/stress` and `/pieces`
+    (m, 2). `parameters`: M_f and A_f of this wire, given or identified, which with the test's
+    temperature tell the phase, and its length and diameter where a file has elongation and force;
+    defaults do not count; `phases`: phase by file name or pattern of names, before everything else.
+    Raises InputError: no records, a test of unknown phase, or a curve without elastic part."""
     parameters = parameters or Parameters.defaults()
     if not records:
         raise InputError("tensile test: no records")
@@ -244,63 +206,50 @@ def identify_tensile(
         if not any(fnmatch(record.path.name, pattern) for record in records):
             names = ", ".join(record.path.name for record in records)
             raise InputError(f"phase of {pattern}: no such tensile test among {names}")
-    tests: dict[Phase, list[tuple[TensileRecord, TensileReading]]] = {}
-    curves: dict[str, Array] = {}
+    tests, curves = dict[Phase, list[tuple[TensileRecord, TensileReading]]](), dict[str, Array]()
     for record in records:
         phase, reading = _phase(record, phases or {}, parameters), read_curve(record)
         tests.setdefault(phase, []).append((record, reading))
-        stem = f"{phase}/{record.path.name}"
-        curves |= {
-            f"{stem}/strain": record.strain, f"{stem}/stress": record.stress,
-            f"{stem}/pieces": reading.pieces,
-        }
-    estimates: dict[str, Estimate] = {}
-    details: dict[str, Estimate] = {}
+        shown = {"strain": record.strain, "stress": record.stress, "pieces": reading.pieces}
+        curves |= {f"{phase}/{record.path.name}/{kind}": curve for kind, curve in shown.items()}
+    estimates, details = dict[str, Estimate](), dict[str, Estimate]()
+    of_gauge, of_section = parameters.std(GAUGE), 2.0 * estimate.diameter_error(parameters)
     for phase, group in tests.items():
         symbol, (part, rises) = SYMBOL[phase], _chosen(phase, group, findings)
-        value, *errors = mean_of_repeats([(rise.modulus, rise.std) for rise in rises])
+        value, *errors = estimate.mean_of_repeats([(rise.modulus, rise.std) for rise in rises])
         kelvin = [record.temperature for record, _ in group if record.temperature]
         at = f" at {np.mean(kelvin):.2f} K" if kelvin else ""
         repeats = f"mean of {len(rises)} tests" if len(rises) > 1 else "one test"
-        estimates[SYMBOLS[symbol]] = Estimate(
-            value, math.hypot(*errors), "Pa", f"slope on {part}{at}, {repeats}",
-            sum(r.n for r in rises),
-        ).with_shares({
-            GAUGE: -parameters.std(GAUGE) * value,
-            "wire.diameter": -2.0 * diameter_error(parameters) * value,
-        })
+        method, n = f"slope on {part}{at}, {repeats}", sum(r.n for r in rises)
+        shares = {GAUGE: -of_gauge * value, "wire.diameter": -of_section * value}
+        modulus = Estimate(value, math.hypot(*errors), "Pa", method, n)
+        estimates[SYMBOLS[symbol]] = modulus.with_shares(shares)
         low, high = _NITI_MODULUS[phase]
         if not low <= value <= high:
-            findings.append(
-                remark("no NiTi's modulus", symbol=symbol, modulus=value, low=low, high=high)
-            )
+            findings.append(remark("no NiTi's modulus", symbol=symbol, modulus=value, low=low,
+                                   high=high))
 
         # Everything else that the curves show, as mean and deviation of the tests.
         every = [reading for _, reading in group]
         plateaus = [r.plateau for r in every if r.plateau]
         flat, toe = "longest flat part", "first rise extended to zero stress"
-        shown: list[tuple[str, str, str, list[Rise]]] = [
+        more: list[tuple[str, str, str, list[Rise]]] = [
             (f"{symbol} before the plateau", "Pa", "slope", [r.initial for r in every]),
             (f"{symbol} after the plateau", "Pa", "slope", [r.after for r in every if r.after]),
             (f"{symbol} on unloading", "Pa", "slope", [r.unloading for r in every if r.unloading]),
+            *((f"{phase} plateau {what}", unit, flat, [Rise(p[k], 0.0, 1) for p in plateaus])
+              for k, (what, unit) in enumerate((("begin", "1"), ("end", "1"), ("stress", "Pa")))),
+            (f"{phase} toe", "1", toe, [Rise(r.toe, 0.0, 1) for r in every]),
         ]
-        shown += [
-            (f"{phase} plateau {what}", unit, flat, [Rise(p[k], 0.0, 1) for p in plateaus])
-            for k, (what, unit) in enumerate((("begin", "1"), ("end", "1"), ("stress", "Pa")))
-        ]
-        shown.append((f"{phase} toe", "1", toe, [Rise(r.toe, 0.0, 1) for r in every]))
-        for name, unit, method, found in shown:
-            if found:
-                mean = mean_and_deviation([one[:2] for one in found])
-                details[name] = Estimate(*mean, unit, method, sum(one.n for one in found))
+        for name, unit, method, found in (one for one in more if one[-1]):
+            mean = estimate.mean_and_deviation([one[:2] for one in found])
+            details[name] = Estimate(*mean, unit, method, sum(one.n for one in found))
     # Martensite that is stiffer than austenite: the tests' phases are probably swapped.
     soft, stiff = (estimates.get(SYMBOLS[SYMBOL[phase]]) for phase in ("martensite", "austenite"))
     if soft and stiff and soft.value - stiff.value > 3.0 * math.hypot(soft.std, stiff.std):
         findings.append(remark("moduli swapped", E_M=soft.value, E_A=stiff.value))
-    return Experiment(
-        "E7", "Tensile tests (Fig. 9, Table III)", estimates, tuple(findings), curves,
-        "; ".join(str(record.path) for record in records), details,
-    )
+    return Experiment("E7", "Tensile tests (Fig. 9, Table III)", estimates, tuple(findings), curves,
+                      "; ".join(str(record.path) for record in records), details)
 
 
 def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord:
@@ -310,52 +259,48 @@ def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord
         raise InputError(f"{record.path}: elongation instead of strain, give wire.length")
     if record.is_force and "wire.diameter" not in parameters.given:
         raise InputError(f"{record.path}: force instead of stress, give wire.diameter")
-    length = wire_length(parameters) if record.is_extension else 1.0
-    section = wire_section(parameters) if record.is_force else 1.0
-    about = [about_length(parameters)] if record.is_extension else []
-    return replace(
-        record, strain=record.strain / length, stress=record.stress / section,
-        findings=(*record.findings, *about), is_extension=False, is_force=False,
-    )
+    strain, stress, findings = record.strain, record.stress, record.findings
+    if record.is_extension:
+        strain, findings = strain / wire_length(parameters), (*findings, about_length(parameters))
+    if record.is_force:
+        stress = stress / wire_section(parameters)
+    return replace(record, strain=strain, stress=stress, findings=findings, is_extension=False,
+                   is_force=False)
 
 
 def _phase(record: TensileRecord, phases: Mapping[str, Phase], parameters: Parameters) -> Phase:
     """What was asked for, what the file says, or what the wire's own temperatures tell."""
-    asked = [phase for pattern, phase in phases.items() if fnmatch(record.path.name, pattern)]
-    if len(set(asked)) > 1:
-        raise InputError(f"{record.path}: said to be {' and to be '.join(dict.fromkeys(asked))}")
-    if asked:
-        return asked[0]
-    if record.phase is not None:
-        return record.phase
-    give = f"give --phase {record.path.name}=martensite or =austenite"
-    kelvin = record.temperature
+    path, kelvin = record.path, record.temperature
+    asked = dict.fromkeys(phase for name, phase in phases.items() if fnmatch(path.name, name))
+    if len(asked) > 1:
+        raise InputError(f"{path}: said to be {' and to be '.join(asked)}")
+    if known := next(iter(asked), record.phase):
+        return known
+    give = f"give --phase {path.name}=martensite or =austenite"
     if kelvin is None:
-        raise refusal("phase without temperature", path=record.path, give=give)
+        raise refusal("phase without temperature", path=path, give=give)
     own = {phase: parameters[name] for phase, name in _FINISH.items() if name in parameters.given}
     if kelvin <= own.get("martensite", -math.inf):
         return "martensite"
     if kelvin >= own.get("austenite", math.inf):
         return "austenite"
     cause = "phase in between" if len(own) == len(_FINISH) else "phase of an unknown wire"
-    raise refusal(cause, path=record.path, kelvin=kelvin, give=give, **own)
+    raise refusal(cause, path=path, kelvin=kelvin, give=give, **own)
 
 
-def _chosen(
-    phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]], findings: list[Finding]
-) -> tuple[str, list[Rise]]:
+def _chosen(phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]],
+            findings: list[Finding]) -> tuple[str, list[Rise]]:
     """Which part of the curves is the modulus, and that part of every test that shows it."""
     initial = [reading.initial for _, reading in group]
     if phase == "austenite":
         return "loading before the plateau", initial
     after = [reading.after for _, reading in group if reading.after is not None]
-    for record, reading in group:
-        if reading.after is None:
-            where = "shows no detwinning plateau"
-            if reading.plateau:
-                where = f"ends on the detwinning plateau at {reading.plateau[1]:.2%}"
-            cause = "left out" if after else "no rise after the plateau"
-            findings.append(remark(cause, name=record.path.name, where=where))
+    cause = "left out" if after else "no rise after the plateau"
+    for record, reading in ((record, own) for record, own in group if own.after is None):
+        where = "shows no detwinning plateau"
+        if reading.plateau:
+            where = f"ends on the detwinning plateau at {reading.plateau[1]:.2%}"
+        findings.append(remark(cause, name=record.path.name, where=where))
     if after:
         return "loading after detwinning (xi = 1 with all of eps_L in it)", after
     return "loading before detwinning ends", initial
@@ -372,7 +317,7 @@ def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord
     thermometer = next((name for name in names if has_samples(record, name)), None)
     if len(wires) > 1 or (heated and thermometer is None):
         return ()
-    tests = []
+    tests, length, section = [], wire_length(parameters), channel_section(parameters)
     for number, (start, stop) in enumerate(find_pulls(record), 1):
         time, elongation = samples(record, "elongation")
         force = np.interp(time, *samples(record, "force"))
@@ -388,11 +333,7 @@ def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord
                 continue
             kelvin = float(np.mean(means))
         rows = [row for row in np.array_split(inside, _ROWS) if len(row)]
-        strain, stress = (
-            np.array([values[row].mean() for row in rows]) / unit
-            for values, unit in (
-                (elongation, wire_length(parameters)), (force, channel_section(parameters))
-            )
-        )
+        strain = np.array([elongation[row].mean() for row in rows]) / length
+        stress = np.array([force[row].mean() for row in rows]) / section
         tests.append(TensileRecord(record.path / f"pull {number}", strain, stress, kelvin))
     return tuple(tests)

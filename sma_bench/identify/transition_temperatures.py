@@ -30,7 +30,6 @@ _SAME_RATE = 0.05  # share of a rate
 _SIGNIFICANT = 3.0  # standard errors
 _SMALLEST_SHIFT = 2.0  # K
 _STAYS = 0.25  # of the largest shift: cooling that moves by less stays
-
 _GRID = 0.05  # K
 # A ruler follows the flank over a few kelvins, not at a point: kinks of 1 K do not turn it. The
 # first choices are reported, the others tell their error.
@@ -47,42 +46,32 @@ _SIGMOID_PASSES = 8
 
 class Scan(NamedTuple):
     """One scan with a whole peak: record by position, cycle from 1 among the scans of its kind,
-    rate in K/s, positive. `values` (value, std) in K of those of A_s ... M_f that it shows;
-    `details` and `curves` what else it gives; `peaks` in K, the largest first."""
+    rate in K/s and in K/min, positive. `values` (value, std) in K of those of A_s ... M_f that it
+    shows; `details` and `curves` what else it gives; `peaks` in K, the largest first."""
 
     run: int
     segment: DscSegment
     cycle: int
     rate: float
+    per_minute: float
     values: dict[str, tuple[float, float]]
     details: dict[str, Estimate]
     curves: dict[str, Array]
     peaks: tuple[float, ...]
 
-    @property
-    def per_minute(self) -> float:
-        """K/min, positive."""
-        return self.rate * 60.0
-
-
-# --- The tangent method on one scan.
-
 
 def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> Scan:
-    """Onset and finish by tangents, peaks, and the area over a baseline.
-
-    The tangents touch the outermost flank on either side: where a transformation goes in steps
-    (an R-phase, a mixed powder) it starts with the first and ends with the last of them.
-
-    Raises InputError: too short, nothing straight at its beginning, or no peak stands out.
-    """
+    """Onset and finish by tangents, peaks, and the area over a baseline. The tangents touch the
+    outermost flank on either side: where a transformation goes in steps (an R-phase, a mixed
+    powder) it starts with the first and ends with the last of them. Raises InputError: too short,
+    nothing straight at its beginning, or no peak stands out."""
     # Heating takes the latent heat up, cooling gives it back: the peak shall point upward.
     upward = (segment.kind == "heating") == (record.endothermic_up is not False)
     flow = (1.0 if upward else -1.0) * record.specific_heat_flow(segment)
     time, temperature = segment.time, segment.temperature
-    if len(time) < 100 or np.ptp(temperature) < 4.0 * _BASELINE:
-        span = np.ptp(temperature)
-        raise refusal("short scan", n=len(time), span=span, least=4.0 * _BASELINE)
+    span, least = np.ptp(temperature), 4.0 * _BASELINE
+    if len(time) < 100 or span < least:
+        raise refusal("short scan", n=len(time), span=span, least=least)
     # An even grid of the furthest temperature so far: an instrument's start and noise turn back.
     spread = _LARGEST_NOISE * scatter(flow)
     sign = 1.0 if temperature[-1] > temperature[0] else -1.0
@@ -103,7 +92,6 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     else:
         raise refusal("scan never settles", width=_BASELINE, longest=_LONGEST_START_UP)
     t, flow = sign * steps[first:], flow[first:]
-
     height, noise = float(np.ptp(flow)), float(np.std(np.diff(flow, 2))) / math.sqrt(6.0)
     if height < _SMALLEST_PEAK * noise or height <= 0.0:
         raise InputError(f"DSC scan: no peak, its {height:.3g} W/kg are noise")
@@ -129,33 +117,30 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     heat, plain = (float(np.sum(flow - b)) * _GRID / measured_rate for b in (base, chord))
 
     from scipy.signal import find_peaks  # half a second to load
-
     found, _ = find_peaks(flow - base, prominence=_PEAK_PROMINENCE * height)
     between = found[(t[found] - begin) * (t[found] - end) < 0.0]
     peaks = tuple(t[between[np.argsort(-(flow - base)[between])]].tolist())
 
     # Its numbers, and everything that a figure needs; lines are cut to where they touch the scan.
-    rate, key = abs(segment.rate), f"segment_{segment.number}"
-    where = f"{segment.kind}, {rate * 60.0:g} K/min, cycle {cycle}"
+    rate, per_minute = abs(segment.rate), abs(segment.rate) * 60.0
+    where = f"{segment.kind}, {per_minute:g} K/min, cycle {cycle}"
     details, top = {}, float(np.max(flow))
-    curves = {f"{key}/temperature": t, f"{key}/heat_flow": flow, f"{key}/base": base}
+    curves = {"temperature": t, "heat_flow": flow, "base": base}
     for name, far, inward in (("start", 0, sign), ("finish", -1, -sign)):
         kelvin, std, baseline, tangent, _ = ends[name]
-        details[f"{key}/{name}"] = Estimate(kelvin, std, "K", f"tangent, {where}", n)
-        reach = np.array([0.0, (top - float(baseline(np.array(kelvin)))) / tangent.slope])
-        for what, line, x in (
-            ("baseline", baseline, np.array([t[far], kelvin + 5.0 * inward])),
-            ("tangent", tangent, kelvin + reach),
-        ):
-            curves |= {f"{key}/{name}/{what}_temperature": x, f"{key}/{name}/{what}": line(x)}
-    details[f"{key}/latent_heat"] = Estimate(
-        heat, max(abs(heat - plain), 0.01 * heat), "J/kg", f"area over a baseline, {where}", n
-    )
+        details[name] = Estimate(kelvin, std, "K", f"tangent, {where}", n)
+        rise = top - float(baseline(np.array(kelvin)))
+        x = np.array([t[far], kelvin + 5.0 * inward])
+        curves |= {f"{name}/baseline_temperature": x, f"{name}/baseline": baseline(x)}
+        x = kelvin + np.array([0.0, rise / tangent.slope])
+        curves |= {f"{name}/tangent_temperature": x, f"{name}/tangent": tangent(x)}
+    std = max(abs(heat - plain), 0.01 * heat)
+    details["latent_heat"] = Estimate(heat, std, "J/kg", f"area over a baseline, {where}", n)
     for k, peak in enumerate(peaks, 1):
-        name = f"{key}/peak_{k}" if k > 1 else f"{key}/peak"
+        name = f"peak_{k}" if k > 1 else "peak"
         details[name] = Estimate(peak, 0.1, "K", f"maximum over the baseline, {where}", n)
     values = dict(zip(_ENDS[segment.kind], [found[:2] for found in ends.values()], strict=True))
-    return Scan(run, segment, cycle, rate, values, details, curves, peaks)
+    return Scan(run, segment, cycle, rate, per_minute, values, details, curves, peaks)
 
 
 def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Line, float]:
@@ -163,7 +148,6 @@ def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Li
     noise stays within `spread`: K, its error from other smoothings and baselines, baseline,
     tangent, and K to which that is fitted."""
     from scipy.signal import find_peaks, savgol_filter  # half a second to load
-
     # Lines through the scan's beginning, extended while the scan stays on them.
     height, shortest, baselines = float(np.ptp(flow)), round(_BASELINE / _GRID), []
     for factor in _FACTORS:
@@ -201,55 +185,53 @@ def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Li
     return temperature, max(spread, 2.0 * _GRID), baseline, tangents[0], extent
 
 
-# --- Runs, cycles and heating rates: Table II, prestrain, and onsets at zero rate.
-
-
 def identify_transition_temperatures(records: Sequence[DscRecord] | DscRecord) -> Experiment:
-    """A_s, A_f, M_s and M_f, stress free, from one DSC run or several of the same material.
-
-    Estimates come from the cycles after the first (the first one only where there is no other),
-    extrapolated to zero rate where several runs have two rates or more. In one run whose rates
-    differ, rate and cycle change together: its slowest scan counts, the largest difference to the
-    others is in the error. `details` holds "cycle 1, 5 K/min: A_s" and so on (Table II), "A_s at
-    zero rate", "A_s lag" in s, and of every scan "<file>/segment_N/..." (without the file in one
-    run of several rates): start, finish, peak in K and latent_heat in J/kg; `curves` its heat flow
-    in W/kg (transformation upward) over temperature in K with baselines and tangents.
-
-    Raises InputError: no record, or one without a whole peak.
-    """
+    """A_s, A_f, M_s and M_f, stress free, from one DSC run or several of the same material: from
+    the cycles after the first (the first one only where there is no other), extrapolated to zero
+    rate where several runs have two rates or more. In one run whose rates differ, rate and cycle
+    change together: its slowest scan counts, the largest difference to the others is in the error.
+    `details` holds "cycle 1, 5 K/min: A_s" and so on (Table II), "A_s at zero rate", "A_s lag" in
+    s, and of every scan "<file>/segment_N/..." (without the file in one run of several rates):
+    start, finish, peak in K and latent_heat in J/kg; `curves` its heat flow in W/kg (transformation
+    upward) over temperature in K with baselines and tangents. Raises InputError: no record, or one
+    without a whole peak."""
     runs = [records] if isinstance(records, DscRecord) else list(records)
     if not runs:
         raise InputError("DSC: no records")
-    findings: list[Finding] = []
-    scans: list[Scan] = []
+    findings, scans, rates = list[Finding](), list[Scan](), set[float]()
     for place, run in enumerate(runs):
-        own, problems = _scans_of(place, run)
+        own, problems, cycles = list[Scan](), list[Finding](), {"heating": 0, "cooling": 0}
+        driven = [s for s in run.segments if s.kind != "isothermal"]
+        rates |= {round(abs(s.rate) * 60.0, 1) for s in driven}
+        if run.endothermic_up is None and driven:
+            problems.append(remark("endothermic which way"))
+        for segment in driven:
+            kind, number = segment.kind, segment.number
+            cycles[kind] += 1
+            try:
+                own.append(_read_scan(place, run, segment, cycles[kind]))
+            except InputError as error:
+                problems.append(remark("scan left out", number=number, kind=kind, error=error))
+        if not own:
+            why = f" ({problems[0].text})" if problems else ""
+            raise InputError(f"{run.path}: no heating or cooling scan with a whole peak{why}")
         findings += [*run.findings, *problems, *_prestrain(run, own)]
         scans += own
-    driven = [s for run in runs for s in run.segments if s.kind != "isothermal"]
-    mixed = len(runs) == 1 and len({round(abs(s.rate) * 60.0, 1) for s in driven}) > 1
+    mixed = len(runs) == 1 and len(rates) > 1
     if mixed:
         findings.append(remark("rates and cycles of one run"))
-
-    estimates: dict[str, Estimate] = {}
-    details: dict[str, Estimate] = {}
-    curves: dict[str, Array] = {}
+    estimates, details, curves = dict[str, Estimate](), dict[str, Estimate](), dict[str, Array]()
     for name, parameter in TRANSITIONS.items():
         seen = [s for s in scans if name in s.values]
-        if not seen:
-            continue
-        if mixed:
+        if seen and mixed:
             chosen = min(seen, key=lambda s: (s.per_minute, -s.cycle))
             value, std = chosen.values[name]
-            apart = max(abs(s.values[name][0] - value) for s in seen)
-            method = (
-                "baseline against the steepest tangent of the outermost flank, "
-                f"{chosen.per_minute:g} K/min, cycle {chosen.cycle}"
-            )
-            estimates[parameter] = Estimate(
-                value, math.hypot(std, apart), "K", method, len(seen)
-            ).with_shares(_instrument(chosen.rate))
-        else:
+            std = math.hypot(std, max(abs(s.values[name][0] - value) for s in seen))
+            method = ("baseline against the steepest tangent of the outermost flank, "
+                      f"{chosen.per_minute:g} K/min, cycle {chosen.cycle}")
+            slowest = Estimate(value, std, "K", method, len(seen))
+            estimates[parameter] = slowest.with_shares(_instrument(chosen.rate))
+        elif seen:
             estimates[parameter], lag = _at_zero_rate(name, seen, findings)
             if lag is not None:
                 details |= {f"{name} at zero rate": estimates[parameter], f"{name} lag": lag}
@@ -257,53 +239,24 @@ def identify_transition_temperatures(records: Sequence[DscRecord] | DscRecord) -
         findings.append(remark("no scan of a kind", missing=" and ".join(missing)))
     heated, cooled = (estimates.get(TRANSITIONS[name]) for name in ("A_s", "M_s"))
     if heated and cooled and cooled.value > heated.value:
-        findings.append(remark(
-            "ranges overlap", cooled=cooled.value, heated=heated.value,
-            overlap=cooled.value - heated.value,
-        ))
+        a_s, m_s = heated.value, cooled.value
+        findings.append(remark("ranges overlap", cooled=m_s, heated=a_s, overlap=m_s - a_s))
     for s in scans:
+        number = s.segment.number
         of_run = f"run {s.run + 1}, " if len(runs) > 1 else ""
-        file = "" if mixed else f"{runs[s.run].path.name}/"
-        for name, (value, std) in s.values.items():
-            details[f"{of_run}cycle {s.cycle}, {s.per_minute:g} K/min: {name}"] = Estimate(
-                value, std, "K", f"tangent, segment {s.segment.number}", 1
-            )
-        details |= {f"{file}{key}": number for key, number in s.details.items()}
-        curves |= {f"{file}{key}": curve for key, curve in s.curves.items()}
+        stem = f"{'' if mixed else runs[s.run].path.name + '/'}segment_{number}"
+        for name, found in s.values.items():
+            words = f"{of_run}cycle {s.cycle}, {s.per_minute:g} K/min: {name}"
+            details[words] = Estimate(*found, "K", f"tangent, segment {number}", 1)
+        details |= {f"{stem}/{key}": value for key, value in s.details.items()}
+        curves |= {f"{stem}/{key}": curve for key, curve in s.curves.items()}
         if len(s.peaks) > 1:
-            findings.append(remark(
-                "steps of transformation", numbers={"peaks": float(len(s.peaks))},
-                number=s.segment.number, kind=s.segment.kind,
-                peaks=", ".join(f"{peak:.1f}" for peak in sorted(s.peaks)),
-            ))
-    source = "; ".join(
-        f"{run.path}: {run.sample or 'sample'}, {run.mass * 1e6:.1f} mg" for run in runs
-    )
-    return Experiment(
-        "E5", "Transition temperatures", estimates, tuple(findings), curves, source, details
-    )
-
-
-def _scans_of(place: int, run: DscRecord) -> tuple[list[Scan], list[Finding]]:
-    """The scans of one run that show a whole peak, and why others do not."""
-    scans: list[Scan] = []
-    problems: list[Finding] = []
-    cycles = {"heating": 0, "cooling": 0}
-    driven = [s for s in run.segments if s.kind != "isothermal"]
-    if run.endothermic_up is None and driven:
-        problems.append(remark("endothermic which way"))
-    for segment in driven:
-        cycles[segment.kind] += 1
-        try:
-            scans.append(_read_scan(place, run, segment, cycles[segment.kind]))
-        except InputError as error:
-            problems.append(
-                remark("scan left out", number=segment.number, kind=segment.kind, error=error)
-            )
-    if not scans:
-        why = f" ({problems[0].text})" if problems else ""
-        raise InputError(f"{run.path}: no heating or cooling scan with a whole peak{why}")
-    return scans, problems
+            peaks, count = ", ".join(f"{peak:.1f}" for peak in sorted(s.peaks)), float(len(s.peaks))
+            findings.append(remark("steps of transformation", numbers={"peaks": count},
+                                   number=number, kind=s.segment.kind, peaks=peaks))
+    each = (f"{run.path}: {run.sample or 'sample'}, {run.mass * 1e6:.1f} mg" for run in runs)
+    return Experiment("E5", "Transition temperatures", estimates, tuple(findings), curves,
+                      "; ".join(each), details)
 
 
 def _instrument(rate: float) -> dict[str, float]:
@@ -311,16 +264,15 @@ def _instrument(rate: float) -> dict[str, float]:
     return {"calorimeter": _CALORIMETER_STD, "lag of the sample": _LAG_STD * rate}
 
 
-def _at_zero_rate(
-    name: str, seen: Sequence[Scan], findings: list[Finding]
-) -> tuple[Estimate, Estimate | None]:
+def _at_zero_rate(name: str, seen: Sequence[Scan],
+                  findings: list[Finding]) -> tuple[Estimate, Estimate | None]:
     """The estimate, and the lag (K per K/s, so s) where several rates were run."""
     used = [s for s in seen if s.cycle > 1] or list(seen)
     rate, n = np.array([s.rate for s in used]), len(used)
     if np.ptp(rate) <= _SAME_RATE * rate.max():
         mean, *errors = mean_of_repeats([s.values[name] for s in used])
-        cycle = "cycle " + ", ".join(str(s.cycle) for s in used)
-        method = f"tangents, {rate[0] * 60.0:g} K/min, {cycle}"
+        cycles = ", ".join(str(s.cycle) for s in used)
+        method = f"tangents, {rate[0] * 60.0:g} K/min, cycle {cycles}"
         estimate = Estimate(mean, math.hypot(*errors), "K", method, n)
         return estimate.with_shares(_instrument(float(rate[0]))), None
     value, std = np.array([s.values[name] for s in used]).T
@@ -328,12 +280,10 @@ def _at_zero_rate(
     shown = ", ".join(f"{r:g}" for r in sorted({round(r * 60.0, 3) for r in rate.tolist()}))
     method = f"tangents at {shown} K/min, extrapolated to zero rate"
     (zero, slope), (zero_std, slope_std) = fit.beta.tolist(), fit.std.tolist()
-    kind = seen[0].segment.kind
-    if (-slope if kind == "heating" else slope) > _SIGNIFICANT * slope_std:
-        findings.append(
-            remark("lag the wrong way", subject=name, lag=slope, std=slope_std, kind=kind)
-        )
     lag = Estimate(slope, slope_std, "s", "change of onset with rate", n)
+    facts = {"lag": slope, "std": slope_std, "kind": seen[0].segment.kind}
+    if (-slope if facts["kind"] == "heating" else slope) > _SIGNIFICANT * slope_std:
+        findings.append(remark("lag the wrong way", subject=name, **facts))
     return Estimate(zero, zero_std, "K", method, n).with_shares(_instrument(0.0)), lag
 
 
@@ -346,19 +296,14 @@ def _prestrain(run: DscRecord, scans: Sequence[Scan]) -> list[Finding]:
         if first and second and abs(first.rate - second.rate) <= _SAME_RATE * first.rate:
             (a, a_std), (b, b_std) = first.values[name], second.values[name]
             shifts[name] = (b - a, math.hypot(a_std, b_std))
-    moved = sorted(
-        n for n, (d, s) in shifts.items() if abs(d) > max(_SIGNIFICANT * s, _SMALLEST_SHIFT)
-    )
-    if not moved:
+    large = {n for n, (d, s) in shifts.items() if abs(d) > max(_SIGNIFICANT * s, _SMALLEST_SHIFT)}
+    if not large:
         return []
-    falls = [n for n in ("A_s", "A_f") if n in moved and shifts[n][0] < 0.0]
-    largest = max(abs(d) for d, _ in shifts.values())
-    cooling = max((abs(shifts[n][0]) for n in ("M_s", "M_f") if n in shifts), default=0.0)
-    prestrained = falls and cooling < _STAYS * largest
-    return [remark(
-        "prestrain" if prestrained else "sample still trains", path=run.path,
-        subject="prestrain" if prestrained else ", ".join(moved),
-        numbers={n: d for n, (d, _) in shifts.items()}, moved=", ".join(moved),
-        listed=", ".join(f"{n} {d:+.2f} +- {s:.2f} K" for n, (d, s) in shifts.items()),
-        falls=" and ".join(falls),
-    )]
+    falls = [n for n in ("A_s", "A_f") if n in large and shifts[n][0] < 0.0]
+    numbers, moved = {n: d for n, (d, _) in shifts.items()}, ", ".join(sorted(large))
+    cooling = max((abs(numbers[n]) for n in ("M_s", "M_f") if n in shifts), default=0.0)
+    prestrained = falls and cooling < _STAYS * max(map(abs, numbers.values()))
+    return [remark("prestrain" if prestrained else "sample still trains",
+                   path=run.path, moved=moved, subject="prestrain" if prestrained else moved,
+                   numbers=numbers, falls=" and ".join(falls),
+                   listed=", ".join(f"{n} {d:+.2f} +- {s:.2f} K" for n, (d, s) in shifts.items()))]
