@@ -1,4 +1,4 @@
-"""Parameters from records, one file an experiment of the paper."""
+"""Parameters from records, a file an experiment of the paper, or those that a staircase tells."""
 
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.identify.identification import EXPERIMENTS, identify

@@ -17,28 +17,26 @@ from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.findings import Finding
-from sma_bench.identify import signals
+from sma_bench.identify import signals, staircases, whole_model
+from sma_bench.identify.constitutive import fit_constitutive
 from sma_bench.identify.estimate import SYMBOLS, combine
-from sma_bench.identify.heat_transfer import GAIN, coefficient, identify_heat_transfer
-from sma_bench.identify.resistance import heated, identify_resistance
+from sma_bench.identify.isobaric import identify_isobaric, isobaric_tests
 from sma_bench.identify.result import Experiment, Identification, Law, SignalFit, remark
 from sma_bench.identify.run import SIGNIFICANT, IdentificationRun, about_wire
+from sma_bench.identify.specific_heat import Drives, HeatLoss, identify_specific_heat
+from sma_bench.identify.tensile import identify_tensile, tensile_tests
+from sma_bench.identify.transition_temperatures import identify_transition_temperatures
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.progress import Report, by_name, part, silent
 from sma_bench.records import DscRecord, Record
+from sma_bench.records import record as record_module
 from sma_bench.records.check import check_record
 from sma_bench.records.instruments import IsobaricRecord, Phase, TensileRecord
 from sma_bench.records.mend import comparable, mended
 from sma_bench.records.open import AnyRecord, account_line
-from sma_bench.records.record import (
-    as_calibrated,
-    as_driven,
-    has_samples,
-    require_distinct,
-    samples,
-)
+from sma_bench.records.record import has_samples, samples
 
 NEEDS = {
     "E0": "E0 any voltage that changes, with current or temperature",
@@ -53,52 +51,41 @@ NEEDS = {
     "E10": "E10 voltages of all channels with the deflection, ranges or elongation of a load",
 }
 EXPERIMENTS = tuple(NEEDS)
-# Every clamped wire's force is tried for E8, whatever its voltages were meant for.
-_TRIED_ON_CHANCE = frozenset({"E8"})
 # Parts of the time: a whole-model fit takes most of it, and so does E9 where it is asked for.
 _WHOLE_MODEL, _JOINT = 0.9, 0.3
 _PLAN = dict.fromkeys(("E1", "E2", "E3", "E5", "E6", "E7", "E8"), 1.0)
 _LEAST_DRIVE = 0.05  # V
 _SMALL = 0.01  # of a mean
-# What an experiment on bags reads, what it holds against its model, and what its numbers go with.
-_READS = {
-    "E1": ("voltage", "current"), "E2": ("voltage", "temperature"),
-    "E3": ("voltage", "temperature"), "E8": ("temperature", "force"),
-}
-_PREDICTS = {"E1": "current", "E2": "temperature", "E3": "temperature"}
+# What an experiment on bags reads (E1 to E3 predict the last of it), and what numbers go with.
+_READS = {"E1": ("voltage", "current"), "E2": ("voltage", "temperature"),
+          "E3": ("voltage", "temperature"), "E8": ("temperature", "force")}
 _R, _H, _C_P = signals.RESISTANCE, signals.COEFFICIENT, signals.SPECIFIC_HEAT
 _GO_WITH = {_R: (_H, _C_P), _H: (_C_P,)}
-Drives = Sequence[tuple[Record, signals.ChannelDrive]]
 
 
-def identify(
-    records: Sequence[AnyRecord], parameters: Parameters, experiments: Iterable[str] | None = None,
-    report: Report = silent, phases: Mapping[str, Phase] | None = None,
-) -> Identification:
-    """Identify what the records allow.
-
-    Staircases give E1 and E2, without any another drive that excites gives E0; ramps E3, DSC files
-    E5, isobaric test files E6, tensile ones E7, the force of a clamped wire E8, load frames that
-    hold loads E9, the composite and wires against a load E10 (which takes the load frame's bags
-    along). Records are combined: one bag's resistance serves another's ramps.
+def identify(records: Sequence[AnyRecord], parameters: Parameters,
+             experiments: Iterable[str] | None = None, report: Report = silent,
+             phases: Mapping[str, Phase] | None = None) -> Identification:
+    """Identify what the records allow. Staircases give E1 and E2, without any another drive that
+    excites gives E0; ramps E3, DSC files E5, isobaric test files E6, tensile ones E7, the force of
+    a clamped wire E8, load frames that hold loads E9, the composite and wires against a load E10
+    (which takes the load frame's bags along). Records are combined: one bag's resistance serves
+    another's ramps.
 
     `experiments`: names out of EXPERIMENTS; all that the records hold when None, but E9 on clamped
     wires and isobaric files, which takes a minute, only when named; `phases`: of tensile tests, by
     file name or pattern of names. Raises InputError: unknown experiment, one that was asked for but
-    cannot be done, or nothing at all to identify; the line lists what is found and missing.
-    """
+    cannot be done, or nothing at all to identify; the line lists what is found and missing."""
     wanted = frozenset(EXPERIMENTS if experiments is None else experiments)
-    unknown = sorted(wanted - set(EXPERIMENTS))
-    if unknown:
+    if unknown := sorted(wanted - set(EXPERIMENTS)):
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
-
-    require_distinct([r for r in records if isinstance(r, Record)])
-
     # Bags put right, with what is remarked on them and on the wire's statements.
-    sound = [mended(as_driven(r, parameters), parameters) for r in records if isinstance(r, Record)]
-    bags = [as_calibrated(record, parameters) for record, _ in sound]
+    bags = [r for r in records if isinstance(r, Record)]
+    record_module.require_distinct(bags)
+    sound = [mended(record_module.as_driven(r, parameters), parameters) for r in bags]
+    bags = [record_module.as_calibrated(record, parameters) for record, _ in sound]
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
@@ -115,8 +102,7 @@ def identify(
     whole = _whole_model(run, bags, report)
     reporter = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
     still = [r for r in bags if not (whole and signals.moves(r, parameters))]
-    drives: list[tuple[Record, signals.ChannelDrive]] = []
-    read: list[Record] = []
+    drives, read = list[tuple[Record, signals.ChannelDrive]](), list[Record]()
     for record in still:
         try:
             drives += [(record, drive) for drive in signals.find_drives(record)]
@@ -127,21 +113,16 @@ def identify(
     _thermal(run, drives, reporter)
 
     # E0 on all records whose wires are driven and read, where no staircase was found in any, or
-    # where staircases give steady states alone and nobody knows how fast a wire warms.
-    driven = None
+    # where staircases give steady states alone and how fast a wire warms is not known.
+    driven, kinds = None, ("current", "temperature")
     slow = not (run.of("E1") or run.of("E3") or _C_P in parameters.given)
     excited = [] if (run.of("E1") or run.of("E2")) and not slow or run.of("E9") else [
-        record for record in read
-        if max(signals.driven(record, known).values(), default=0.0) > _LEAST_DRIVE and any(
-            has_samples(record, f"{c}.{q}")
-            for c in record.channels for q in ("current", "temperature")
-        )
+        r for r in read if max(signals.driven(r, known).values(), default=0.0) > _LEAST_DRIVE
+        and any(has_samples(r, f"{c}.{kind}") for c in r.channels for kind in kinds)
     ]
     if excited:
-        from sma_bench.identify.whole_model import identify_driven_wires
-
-        share = part(report, 0.0, _WHOLE_MODEL, "E0")
-        driven = run.attempt("E0", lambda: identify_driven_wires(excited, run.given, share))
+        share, fit_wires = part(report, 0.0, _WHOLE_MODEL, "E0"), whole_model.identify_driven_wires
+        driven = run.attempt("E0", lambda: fit_wires(excited, run.given, share))
     _material(run, records, bags, still, phases or {}, reporter, report)
     run.take_sharper(driven)
     run.take_sharper(whole)
@@ -153,37 +134,29 @@ def identify(
     # The estimates with what was stated of them and what is to be said of each.
     remarks: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
     remarks += [(f, e) for e in run.experiments for f in e.findings]
-    lines: list[str] = []
-    doubts: dict[str, list[str]] = {name: [] for name in run.estimates}
-    for finding, own in remarks:
-        if finding.severity != "info":
-            lines.append(f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}")
-            for name in _concerned(finding, own, run.experiments):
-                doubts.get(name, []).append(lines[-1])
-    estimates = {
-        name: replace(
-            e, warnings=tuple(dict.fromkeys(doubts[name])),
-            stated=Estimate(float(known[name]), known.std(name), e.unit)
-            if name in known.given else None,
-        )
-        for name, e in run.estimates.items()
-    }
+    lines, doubts = list[str](), dict[str, list[str]]()
+    for finding, own in ((f, own) for f, own in remarks if f.severity != "info"):
+        lines.append(f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}")
+        for name in _concerned(finding, own, run.experiments):
+            doubts.setdefault(name, []).append(lines[-1])
+    estimates = {}
+    for name, e in run.estimates.items():
+        stated = Estimate(float(known[name]), known.std(name), e.unit)
+        estimates[name] = replace(e, warnings=tuple(dict.fromkeys(doubts.get(name, ()))),
+                                  stated=stated if name in known.given else None)
     fits: dict[str, SignalFit] = {}  # of every signal the worst of several records
     for quantity, one in _fits(run, bags, drives, improved):
         fits[quantity] = max(fits.get(quantity, one), one, key=lambda own: own.badness)
-    return Identification(
-        improved, estimates, tuple(run.experiments), tuple(run.notes), fits, run.correlation(),
-        tuple(dict.fromkeys(lines)), accounts=tuple(filter(None, map(account_line, records))),
-        law=next((
-            Law(e.laws[0].law, e.laws[0].probability, {o.law: o.probability for o in e.laws[1:]})
-            for e in run.experiments if e.laws
-        ), None),
-    )
+    laws = next((e.laws for e in run.experiments if e.laws), ())
+    others = {law.law: law.probability for law in laws[1:]}
+    return Identification(improved, estimates, tuple(run.experiments),
+                          tuple(run.notes), fits, run.correlation(), tuple(dict.fromkeys(lines)),
+                          accounts=tuple(filter(None, map(account_line, records))),
+                          law=Law(laws[0].law, laws[0].probability, others) if laws else None)
 
 
-def _concerned(
-    finding: Finding, own: Experiment | None, experiments: Sequence[Experiment]
-) -> tuple[str, ...]:
+def _concerned(finding: Finding, own: Experiment | None,
+               experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """Names of the parameters that a remark is about: the one it names, with what goes with it;
     those read from the signal that it names; else all of its experiment, or of all."""
     if finding.subject in BY_NAME:
@@ -194,26 +167,21 @@ def _concerned(
     if own is not None:
         return tuple(own.estimates)
     kind = finding.subject.rpartition("." if "." in finding.subject else "/")[2]
-    direct = [
-        name for e in experiments if kind in _READS.get(e.name, (kind,)) for name in e.estimates
-    ]
-    return tuple(dict.fromkeys(n for name in direct for n in (name, *_GO_WITH.get(name, ()))))
+    reading = [e for e in experiments if kind in _READS.get(e.name, (kind,))]
+    direct = [(n, *_GO_WITH.get(n, ())) for e in reading for n in e.estimates]
+    return tuple(dict.fromkeys(name for names in direct for name in names))
 
 
-# --- Which records serve which experiment.
-
-
-def _whole_model(
-    run: IdentificationRun, bags: Sequence[Record], report: Report
-) -> Experiment | None:
+def _whole_model(run: IdentificationRun, bags: Sequence[Record],
+                 report: Report) -> Experiment | None:
     """E10 where a record shows the bench moving, else E9 where one shows a load frame."""
-    bent = [record for record in bags if signals.moves(record, run.given)]
-    framed = [
-        r for r in bags
-        if signals.holds_frame(r, run.given)
-        and not any(r is moving for moving in bent)  # equal records would compare their arrays
-        and (load_kind(run.given) == "displacement" or not find_pulls(r))
-    ]
+    moved = load_kind(run.given) == "displacement"  # a frame's pulls are then its input
+    bent, framed = [], []
+    for r in bags:
+        if signals.moves(r, run.given):
+            bent.append(r)
+        elif signals.holds_frame(r, run.given) and (moved or not find_pulls(r)):
+            framed.append(r)
     name = "E10" if bent else "E9"
     loaded = not all(is_clamped(record) for record in framed)
     if not (bent or framed) or name not in run.wanted:
@@ -226,16 +194,11 @@ def _whole_model(
         # Above A_s a clamped wire pulls with stresses that no real wire bears: they are better not
         # mixed with held loads.
         limit = run.given[SYMBOLS["A_s"]]
-        framed = [
-            r for r in framed if not is_clamped(r) or (
-                has_samples(r, hot := f"{r.channels[0]}.temperature")
-                and np.percentile(samples(r, hot)[1], 99.0) < limit
-            )
-        ]
-    from sma_bench.identify.whole_model import identify_load_frame, identify_moving_bench
-
+        framed = [r for r in framed if not is_clamped(r)
+                  or (has_samples(r, hot := f"{r.channels[0]}.temperature")
+                      and np.percentile(samples(r, hot)[1], 99.0) < limit)]
     reporter, used = part(report, 0.0, _WHOLE_MODEL, name), [*framed, *bent]
-    experiment = identify_moving_bench if bent else identify_load_frame
+    experiment = whole_model.identify_moving_bench if bent else whole_model.identify_load_frame
     return run.attempt(name, lambda: experiment(used, run.given, reporter))
 
 
@@ -255,25 +218,24 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
                 found.append((record, drive))
         return found
 
-    def compare(parameter: str, found: Sequence[Estimate]) -> None:
+    def compare(name: str, found: Sequence[Estimate]) -> None:
         """The same number by every staircase, before they are pooled."""
-        mean = combine(found).value
+        mean, count = combine(found).value, len(found)
         far = max(found, key=lambda e: abs(e.value - mean) / e.statistical)
         doubt = max(SIGNIFICANT * far.statistical / mean, _SMALL)
-        if len(found) > 1 and abs(far.value - mean) / mean >= doubt:
+        if count > 1 and abs(far.value - mean) / mean >= doubt:
             low, high = (100.0 * (end(e.value for e in found) / mean - 1) for end in (min, max))
-            run.notes.append(
-                remark("repeats differ", subject=parameter, count=len(found), low=low, high=high)
-            )
+            run.notes.append(remark("repeats differ", subject=name, count=count, low=low,
+                                    high=high))
 
     def warm() -> Estimate:
         """R as it heats: with the leads in it."""
-        return heated(run.known(_R), run.given, _R in run.estimates)
+        return staircases.heated(run.known(_R), run.given, _R in run.estimates)
 
     # E1: resistance.
     for record, drive in serving("E1", "current"):
         for staircase in drive.staircases:
-            run.attempt("E1", partial(identify_resistance, record, staircase, run.given))
+            run.attempt("E1", partial(staircases.identify_resistance, record, staircase, run.given))
     if done := run.of("E1"):
         compare(_R, [e.estimates[_R] for e in done])
         run.join("E1")
@@ -281,47 +243,40 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
     # E2: the gains are independent of each other; the coefficients share one resistance.
     for record, drive in serving("E2", "temperature"):
         for staircase in drive.staircases:
-            run.attempt("E2", partial(identify_heat_transfer, record, staircase, run.given, warm()))
-    gains = [e.details[GAIN] for e in run.of("E2")]
+            each = partial(staircases.identify_heat_transfer, record, staircase, run.given, warm())
+            run.attempt("E2", each)
+    gains = [e.details[staircases.GAIN] for e in run.of("E2")]
     if gains:
         compare(_H, gains)
-        run.estimates[_H] = coefficient(combine(gains), warm(), run.given)
-        run.estimates[signals.AMBIENT] = combine(
-            [e.estimates[signals.AMBIENT] for e in run.of("E2")]
-        )
+        run.estimates[_H] = staircases.coefficient(combine(gains), warm(), run.given)
+        rooms = [e.estimates[signals.AMBIENT] for e in run.of("E2")]
+        run.estimates[signals.AMBIENT] = combine(rooms)
 
     # E3: what is wrong with the heat loss is wrong with c_p, which goes with it.
     ramps = serving("E3", "temperature", ramps=True)
     if not ramps:
         return
-    from sma_bench.identify.specific_heat import HeatLoss, identify_specific_heat
-
-    measured = bool(gains) or _H in run.given.given
-    default = Estimate(run.given[_H], run.given.std(_H), "", "default", 0)
-    heat_loss = HeatLoss(
-        warm(), run.known(_H) if measured else default, combine(gains) if gains else None, measured
-    )
+    measured, gain = bool(gains) or _H in run.given.given, combine(gains) if gains else None
+    default = Estimate(run.given[_H], run.given.std(_H), "", "default")
+    heat_loss = HeatLoss(warm(), run.known(_H) if measured else default, gain, measured)
     fitted = run.attempt("E3", lambda: identify_specific_heat(ramps, run.improved(), heat_loss))
     if fitted:
-        doubts = [
-            remark("heat loss in doubt", text=f.text) for e in run.of("E2") for f in e.findings
-            if f.severity == "warning" and f.subject == _H
-        ]
+        doubts = [remark("heat loss in doubt", text=f.text) for e in run.of("E2")
+                  for f in e.findings if f.severity == "warning" and f.subject == _H]
         run.experiments[-1] = replace(fitted, findings=(*fitted.findings, *doubts))
     run.join("E3")
 
 
-def _material(
-    run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequence[Record],
-    still: Sequence[Record], phases: Mapping[str, Phase], reporter: Callable[[str], None],
-    report: Report,
-) -> None:
+def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequence[Record],
+              still: Sequence[Record], phases: Mapping[str, Phase], reporter: Callable[[str], None],
+              report: Report) -> None:
     """E5, E6, E7 and E9 on instrument files, each on all files of its kind together, and on what a
     load frame's bags hold of the same; E8 on clamped wires."""
 
-    def done(name: str, experiment: Callable[[], Experiment]) -> None:
-        run.attempt(name, experiment)
-        run.join(name)
+    def try_on(name: str, found: Sequence[AnyRecord], experiment: Callable[[], Experiment]) -> None:
+        if found:
+            run.attempt(name, experiment)
+            run.join(name)
 
     dsc = [r for r in records if isinstance(r, DscRecord)]
     tensile = [r for r in records if isinstance(r, TensileRecord)]
@@ -329,45 +284,31 @@ def _material(
     moved = load_kind(run.given) == "displacement"  # whose motion E9 has as its input
     for record in still:
         if not moved and find_pulls(record):
-            from sma_bench.identify.tensile import tensile_tests
-
             tensile += tensile_tests(record, run.improved())
         # Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same.
         alone = run.asked and "E6" in run.wanted and "E9" not in run.wanted
         if alone and signals.holds_frame(record, run.given) and not is_clamped(record):
-            from sma_bench.identify.isobaric import isobaric_tests
-
             try:
                 isobaric += isobaric_tests(record, run.improved())
             except InputError as error:
                 run.fail("E6", str(error))
     reporter("E5")
-    if dsc:
-        from sma_bench.identify.transition_temperatures import identify_transition_temperatures
-
-        done("E5", lambda: identify_transition_temperatures(dsc))
+    try_on("E5", dsc, lambda: identify_transition_temperatures(dsc))
 
     # Tensile tests take their phase from E6's temperatures, and give the moduli of E6's elastic
     # part: so the temperatures come first, then the moduli, then E6 as a whole.
     reporter("E6")
     own = run.improved()
-    if isobaric:
-        from sma_bench.identify.constitutive import fit_constitutive
-        from sma_bench.identify.isobaric import identify_isobaric
     if tensile and isobaric:
         with suppress(InputError):
             first = identify_isobaric(isobaric, own).estimates
             own = own.replace({name: e.value for name, e in first.items()})
     reporter("E7")
-    if tensile:
-        from sma_bench.identify.tensile import identify_tensile
-
-        done("E7", lambda: identify_tensile(tensile, own, phases=phases))
-    if isobaric:
-        done("E6", lambda: identify_isobaric(isobaric, run.improved()))
-    if isobaric and run.asked:
+    try_on("E7", tensile, lambda: identify_tensile(tensile, own, phases=phases))
+    try_on("E6", isobaric, lambda: identify_isobaric(isobaric, run.improved()))
+    if run.asked:
         joint = part(report, _JOINT, 1.0, "E9")
-        done("E9", lambda: fit_constitutive(isobaric, run.improved(), joint))
+        try_on("E9", isobaric, lambda: fit_constitutive(isobaric, run.improved(), joint))
 
     # E8; the whole model tells it better where it ran.
     reporter("E8")
@@ -377,9 +318,7 @@ def _material(
     if run.another_alloy() and SYMBOLS["A_s"] not in run.estimates.keys() | run.given.given:
         run.fail("E8", "A_s is not stated, and the alloy is another than the paper's")
         return
-    from sma_bench.identify.thermal_expansion import identify_thermal_expansion
-
-    done("E8", lambda: identify_thermal_expansion(clamped, run.improved()))
+    try_on("E8", clamped, lambda: staircases.identify_thermal_expansion(clamped, run.improved()))
 
 
 def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives: Drives) -> None:
@@ -391,46 +330,33 @@ def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives
         every = [reason for name in missing for reason in reasons[name]]
         # What was found says more than a reason for each experiment that repeats it.
         found = [f"{record.path}: {drive.describe()}" for record, drive in drives]
+        bags = [r for r in records if isinstance(r, Record)]
         if not drives and not every:
-            held = sorted({s for r in records if isinstance(r, Record) for s in r.signals})
+            held = sorted({s for r in bags for s in r.signals})
             found = [f"signals {', '.join(held) or 'none'}"]
-        found += [
-            f"{r.path}: no voltage of {', '.join(r.channels)}" for r in records
-            if isinstance(r, Record) and r.channels
-            and not any(has_samples(r, f"{c}.voltage") for c in r.channels)
-        ]
+        for r in bags:
+            if r.channels and not any(has_samples(r, f"{c}.voltage") for c in r.channels):
+                found.append(f"{r.path}: no voltage of {', '.join(r.channels)}")
         what = "nothing to identify" if not run.experiments else f"no {', '.join(missing)}"
-        raise InputError(
-            f"{', '.join(str(r.path) for r in records)}: {what}: found "
-            f"{'; '.join(dict.fromkeys(found + every))}; needed: "
-            f"{'; '.join(NEEDS[name] for name in missing)}"
-        )
+        raise InputError(f"{', '.join(str(r.path) for r in records)}: {what}: found "
+                         f"{'; '.join(dict.fromkeys(found + every))}; needed: "
+                         f"{'; '.join(NEEDS[name] for name in missing)}")
     for name in missing:
-        if reasons[name] and name not in _TRIED_ON_CHANCE:
-            run.notes.append(remark(
-                "not identified", "warning" if name in run.failed else "info", name,
-                reasons="; ".join(reasons[name]), needs=NEEDS[name],
-            ))
+        if reasons[name] and name != "E8":  # which any clamped wire's force is tried for
+            run.notes.append(remark("not identified", "warning" if name in run.failed else "info",
+                                    name, reasons="; ".join(reasons[name]), needs=NEEDS[name]))
 
 
-# --- Does the model fit at all? The records predicted with the identified parameters.
-
-
-def _fits(
-    run: IdentificationRun, bags: Sequence[Record], drives: Drives, found: Parameters
-) -> Iterator[tuple[str, SignalFit]]:
+def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
+          found: Parameters) -> Iterator[tuple[str, SignalFit]]:
     """How the model with these parameters fits what they were identified from, by quantity; what
     is off in a record beside the model, zeros, delays and moments of jumps, is taken off first."""
     lag = run.estimates.get(signals.CAMERA_LAG)
     model = found.replace({signals.LAG: lag.value}) if lag else found
-    used = {
-        path for e in run.experiments if e.name in ("E0", "E9", "E10")
-        for path in e.source.split("; ")
-    }
-    sets: list[list[Observation]] = []
-    if records := [record for record in bags if str(record.path) in used]:
-        sets.append(observe_all(records, model))
-    quantities = {_PREDICTS[e.name] for e in run.experiments if e.name in _PREDICTS}
+    whole = "; ".join(e.source for e in run.experiments if e.name in ("E0", "E9", "E10"))
+    records = [record for record in bags if str(record.path) in whole.split("; ")]
+    sets: list[list[Observation]] = [observe_all(records, model)] if records else []
+    quantities = {_READS[e.name][1] for e in run.experiments if e.name in ("E1", "E2", "E3")}
     for record, drive in drives:
         head, rig = f"{drive.channel}.", signals.one_wire(model, drive.channel)
         own = {name: s for name, s in record.signals.items() if name.startswith(head)}
@@ -449,21 +375,18 @@ def _fits(
             hidden = signal.noise**2 * (count - 1.0)
             rms = float(np.sqrt(np.average(left**2, weights=signal.count) + hidden))
             noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
-            unit = UNITS[signal.quantity]
-            yield signal.quantity, SignalFit.judged(rms, noise, reach, unit)
+            yield signal.quantity, SignalFit.judged(rms, noise, reach, UNITS[signal.quantity])
 
     # Strain of isobaric loops, beside which an experiment has laid its model.
     loops = [e for e in run.experiments if e.name in ("E6", "E9")]
-    for name, strain in loops[-1].curves.items() if loops else ():
-        stem, _, kind = name.rpartition("/")
+    curves = loops[-1].curves if loops else {}
+    for stem, _, kind in (name.rpartition("/") for name in curves):
+        strain, strained = curves[f"{stem}/{kind}"], curves.get(f"{stem}/model")
         if kind != "strain" or len(strain) < 3:
             continue
-        curves = loops[-1].curves
-        strained = curves.get(f"{stem}/model")
         if strained is None:
             cosine = curves[f"{stem}/cosine"]
             kelvin, modelled = cosine[np.argsort(cosine[:, 0])].T
             strained = np.interp(curves[f"{stem}/temperature"], kelvin, modelled)
-        rms = float(np.sqrt(np.mean((strain - strained) ** 2)))
-        reach = float(np.ptp(strain))
+        rms, reach = float(np.sqrt(np.mean((strain - strained) ** 2))), float(np.ptp(strain))
         yield "strain", SignalFit.judged(rms, noise_floor(strain), reach, "1")

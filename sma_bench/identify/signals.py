@@ -23,9 +23,7 @@ from sma_bench.records.record import has_samples, samples, with_commands
 RESISTANCE, COEFFICIENT = "wire.resistance", "wire.heat_transfer_coefficient"
 SPECIFIC_HEAT, AMBIENT = "wire.specific_heat", "environment.ambient_temperature"
 LAG, CAMERA_LAG = "effect.temperature_lag.time_constant", "sensor.temperature.lag"
-KNOWN_LAG = 0.1  # of the wire's time constant, error of a lag that records by themselves tell
 LEADS = "bench.lead_resistance"
-VOLTAGE, CURRENT = "sensor.voltage.gain", "sensor.current.gain"
 # s: settle, then average; a plateau that is shorter than the last is none.
 SETTLE, AVERAGE, SHORTEST_PLATEAU = 15.0, 15.0, 2.0
 FEWEST_LEVELS = 4
@@ -52,7 +50,7 @@ class Staircase:
         too short for both times keeps their proportion."""
         start, duration = np.array([(p.start, p.duration) for p in self.plateaus]).T
         shares = np.minimum(1.0, duration / (SETTLE + AVERAGE))
-        return start[:, np.newaxis] + np.outer(shares, (SETTLE, SETTLE + AVERAGE))
+        return start[:, None] + np.outer(shares, (SETTLE, SETTLE + AVERAGE))
 
     def read(self, record: Record, *quantities: str) -> "Staircase":
         """With the plateaus only on which all of these were read, at half the usual rate at least,
@@ -60,10 +58,9 @@ class Staircase:
         kept = np.ones(len(self.plateaus), dtype=bool)
         for quantity in quantities:
             time = samples(record, f"{self.channel}.{quantity}")[0]
-            first, last = np.searchsorted(time, self.windows.T)
-            count = last - first
+            count = np.diff(np.searchsorted(time, self.windows))[:, 0]
             kept &= (count >= _FEWEST_SAMPLES) & (count >= 0.5 * np.median(count))
-        left = tuple(p for p, keep in zip(self.plateaus, kept.tolist(), strict=True) if keep)
+        left = tuple(p for p, keep in zip(self.plateaus, kept, strict=True) if keep)
         enough = Segments(left, (), self.tolerance).levels() >= FEWEST_LEVELS
         return replace(self, plateaus=left) if enough else self
 
@@ -95,10 +92,8 @@ class ChannelDrive:
     def describe(self) -> str:
         """A few words for messages."""
         s = self.segments
-        plateaus, voltages, ramps = (
-            f"{n} {word}{'' if n == 1 else 's'}" for n, word in
-            ((len(s.plateaus), "plateau"), (s.levels(), "voltage"), (len(s.ramps), "ramp"))
-        )
+        counts = (len(s.plateaus), "plateau"), (s.levels(), "voltage"), (len(s.ramps), "ramp")
+        plateaus, voltages, ramps = (f"{n} {word}{'s' * (n != 1)}" for n, word in counts)
         return f"{self.channel}: {plateaus} at {voltages}, {ramps}"
 
 
@@ -106,9 +101,7 @@ def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
     """Segments of every channel's voltage, split by protocol where markers name them. Raises
     InputError for a voltage too short to be cut."""
     drives = []
-    for channel in record.channels:
-        if not has_samples(record, f"{channel}.voltage"):
-            continue
+    for channel in (c for c in record.channels if has_samples(record, f"{c}.voltage")):
         try:
             segments = find_segments(*samples(record, f"{channel}.voltage"))
         except InputError as error:
@@ -145,53 +138,42 @@ def holds_frame(record: Record, parameters: Parameters) -> bool:
 
 def is_clamped_wire(record: Record) -> bool:
     """Whether one wire was clamped while its force and temperature were measured."""
-    if len(record.channels) != 1 or not is_clamped(record):
-        return False
-    names = ("force", f"{record.channels[0]}.temperature")
-    return all(has_samples(record, name) for name in names)
+    names = ("force", *(f"{c}.temperature" for c in record.channels))
+    return len(names) == 2 and is_clamped(record) and all(has_samples(record, n) for n in names)
 
 
 def about_length(parameters: Parameters) -> Finding:
     """Where the gauge length comes from."""
-    source = f"from mass and diameter at {NITI_DENSITY:g} kg/m3"
-    if parameters["wire.length"]:
-        source = "as given"
+    computed = f"from mass and diameter at {NITI_DENSITY:g} kg/m3"
+    source = "as given" if parameters["wire.length"] else computed
     return remark("gauge length", length=wire_length(parameters), source=source)
 
 
 def one_wire(parameters: Parameters, channel: str) -> Parameters:
     """A bench of this channel alone, its wire clamped."""
-    return parameters.replace({
-        "bench.channels": (channel,), "bench.channel_sides": ("front",), "load.kind": "clamped",
-    })
+    return parameters.replace({"bench.channels": (channel,), "bench.channel_sides": ("front",),
+                               "load.kind": "clamped"})
 
 
 def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
     """What the camera's own messages state of its scale, where nobody has stated it otherwise:
     their error at the wire's coldest is its zero's, what comes on top is that of its scale."""
     found = []
-    for record in records:
-        for name, signal in record.signals.items():
-            wire = name.endswith(".temperature") and not name.startswith("ambient.")
-            if wire and signal.std is not None and len(signal) > 0:
-                low, high = (np.percentile(signal.values, p) for p in (_COLDEST, _HOTTEST))
-                (cold, at_cold), (hot, at_hot) = (
-                    (float(np.median(signal.values[these])), float(np.median(signal.std[these])))
-                    for these in (signal.values <= low, signal.values >= high)
-                )
-                on_top = float(np.sqrt(max(at_hot**2 - at_cold**2, 0.0)))
-                found.append((at_cold, on_top / max(hot - cold, 1e-9)))
+    for name, signal in (item for record in records for item in record.signals.items()):
+        wire = name.endswith(".temperature") and not name.startswith("ambient.")
+        if wire and signal.std is not None and len(signal) > 0:
+            low, high = np.percentile(signal.values, (_COLDEST, _HOTTEST))
+            ends = (signal.values <= low, signal.values >= high)
+            cold, hot = (float(np.median(signal.values[end])) for end in ends)
+            at_cold, at_hot = (float(np.median(signal.std[end])) for end in ends)
+            on_top = float(np.sqrt(max(at_hot**2 - at_cold**2, 0.0)))
+            found.append((at_cold, on_top / max(hot - cold, 1e-9)))
     if not found:
         return parameters
     zero, scale = np.max(found, axis=0).tolist()
     stated = dict.fromkeys(CAMERA, 0.0) | {CAMERA[-1]: scale, "sensor.temperature.offset": zero}
-    known = parameters.given_uncertainty
-    return parameters.replace(
-        uncertainty={name: std for name, std in stated.items() if name not in known}
-    )
-
-
-# --- One point a plateau, with what its mean is worth.
+    own = {n: std for n, std in stated.items() if n not in parameters.given_uncertainty}
+    return parameters.replace(uncertainty=own)
 
 
 class Means(NamedTuple):
@@ -202,38 +184,29 @@ class Means(NamedTuple):
     hidden: float  # standard deviation of the converter's error that averaging does not remove
     step: float  # the converter's, 0 if none is seen
     drift: Array  # (p,) change over the window by a straight line
-    drift_std: Array  # (p,) its error
     n: int  # samples of all of them
 
 
 def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
     """Mean of a signal (n,) over time (n,) s in each window (p, 2) s. `what`: its name. Raises
     InputError for a window without enough samples."""
-    finite = np.isfinite(values)
-    time, values = time[finite], values[finite]
-    found, lines = [], []
+    lines, left, spans = [], [], []
     for start, stop in bounds:
-        first = np.searchsorted(time, start, side="left")
-        inside = slice(first, np.searchsorted(time, stop, side="right"))
+        inside = slice(np.searchsorted(time, start), np.searchsorted(time, stop, side="right"))
         t, v = time[inside], values[inside]
         if len(v) < _FEWEST_SAMPLES:
-            raise refusal(
-                "few to average", what=what, count=len(v), start=start, stop=stop,
-                least=_FEWEST_SAMPLES,
-            )
-        found.append((t, v))
+            raise refusal("few to average", what=what, count=len(v), start=start, stop=stop,
+                          least=_FEWEST_SAMPLES)
         lines.append(straight_line(t, v))
-    n = np.array([len(v) for _, v in found], dtype=np.float64)
-    left = [v - line(t) for (t, v), line in zip(found, lines, strict=True)]
+        left.append(v - lines[-1](t))
+        spans.append(float(np.ptp(t)))
+    n = np.array([len(v) for v in left], dtype=np.float64)
     correlated = noise_model.inflation(noise_model.autocorrelation(left))
     variance = n * np.array([line.value_variance for line in lines])
     pooled = float(np.sum(variance * n) / np.sum(n))
     steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)
     noise, step = np.sqrt(steady * correlated / n), noise_model.resolution(values)
     hidden = noise_model.quantisation_variance(float(np.sqrt(pooled)), step)
-    drift = [line.slope * float(np.ptp(t)) for (t, _), line in zip(found, lines, strict=True)]
-    return Means(
-        np.array([line.value for line in lines]), noise, float(np.sqrt(hidden)), step,
-        # A straight line's rise over its window has variance 12 times that of the mean.
-        np.array(drift), np.sqrt(12.0) * noise, int(np.sum(n)),
-    )
+    drift = np.array([line.slope * span for line, span in zip(lines, spans, strict=True)])
+    return Means(np.array([line.value for line in lines]), noise, float(np.sqrt(hidden)), step,
+                 drift, int(np.sum(n)))

@@ -17,22 +17,13 @@ from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of
 from sma_bench.estimation.solver import fit, recalibrate
 from sma_bench.estimation.unknowns import Unknown, Unknowns
-from sma_bench.findings import Finding, Severity
-from sma_bench.identify.heat_transfer import scale_of_gain
+from sma_bench.findings import Finding
+from sma_bench.identify import signals
 from sma_bench.identify.result import Experiment, refusal, remark
-from sma_bench.identify.signals import (
-    AMBIENT,
-    CAMERA_LAG,
-    COEFFICIENT,
-    KNOWN_LAG,
-    LAG,
-    RESISTANCE,
-    SPECIFIC_HEAT,
-    ChannelDrive,
-    one_wire,
-)
+from sma_bench.identify.signals import AMBIENT, CAMERA_LAG, COEFFICIENT, LAG, SPECIFIC_HEAT
+from sma_bench.identify.staircases import scale_of_gain
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.records import Record
 from sma_bench.records.record import Signal, first_order_lag, samples
 
@@ -46,11 +37,13 @@ _ANY = 1.0  # of the logarithm of what nobody knows
 _STARTS = (0.0, -1.0, 1.0)
 _NEAR = 3.0  # prior deviations
 _MOVES = 4
+_KNOWN_LAG = 0.1  # of the wire's time constant, error of a lag that records by themselves tell
 _SIGNIFICANT = 3.0  # standard errors
 _SMALL_DELAY = 1e-3  # s
 _SMALL = 0.01  # of c_p, of the steady rise or of the rise of a ramp: what is not worth a warning
 _BAD_MISFIT, _FEWEST_IN_BIN, _COLD = 6.0, 3, 0.02  # standard errors, samples, of the rise
 _FILTER_TIME, _MOST_CELLS = 0.1, 1_000_000  # s, of the differentiator
+Drives = Sequence[tuple[Record, signals.ChannelDrive]]
 
 
 class Window(NamedTuple):
@@ -71,22 +64,17 @@ class HeatLoss(NamedTuple):
     known: bool = True  # False where h is nobody's measurement: the ramps must tell it
 
 
-def identify_specific_heat(
-    drives: Sequence[tuple[Record, ChannelDrive]], parameters: Parameters, heat_loss: HeatLoss
-) -> Experiment:
-    """Specific heat from voltage ramps, with the rest before and the cooling after each.
-
-    The most probable c_p of eq. (2) on the voltage as read, freed of its noise: noise of the
-    voltage heats a model but no wire, and a wire that is taken to be slower smooths it away. The
-    paper's slope of dT/dt over f(T, V) is in `details` as "differentiator"; differentiated noise
-    biases it. c_p is conditional on wire.mass: only m c_p enters the equation. Unknown beside it
-    are ambient and the camera's zero, delay (of the size of a sample period) and lag; the standard
-    error includes these, R and h, coloured noise and that of the voltage.
-
-    Raises InputError: no ramp, no temperature, or no rise of it below A_s.
-    """
-    limit = float(parameters["wire.austenite_start_temperature"])
-    chosen, where, findings = _windows(drives, limit)
+def identify_specific_heat(drives: Drives, parameters: Parameters,
+                           heat_loss: HeatLoss) -> Experiment:
+    """Specific heat from voltage ramps, with the rest before and the cooling after each. The most
+    probable c_p of eq. (2) on the voltage as read, freed of its noise: noise of the voltage heats a
+    model but no wire, and a wire that is taken to be slower smooths it away. The paper's slope of
+    dT/dt over f(T, V) is in `details` as "differentiator"; differentiated noise biases it. c_p is
+    conditional on wire.mass: only m c_p enters the equation. Also unknown are ambient and the
+    camera's zero, delay (of the size of a sample period) and lag; the standard error includes
+    these, R and h, coloured noise and that of the voltage. Raises InputError: no ramp, no
+    temperature, or no rise of it below A_s."""
+    chosen, where, findings = _windows(drives, float(parameters[TRANSITIONS["A_s"]]))
     windows = [window for of_drive in chosen for window in of_drive]
     rise = max(float(np.ptp(_median_of_five(w.temperature))) for w in windows)
     noise = float(np.median([np.std(np.diff(w.temperature)) for w in windows])) / math.sqrt(2.0)
@@ -100,22 +88,19 @@ def identify_specific_heat(
     for record, drive, own in used:
         volts, kelvin = (f"{drive.channel}.{kind}" for kind in ("voltage", "temperature"))
         time, values = samples(record, volts)
-        begin = own[0].voltage_time[0] - _HISTORY
-        inside = (time >= begin) & (time <= own[-1].voltage_time[-1])
+        begin, end = own[0].voltage_time[0] - _HISTORY, own[-1].voltage_time[-1]
+        inside = (time >= begin) & (time <= end)
         read = np.concatenate([w.temperature_time for w in own])
         degrees = np.concatenate([w.temperature for w in own])
-        alone = Record(record.path, record.start_ns, {
-            volts: Signal(volts, "V", time[inside], values[inside]),
-            kelvin: Signal(kelvin, "K", read, degrees),
-        })
-        lean.append((alone, one_wire(parameters, drive.channel)))
+        kept = {volts: Signal(volts, "V", time[inside], values[inside]),
+                kelvin: Signal(kelvin, "K", read, degrees)}
+        rig = signals.one_wire(parameters, drive.channel)
+        lean.append((Record(record.path, record.start_ns, kept), rig))
     shortest = max(shared_bin([record], rig, 0.0) for record, rig in lean)
     # When a commanded step came between two readings of the voltage is not recorded; on one clock
     # the steps of a ramp are all off alike.
-    steps = [
-        record[f"{drive.channel}.voltage"].period / math.sqrt(12.0)
-        if record.get("voltage_command") else 0.0 for record, drive, _ in used
-    ]
+    steps = [record[f"{drive.channel}.voltage"].period / math.sqrt(12.0)
+             if record.get("voltage_command") else 0.0 for record, drive, _ in used]
     observations = []
     for record, rig in lean:
         observation = observe(record, rig, shortest, ("temperature",))
@@ -126,23 +111,17 @@ def identify_specific_heat(
     cold = float(np.median([np.percentile(w.temperature, 5) for w in windows]))
     result, blind = _fitted(observations, cold, parameters, heat_loss)
     off = {kind: [o for o in result.off if o.kind == kind] for kind in (DELAY, OFFSET)}
-    models = []
-    for (_, _, of_drive), observation, zero in zip(
-        used, result.fit.problem.observations, off[OFFSET], strict=True
-    ):
+    models: list[Array] = []
+    fits = zip(used, result.fit.problem.observations, off[OFFSET], strict=True)
+    for (_, _, of_drive), observation, zero in fits:
         simulation = observation.simulate(result.fit.parameters)
         predicted = observation.course(observation.signals[0], simulation)
-        models += [
-            np.asarray(zero.value + np.interp(window.temperature_time, observation.grid, predicted))
-            for window in of_drive
-        ]
+        for w in of_drive:
+            models.append(zero.value + np.interp(w.temperature_time, observation.grid, predicted))
 
     # The numbers. Random errors grow with the misfit; what the checks doubt comes on top.
-    n, mass, area = (
-        sum(len(w.temperature) for w in windows), parameters["wire.mass"],
-        parameters["wire.surface_area"],
-    )
-    numbers = {number.name: number for number in result.numbers}
+    mass, area = parameters["wire.mass"], parameters["wire.surface_area"]
+    n, numbers = sum(len(w.temperature) for w in windows), {own.name: own for own in result.numbers}
     cp, h, lag = (numbers[name] for name in (SPECIFIC_HEAT, COEFFICIENT, LAG))
     both = [list(numbers).index(name) for name in (SPECIFIC_HEAT, COEFFICIENT)]
     logs = np.array([cp.std / cp.value, h.std / h.value])
@@ -150,13 +129,13 @@ def identify_specific_heat(
     tau = mass / area * cp.value / h.value
     of_tau = math.sqrt(logs[0, 0] + logs[1, 1] - 2.0 * logs[0, 1])
     remarks, factor, doubt = _checks(result, blind, tau, parameters, heat_loss, steps)
-    of_r = heat_loss.resistance.statistical / heat_loss.resistance.value if heat_loss.gain else 0.0
+    resistance, loss, gain, known = heat_loss
+    of_r = resistance.statistical / resistance.value if gain else 0.0
     relative = math.hypot(math.sqrt(logs[0, 0]) * factor, of_r, doubt)
-    method = f"output-error fit of eq. (2) to the ramps, m = {mass * 1e3:.4g} g taken as exact"
+    method = "output-error fit of eq. (2) to the ramps"
 
     # Systematic errors: time is told well, so m c_p goes with h A_c as these sensors make it. With
     # an h of others they have no part in it.
-    resistance, loss, _, known = heat_loss
     if known:
         scales = {name: share / loss.value for name, share in loss.shares.items()}
     else:
@@ -164,48 +143,35 @@ def identify_specific_heat(
         for name, share in scale_of_gain(parameters).items():
             scales[name] = scales.get(name, 0.0) - share
     of_cp, of_h = ({n: e.value * share for n, share in scales.items()} for e in (cp, h))
-    estimate = Estimate(cp.value, cp.value * relative, "J/(kg K)", method, n)
+    words = f"{method}, m = {mass * 1e3:.4g} g taken as exact"
+    estimate = Estimate(cp.value, cp.value * relative, "J/(kg K)", words, n)
     estimates = {SPECIFIC_HEAT: estimate.with_shares(of_cp)}
-    paper, rates = slope_of_rates(
-        windows, [float(model.min()) for model in models], resistance.value, loss.value * area, mass
-    )
+    coldest = [float(model.min()) for model in models]
+    paper, rates = slope_of_rates(windows, coldest, resistance.value, loss.value * area, mass)
     # Of the record that tells it best.
     late, step = min(zip(off[DELAY], steps, strict=True), key=lambda o: o[0].std)
-    late_std = math.hypot(late.std, step)
-    details = {
-        "differentiator": paper,
-        "time_constant": Estimate(tau, tau * of_tau, "s", "m c_p/(h A_c)", n),
-        "delay": Estimate(late.value, late_std, "s", "stamps of temperature - voltage", n),
-        "lag": Estimate(lag.value, lag.std, "s", "lag of the temperature", n, 0.0, lag.informed),
-    }
+    late_std, words = math.hypot(late.std, step), "stamps of temperature - voltage"
+    slow = Estimate(lag.value, lag.std, "s", "lag of the temperature", n, informed=lag.informed)
+    details = {"differentiator": paper,
+               "time_constant": Estimate(tau, tau * of_tau, "s", "m c_p/(h A_c)", n),
+               "delay": Estimate(late.value, late_std, "s", words, n), "lag": slow}
     if lag.value > _SIGNIFICANT * lag.std:
-        estimates[CAMERA_LAG] = details["lag"]
+        estimates[CAMERA_LAG] = slow
     if not known:
         # c_p and h belong together: a file with this c_p and another h has the wrong tau.
-        estimates[COEFFICIENT] = Estimate(
-            h.value, h.std, "W/(m2 K)", "output-error fit of eq. (2) to the ramps", n
-        ).with_shares(of_h)
+        estimates[COEFFICIENT] = Estimate(h.value, h.std, "W/(m2 K)", method, n).with_shares(of_h)
     # Measured and fitted temperature, one window after the other, NaN in between.
-    columns = {
-        "time": [w.temperature_time for w in windows],
-        "temperature": [w.temperature for w in windows], "model": models,
-        "voltage": [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows],
-    }
-    curves = {
-        name: np.concatenate([piece for part in parts for piece in (part, [np.nan])])
-        for name, parts in columns.items()
-    }
-    return Experiment(
-        "E3", "Specific heat", estimates, (*findings, *remarks), curves | rates, where, details
-    )
+    voltage = [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows]
+    columns = {"time": [w.temperature_time for w in windows],
+               "temperature": [w.temperature for w in windows], "model": models,
+               "voltage": voltage}
+    curves = {name: np.concatenate([piece for part in parts for piece in (part, [np.nan])])
+              for name, parts in columns.items()}
+    return Experiment("E3", "Specific heat", estimates, (*findings, *remarks), curves | rates,
+                      where, details)
 
 
-# --- Windows around the ramps, in which the wire stays below A_s.
-
-
-def _windows(
-    drives: Sequence[tuple[Record, ChannelDrive]], limit: float
-) -> tuple[list[list[Window]], str, list[Finding]]:
+def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, list[Finding]]:
     """Of each drive the ramps that stay below `limit` [K], the cold beginnings of hot ones where
     there are no others; where they are from; and a remark."""
     # Windows with how many samples were cut off, and the highest temperature in K.
@@ -234,25 +200,18 @@ def _windows(
     every = [cut for of_drive in cuts for cut in of_drive]
     hot = [cut for cut in every if cut[1]]
     some_cold = len(hot) < len(every)
-    chosen = [
-        [w for w, cut_off, _ in of_drive
-         if not (some_cold and cut_off) and len(w.temperature) >= _FEWEST_SAMPLES]
-        for of_drive in cuts
-    ]
-    where = "; ".join(
-        f"{record.path}: {drive.channel}, {len(cut)} ramps"
-        for (record, drive), cut in zip(drives, cuts, strict=True)
-    )
+    chosen = [[w for w, cut_off, _ in of_drive if not (some_cold and cut_off)
+               and len(w.temperature) >= _FEWEST_SAMPLES] for of_drive in cuts]
+    each = zip(drives, cuts, strict=True)
+    where = "; ".join(f"{r.path}: {drive.channel}, {len(cut)} ramps" for (r, drive), cut in each)
     if not any(chosen):
         raise refusal("no cold ramp", where=where, least=_FEWEST_SAMPLES, limit=limit)
-    findings = [remark(
+    if not hot:
+        return chosen, where, []
+    _, cut_off, highest = zip(*hot, strict=True)
+    return chosen, where, [remark(
         "some ramps too hot" if some_cold else "ramps too hot", limit=limit, ramps=len(hot),
-        of=len(every), excluded=sum(cut[1] for cut in hot), highest=max(cut[2] for cut in hot),
-    )] if hot else []
-    return chosen, where, findings
-
-
-# --- The fit: what is observed, what is unknown.
+        of=len(every), excluded=sum(cut_off), highest=max(highest))]
 
 
 def _median_of_five(values: Array) -> Array:
@@ -261,15 +220,13 @@ def _median_of_five(values: Array) -> Array:
     return np.asarray(np.median(windows, axis=-1))
 
 
-def _fitted(
-    observations: Sequence[Observation], cold: float, parameters: Parameters, heat_loss: HeatLoss
-) -> tuple[Result, Result | None]:
+def _fitted(observations: Sequence[Observation], cold: float, parameters: Parameters,
+            heat_loss: HeatLoss) -> tuple[Result, Result | None]:
     """With what is known of h; and by the ramps alone, with the noise that this leaves. Where
     nobody knows h the latter only. `cold`: K, of the wire before the ramps."""
     believed, camera = _lag(parameters)
     free = _unknowns(parameters, heat_loss, cold, camera, known=False)
-    place = free.names.index(SPECIFIC_HEAT)
-    starts = [np.where(np.arange(len(free.items)) == place, x, 0.0) for x in _STARTS]
+    starts = [np.where(np.array(free.names) == SPECIFIC_HEAT, x, 0.0) for x in _STARTS]
     problem = Problem.of(observations, voltage_noise=True)
     blind, tried = recalibrate(problem, free.parameters(starts[0]), free, starts)
     found = dict(zip(free.names, free.values(blind.x).tolist(), strict=True))
@@ -299,48 +256,36 @@ def _lag(parameters: Parameters) -> tuple[float, float]:
     return mean, max(parameters.std(CAMERA_LAG), _LEAST)
 
 
-def _unknowns(
-    parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_std: float, known: bool
-) -> Unknowns:
+def _unknowns(parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_std: float,
+              known: bool) -> Unknowns:
     """Where E2 has measured the gain, the ramps share it whatever R is: R is held, its error
     added in the end."""
-    own, loss, gain, _ = heat_loss
-    of_h = _ANY
+    (own, loss, gain, _), of_h = heat_loss, _ANY
     if known:
         of_h = gain.statistical / gain.value if gain else loss.relative_std
-    believed = {
-        COEFFICIENT: (loss.value, of_h * loss.value),
-        SPECIFIC_HEAT: (float(parameters[SPECIFIC_HEAT]), _ANY * parameters[SPECIFIC_HEAT]),
-        AMBIENT: (ambient, _AMBIENT_STD),
-        LAG: (_lag(parameters)[0], lag_std),
-    }
+    believed = {COEFFICIENT: (loss.value, of_h * loss.value),
+                SPECIFIC_HEAT: (float(parameters[SPECIFIC_HEAT]), _ANY * parameters[SPECIFIC_HEAT]),
+                AMBIENT: (ambient, _AMBIENT_STD), LAG: (_lag(parameters)[0], lag_std)}
     if gain is None:
         # What the scales of these sensors do to R they do to h too, where these ramps tell it.
         of_r = own.relative_std if known else own.statistical / own.value
-        believed[RESISTANCE] = (float(parameters[RESISTANCE]), of_r * parameters[RESISTANCE])
-    items = tuple(
-        Unknown(
-            name, mean, std, float(BY_NAME[name].low or 0.0), float(BY_NAME[name].high or np.inf),
-            log=name not in (AMBIENT, LAG),
-        )
-        for name, (mean, std) in believed.items() if std > 0.0
-    )
+        ohm = parameters[signals.RESISTANCE]
+        believed[signals.RESISTANCE] = (float(ohm), of_r * ohm)
+    items = []
+    for name, (mean, std) in believed.items():
+        low, high = float(BY_NAME[name].low or 0.0), float(BY_NAME[name].high or np.inf)
+        if std > 0.0:
+            items.append(Unknown(name, mean, std, low, high, log=name not in (AMBIENT, LAG)))
     base = parameters.replace({COEFFICIENT: loss.value})
-    return Unknowns(base, items, len(items), len(items))
+    return Unknowns(base, tuple(items), len(items), len(items))
 
 
-# --- What may be wrong with a fit of the heat equation, and by how much c_p is then in doubt.
-
-
-def _checks(
-    result: Result, blind: Result | None, tau: float, parameters: Parameters, heat_loss: HeatLoss,
-    steps: Sequence[float],
-) -> tuple[list[Finding], float, float]:
-    """Remarks, a factor of the random error and a relative doubt of c_p. `blind`: the fit without
-    what is known of h; `tau`: s of the wire; `steps`: s, error of each delay by commanded steps."""
-    findings: list[Finding] = []
-    factor, doubts = 1.0, [0.0]
-
+def _checks(result: Result, blind: Result | None, tau: float, parameters: Parameters,
+            heat_loss: HeatLoss, steps: Sequence[float]) -> tuple[list[Finding], float, float]:
+    """What may be wrong with a fit of the heat equation: remarks, a factor of the random error and
+    a relative doubt of c_p. `blind`: the fit without what is known of h; `tau`: s of the wire;
+    `steps`: s, error of each delay by commanded steps."""
+    findings, factor, doubts = list[Finding](), 1.0, [0.0]
     # An offset between the stamps, a small lag of the camera's in it, that was resolved? Delay and
     # lag of the record that tells them best: their sum is known better than they.
     fitted, delays = result.fit, [off for off in result.off if off.kind == DELAY]
@@ -354,32 +299,26 @@ def _checks(
     late = delays[best].value + lag.value
     std = math.hypot(math.sqrt(float(weights @ fitted.joint @ weights)), steps[best])
     assumed = min(off.prior_std for off in delays)
+    far = abs(late) > _SIGNIFICANT * math.hypot(assumed, _lag(fitted.parameters)[1])
+    resolved = abs(late) >= max(_SIGNIFICANT * std, _SMALL_DELAY)
+    cause, is_bad = "delay", far
     if std > 0.5 * assumed:
-        severity: Severity = "warning" if std > _SMALL * tau else "info"
-        findings.append(
-            remark("delay not told", severity, delay=late, delay_std=std, assumed=assumed)
-        )
-    else:
-        far = abs(late) > _SIGNIFICANT * math.hypot(assumed, _lag(fitted.parameters)[1])
-        told = abs(late) >= max(_SIGNIFICANT * std, _SMALL_DELAY)
-        more = "; taken at face value they would pass for thermal inertia" if told else ""
-        severity = "warning" if far else "info"
-        findings.append(remark("delay", severity, delay=late, delay_std=std, more=more))
+        cause, is_bad = "delay not told", std > _SMALL * tau
+    more = "; taken at face value they would pass for thermal inertia" * resolved
+    findings.append(remark(cause, "warning" if is_bad else "info", delay=late, delay_std=std,
+                           assumed=assumed, more=more))
 
     # A second time constant: the camera's, or the wire's own?
     believed, std = _lag(parameters)
     own_std = lag.std / math.sqrt(max(lag.informed, _LEAST))  # by the ramps alone
     if abs(lag.value - believed) >= max(_SIGNIFICANT * max(lag.std, std), _SMALL * tau):
-        findings.append(remark(
-            "two time constants", tau=tau, lag=lag.value, lag_std=lag.std,
-            swapped=lag.value / tau * cp.value,
-        ))
+        findings.append(remark("two time constants", tau=tau, lag=lag.value, lag_std=lag.std,
+                               swapped=lag.value / tau * cp.value))
         # Where the two differ clearly, a lag is the smaller one; near each other they trade places.
         doubts.append(min(lag.value / tau, tau / lag.value) ** 2)
-    elif own_std >= KNOWN_LAG * tau:
-        findings.append(remark(
-            "lag not told", believed=believed, std=std, lag_std=own_std, time_constant=tau
-        ))
+    elif own_std >= _KNOWN_LAG * tau:
+        findings.append(remark("lag not told", believed=believed, std=std, lag_std=own_std,
+                               time_constant=tau))
 
     # Residuals that stay on one side over a time constant: the largest mean of them in K, over
     # what such means scatter by where the wire is cold, and over the rise.
@@ -399,9 +338,8 @@ def _checks(
     misfit, errors, share = max(means, key=lambda one: one[1])
     if errors >= _BAD_MISFIT and share >= _SMALL:
         factor = errors / _SIGNIFICANT
-        findings.append(
-            remark("heat equation misses", misfit=misfit, standard_errors=errors, share=share)
-        )
+        findings.append(remark("heat equation misses", misfit=misfit, standard_errors=errors,
+                               share=share))
 
     # Do the ramps by themselves ask for the steady rise that E2 measured?
     if blind is not None:
@@ -413,28 +351,18 @@ def _checks(
         if abs(difference) >= max(_SIGNIFICANT * doubt, _SMALL):
             other = alone[SPECIFIC_HEAT].value
             doubts.append(abs(math.log(other / cp.value)))
-            findings.append(remark(
-                "another steady rise", gain_difference=difference, gain_difference_std=doubt,
-                other=other, free=free.value,
-            ))
+            findings.append(remark("another steady rise", gain_difference=difference,
+                                   gain_difference_std=doubt, other=other, free=free.value))
     return findings, factor, math.hypot(*doubts)
 
 
-# --- The paper's own way to the specific heat: slope of dT/dt over f(T, V) (eq. 5, Fig. 5).
-
-
-def slope_of_rates(
-    windows: Sequence[Window], ambient: Sequence[float], resistance: float, heat_loss: float,
-    mass: float,
-) -> tuple[Estimate, dict[str, Array]]:
+def slope_of_rates(windows: Sequence[Window], ambient: Sequence[float], resistance: float,
+                   heat_loss: float, mass: float) -> tuple[Estimate, dict[str, Array]]:
     """c_p in J/(kg K) from 1/slope of dT/dt over f(T, V) = (V^2/R - h A_c (T - T_inf))/m, and the
-    driven samples: "force" f in W/kg and "rate" dT/dt in K/s.
-
-    A differentiator of 0.1 s gives dT/dt; f passes the same filter, so that both lag alike. The
-    camera's noise is in both f and dT/dt and biases the slope.
-
-    `ambient`: K, one a window; `resistance`: ohm; `heat_loss`: h A_c in W/K; `mass`: kg.
-    """
+    driven samples: "force" f in W/kg and "rate" dT/dt in K/s. A differentiator of 0.1 s gives
+    dT/dt; f passes the same filter, so that both lag alike. The camera's noise is in both and
+    biases the slope. `ambient`: K, one a window; `resistance`: ohm; `heat_loss`: h A_c in W/K;
+    `mass`: kg."""
     rates, forces = [], []
     for w, surrounding in zip(windows, ambient, strict=True):
         period = float(np.median(np.diff(w.temperature_time)))
@@ -455,8 +383,7 @@ def slope_of_rates(
     # Filtered samples repeat each other over the filter's time.
     effective = max(len(rate) * period / (2.0 * _FILTER_TIME), 2.0)
     scatter = float(np.std(rate - slope * force)) / float(np.sqrt(np.mean(force**2)))
-    estimate = Estimate(
-        1.0 / slope, scatter / math.sqrt(effective) / slope**2, "J/(kg K)",
-        "slope of filtered dT/dt over f(T, V) as in the paper; biased by noise", len(rate),
-    )
-    return estimate, {"force": force, "rate": rate}
+    std = scatter / math.sqrt(effective) / slope**2
+    method = "slope of filtered dT/dt over f(T, V) as in the paper; biased by noise"
+    paper = Estimate(1.0 / slope, std, "J/(kg K)", method, len(rate))
+    return paper, {"force": force, "rate": rate}

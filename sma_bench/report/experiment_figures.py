@@ -11,8 +11,8 @@ from sma_bench.errors import InputError
 from sma_bench.estimation.bands import predict
 from sma_bench.identify.estimate import SYMBOLS
 from sma_bench.identify.result import Experiment
+from sma_bench.identify.staircases import PARAMETER
 from sma_bench.identify.tensile import SYMBOL
-from sma_bench.identify.thermal_expansion import PARAMETER
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded
 from sma_bench.physics.linearised import Branch, Linearised, OperatingPoint

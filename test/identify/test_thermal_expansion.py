@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from sma_bench.errors import InputError
-from sma_bench.identify.thermal_expansion import identify_thermal_expansion, steady_windows
+from sma_bench.identify.staircases import identify_thermal_expansion, steady_windows
 from sma_bench.parameters import Parameters
 from sma_bench.records.record import Record, Signal
 
