@@ -371,8 +371,7 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
         for block in fitted.problem.blocks:
             signal, left = block.signal, fitted.left[block.rows]
             # A bin's mean hides most of its samples' white noise: it is added again.
-            count = signal.usual_count
-            hidden = signal.noise**2 * (count - 1.0)
+            count, hidden = signal.usual_count, signal.noise**2 * (signal.usual_count - 1.0)
             rms = float(np.sqrt(np.average(left**2, weights=signal.count) + hidden))
             noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
             yield signal.quantity, SignalFit.judged(rms, noise, reach, UNITS[signal.quantity])
@@ -380,10 +379,11 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
     # Strain of isobaric loops, beside which an experiment has laid its model.
     loops = [e for e in run.experiments if e.name in ("E6", "E9")]
     curves = loops[-1].curves if loops else {}
-    for stem, _, kind in (name.rpartition("/") for name in curves):
-        strain, strained = curves[f"{stem}/{kind}"], curves.get(f"{stem}/model")
+    for name, strain in curves.items():
+        stem, _, kind = name.rpartition("/")
         if kind != "strain" or len(strain) < 3:
             continue
+        strained = curves.get(f"{stem}/model")
         if strained is None:
             cosine = curves[f"{stem}/cosine"]
             kelvin, modelled = cosine[np.argsort(cosine[:, 0])].T

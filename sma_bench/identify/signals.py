@@ -132,8 +132,7 @@ def driven(record: Record, parameters: Parameters) -> dict[str, float]:
 
 def holds_frame(record: Record, parameters: Parameters) -> bool:
     """Whether a record shows one driven wire in a load frame."""
-    alone = len(record.channels) == 1 and has_load_frame(record)
-    return alone and bool(driven(record, parameters))
+    return len(record.channels) == 1 and has_load_frame(record) and bool(driven(record, parameters))
 
 
 def is_clamped_wire(record: Record) -> bool:

@@ -333,9 +333,8 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
         below = warm.value < limit
         if not below.all():
             hot = warm.value[~below]
-            low, high, count = hot.min(), hot.max(), len(hot)
-            findings.append(remark("plateaus too hot", path=path, count=count, low=low, high=high,
-                                   limit=limit))
+            findings.append(remark("plateaus too hot", path=path, count=len(hot), low=hot.min(),
+                                   high=hot.max(), limit=limit))
         # Once slack, the wire tells nothing; all plateaus below 0 N mean another zero or sign.
         tight = here > max(float(np.max(np.abs(here))) * 0.02, _SLACK * error.max())
         if tight.any() and not tight[below].all():
@@ -366,9 +365,10 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
     soft = NITI_EXPANSION[0] * parameters["wire.martensite_modulus"]
     stiff = NITI_EXPANSION[1] * parameters["wire.austenite_modulus"]
     std, size, factor = estimate.std, abs(slope), CONVECTION_FACTOR
-    least, most = size - 2.0 * std, size + 2.0 * std
-    causes = {"expansion of the other sign": slope > 2.0 * std, "expansion of a camera": factor
-              * soft < least <= factor * stiff, "expansion too large": least > factor * stiff,
+    least, most, strongest = size - 2.0 * std, size + 2.0 * std, factor * stiff
+    causes = {"expansion of the other sign": slope > 2.0 * std,
+              "expansion of a camera": factor * soft < least <= strongest,
+              "expansion too large": least > strongest,
               "expansion too small": most < soft / factor}
     facts = {"of_soft": size / soft, "of_stiff": size / stiff}
     faults = [words(cause, **facts) for cause, found in causes.items() if found]
