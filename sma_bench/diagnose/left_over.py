@@ -9,6 +9,9 @@ simulation with independent Gaussian weights, whose size is the most likely one.
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache, partial
+from itertools import pairwise, starmap
+from operator import itemgetter
 
 import numpy as np
 
@@ -30,30 +33,25 @@ _MOST_CELLS = 1_000_000  # of an even grid
 class Left:
     """What a fit leaves in motion and at rest."""
 
-    # log of moving over resting variance, in its standard deviations, the largest of all
-    ratio: float
+    ratio: float  # log of moving over resting variance, in standard deviations, the largest of all
     signal: str  # which one
     outlier: float  # largest whitened residual, in standard deviations: a single event shows there
 
 
 def left_over(fitted: Fit) -> Left:
     """Compare what a fit leaves on either side of the median speed of each simulated signal."""
-    problem = fitted.problem
-    found = Left(-np.inf, "", 0.0)
+    problem, found, outlier = fitted.problem, [(-np.inf, "")], 0.0
     rates = [rate for o in problem.observations for rate in o.rates(o.simulate(fitted.parameters))]
     for block, rate in zip(problem.blocks, rates, strict=True):
         white = problem.noise[block.signal.name].whiten(fitted.left[block.rows])
-        speed = np.abs(rate)
-        moving = speed > np.median(speed)
+        moving = np.abs(rate) > np.median(np.abs(rate))
         if min(moving.sum(), (~moving).sum()) < _FEWEST:
             continue
         fast, slow = float(np.mean(white[moving] ** 2)), float(np.mean(white[~moving] ** 2))
         spread = np.sqrt(2.0 / moving.sum() + 2.0 / (~moving).sum())
-        ratio = float(np.log(fast / slow) / spread)
-        outlier = max(found.outlier, float(np.max(np.abs(white))))
-        first = max((ratio, block.signal.name), (found.ratio, found.signal), key=lambda r: r[0])
-        found = Left(*first, outlier)
-    return found
+        found.append((float(np.log(fast / slow) / spread), block.signal.name))
+        outlier = max(outlier, float(np.max(np.abs(white))))
+    return Left(*max(reversed(found), key=itemgetter(0)), outlier)
 
 
 Key = tuple[str, int]  # name and number of a signal's features, for another bench has other sides
@@ -77,12 +75,9 @@ def flexible_residual(fitted: Fit) -> Flexible:
     """Fit the free response to what a candidate leaves."""
     made = [_features(o, o.simulate(fitted.parameters)) for o in fitted.problem.observations]
     # Records share the features of a signal that they share.
-    columns: dict[Key, slice] = {}
-    first = 0
-    for key in ((key for some in made for key, _ in some)):
-        if key not in columns:
-            columns[key] = slice(first, first + key[1])
-            first += key[1]
+    keys = list(dict.fromkeys(key for some in made for key, _ in some))
+    ends = np.cumsum([0, *(count for _, count in keys)]).tolist()
+    columns = dict(zip(keys, starmap(slice, pairwise(ends)), strict=True))
     return smooth_response(fitted, np.vstack([_placed(some, columns) for some in made]), columns)
 
 
@@ -90,13 +85,9 @@ def smooth_response(fitted: Fit, features: Array, columns: Mapping[Key, slice]) 
     """What features (n, p) of independent Gaussian weights explain of what a candidate leaves."""
     own = _likelihood(fitted.problem, fitted.left)
     # It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
-    problem = replace(
-        fitted.problem,
-        noise={
-            name: replace(noise, drift=min(noise.drift, noise.white))
-            for name, noise in fitted.problem.noise.items()
-        },
-    )
+    noises = {name: replace(noise, drift=min(noise.drift, noise.white))
+              for name, noise in fitted.problem.noise.items()}
+    problem = replace(fitted.problem, noise=noises)
     best = Flexible(0.0, np.zeros_like(fitted.left), np.zeros(features.shape[1]), columns)
     for _ in range(_ROUNDS):
         # What the fitted unknowns can still take up is not the features' to explain.
@@ -131,13 +122,11 @@ def _likelihood(problem: Problem, residual: Array) -> float:
 
 def _features(obs: Observation, simulation: Simulation) -> list[tuple[Key, Array]]:
     """(rows, own features) of each signal of a record, in units of its noise."""
-    found = []
-    clock = (obs.grid - obs.grid[0]) / 100.0
-    moves = {s.name: s.quantity in ("deflection", "force") for s in obs.signals}
-    wires = {s.wire for s in obs.signals if not moves[s.name]}
-    of_wires = {wire: _of_wire(wire, obs, simulation) for wire in wires}
+    found, clock = [], (obs.grid - obs.grid[0]) / 100.0
+    of_wire = cache(partial(_of_wire, obs, simulation))
     for signal in obs.signals:
-        own = _of_motion(obs, simulation) if moves[signal.name] else of_wires[signal.wire]
+        moves = signal.quantity in ("deflection", "force")
+        own = _of_motion(obs, simulation) if moves else of_wire(signal.wire)
         constant = [np.ones_like(clock)] if signal.quantity == "current" else []
         histories = np.column_stack([clock, clock**2, *own, *constant])
         block = signal.average @ histories * signal.noise
@@ -162,7 +151,7 @@ def _of_motion(obs: Observation, simulation: Simulation) -> list[Array]:
     return found
 
 
-def _of_wire(wire: int, obs: Observation, simulation: Simulation) -> list[Array]:
+def _of_wire(obs: Observation, simulation: Simulation, wire: int) -> list[Array]:
     power = _unit(obs.voltage[:, wire] ** 2)
     own, xi = simulation.temperature[:, wire], simulation.martensite_fraction[:, wire]
     opposite = [k for k, side in enumerate(obs.sides) if side != obs.sides[wire]]
@@ -179,13 +168,12 @@ def _of_wire(wire: int, obs: Observation, simulation: Simulation) -> list[Array]
 
 def _placed(blocks: list[tuple[Key, Array]], columns: Mapping[Key, slice]) -> Array:
     """(n, p) of a record's rows."""
-    placed = np.zeros((sum(len(block) for _, block in blocks), sum(n for _, n in columns)))
-    first = 0
+    rows = []
     for key, block in blocks:
+        rows.append(np.zeros((len(block), sum(n for _, n in columns))))
         if key in columns:
-            placed[first : first + len(block), columns[key]] = block
-        first += len(block)
-    return placed
+            rows[-1][:, columns[key]] = block
+    return np.vstack(rows)
 
 
 def _remembered(history: Array, memory: float, grid: Array) -> Array:

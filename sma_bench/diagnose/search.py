@@ -3,7 +3,6 @@
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from sma_bench.estimation.laws import nearest_starts, starts
 from sma_bench.estimation.nuisances import STATE, TICK
 from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.solver import Fit, fit, recalibrate
+from sma_bench.estimation.solver import Fit, by_evidence, fit, recalibrate
 from sma_bench.estimation.unknowns import (
     IF_STATED,
     LAW_EFFECT,
@@ -83,7 +82,6 @@ _SHAPES = {
 _INSTANTS, _KNEES = (0.001, 0.25, 0.5, 0.75), (0.35, 0.65, 0.85)
 
 Progress = Callable[[str], None]
-_evidence = attrgetter("evidence")
 
 
 def _worth(found: Fit) -> tuple[float, bool]:
@@ -157,7 +155,7 @@ def search(
     def keep(fits: Iterable[Fit]) -> None:
         for found in fits:
             (name,) = found.unknowns.effects
-            singles[name] = max(singles[name], found, key=_evidence)
+            singles[name] = max(singles[name], found, key=by_evidence)
 
     recalibrated, stuck = _again(baseline, recalibrated, singles)
     if stuck:
@@ -189,11 +187,11 @@ def search(
     if stuck:
         progress("recalibration was stuck: once more")
         keep(_singles(kinds, better, progress).values())
-    recalibrated = max(better, _refined(better), key=_evidence) if _is_bent(better) else better
+    recalibrated = max(better, _refined(better), key=by_evidence) if _is_bent(better) else better
     progress("pairs")
     pairs = _pairs(baseline, singles, recalibrated)
 
-    best = max([recalibrated, *singles.values(), *pairs.values()], key=_evidence)
+    best = max([recalibrated, *singles.values(), *pairs.values()], key=by_evidence)
     progress("what is left")
     fits = list(dict.fromkeys([recalibrated, best]))
     looks = flexible_residual, left_over, process_noise
@@ -286,7 +284,7 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
         without = off(kind)
         if found.evidence >= without.evidence:
             return found
-        return max(found, without, fit_from(kind, without.x), key=_evidence)
+        return max(found, without, fit_from(kind, without.x), key=by_evidence)
 
     worth = [both for both in begun if both[0].forms[0] and both[1].gain > _WORTH_A_FORM]
     worth = [both for both in begun if not both[0].forms[0] or both in worth[:_MOST_FORMS]]
@@ -312,7 +310,7 @@ def _again(baseline: Unknowns, recalibrated: Fit, singles: dict[str, Fit]) -> tu
     whether it is so much better that effects are to be looked for from there."""
     if not singles:
         return recalibrated, False
-    best = max(singles.values(), key=_evidence)
+    best = max(singles.values(), key=by_evidence)
     better = fit(recalibrated.problem, baseline, best.x[: baseline.baseline], far=True)
     gained = better.evidence - recalibrated.evidence
     return (better if gained > 0.0 else recalibrated), gained > _STUCK
@@ -386,7 +384,7 @@ def _pairs(
         for found in with_partners(singles[name]):
             keep(found)
     if pairs:
-        keep(_refined(max(pairs.values(), key=_evidence)))
+        keep(_refined(max(pairs.values(), key=by_evidence)))
     return pairs
 
 

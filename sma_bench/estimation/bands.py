@@ -88,16 +88,11 @@ def band_of(
     parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
     probability: float, report: Report = silent,
 ) -> dict[str, Band]:
-    """What a run will show, by signal but the voltages, as far as a parameter file says.
-
-    Args:
-        parameters: numbers of wire, room, load and effects with a stated `uncertainty.` are drawn,
-            each by itself (`benches_within`); sensors and all others are as they are.
-        simulated: signals of the run that is asked for, on a bench; probability: between 0 and 1.
-
-    Raises:
-        InputError: another probability, or no number has a stated uncertainty.
-    """
+    """What a run will show, by signal but the voltages, as far as a parameter file says: numbers of
+    wire, room, load and effects with a stated `uncertainty.` are drawn, each by itself
+    (`benches_within`); sensors and all others are as they are. `simulated`: signals of the run that
+    is asked for, on a bench. Raises InputError: `probability` is no share, or no number has a
+    stated uncertainty."""
     reach, benches = reach_of(probability), benches_within(parameters, _DRAWS)
     exact, drawn = simulated(parameters), []
     for number, bench in enumerate(benches):

@@ -42,7 +42,6 @@ _NEGLIGIBLE = 0.01  # share of a prediction
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _DRAWN, _DRAWN_FIRST = 2, 12  # further starts, drawn from the prior; of which the best are tried
 
-
 # By law and air: the fit, or two of several runs, and those that were tried.
 Fits = dict[tuple[str, str], tuple[list[Fit], list[Fit]]]
 
@@ -88,11 +87,8 @@ def weigh_laws(
     report: Report = silent,
 ) -> tuple[LawFit, ...]:
     """The laws that the wire may follow, the most probable first: the one that a file states, else
-    all; `extended` only where a number of its own is stated.
-
-    Raises:
-        InputError: no law goes with what is stated, or leads to a fit.
-    """
+    all; `extended` only where a number of its own is stated. Raises InputError: no law goes with
+    what is stated, or leads to a fit."""
     stated = "wire.law" in parameters.given
     known = [n for n in PRIOR if n != "extended" or parameters.given & {*ORIENTING[n]}]
     laws = [parameters["wire.law"]] if stated else known
@@ -114,8 +110,11 @@ def weigh_laws(
                 sides_apart=True, unmodelled=True,
             )
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
-            if air != usual:
-                tries.append(_where_it_ended(fits[law, usual][0][0], unknowns))
+            if air != usual:  # from where the usual one ended, as far as it has these unknowns
+                one, start = fits[law, usual][0][0], unknowns.start().tolist()
+                ended = dict(zip(one.unknowns.names, one.x.tolist(), strict=True))
+                places = zip(unknowns.names, start, strict=True)
+                tries.append(np.array([ended.get(name, x) for name, x in places]))
             share = part(report, done / count, (done + 1) / count, law)
             fits[law, air] = fit_imperfect(problem, own, unknowns, tries, share)
         except (FitError, InputError) as error:  # or not with what else is stated
@@ -133,13 +132,6 @@ def weigh_laws(
         if law in evidence:
             fit_with(law, air)
     return _weighed(fits, {} if settled else AIR, readings)
-
-
-def _where_it_ended(fitted: Fit, unknowns: Unknowns) -> Array:
-    """(k,) where a fit ended, as far as it has these unknowns."""
-    ended = dict(zip(fitted.unknowns.names, fitted.x.tolist(), strict=True))
-    start = zip(unknowns.names, unknowns.start().tolist(), strict=True)
-    return np.array([ended.get(name, x) for name, x in start])
 
 
 def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[LawFit, ...]:
@@ -202,11 +194,8 @@ def repeatability(fitted: Fit) -> float:
     problem, squares = fitted.problem, []
     if len(problem.observations) < 2:
         return float("nan")
-    kinds = [item.kind in (STATE, OFFSET) for own in problem.nuisances for item in own.items]
-    which = np.flatnonzero(kinds)
-    rows = problem.nuisance_rows[:, which]
-    k = len(fitted.x)
-    doubt = fitted.joint[k:, k:][np.ix_(which, which)]
+    which, k = np.flatnonzero(problem.of_kind(STATE) | problem.of_kind(OFFSET)), len(fitted.x)
+    rows, doubt = problem.nuisance_rows[:, which], fitted.joint[k:, k:][np.ix_(which, which)]
     for block in problem.blocks:
         if block.signal.quantity in MOVED:
             own = rows[block.rows]

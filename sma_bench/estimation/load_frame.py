@@ -28,11 +28,9 @@ _STILL = 1.5  # of its noise: an elongation that stands still scatters no more
 
 @dataclass(frozen=True)
 class Hold:
-    """A boundary of a load frame, from `start` s to the next one.
-
-    `value` is the force [N] held, or the elongation [m] where `clamped`, `std` its error; `steady`
-    is False for the short pieces by which a changing load is followed.
-    """
+    """A boundary of a load frame, from `start` s to the next one: `value` is the force [N] held, or
+    the elongation [m] where `clamped`, `std` its error; `steady` is False for the short pieces by
+    which a changing load is followed."""
 
     start: float
     stop: float
@@ -62,20 +60,15 @@ def is_clamped(record: Record) -> bool:
 
 
 def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
-    """Held loads, or the clamped length, from `start` to `stop` s.
-
-    A frame that holds its clamps shows one elongation; one that holds loads shows plateaus of
-    force, between which the force is followed in short pieces.
-
-    Raises:
-        InputError: neither.
-    """
+    """Held loads, or the clamped length, from `start` to `stop` s: a frame that holds its clamps
+    shows one elongation; one that holds loads shows plateaus of force, between which the force is
+    followed in short pieces. Raises InputError: neither."""
     if not has_load_frame(record):
         return ()
     if is_clamped(record):
         held = has_samples(record, "elongation")
-        value, std = _mean(samples(record, "elongation")[1]) if held else (0.0, 0.0)
-        return (Hold(start, stop, True, value, std),)
+        mean = _mean(samples(record, "elongation")[1]) if held else (0.0, 0.0)
+        return (Hold(start, stop, True, *mean),)
     if not has_samples(record, "force"):
         raise InputError(f"{record.path}: elongation without force, expected the load held")
     time, force = samples(record, "force")
@@ -99,11 +92,9 @@ def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
 
 def _plateaus(record: Record) -> tuple[list[VoltageSegment], float]:
     """Where the force is held, and for how long in all (s)."""
-    found = [
-        p for p in find_segments(*samples(record, "force")).plateaus
-        if p.duration >= _SHORTEST_HOLD
-    ]
-    return found, sum(p.duration for p in found)
+    every = find_segments(*samples(record, "force")).plateaus
+    found = [plateau for plateau in every if plateau.duration >= _SHORTEST_HOLD]
+    return found, sum(plateau.duration for plateau in found)
 
 
 def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
@@ -114,12 +105,10 @@ def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
     time, force = samples(record, "force")
     if len(time) < FEWEST_SAMPLES or _plateaus(record)[1] >= _MOSTLY * (time[-1] - time[0]):
         return ()
-    largest = float(np.ptp(force))
-    return tuple(
-        (ramp.start, ramp.stop) for ramp in find_segments(time, force).ramps
-        if ramp.voltage_stop - ramp.voltage_start > _PULL * largest
-        and ramp.duration >= _SHORTEST_PULL
-    )
+    least = _PULL * float(np.ptp(force))
+    return tuple((ramp.start, ramp.stop) for ramp in find_segments(time, force).ramps
+                 if ramp.voltage_stop - ramp.voltage_start > least
+                 and ramp.duration >= _SHORTEST_PULL)
 
 
 def _mean(values: Array) -> tuple[float, float]:

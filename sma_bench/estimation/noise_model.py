@@ -16,32 +16,22 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
+from sma_bench.arrays import Array
 from sma_bench.compiled import compiled
-
-Array = NDArray[np.float64]
 
 _TIMES = np.geomspace(0.3, 200.0, 8)  # s
 _SLOW = 3.0  # s: drift of a longer time than that must be of the usual size
 _WANDERING = 25.0  # s: no faster is a zero that wanders
 _UNUSUAL = 0.35  # standard deviation of the log of an unusual drift
-_RATIOS = np.concatenate([[0.0], np.geomspace(0.1, 100.0, 13)])  # drift over white
-
-_FEW_LEVELS = 0.2
-_OFTEN = 0.01
-_EXACT = 0.01
-_HARMONICS = 50
+_RATIOS = np.geomspace(0.1, 100.0, 13)  # drift over white
+_FEW_LEVELS, _OFTEN, _EXACT, _HARMONICS = 0.2, 0.01, 0.01, 50
 
 
 @dataclass(frozen=True)
 class Noise:
-    """White level and drift of one signal.
-
-    Attributes:
-        white: of a bin, in the signal's unit; drift: standard deviation of u; time: tau [s].
-        period: s between bins.
-        usual: the drift that an instrument may have; a larger slow one costs probability.
-        wanders: the sensor's zero is taken to wander, which then costs nothing.
-    """
+    """White level of a bin of one signal, in its unit, and drift, the standard deviation of u, with
+    `time` tau [s] and `period` s between bins. A slow drift larger than the `usual` of an
+    instrument costs probability, unless the sensor's zero is taken to wander (`wanders`)."""
 
     white: float
     drift: float
@@ -111,14 +101,10 @@ def estimate_noise(
     residuals: Sequence[Array], white: float, period: float, usual: float = np.inf,
     wanders: bool = False,
 ) -> Noise:
-    """Most likely noise of what a fit leaves; the white part is at least nearly `white`.
-
-    Args:
-        residuals: (b_i,) one a record, of the same sensor.
-        white: noise of a bin from sample to sample, which no fit can lower.
-        usual, wanders: of `Noise`. A sensor that wanders slowly by many times that is not
-            noisy, it is faulty, and what it seems to do may be the bench's doing.
-    """
+    """Most likely noise of residuals (b_i,), one a record, of the same sensor; the white part is at
+    least nearly `white`, that of a bin from sample to sample, which no fit can lower. A sensor that
+    wanders slowly by many times the `usual` is not noisy, it is faulty, and what it seems to do may
+    be the bench's doing."""
     shapes, (drifts, times), whitening = _shapes(period)
     powers = np.zeros(len(shapes))
     for residual in residuals:
@@ -138,18 +124,15 @@ def estimate_noise(
 def _shapes(period: float) -> tuple[tuple[Noise, ...], Array, tuple[Array, ...]]:
     """Noises of white level 1 that are tried; drift and time of each; and what whitens with it:
     phi, theta, 1/innovation and the first sample's factor."""
-    drifting = (
-        Noise(1.0, float(ratio), float(tau), period) for ratio in _RATIOS[1:] for tau in _TIMES
-    )
+    drifting = (Noise(1.0, float(r), float(tau), period) for r in _RATIOS for tau in _TIMES)
     shapes = (Noise(1.0, 0.0, float(_TIMES[0]), period), *drifting)
     phi, theta, innovation, total = np.array([(*s.arma, s.total) for s in shapes]).T
     whitening = phi.copy(), theta.copy(), 1.0 / innovation, 1.0 / total
     return shapes, np.array([(s.drift, s.time) for s in shapes]).T, whitening
 
 
-def whiten(rows: Array, bins: Sequence[int], noises: Sequence["Noise"]) -> Array:
-    """Rows (n,) or (n, k), of which each noise has its number of bins, as independent ones of unit
-    variance."""
+def whiten(rows: Array, bins: Sequence[int], noises: Sequence[Noise]) -> Array:
+    """Rows (n,) or (n, k), each noise's number of bins, as independent ones of unit variance."""
     white = np.array(rows, dtype=np.float64, order="C")
     numbers = np.array([(*noise.arma, noise.total) for noise in noises]).reshape(-1, 4)
     _whiten(white.reshape(len(white), -1), np.array(bins), numbers)
@@ -188,13 +171,8 @@ def _add_powers(
 
 
 def white_noise_level(values: Array) -> float:
-    """Standard deviation of what changes from sample to sample, quantisation included.
-
-    From second differences, so that a smooth course drops out.
-
-    Args:
-        values: (n,) samples of one signal.
-    """
+    """Standard deviation of what changes from sample to sample of a signal (n,), quantisation
+    included: from second differences, so that a smooth course drops out."""
     second = np.diff(values, 2)
     # The median of a coarsely quantised signal jumps by a step; clipped squares do not.
     robust = 1.4826 * float(np.median(np.abs(second)))
@@ -209,14 +187,11 @@ def noise_floor(values: Array) -> float:
 
 
 def resolution(values: Array) -> float:
-    """Step of a quantised signal in its own unit; 0 when none is seen.
+    """Step of a quantised signal (n,) in its own unit; 0 when none is seen.
 
     The step is what all distinct values are whole multiples apart. A quiet signal at a few levels
     shows the levels' spacing only: that counts as a step if samples often move by just one of it,
     or if it is finer than the closest two levels.
-
-    Args:
-        values: (n,) samples.
     """
     levels = np.unique(np.round(values, 9))
     if len(levels) < 2 or len(levels) > _FEW_LEVELS * len(values):
@@ -253,12 +228,9 @@ def quantisation_variance(scatter: float, step: float, left: Array | float = 1.0
 
     Noise of standard deviation s before a converter of step q smooths its staircase; what is left
     of the mean's error has variance sum_k q^2/(2 pi^2 k^2) exp(-4 pi^2 k^2 s^2/q^2), which is
-    q^2/12 without noise (Widrow and Kollar, Quantization Noise, 2008, ch. 9).
-
-    Args:
-        scatter: standard deviation of the samples as recorded, so including the quantisation.
-        step: the converter's step; 0 for a continuous signal.
-        left: of `coherence`, where the input moves.
+    q^2/12 without noise (Widrow and Kollar, Quantization Noise, 2008, ch. 9). `scatter`: standard
+    deviation of the samples as recorded, the quantisation in it; `step`: q, 0 of a continuous
+    signal; `left`: of `coherence`, where the input moves.
     """
     if step <= 0.0:
         return 0.0
@@ -269,15 +241,9 @@ def quantisation_variance(scatter: float, step: float, left: Array | float = 1.0
 
 
 def autocorrelation(residuals: Sequence[Array], longest: int = 200) -> Array:
-    """Autocorrelation of stretches of one noise process, cut where it is no longer seen.
-
-    Args:
-        residuals: stretches (n_i,), each without gaps worth mentioning.
-
-    Returns:
-        (m,) correlations at lags 0 .. m-1; [1.] for white noise. The sum is cut at the first lag
-        below twice its own standard error (Geyer's initial positive sequence, made stricter).
-    """
+    """(m,) correlations at lags 0 .. m-1 of stretches (n_i,) of one noise process, without gaps
+    worth mentioning; [1.] for white noise. They are cut at the first lag below twice its own
+    standard error (Geyer's initial positive sequence, made stricter)."""
     usable = [r - r.mean() for r in residuals if len(r) > 3]
     total = sum(len(r) for r in usable)
     power = sum(float(r @ r) for r in usable)

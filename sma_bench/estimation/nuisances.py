@@ -58,11 +58,9 @@ class Nuisances:
 
 def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
     """Only the sensors' zeros."""
-    rows = np.concatenate([np.full(len(s.time), k) for k, s in enumerate(signals)])
+    rows = np.repeat(np.arange(len(signals)), [len(s.time) for s in signals])
     own = [(k, s) for k, s in enumerate(signals) if s.sensor.zero_std > 0.0]
-    items = tuple(
-        Nuisance(OFFSET, s.name, s.sensor.zero_std, UNITS[s.quantity]) for _, s in own
-    )
+    items = tuple(Nuisance(OFFSET, s.name, s.sensor.zero_std, UNITS[s.quantity]) for _, s in own)
     columns = [s.sensor.zero_std * (rows == k) for k, s in own]
     return Nuisances(items, np.column_stack([np.zeros((len(rows), 0)), *columns]))
 
@@ -75,20 +73,15 @@ def moved_to(
     them, where a fit has found them, which no straight line goes to from where they were; and
     these values, 0 for what is linear. `states`: deviations that one of a state's stands for."""
     kept = np.array([item.kind in kinds for item in own.items], dtype=bool) * z
-    away = {i.subject: float(at) * states
-            for i, at in zip(own.items, kept, strict=True) if i.kind == STATE and states}
-    observation = replace(observation, away=away) if STATE in kinds else observation
+    places = {kind: [k for k, i in enumerate(own.items) if i.kind == kind] for kind in BENT}
+    if STATE in kinds:
+        away = {own.items[k].subject: float(kept[k]) * states for k in places[STATE] if states}
+        observation = replace(observation, away=away)
     if JUMP not in kinds:
         return observation, kept
-    jumps, ticks = (
-        [k for k, item in enumerate(own.items) if item.kind == kind] for kind in (JUMP, TICK)
-    )
-    together = kept[ticks].sum()
+    jumps, together = places[JUMP], kept[places[TICK]].sum()
     place = np.clip(JUMP_STD * (kept[jumps] + together), -_LAST, _LAST)
-    delays = {
-        item.subject: float(at * item.std)
-        for at, item in zip(kept, own.items, strict=True) if item.kind == DELAY
-    }
+    delays = {own.items[k].subject: float(kept[k] * own.items[k].std) for k in places[DELAY]}
     kept[jumps] = place / JUMP_STD - together
     volts = observation.drive.on_grid(observation.grid, place)
     return replace(observation, voltage=volts, place=place, delays=delays), kept
@@ -115,10 +108,8 @@ def nuisances_about(
     for quantity in observation.quantities:
         std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
         if std > 0.0:
-            late = [
-                -std * rate if s.quantity == quantity else np.zeros(len(rate))
-                for s, rate in zip(observation.signals, rates, strict=True)
-            ]
+            late = [-std * rate if s.quantity == quantity else np.zeros_like(rate)
+                    for s, rate in zip(observation.signals, rates, strict=True)]
             items.append(Nuisance(DELAY, quantity, std, "s"))
             columns.append(np.concatenate(late)[:, np.newaxis])
 
@@ -129,15 +120,12 @@ def nuisances_about(
         _Move(JUMP, early, late, place=JUMP_STD * (np.arange(len(drive.early)) == k))
         for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True))
     ]
-    for kind, own in (
-        (LEVEL, drive.level_errors()), (LINE, drive.line_errors() if voltage_noise else ()),
-    ):
-        for errors in own:
-            at = np.concatenate([
-                polygon.time[error != 0.0]
-                for polygon, error in zip(drive.channels, errors, strict=True)
-            ])
-            moves.append(_Move(kind, at.min(), at.max(), errors=errors))
+    known = [(LEVEL, errors) for errors in drive.level_errors()]
+    known += [(LINE, errors) for errors in drive.line_errors()] if voltage_noise else []
+    for kind, errors in known:
+        pairs = zip(drive.channels, errors, strict=True)
+        at = np.concatenate([polygon.time[error != 0.0] for polygon, error in pairs])
+        moves.append(_Move(kind, at.min(), at.max(), errors=errors))
     items += [Nuisance(move.kind) for move in moves]
     columns.append(_responses(observation, moves, lambda drive: moved(drive, None)))
     jumps, apart = len(drive.early), drive.late - drive.early
@@ -146,11 +134,9 @@ def nuisances_about(
         columns.append(columns[-1][:, :jumps].sum(axis=1, keepdims=True))
 
     # One standard error of each held load in turn.
-    loads = [row for row in np.diag([hold.std for hold in observation.holds]) if row.any()]
+    loads = [(None, row) for row in np.diag([hold.std for hold in observation.holds]) if row.any()]
     items += [Nuisance(LOAD)] * len(loads)
-    columns += [
-        column[:, np.newaxis] for column in in_threads(moved, [(None, error) for error in loads])
-    ]
+    columns += [column[:, np.newaxis] for column in in_threads(moved, loads)]
     if states:
         run = _states_of_run(observation, parameters, states, base)
         items, columns = [*items, *run.items], [*columns, run.columns]
@@ -196,7 +182,8 @@ def _responses(
     An hour has hundreds, so those far apart are made at once, and each has the readings from it to
     the next. Where one is not forgotten by then, all of these are made alone.
     """
-    rows = np.concatenate([np.full(len(s.time), k) for k, s in enumerate(observation.signals)])
+    bins = [len(s.time) for s in observation.signals]
+    rows = np.repeat(np.arange(len(bins)), bins)
     late = max(map(abs, observation.delays.values()), default=0.0)
     ends = np.concatenate([s.time + s.period + late for s in observation.signals])
     columns = np.zeros((len(rows), len(moves)))
@@ -204,8 +191,8 @@ def _responses(
     def together(group: Sequence[int]) -> Array:
         place = observation.place + np.zeros(len(observation.drive.early))
         place = place + sum(moves[k].place for k in group)
-        known = [moves[k].errors for k in group]
-        errors = [sum(own) for own in zip(*filter(None, known), strict=True)]
+        known = filter(None, (moves[k].errors for k in group))
+        errors = [sum(own) for own in zip(*known, strict=True)]
         return change((place, errors or None))
 
     # Groups in which none begins before another is forgotten.
@@ -218,24 +205,24 @@ def _responses(
         else:
             group.append(k)
 
-    alone = list(range(len(moves)))
-    if len(groups) < _FEWER * len(moves):
-        alone = []
-        found = in_threads(together, [(group,) for group in groups])
-        for group, response in zip(groups, found, strict=True):
-            # Whether a signal shows nothing of a move any more when the next one begins.
-            begins = np.array([moves[k].begin for k in group])
-            owner = np.searchsorted(begins, ends, side="right") - 1
-            following = np.append(begins[1:], _NEVER)[owner]
-            last = (owner >= 0) & (ends > following - _LAST_PART * _FORGOTTEN)
-            size, last_size = np.zeros((2, rows.max(initial=0) + 1))
-            np.maximum.at(size, rows, np.abs(response))
-            np.maximum.at(last_size, rows[last], np.abs(response[last]))
-            if np.all(last_size <= _TRACE * size):
-                seen = np.flatnonzero(owner >= 0)
-                columns[seen, np.array(group)[owner[seen]]] = response[seen]
-            else:
-                alone += group
+    alone: list[int] = []
+    if len(groups) >= _FEWER * len(moves):
+        groups, alone = [], list(range(len(moves)))
+    found = in_threads(together, [(group,) for group in groups])
+    for group, response in zip(groups, found, strict=True):
+        # Whether a signal shows nothing of a move any more when the next one begins.
+        begins = np.array([moves[k].begin for k in group])
+        owner = np.searchsorted(begins, ends, side="right") - 1
+        following = np.append(begins[1:], _NEVER)[owner]
+        last = (owner >= 0) & (ends > following - _LAST_PART * _FORGOTTEN)
+        size, last_size = np.zeros((2, rows.max(initial=0) + 1))
+        np.maximum.at(size, rows, np.abs(response))
+        np.maximum.at(last_size, rows[last], np.abs(response[last]))
+        if np.all(last_size <= _TRACE * size):
+            seen = np.flatnonzero(owner >= 0)
+            columns[seen, np.array(group)[owner[seen]]] = response[seen]
+        else:
+            alone += group
     for k, column in zip(alone, in_threads(together, [([k],) for k in alone]), strict=True):
         columns[:, k] = column
     return columns

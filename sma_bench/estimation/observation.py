@@ -64,11 +64,9 @@ STATES = {
     "wire.heat_transfer_coefficient": 0.07,
     "wire.maximum_recoverable_strain": 0.025,
 }
-_OF_A_RUN = {
-    "environment.ambient_temperature": ("room", 1.0, "K"),
-    "wire.heat_transfer_coefficient": ("draught", 100.0, "%"),
-    "wire.maximum_recoverable_strain": ("stroke", 100.0, "%"),
-}
+_OF_A_RUN = dict(
+    zip(STATES, (("room", 1.0, "K"), ("draught", 100.0, "%"), ("stroke", 100.0, "%")), strict=True)
+)
 _UNSET = 5.0  # of what a zero that was set is off by
 _WORTH_SAYING = 0.5  # standard deviations
 _HISTORIES = (
@@ -89,19 +87,12 @@ def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:
 
 @dataclass(frozen=True)
 class Sensor:
-    """What is known of the sensor of a quantity, in the quantity's unit.
+    """What is known of the sensor of a quantity, in the quantity's unit."""
 
-    Attributes:
-        zero_std: of its unknown zero, 0 where it is taken at its word.
-        least: noise of a bin at least; no bench is simulated, and no voltage known, to less.
-        drift: slow drift of a good instrument; one of a sample's scatter is usual in any case.
-        clock_std: s, of the delay of its stamps; 0 for the driver's own.
-    """
-
-    zero_std: float
-    least: float
-    drift: float
-    clock_std: float = _CLOCK_STD
+    zero_std: float  # of its unknown zero, 0 where it is taken at its word
+    least: float  # noise of a bin at least; no bench is simulated, and no voltage known, to less
+    drift: float  # slow, of a good instrument; one of a sample's scatter is usual in any case
+    clock_std: float = _CLOCK_STD  # s, of the delay of its stamps; 0 for the driver's own
 
 
 SENSORS = {
@@ -115,27 +106,17 @@ SENSORS = {
 
 @dataclass(frozen=True, eq=False)
 class BinnedSignal:
-    """One measured signal, averaged over bins of time.
-
-    Attributes:
-        name; quantity: what it measures; wire: the column it belongs to.
-        time: (b,) s, mean stamp; value: (b,) mean in the signal's unit; count: (b,) samples.
-        period: s between bins.
-        noise: white noise of a bin of the usual count, from sample to sample.
-        average: (b, n) from a course on the simulation's grid to bins; for a current from
-            conductance to current.
-        sensor: what is known of its sensor.
-    """
+    """One measured signal, averaged over bins of time."""
 
     name: str
     quantity: str
-    wire: int
-    time: Array
-    value: Array
-    count: Array
-    period: float
-    noise: float
-    average: csr_array
+    wire: int  # the column it belongs to
+    time: Array  # (b,) s, mean stamp
+    value: Array  # (b,) mean in the signal's unit
+    count: Array  # (b,) samples
+    period: float  # s between bins
+    noise: float  # white, of a bin of the usual count, from sample to sample
+    average: csr_array  # (b, n) from a course on the grid to bins; from conductance to current
     sensor: Sensor
 
     @cached_property
@@ -151,44 +132,29 @@ class BinnedSignal:
 
 @dataclass(frozen=True, eq=False)
 class Observation:
-    """One record ready to be compared with simulations.
-
-    Attributes:
-        path: of the record; signals: what it measures, bin by bin.
-        channels: names of the wires; sides: side name of each wire.
-        grid: (n,) s; voltage: (n, w) V held over each cell; drive: the voltages as read.
-        left_out: what the record holds that is not compared.
-        holds: what a load frame did, empty for the composite and a bare wire.
-        imposed: (n,) m, elongation at each grid time, where a testing machine moves; one hold is
-            then its zero.
-        place: (e,) of the jumps between their two samples; delays: s, by quantity, of stamps.
-        ohms: volts for an ampere, where what a source holds stands for its voltage; or 0.
-        epoch: s, of the grid's 0 on the clock of the day; before: the record of the same bench that
-            ended last before this one began.
-        away: in which state its run was, standard deviations of `STATES` from the parameters', and
-            within: standard errors of these; zeros: by signal, what was taken off its readings;
-            skipped: s at its beginning that are not compared, as the bench had not settled.
-    """
+    """One record ready to be compared with simulations."""
 
     path: str
-    channels: tuple[str, ...]
-    sides: tuple[str, ...]
-    grid: Array
-    voltage: Array
-    drive: AppliedVoltage
+    channels: tuple[str, ...]  # names of the wires
+    sides: tuple[str, ...]  # side name of each wire
+    grid: Array  # (n,) s
+    voltage: Array  # (n, w) V held over each cell
+    drive: AppliedVoltage  # the voltages as read
     signals: tuple[BinnedSignal, ...]
-    left_out: tuple[str, ...]
-    holds: tuple[Hold, ...] = ()
+    left_out: tuple[str, ...]  # what the record holds that is not compared
+    holds: tuple[Hold, ...] = ()  # of a load frame, none of the composite and a bare wire
+    # (n,) m, elongation where a testing machine moves; one hold is then its zero
     imposed: Array | None = None
-    place: Array | float = 0.0
-    delays: Mapping[str, float] = field(default_factory=dict)
-    ohms: float = 0.0
-    epoch: float = 0.0
-    before: "Observation | None" = None
+    place: Array | float = 0.0  # (e,) of the jumps between their two samples
+    delays: Mapping[str, float] = field(default_factory=dict)  # s, by quantity, of stamps
+    ohms: float = 0.0  # volts for an ampere, where what a source holds stands for its voltage; or 0
+    epoch: float = 0.0  # s, of the grid's 0 on the clock of the day
+    before: "Observation | None" = None  # of the same bench, that ended last before this one began
+    # In which state its run was, standard deviations of `STATES` from the parameters'; and errors.
     away: Mapping[str, float] = field(default_factory=dict)
     within: Mapping[str, float] = field(default_factory=dict)
-    zeros: Mapping[str, float] = field(default_factory=dict)
-    skipped: float = 0.0
+    zeros: Mapping[str, float] = field(default_factory=dict)  # taken off the readings, by signal
+    skipped: float = 0.0  # s at its beginning that are not compared: the bench had not settled
 
     @property
     def quantities(self) -> tuple[str, ...]:
@@ -246,13 +212,14 @@ class Observation:
     def simulate(
         self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
     ) -> Simulation:
-        """The model on this record's drive; a bench too warm for martensite leaves it at once.
-
-        Args:
-            parameters: of the model; channels are this record's own.
-            voltage: (n, w) V, another one; loads: (h,) errors of the holds, m or N.
-        """
-        parameters = self.own_bench(parameters)
+        """The model on this record's drive, with its own channels; a bench too warm for martensite
+        leaves it at once. `voltage`: (n, w) V, another one; `loads`: (h,) errors of the holds, m
+        or N."""
+        if tuple(parameters["bench.channels"]) != self.channels:
+            own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
+            parameters = parameters.replace(own)
+        parameters = in_state(parameters, self.away) if self.away else parameters
+        parameters = parameters if self.ohms else as_recorded(parameters)
         volts = self.voltage if voltage is None else voltage
         if self.ohms:
             ratio = ohms_of_source(parameters) / self.ohms
@@ -276,11 +243,10 @@ class Observation:
         errors = np.zeros(len(self.holds)) if loads is None else loads
         begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
         ends = [*begins[1:].tolist(), len(self.grid)]
-        parts: list[Simulation] = []
+        parts = list[Simulation]()
         bench: Bench | None = None
-        for hold, error, begin, end in zip(
-            self.holds, errors.tolist(), begins.tolist(), ends, strict=True
-        ):
+        numbers = zip(self.holds, errors.tolist(), begins.tolist(), ends, strict=True)
+        for hold, error, begin, end in numbers:
             span = slice(begin - 1 if parts else 0, end)
             if end <= span.start + bool(parts):
                 continue
@@ -299,14 +265,6 @@ class Observation:
         }
         return replace(first, final=parts[-1].final, **joined)
 
-    def own_bench(self, parameters: Parameters) -> Parameters:
-        """The bench with this record's channels, as records show it."""
-        own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
-        if tuple(parameters["bench.channels"]) != self.channels:
-            parameters = parameters.replace(own)
-        parameters = in_state(parameters, self.away) if self.away else parameters
-        return parameters if self.ohms else as_recorded(parameters)
-
     def readings(self, simulation: Simulation) -> list[Array]:
         """What the model's sensors read, one (b,) array a signal."""
         flat = self._averages @ self._courses(simulation)
@@ -321,11 +279,9 @@ class Observation:
     @cached_property
     def _averages(self) -> csr_array:
         """(rows, signals n) from all courses, one after the other, to all bins; stamps delayed."""
-        late = [(s.average, self.delays.get(s.quantity, 0.0)) for s in self.signals]
-        own = [
-            average @ _interpolation(self.grid, self.grid - delay) if delay else average
-            for average, delay in late
-        ]
+        late = {q: _interpolation(self.grid, self.grid - s) for q, s in self.delays.items() if s}
+        own = [s.average @ late[s.quantity] if s.quantity in late else s.average
+               for s in self.signals]
         return csr_array(block_diag(own, "csr"))
 
     def course(self, signal: BinnedSignal, simulation: Simulation) -> Array:
@@ -412,9 +368,6 @@ def _course(quantity: str, simulation: Simulation) -> Array:
     return current(simulation.parameters, 1.0, *state)
 
 
-# --- from a record ------------------------------------------------------------------------------
-
-
 def shared_bin(
     records: Sequence[Record], parameters: Parameters, shortest: float = _BIN
 ) -> float:
@@ -427,16 +380,10 @@ def observe(
     record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     quantities: Collection[str] = QUANTITIES,
 ) -> Observation:
-    """Prepare a record of the composite rig, or of one wire with or without a load frame.
-
-    Args:
-        record: the bag; parameters: as believed, for the channels.
-        shortest_bin: s, of `shared_bin`; quantities: to compare, all that are there.
-
-    Raises:
-        InputError: no voltage of some channel, nothing to compare with, or a load frame that
-            neither holds a load nor the clamps.
-    """
+    """Prepare a record of the composite rig, or of one wire with or without a load frame; the
+    parameters as believed, `shortest_bin` in s of `shared_bin`. Raises InputError: no voltage of
+    some channel, nothing to compare with, or a load frame that neither holds a load nor the
+    clamps."""
     rig = find_rig(record, parameters)
 
     # Times that are simulated: an even grid (n,), with only every so many points where voltages
@@ -494,8 +441,7 @@ def observe(
     if not known and any(m.quantity in quantities for m in rig.measured):
         raise InputError(
             f"{record.path}: begins under voltage or warm, expected a rest first, or more than the "
-            f"{skipped:.3g} s in which a wire of the stated time constant forgets "
-            "what was before"
+            f"{skipped:.3g} s in which a wire of the stated time constant forgets what was before"
         )
     if not known:
         held = ", ".join(m.name for m in rig.measured)

@@ -5,6 +5,7 @@
 A row is a bin of a signal of a record. Whitened, rows are independent of unit variance.
 """
 
+import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -35,7 +36,6 @@ _FIRST_MISFIT, _FIRST_COUNT = 0.03, 10.0
 USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0
 _DIFFER = 0.02  # of a stroke, a run from the next
 _LEAST_COUNT, _MOST_MISFIT = 8.0, 0.06
-_SAME_WEIGHT = 0.5  # of a level's logarithm
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
 
@@ -51,27 +51,19 @@ class Block:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """Records, the noise of their sensors, and what else may be off in each record.
-
-    Attributes:
-        observations: the records; noise: one per signal name; nuisances: one per record.
-        voltage_noise: whether the voltmeter's noise is carried along, which takes two simulations
-            a straight stretch, and differences are taken on the records' own cells: for estimates
-            whose errors count.
-        weights: one per block, in place of the noise of its sensor: what an imperfect model leaves.
-        states: by how many times the usual the states of the runs differ, 0 of one run; later: the
-            same, of runs after the first from that one, which is as the parameters have it.
-        shared: of problems that differ in their noise only: what does not depend on it.
-    """
+    """Records, the noise of their sensors, and what else may be off in each record."""
 
     observations: tuple[Observation, ...]
-    noise: dict[str, Noise]
-    nuisances: tuple[Nuisances, ...]
+    noise: dict[str, Noise]  # by signal name
+    nuisances: tuple[Nuisances, ...]  # one per record
+    # Whether the voltmeter's noise is carried along, which takes two simulations a straight
+    # stretch, and differences are taken on the records' own cells: for estimates whose errors count
     voltage_noise: bool = False
+    # of problems that differ in their noise only: what does not depend on it
     shared: dict[tuple[Nuisances, ...], Array] = field(default_factory=dict)
-    weights: tuple[Noise, ...] = ()
-    states: float = 0.0
-    later: float = 0.0
+    weights: tuple[Noise, ...] = ()  # one per block, for its sensor's: what a model leaves
+    states: float = 0.0  # times the usual by which the states of the runs differ, 0 of one run
+    later: float = 0.0  # the same of runs after the first, which is as the parameters have it
 
     @classmethod
     def of(
@@ -90,15 +82,12 @@ class Problem:
     def with_nuisances(self, parameters: Parameters, states: float = 0.0) -> Self:
         """Nuisances about the model at these parameters, and about where they were `moved`;
         `states`: as the attribute."""
-        asked = [
-            (o, parameters, self.voltage_noise, states or (self.later if k else 0.0))
-            for k, o in enumerate(self.observations)
-        ]
-        found = [
-            replace(new, about=own.about) if len(new.items) == len(own.items) else new
-            for new, own in zip(in_threads(nuisances_about, asked), self.nuisances, strict=True)
-        ]
-        return replace(self, nuisances=tuple(found), states=states, shared={})
+        asked = [(o, parameters, self.voltage_noise, states or (self.later if k else 0.0))
+                 for k, o in enumerate(self.observations)]
+        pairs = zip(in_threads(nuisances_about, asked), self.nuisances, strict=True)
+        found = tuple(replace(new, about=own.about) if len(new.items) == len(own.items) else new
+                      for new, own in pairs)
+        return replace(self, nuisances=found, states=states, shared={})
 
     def of_kind(self, kind: str) -> NDArray[np.bool_]:
         """(q,) which nuisances are."""
@@ -132,12 +121,9 @@ class Problem:
         found: dict[str, Noise] = {}
         for name, before in self.noise.items():
             own = list(self.of_signal(name))
-            first = own[0].signal
-            found[name] = estimate_noise(
-                [residual[block.rows] for block in own],
-                float(np.median([block.signal.noise for block in own])), first.period,
-                first.usual_drift, before.wanders,
-            )
+            white, first = float(np.median([b.signal.noise for b in own])), own[0].signal
+            found[name] = estimate_noise([residual[b.rows] for b in own], white, first.period,
+                                         first.usual_drift, before.wanders)
         return replace(self, noise=found)
 
     def with_weights(self, residual: Array | None = None, repeated: bool = False) -> Self:
@@ -175,11 +161,6 @@ class Problem:
             found.append(Noise(float(level), 0.0, 1.0, signal.period))
         return replace(self, weights=tuple(found))
 
-    def weighs_like(self, other: "Problem") -> bool:
-        """Whether every record counts for about what it does there."""
-        levels = np.array([[noise.white for noise in one.noises] for one in (self, other)])
-        return bool(np.max(np.abs(np.diff(np.log(levels), axis=0))) < _SAME_WEIGHT)
-
     def correlations(self, residual: Array) -> list[float]:
         """Of every block: how far a residual (n,) of one bin is that of the next, 0 to 1."""
         found = []
@@ -202,24 +183,13 @@ class Problem:
             for one, far, near in zip(self.observations, away, within, strict=True)
         ]
 
-    def for_effects(self, effects: Sequence[str]) -> Self:
-        """The same, the deflection's zero wandering if that is one of the effects."""
-        wanders = DRIFT_EFFECT in effects
-        noise = {
-            name: replace(own, wanders=wanders and name == "deflection")
-            for name, own in self.noise.items()
-        }
-        return replace(self, noise=noise)
-
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
         """The index of the rows: records in order, signals in order."""
         pairs = [(o, signal) for o in self.observations for signal in o.signals]
         ends = np.cumsum([0, *(len(signal.time) for _, signal in pairs)]).tolist()
-        return tuple(
-            Block(*pair, slice(*rows))
-            for pair, rows in zip(pairs, zip(ends, ends[1:], strict=False), strict=True)
-        )
+        rows = itertools.starmap(slice, itertools.pairwise(ends))
+        return tuple(Block(*pair, own) for pair, own in zip(pairs, rows, strict=True))
 
     def of_signal(self, name: str) -> Iterator[Block]:
         """Blocks of one signal."""
@@ -250,11 +220,8 @@ class Problem:
         return self.predict_many([parameters])[:, 0]
 
     def predict_many(self, benches: Sequence[Parameters]) -> Array:
-        """(n, p) readings of p benches, which are simulated together.
-
-        Raises:
-            FitError: these are no numbers of a bench, where unknowns should never go.
-        """
+        """(n, p) readings of p benches, which are simulated together. Raises FitError: these are no
+        numbers of a bench, where unknowns should never go."""
         parts = max(1, min(threads_to_spare(), len(benches) // 2))
         ends = np.linspace(0, len(benches), parts + 1).astype(int).tolist()
 
@@ -262,7 +229,7 @@ class Problem:
             return np.vstack([one.predict(benches[start:stop]) for one in self.observations])
 
         try:
-            return np.hstack(in_threads(predicted, list(zip(ends, ends[1:], strict=False))))
+            return np.hstack(in_threads(predicted, list(itertools.pairwise(ends))))
         except InputError as error:
             raise FitError(f"within a fit: {error}") from error
 
@@ -282,17 +249,12 @@ class Problem:
         if not len(which):
             return np.empty((len(predicted), 0))
         seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)
+        steps = np.where(x + _STEP <= unknowns.bounds()[1], _STEP, -_STEP)[[*which]]
+        benches = [unknowns.nudged(here, x, i, step)
+                   for i, step in zip(which, steps.tolist(), strict=True)]
         if len(which) * self.cells <= (len(which) + 1) * seen.cells:  # `here` is known on these
-            seen = self
-        high = unknowns.bounds()[1]
-        steps = np.where(x + _STEP <= high, _STEP, -_STEP)[[*which]]
-        benches = [
-            unknowns.nudged(here, x, i, step)
-            for i, step in zip(which, steps.tolist(), strict=True)
-        ]
-        readings = seen.predict_many(benches if seen is self else [here, *benches])
-        if seen is self:
-            return (readings - predicted[:, np.newaxis]) / steps
+            return (self.predict_many(benches) - predicted[:, np.newaxis]) / steps
+        readings = seen.predict_many([here, *benches])
         return (readings[:, 1:] - readings[:, :1]) / steps
 
     @property

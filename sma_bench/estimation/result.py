@@ -13,20 +13,14 @@ from scipy.linalg import block_diag
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import DELAY, OFFSET
 from sma_bench.estimation.solver import Fit
-from sma_bench.estimation.unknowns import PRODUCTS, Unknown, range_of
+from sma_bench.estimation.unknowns import Unknown, range_of
 from sma_bench.records.contract import CELSIUS_ZERO
 
 OF_EXCESS = ("sensor.temperature.emissivity", "sensor.temperature.spot_share")
-SCALES = dict.fromkeys(OF_EXCESS, "temperature") | {
-    f"sensor.{quantity}.gain": quantity
-    for quantity in ("current", "voltage", "temperature", "deflection")
-}
-ZEROS = {
-    f"sensor.{quantity}.offset": quantity
-    for quantity in ("current", "voltage", "temperature", "deflection")
-}
+_SENSED = ("current", "voltage", "temperature", "deflection")
+SCALES = dict.fromkeys(OF_EXCESS, "temperature") | {f"sensor.{q}.gain": q for q in _SENSED}
+ZEROS = {f"sensor.{q}.offset": q for q in _SENSED}
 _UP = 1e-3
-
 _SAME = 3.0  # nats below the best within which a start has ended at the same place
 _NEAR = 0.5  # standard deviations
 _AT_END = 1e-3  # prior deviations
@@ -34,31 +28,23 @@ _AT_END = 1e-3  # prior deviations
 
 @dataclass(frozen=True)
 class Number:
-    """One estimated parameter, in its unit.
-
-    Attributes:
-        std: one standard deviation, never above `prior_std`, that of what was known.
-        moved: prior deviations from what was believed.
-        informed: share of its information that came from the records: 1 - variance/prior variance.
-        at_end: whether it stands at an end of its range.
-        shares: what the scale of each sensor adds to its error, one standard deviation, signed.
-    """
+    """One estimated parameter, in its unit."""
 
     name: str
     value: float
-    std: float
+    std: float  # never above that of what was known
     believed: float
     prior_std: float
-    moved: float
-    informed: float
-    at_end: bool
+    moved: float  # prior deviations from what was believed
+    informed: float  # share of its information from the records: 1 - variance/prior variance
+    at_end: bool  # of its range
+    # What the scale of each sensor adds to its error, one standard deviation, signed.
     shares: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class Off:
-    """A sensor's zero or the delay of its stamps, as found: `value` +- `std` of a prior
-    `prior_std`, in `unit`."""
+    """A sensor's zero or the delay of its stamps, as found, of a prior `prior_std`."""
 
     kind: str
     path: str
@@ -71,20 +57,14 @@ class Off:
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """The best of several fits.
-
-    Attributes:
-        numbers: every parameter; correlation: (k, k) of their errors.
-        products: value, standard deviation and correlation are those of the product of two factors.
-        off: zeros and delays; agreed: how many of `starts` ended at this place.
-    """
+    """The best of several fits."""
 
     fit: Fit
-    numbers: tuple[Number, ...]
-    correlation: Array
-    products: tuple[Number, ...]
-    off: tuple[Off, ...]
-    agreed: int
+    numbers: tuple[Number, ...]  # every parameter
+    correlation: Array  # (k, k) of their errors
+    products: tuple[Number, ...]  # of two factors each
+    off: tuple[Off, ...]  # zeros and delays
+    agreed: int  # how many of `starts` ended at this place
     starts: int
 
     @property
@@ -96,18 +76,16 @@ class Result:
 def result_of(
     fitted: Fit, tried: Sequence[Fit], scales: Mapping[str, Array] | None = None
 ) -> Result:
-    """Numbers of a fit, which is the best of those `tried` carried to its end.
-
-    `scales`: of `scale_errors`, where the errors are to hold those of the sensors' scales.
-    """
+    """Numbers of a fit, which is the best of those `tried` carried to its end; `scales`: of
+    `scale_errors`, where the errors are to hold those of the sensors' scales."""
     # A product's deviation x splits by the priors: own share w of it, w' = sqrt(1 - w^2) the
     # partner's, and w' n against w n, which no record tells, n of unit prior.
     unknowns = fitted.unknowns
     split = [k for k, item in enumerate(unknowns.items) if item.partner]
     items: list[tuple[int, Unknown]] = []
-    rows = []
+    rows, count = [], len(unknowns.items) + len(split)
     for k, item in enumerate(unknowns.items):
-        row, other = np.zeros((2, len(unknowns.items) + len(split)))
+        row, other = np.zeros((2, count))
         row[k] = share = item.own_std / item.std if item.partner else 1.0
         if not item.partner:
             items.append((k, item))
@@ -116,16 +94,13 @@ def result_of(
         rest = float(np.sqrt(1.0 - share**2))
         place = len(unknowns.items) + split.index(k)
         row[place], other[k], other[place] = rest, rest, -share
-        mean = float(unknowns.base[item.partner])
-        factors: list[tuple[str, float, float, Array]] = [
-            (item.name, item.mean, item.own_std, row), (item.partner, mean, rest * item.std, other)
-        ]
-        for name, own_mean, std, own in factors:
+        partner = (item.partner, float(unknowns.base[item.partner]), rest * item.std, other)
+        for name, mean, std, own in ((item.name, item.mean, item.own_std, row), partner):
             if std > 0.0:
-                std = std / item.mean * own_mean
-                items.append((k, Unknown(name, own_mean, std, *range_of(name), item.log)))
+                std = std / item.mean * mean
+                items.append((k, Unknown(name, mean, std, *range_of(name), item.log)))
                 rows.append(own)
-    apart = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
+    apart = np.array(rows).reshape(len(rows), count)
 
     turn = unknowns.turn(fitted.x)
     of_numbers = turn @ fitted.covariance @ turn.T
@@ -135,22 +110,18 @@ def result_of(
     low, high = unknowns.bounds()
     at_end = (fitted.x - low < _AT_END) | (high - fitted.x < _AT_END)
     shifts = {name: apart[:, : len(x)] @ turn @ x for name, x in (scales or {}).items()}
+    found = enumerate(zip(items, moved.tolist(), sigma.tolist(), strict=True))
     numbers = tuple(
         _number(item, at, error, bool(at_end[k]), {n: float(x[i]) for n, x in shifts.items()})
-        for i, ((k, item), at, error) in enumerate(zip(
-            items, moved.tolist(), sigma.tolist(), strict=True
-        ))
-    )  # fmt: skip
+        for i, ((k, item), at, error) in found)
 
     # Of what the records know better than its factors.
     deviations = np.sqrt(np.diag(fitted.covariance)).tolist()
     products = []
     for k, item in enumerate(unknowns.items):
-        if item.name in PRODUCTS and item.partner:
-            times = float(unknowns.base[item.partner])
-            whole = Unknown(
-                f"{item.name} x {item.partner}", item.mean * times, item.std * times, log=True
-            )
+        if item.partner:
+            name, times = f"{item.name} x {item.partner}", float(unknowns.base[item.partner])
+            whole = Unknown(name, item.mean * times, item.std * times, log=True)
             products.append(_number(whole, float(fitted.x[k]), deviations[k], False))
 
     # Zeros and delays.
@@ -177,16 +148,13 @@ def result_of(
     )
 
 
-def _number(
-    item: Unknown, moved: float, sigma: float, at_end: bool,
-    shifts: Mapping[str, float] | None = None,
-) -> Number:
-    informed = float(np.clip(1.0 - sigma**2, 0.0, 1.0))
+def _number(item: Unknown, moved: float, sigma: float, at_end: bool,
+            shifts: Mapping[str, float] = {}) -> Number:
+    informed, slope = float(np.clip(1.0 - sigma**2, 0.0, 1.0)), item.slope(moved)
     # By its logarithm, a number that has grown has a larger error than a believed one.
-    std = min(item.slope(moved) * sigma, item.std)
-    value = item.value(moved)
-    shares = {name: item.slope(moved) * shift for name, shift in (shifts or {}).items()}
-    return Number(item.name, value, std, item.mean, item.std, moved, informed, at_end, shares)
+    std, shares = min(slope * sigma, item.std), {name: slope * by for name, by in shifts.items()}
+    return Number(item.name, item.value(moved), std, item.mean, item.std, moved, informed, at_end,
+                  shares)
 
 
 def scale_errors(fitted: Fit) -> dict[str, Array]:

@@ -74,11 +74,7 @@ class Rig:
 
 
 def find_rig(record: Record, parameters: Parameters) -> Rig:
-    """The rig that a record is of.
-
-    Raises:
-        InputError: as `observe`.
-    """
+    """The rig that a record is of. Raises InputError: as `observe`."""
     # Its wires: those of the bench, or the only one that the record has.
     record, ohms = with_commands(record, parameters)
     driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
@@ -107,30 +103,26 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
 
     # What is measured. Of a record with one wire of a beam, or a bare one of the same alloy, the
     # tip is not asked.
-    wanted = [
-        (f"{channel}.{quantity}", f"{channel}.{quantity}", quantity, wire)
-        for wire, channel in enumerate(channels) for quantity in ("current", "temperature")
-    ]
+    wanted = [(f"{channel}.{quantity}", quantity, wire)
+              for wire, channel in enumerate(channels) for quantity in ("current", "temperature")]
     tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
     if tip:
-        wanted.append(("deflection", "deflection", "deflection", 0))
+        wanted.append(("deflection", "deflection", 0))
     elif moves:
-        wanted += [("deflection", "elongation", "deflection", 0), ("force", "force", "force", 0)]
+        wanted += [("elongation", "deflection", 0), ("force", "force", 0)]
     elif holds:
         response = "force" if holds[0].clamped else "elongation"
-        wanted.append((response, response, response, 0))
-    found = [
-        Measured(name, quantity, wire, *samples(record, signal))
-        for name, signal, quantity, wire in wanted if has_samples(record, signal)
-    ]
+        wanted.append((response, response, 0))
+    found = [Measured("deflection" if quantity == "deflection" else signal, quantity, wire,
+                      *samples(record, signal))
+             for signal, quantity, wire in wanted if has_samples(record, signal)]
     looking = [s for s in ("front", "back") if has_samples(record, f"{s}.range")]
     if tip and looking and not has_samples(record, "deflection"):
         # The tip's position from the range sensors that look at it from both sides.
         time = samples(record, f"{looking[0]}.range")[0]
-        signed = [
-            (-1.0 if side == "front" else 1.0) * np.interp(time, *samples(record, f"{side}.range"))
-            for side in looking
-        ]
+        signs = {"front": -1.0, "back": 1.0}
+        signed = [signs[side] * np.interp(time, *samples(record, f"{side}.range"))
+                  for side in looking]
         away: Array = np.asarray(np.mean(signed, axis=0), dtype=np.float64)
         found.append(Measured("deflection", "deflection", 0, time, away - away[0]))
 

@@ -14,6 +14,7 @@ it cannot keep the derivatives of what hardly moves, nor stop at a fraction of a
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -21,7 +22,7 @@ from scipy.linalg import cho_solve
 from sma_bench.compiled import in_threads
 from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import STATE, STATES, TICK
-from sma_bench.estimation.residual import USUAL_MISFIT, USUAL_WEIGHT, Problem
+from sma_bench.estimation.residual import DRIFT_EFFECT, USUAL_MISFIT, USUAL_WEIGHT, Problem
 from sma_bench.estimation.unknowns import Unknowns, shares_of_factor
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, silent
@@ -31,6 +32,7 @@ _MOST_STEPS, _FAR_STEPS = 10, 30
 _TICKS = -1.3, 0.0, 1.3
 _MOVES = 3  # of what no straight line goes to
 _WEIGHT_ROUNDS, _MOST_ROUNDS = 5, 15  # weights found again, more while they change
+_SAME_WEIGHT = 0.5  # of a level's logarithm
 _USUAL_STATES, _LEAST_STATE = 0.5, 0.05
 _RADIUS = 8.0  # prior deviations a step
 _GAIN, _SETTLED = 0.3, 1.0  # nats: a step that gains less is the last, near the end and afar
@@ -40,30 +42,22 @@ _DAMPINGS = (0.0, 1.0, 10.0, 100.0, 1e3, 1e4)
 _STRETCHES = 6  # a record: about a pulse and its rest
 _TINY = 1e-12
 _HALVINGS, _ALLOWED = 5, 16.0  # of a draw, at most; times what it should cost
+by_evidence = attrgetter("evidence")
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """One model, fitted.
+    """One model, fitted."""
 
-    Attributes:
-        problem: with the noise that this model leaves.
-        unknowns, x: what was moved and to where; z: nuisances (q,).
-        joint: (k + q, k + q) covariance of x and z.
-        evidence: log of p(records | model), up to a constant common to all models.
-        predicted: (n,) readings; derivatives: (n, k) of these.
-        left: (n,) residual, the nuisances' part taken off.
-    """
-
-    problem: Problem
+    problem: Problem  # with the noise that this model leaves
     unknowns: Unknowns
-    x: Array
-    z: Array
-    joint: Array
-    evidence: float
-    predicted: Array
-    derivatives: Array
-    left: Array
+    x: Array  # (k,) where these ended
+    z: Array  # (q,) nuisances
+    joint: Array  # (k + q, k + q) covariance of x and z
+    evidence: float  # log of p(records | model), up to a constant common to all models
+    predicted: Array  # (n,) readings
+    derivatives: Array  # (n, k) of these
+    left: Array  # (n,) residual, the nuisances' part taken off
 
     @property
     def covariance(self) -> Array:
@@ -169,15 +163,12 @@ def fit(
     problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3, frozen: Array | None = None,
     keep_noise: bool = False, far: bool = False, predicted: Array | None = None,
 ) -> Fit:
-    """Fit one model.
+    """Fit one model to records and their noise as first guessed, from x (k,).
 
     Args:
-        problem: records and their noise as first guessed.
-        unknowns, x: what may move, and its start (k,).
         rounds: of fitting and estimating the noise; one after an approach from afar.
         frozen: (n, baseline) derivatives of the baseline's unknowns, taken as they are: quick and a
-            little off. They are computed anew in every round when None; those of the effects at
-            every step.
+            little off; else computed anew in every round. Those of effects are at every step.
         keep_noise: take the problem's noise as it is.
         far: from the optimum: at first every step takes all derivatives anew, and for noise what
             the model leaves there, so that none trusts a model that does not fit yet.
@@ -202,15 +193,10 @@ def recalibrate(
     problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
     report: Report = silent, keep_noise: bool = False,
 ) -> tuple[Fit, list[Fit]]:
-    """The model fitted from several starts, the best of them carried to its end; and all of them.
-
-    Args:
-        parameters: as believed, about which nuisances are linear at first.
-        starts: (k,) each; report: called at every start.
-        keep_noise: begin the last fit with the noise that the best start left. Begun with the
-            first guess it may end some nats before its optimum; the diagnosis' thresholds were
-            found so.
-    """
+    """The model fitted from several starts (k,) each, the best of them carried to its end; and all
+    of them. About the parameters as believed nuisances are linear at first. `keep_noise`: begin the
+    last fit with the noise that the best start left. Begun with the first guess it may end some
+    nats before its optimum; the diagnosis' thresholds were found so."""
     first = problem.with_nuisances(parameters)
 
     def from_start(number: int, x: Array) -> Fit:
@@ -219,15 +205,13 @@ def recalibrate(
 
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
-    best = max(tried, key=lambda fitted: fitted.evidence)
+    best = max(tried, key=by_evidence)
     if first.of_kind(TICK).any():
         # No straight line goes from a jump that comes late to one that comes early.
         there = np.where(first.of_kind(TICK), np.array(_TICKS)[:, np.newaxis], 0.0)
         begun = [(first.moved(best.parameters, z), best.x) for z in there]
-        best = max(
-            in_threads(lambda there, x: fit(there, unknowns, x, rounds=1), begun),
-            key=lambda fitted: fitted.evidence,
-        )
+        moved = in_threads(lambda there, x: fit(there, unknowns, x, rounds=1), begun)
+        best = max(moved, key=by_evidence)
     if first.of_kind(TICK).any() or (first.later and len(first.observations) > 1):
         for _ in range(_MOVES):
             best = fit(best.problem.about(best.parameters, best.z), unknowns, best.x, rounds=1)
@@ -252,14 +236,16 @@ def fit_imperfect(
 
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
-    best, found = max(tried, key=lambda one: one.evidence), []
+    best, found = max(tried, key=by_evidence), []
     for states in (0.0, 1.0) if several else (0.0,):
         fitted = best
         for number in range(_MOST_ROUNDS):
             x = _with_common_states(fitted)
             there = first.with_nuisances(unknowns.parameters(x), states)
             weighed = there.with_weights(fitted.left)
-            if number >= _WEIGHT_ROUNDS and weighed.weighs_like(fitted.problem):
+            levels = [[n.white for n in one.noises] for one in (weighed, fitted.problem)]
+            changes = np.abs(np.diff(np.log(levels), axis=0))
+            if number >= _WEIGHT_ROUNDS and np.max(changes) < _SAME_WEIGHT:
                 break
             fitted = fit(weighed, unknowns, x, rounds=1, keep_noise=True)
             states = _scale_of_states(fitted)
@@ -337,7 +323,10 @@ class _State:
         self, problem: Problem, unknowns: Unknowns, x: Array, frozen: Array | None,
         predicted: Array | None,
     ) -> None:
-        self.problem = problem.for_effects(unknowns.effects)
+        # The deflection's zero wanders if that is one of the effects.
+        drifting = ("deflection",) if DRIFT_EFFECT in unknowns.effects else ()
+        noise = {n: replace(own, wanders=n in drifting) for n, own in problem.noise.items()}
+        self.problem = replace(problem, noise=noise)
         self.unknowns, self.given, self.base = unknowns, frozen, frozen
         self.linear_about: Array | None = None
         # Of the steps that share them: problem, baseline, its whitened columns, what they tell.

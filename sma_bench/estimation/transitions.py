@@ -14,22 +14,19 @@ from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import BRANCH
 
 TEMPERATURES = tuple(TRANSITIONS.values())  # A_s, A_f, M_s, M_f
+_A_S = BY_NAME[TEMPERATURES[0]]
 FIELD_TEMPERATURES = (339.0, 367.0, 337.0, 309.0)  # K, of wires of which nothing is stated
 _FIELD_HALF_WIDTH = 0.3  # of the half width's logarithm, about theirs
 # Of the centre c in K and of the logarithms of h, w_A and w_M where nothing is stated. The
 # paper's h is 1.7 K, most wires have 5 to 20 K.
 _SPREADS = np.array([25.0, 1.2, 0.5, 0.5])
-_COORDINATES = np.array(
-    [[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25], [-1.0, 1.0, 0.0, 0.0],
-     [0.0, 0.0, 1.0, -1.0]]
-)  # fmt: skip
+_COORDINATES = np.array([[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25],
+                         [-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
 _TEMPERATURES = np.linalg.inv(_COORDINATES)
 # The two ranges of one wire are as wide as each other, but for a third of what wires differ by.
-_ALIKE = np.linalg.cholesky(
-    [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.85], [0.0, 0.0, 0.85, 1.0]]
-)
-LOWEST = float(BY_NAME[TEMPERATURES[0]].low or 0.0)
-HIGHEST = float(BY_NAME[TEMPERATURES[0]].high or 0.0)
+_ALIKE = np.linalg.cholesky([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0],
+                             [0.0, 0.0, 1.0, 0.85], [0.0, 0.0, 0.85, 1.0]])
+LOWEST, HIGHEST = (float(end or 0.0) for end in (_A_S.low, _A_S.high))
 NARROWEST = 0.2  # K, of a range: the core divides by its width
 _FARTHEST = 5.0  # of a logarithm
 _WIDEST = (5.0, 2.0, 2.0)  # of those of the half width and of the two ranges
@@ -59,14 +56,12 @@ class Transitions:
     and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is stated of the
     four is the prior of these; of the others it is that of wires of the field, given what is
     stated, and so is their mean.
-
-    Attributes:
-        mean: (4,) K, as believed; moving: (m,) which of them; turn: (m, m) K, the root of the
-            prior's covariance, symmetric but for units: x[k] is mostly the k-th one's deviation.
     """
 
-    mean: Array
-    moving: NDArray[np.intp]
+    mean: Array  # (4,) K, as believed
+    moving: NDArray[np.intp]  # (m,) which of them
+    # (m, m) K, the root of the prior's covariance, symmetric but for units: x[k] is mostly the k-th
+    # one's deviation
     turn: Array
 
     @classmethod
@@ -104,8 +99,7 @@ class Transitions:
     @property
     def stds(self) -> dict[str, float]:
         """By name, of those that are not exact."""
-        names = [TEMPERATURES[k] for k in self.moving]
-        return dict(zip(names, self.std.tolist(), strict=True))
+        return {TEMPERATURES[k]: s for k, s in zip(self.moving, self.std.tolist(), strict=True)}
 
     def values(self, x: Array) -> Array:
         """(4,) K, A_s below A_f and M_f below M_s."""
@@ -143,14 +137,11 @@ class Transitions:
     def x_of(self, values: Sequence[float] | Array) -> Array:
         """Inverse of `values`."""
         believed, found = _COORDINATES @ self.mean, _COORDINATES @ np.asarray(values)
-        logs = (believed > 0.0) & (found > 0.0)
-        logs[0] = False
+        logs = (believed > 0.0) & (found > 0.0) & (np.arange(4) > 0)
         found[logs] = believed[logs] * (1.0 + np.log(found[logs] / believed[logs]))
-        exact = len(self.moving) < 4  # which place the centre
-        rows = slice(1 if exact else 0, None)
-        straight = np.linalg.lstsq(
-            _COORDINATES[rows, self.moving], (found - believed)[rows], rcond=None
-        )[0]
+        rows = slice(1 if len(self.moving) < 4 else 0, None)  # exact ones place the centre
+        columns, off = _COORDINATES[rows, self.moving], (found - believed)[rows]
+        straight = np.linalg.lstsq(columns, off, rcond=None)[0]
         return np.asarray(np.linalg.solve(self.turn, straight))
 
     def of_grains(self, four: Array, spread: float, believed: float) -> Array:

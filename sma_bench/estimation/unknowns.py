@@ -21,12 +21,7 @@ from sma_bench.estimation.transitions import (
     Transitions,
 )
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import (
-    BY_NAME,
-    EFFECT_PREFIX,
-    EFFECT_TABLE,
-    Parameter,
-)
+from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, EFFECT_TABLE, Parameter
 from sma_bench.parameters.parameters import (
     BRANCH,
     LOAD_NEEDS,
@@ -39,21 +34,11 @@ from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import FRESH_START
 
-HEAT = (
-    "wire.resistance",
-    "wire.heat_transfer_coefficient",
-    "wire.specific_heat",
-    "environment.ambient_temperature",
-)
-MATERIAL = (
-    *TEMPERATURES,
-    "wire.martensite_modulus",
-    "wire.austenite_modulus",
-    "wire.maximum_recoverable_strain",
-    "wire.thermal_expansion_factor",
-    "wire.stress_influence_austenite",
-    "wire.stress_influence_martensite",
-)
+HEAT = ("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
+        "environment.ambient_temperature")
+MATERIAL = (*TEMPERATURES, "wire.martensite_modulus", "wire.austenite_modulus",
+            "wire.maximum_recoverable_strain", "wire.thermal_expansion_factor",
+            "wire.stress_influence_austenite", "wire.stress_influence_martensite")
 # One number where front and back are believed alike: that they are not is an effect.
 FRONT, BACK = "composite.stress_per_deflection_front", "composite.stress_per_deflection_back"
 BENDING = ("composite.deflection_per_strain", FRONT, BACK)
@@ -82,18 +67,12 @@ OTHER_LAWS = {p.name: (0.3, 0.0, 1.0) for p in EFFECTS[LAW_EFFECT].parameters}
 # between the contract's rule and the full loop's.
 LOADED_SHAPES = {"effect.partial_transformation.memory": (0.4, -0.1, 1.0)}
 # Of a law's options, of which only who states one has it; its first number switches it on.
-OPTIONAL = (
-    ("wire.transition_skew",),
-    ("wire.r_phase_strain", "wire.r_phase_temperature", "wire.r_phase_range"),
-)
+OPTIONAL = (("wire.transition_skew",),
+            ("wire.r_phase_strain", "wire.r_phase_temperature", "wire.r_phase_range"))
 # What every wire in air or under a load has and the paper's model leaves out: in a fit to motion it
 # would pass for other numbers, and predict other drives wrongly. Priors are the table's.
-UNMODELLED = (
-    "effect.latent_heat.heat",
-    "effect.temperature_dependent_convection.rise",
-    "effect.phase_dependent_resistance.austenite_change",
-    "effect.residual_strain.share",
-)
+UNMODELLED = ("effect.latent_heat.heat", "effect.temperature_dependent_convection.rise",
+              "effect.phase_dependent_resistance.austenite_change", "effect.residual_strain.share")
 # Typical wires, for what a file does not state: mean and one standard deviation. NiTi has 450 to
 # 550 J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat and a martensite of 0 to 30 % more
 # resistance than austenite (Ikuta 1991); a correlation of free convection is good to 30 % in a
@@ -116,22 +95,15 @@ _LONGEST_END = 0.03  # m
 _CONDUCTIVITY, _END = 13.0, 0.6  # W/(m K), of NiTi between its phases; share that is unknown
 _LEAST_HALF_WIDTH = 0.1  # K, of the law that is made of hystereses
 # Products: what is known of the second factor is carried by the first, which the fit moves.
-PRODUCTS = {
-    "wire.heat_transfer_coefficient": "wire.surface_area",
-    "wire.specific_heat": "wire.mass",
-}
+PRODUCTS = {"wire.heat_transfer_coefficient": "wire.surface_area",
+            "wire.specific_heat": "wire.mass"}
 _TIMES = {
     f"{EFFECT_PREFIX}{effect.name}.{number}": other
     for effect in EFFECTS.values()
     for number, other in (effect.times or {}).items()
 }
-_STRAIGHT = {
-    *TEMPERATURES,
-    "environment.ambient_temperature",
-    "wire.thermal_expansion_factor",
-    "load.force",
-    "load.preload",
-}
+_STRAIGHT = {*TEMPERATURES, "environment.ambient_temperature", "wire.thermal_expansion_factor",
+             "load.force", "load.preload"}
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
 _REACH = 30.0  # prior deviations
 _STILL = 1e-6  # deviations a prior deviation
@@ -143,26 +115,19 @@ _TINY = 1e-4  # prior deviations, of a difference
 
 @dataclass(frozen=True)
 class Unknown:
-    """One number and its Gaussian prior.
-
-    Attributes:
-        mean, std, low, high: in the parameter's unit.
-        log: its logarithm is moved, because the model mostly knows products, which are straight
-            lines there; `mean` is then that of the value, `std/mean` of the logarithm.
-        tied: parameters that take the same value.
-        partner: the other factor of a product that records know only as a whole; own_std is what
-            is known of this factor alone, the rest of `std` the partner's.
-    """
+    """One number and its Gaussian prior, in the parameter's unit."""
 
     name: str
     mean: float
     std: float
     low: float = -math.inf
     high: float = math.inf
+    # Its logarithm is moved, because the model mostly knows products, which are straight lines
+    # there; `mean` is then that of the value, `std/mean` of the logarithm.
     log: bool = False
-    tied: tuple[str, ...] = ()
-    partner: str = ""
-    own_std: float = 0.0
+    tied: tuple[str, ...] = ()  # parameters that take the same value
+    partner: str = ""  # the other factor of a product that records know only as a whole
+    own_std: float = 0.0  # what is known of this factor alone, the rest of `std` the partner's
 
     def value(self, x: float) -> float:
         """In its unit, `x` prior deviations from the mean, within its range."""
@@ -187,25 +152,17 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Numbers of the bench, shapes of its kinetics, then the numbers of some effects.
+    """Numbers of the bench, shapes of its kinetics, then the numbers of some effects, moved as
+    x (k,), in prior deviations."""
 
-    They are moved as x (k,), in prior deviations.
-
-    Attributes:
-        base: all the other parameters.
-        items: in this order; bench: how many are the bench's own; baseline: with the shapes, how
-            many every candidate has; effects: names, in the order of the numbers; forms: of each of
-            these, the usual one being "".
-        transitions: of the temperatures among the items, which are moved together: each has the
-            deviation of its own in its item, but is no function of its own x.
-    """
-
-    base: Parameters
-    items: tuple[Unknown, ...]
-    bench: int
-    baseline: int
-    effects: tuple[str, ...] = ()
-    forms: tuple[str, ...] = ()
+    base: Parameters  # all the others
+    items: tuple[Unknown, ...]  # in this order
+    bench: int  # how many are the bench's own
+    baseline: int  # with the shapes, how many every candidate has
+    effects: tuple[str, ...] = ()  # names, in the order of the numbers
+    forms: tuple[str, ...] = ()  # of each of these, the usual one being ""
+    # Of the temperatures among the items, which are moved together: each has the deviation of its
+    # own in its item, but is no function of its own x.
     transitions: Transitions | None = None
 
     @property
@@ -231,16 +188,12 @@ class Unknowns:
         first = self.names.index(TEMPERATURES[self.transitions.moving[0]])
         return slice(first, first + len(self.transitions.moving))
 
-    @cached_property
-    def _bounds(self) -> tuple[Array, Array]:
+    def bounds(self) -> tuple[Array, Array]:
+        """Lowest and highest (k,) of x."""
         ends = [(item.x_of(item.low), item.x_of(item.high)) for item in self.items]
         low, high = np.clip(np.array(ends, dtype=np.float64).reshape(-1, 2).T, -_REACH, _REACH)
         low[self._together], high[self._together] = -_REACH, _REACH
         return low, high
-
-    def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest (k,) of x."""
-        return self._bounds
 
     def values(self, x: Array) -> Array:
         """(k,) in their units."""
@@ -372,7 +325,6 @@ def unknowns_of_records(
     """Everything of the baseline that records of these quantities can depend on.
 
     Args:
-        parameters: as believed, with uncertainties.
         load_frame: records of a wire under held loads or between clamps are among them;
             own_load: so are some of wires that move what `load.kind` names.
         sides_apart: front and back are two numbers even where they are believed alike.
@@ -392,10 +344,8 @@ def unknowns_of_records(
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         shapes |= of_table(ORIENTING.get(parameters["wire.law"], ()))
-        shapes |= of_table(
-            n for main, *others in OPTIONAL for n in (main, *others)
-            if parameters[main] != 0.0 or parameters.given_uncertainty.get(main, 0.0) > 0.0
-        )
+        shapes |= of_table(n for own_names in OPTIONAL for n in own_names
+                           if is_stated(parameters, own_names[0]))
         if own:
             shapes |= LOADED_SHAPES if unmodelled else {}
             free = parameters["wire.convection"] == "free"
@@ -460,12 +410,10 @@ def unknowns_of(
     parameters: Parameters, names: Sequence[str], *,
     shapes: Mapping[str, tuple[float, float, float]] = SHAPES, sides_apart: bool = False,
 ) -> Unknowns:
-    """Unknowns from the values and the `uncertainty.` of a parameter set.
-
-    A parameter with uncertainty 0 is exact and not among the names. Bending coefficients which are
-    derived from the geometry start there, with 30 % unless their uncertainty is given. All four
-    transition temperatures or none of them are among the names.
-    """
+    """Unknowns from the values and the `uncertainty.` of a parameter set. A parameter with
+    uncertainty 0 is exact and none of them. Bending coefficients which are derived from the
+    geometry start there, with 30 % unless their uncertainty is given. All four transition
+    temperatures or none of them are among the names."""
     derived = dict(zip(BENDING, bending_coefficients(parameters), strict=True))
     together = Transitions.of(parameters) if TEMPERATURES[0] in names else None
     stds = together.stds if together else {}
@@ -477,10 +425,9 @@ def unknowns_of(
         if name in derived and name not in parameters.given_uncertainty and not parameters[name]:
             std = max(std, _DERIVED_STD * mean)
         own, partner = std, PRODUCTS.get(name, "")
-        if partner and partner not in names:
+        partner = "" if partner in names else partner
+        if partner:
             std = float(np.hypot(std, parameters.std(partner) / parameters[partner] * mean))
-        else:
-            partner = ""
         low, high = range_of(name)
         if name in BENDING or name in LOAD_NEEDS.get(load_kind(parameters), ()):
             low = _ABOVE_NOTHING * mean
@@ -533,7 +480,5 @@ def number_of_effect(number: Parameter) -> Unknown:
 def shares_of_factor(name: str, value: float, parameters: Parameters) -> dict[str, float]:
     """Error of an effect's number by the factor that it enters the model with (`Effect.times`), one
     standard deviation of that; by the factor's name, none for all other numbers."""
-    if name not in _TIMES:
-        return {}
-    factor = _TIMES[name]
-    return {factor: -value * parameters.std(factor) / parameters[factor]}
+    factors = [_TIMES[name]] if name in _TIMES else []
+    return {factor: -value * parameters.std(factor) / parameters[factor] for factor in factors}

@@ -8,7 +8,8 @@ last bit: both are errors that a fit may move (nuisances.py).
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import groupby, pairwise
+from operator import itemgetter
 from typing import Literal
 
 import numpy as np
@@ -23,12 +24,9 @@ from sma_bench.estimation.noise_model import (
 )
 from sma_bench.records.record import Record
 
-SHORTEST_SEGMENT = 0.5
-FEWEST_SAMPLES = 20
+SHORTEST_SEGMENT, FEWEST_SAMPLES = 0.5, 20
 _AT_CORNER, _BENT = 2, 3.0  # samples that may lie on neither line; times the noise
-_TOLERANCE_STD = 8.0
-_TOLERANCE_STEPS = 2.5
-_SMALLEST_TOLERANCE = 1e-3
+_TOLERANCE_STD, _TOLERANCE_STEPS, _SMALLEST_TOLERANCE = 8.0, 2.5, 1e-3
 _MOST_PIECES = 20_000
 # Of the largest voltage, where samples are so far apart [s] or nearer; less heats too little to be
 # misplaced, the longer a slow logger does not look the less.
@@ -75,10 +73,8 @@ class VoltageSegment:
 
 @dataclass(frozen=True)
 class Segments:
-    """All plateaus and ramps of a voltage in order, and the edges (s before, s after) of jumps.
-
-    `tolerance` (V) is how far a sample may lie from its line.
-    """
+    """All plateaus and ramps of a voltage in order, and the edges (s before, s after) of jumps;
+    `tolerance` (V) is how far a sample may lie from its line."""
 
     items: tuple[VoltageSegment, ...]
     edges: tuple[tuple[float, float], ...]
@@ -103,22 +99,14 @@ class Segments:
 
     def levels(self) -> int:
         """Number of plateau voltages that differ from each other."""
-        sorted_levels = np.sort([p.level for p in self.plateaus])
-        if len(sorted_levels) == 0:
-            return 0
-        return 1 + int(np.sum(np.diff(sorted_levels) > self.tolerance))
+        levels = np.sort([p.level for p in self.plateaus])
+        return min(len(levels), 1) + int(np.sum(np.diff(levels) > self.tolerance))
 
 
 def find_segments(time: Array, voltage: Array) -> Segments:
-    """Cut a voltage into straight pieces (Douglas and Peucker, 1973) and sort them.
-
-    Args:
-        time: (n,) s, increasing; gaps and jitter do no harm.
-        voltage: (n,) V, noisy or quantised.
-
-    Raises:
-        InputError: fewer than 20 samples, or values that are not finite.
-    """
+    """Cut a voltage (n,) V, noisy or quantised, at increasing times (n,) s, whose gaps and jitter
+    do no harm, into straight pieces (Douglas and Peucker, 1973) and sort them. Raises InputError:
+    fewer than 20 samples, or values that are not finite."""
     if len(time) < FEWEST_SAMPLES:
         raise InputError(
             f"voltage has {len(time)} samples, expected {FEWEST_SAMPLES} or more to find segments"
@@ -172,18 +160,14 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     ]
     flat = [abs(end - begin) <= tolerance for _, _, begin, end in lines]
     levels = [0.5 * (b + e) for (_, _, b, e), is_flat in zip(lines, flat, strict=True) if is_flat]
+    steps = np.diff(levels).tolist()
+    rises = iter([*steps[:1], *steps] or [0.0])  # of plateaus
     items = []
-    seen = 0
     for (start, stop, begin, end), is_flat in zip(lines, flat, strict=True):
-        rise = end - begin
-        if is_flat:
-            reference = levels[max(seen, 1) - 1 : max(seen, 1) + 1]
-            rise = reference[-1] - reference[0] if len(reference) == 2 else 0.0
-            seen += 1
+        direction: Literal["up", "down"] = (
+            "up" if (next(rises) if is_flat else end - begin) >= 0.0 else "down")
         kind: Literal["plateau", "ramp"] = "plateau" if is_flat else "ramp"
-        items.append(
-            VoltageSegment(kind, start, stop, begin, end, "up" if rise >= 0.0 else "down")
-        )
+        items.append(VoltageSegment(kind, start, stop, begin, end, direction))
     return Segments(tuple(items), edges, tolerance)
 
 
@@ -199,19 +183,13 @@ def _step_of(voltage: Array) -> float:
 def protocol_spans(
     markers: Iterable[tuple[float, str]], duration: float
 ) -> tuple[tuple[str, float, float], ...]:
-    """(protocol, start, stop) in s, one for each run of markers "protocol/step" of one protocol.
-
-    Without markers the whole record is one span without a name.
-    """
-    spans: list[tuple[str, float, float]] = []
-    for time, text in sorted(markers):
-        name = text.split("/")[0].strip()
-        if spans and spans[-1][0] == name:
-            continue
-        if spans:
-            spans[-1] = (spans[-1][0], spans[-1][1], time)
-        spans.append((name, time, duration))
-    return tuple(spans) or (("", -np.inf, np.inf),)
+    """(protocol, start, stop) in s, one for each run of markers "protocol/step" of one protocol;
+    without markers the whole record is one span without a name."""
+    named = [(text.split("/")[0].strip(), time) for time, text in sorted(markers)]
+    begins = [next(run) for _, run in groupby(named, itemgetter(0))]
+    ends = [*(time for _, time in begins[1:]), duration]
+    spans = zip(begins, ends, strict=False)
+    return tuple((*begin, end) for begin, end in spans) or (("", -np.inf, np.inf),)
 
 
 def _split(time: Array, voltage: Array, tolerance: float) -> list[tuple[int, int]]:
@@ -267,12 +245,8 @@ class Polygon:
     commanded: Array | None = None
 
     def energy(self, moments: Array, grid: Array, error: Array | None = None) -> Array:
-        """Integral of V^2 [V2 s] over each cell of `grid` (n,), as (n - 1,).
-
-        Args:
-            moments: (j,) s at which the jumps happen.
-            error: (k,) V, added to the knots.
-        """
+        """Integral of V^2 [V2 s] over each cell of `grid` (n,), as (n - 1,), with jumps at these
+        `moments` (j,) s; `error`: (k,) V, added to the knots."""
         at = self.jumps.astype(np.intp) + 1
         volts = self.voltage if error is None else self.voltage + error
         order = np.repeat(at, 2)
@@ -306,11 +280,9 @@ class Polygon:
 
 @dataclass(frozen=True)
 class AppliedVoltage:
-    """Voltages of all channels of a record, and the moments of their common jumps.
-
-    `early`, `late` (e,) s: the last sample before each event and the first one after it, the
-    narrowest over the channels; `events` gives each channel's jumps their event.
-    """
+    """Voltages of all channels of a record, and the moments of their common jumps: `early`, `late`
+    (e,) s: the last sample before each event and the first one after it, the narrowest over the
+    channels; `events` gives each channel's jumps their event."""
 
     channels: tuple[Polygon, ...]
     events: tuple[Array, ...]
@@ -398,11 +370,8 @@ class AppliedVoltage:
         self, grid: Array, place: Array, errors: Sequence[Array] | None = None
     ) -> Array:
         """Voltages (n, w) V which, held from each grid time to the next, heat as the true ones.
-
-        Args:
-            place: (e,) of the jumps, from -0.5 (just after `early`) to 0.5 (just before `late`).
-            errors: (k,) V, added to the knots of each channel.
-        """
+        `place`: (e,) of the jumps, from -0.5 (just after `early`) to 0.5 (just before `late`);
+        `errors`: (k,) V, added to the knots of each channel."""
         moments = 0.5 * (self.early + self.late) + place * (self.late - self.early)
         columns = []
         for channel, (polygon, own) in enumerate(zip(self.channels, self.events, strict=True)):
@@ -428,15 +397,9 @@ def commands_of(
 def applied_voltage(
     channels: Sequence[tuple[Array, Array]], commands: tuple[Array, Array] | None = None
 ) -> AppliedVoltage:
-    """Prepare measured voltages.
-
-    Args:
-        channels: (time (n,) s, voltage (n,) V) of each channel.
-        commands: (c,) s and (c, w) V that were commanded, held until the next, where known.
-
-    Raises:
-        InputError: too few samples, or values that are not finite.
-    """
+    """Prepare measured voltages: of each channel (time (n,) s, voltage (n,) V); `commands`: (c,) s
+    and (c, w) V that were commanded, held until the next, where known. Raises InputError: too few
+    samples, or values that are not finite."""
     polygons = []
     for k, (time, voltage) in enumerate(channels):
         commanded = None
