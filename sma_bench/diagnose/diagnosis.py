@@ -1,5 +1,6 @@
 """The whole argument: is there a gap, where, which cause, how far it shrinks, what to do next."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -70,8 +71,7 @@ class Diagnosis(DiagnosisResult, Reported):
     model: Fit  # the fit that the improved parameters are of
     improved: Parameters
     observations: tuple[Observation, ...]  # all records
-    # those, or the parts of them, that the fit of the shrinkage has seen
-    fitted: tuple[Observation, ...]
+    fitted: tuple[Observation, ...]  # records, or parts, that the fit of the shrinkage has seen
     held_out: tuple[Observation, ...]  # and has not
 
 
@@ -86,8 +86,8 @@ def diagnose(
     Raises InputError: no records, one that cannot be compared, or one both fitted and held out.
 
     Args:
-        records: bags of one bench; parameters: as believed, `uncertainty.` as priors.
-        hold_out: further bags of the same bench.
+        records: bags of one bench; hold_out: further ones.
+        parameters: as believed, `uncertainty.` as priors.
         progress: called with what is being done.
         quantities: that are compared, of current, temperature and deflection.
     """
@@ -241,14 +241,14 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     or the stage of the effect that gains most.
     """
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
-    moved: dict[str, list[float]] = {}
-    unknowns = found.recalibrated.unknowns
-    for name, x in zip(unknowns.bench_names, found.recalibrated.x.tolist(), strict=False):
-        moved.setdefault(_STAGES.get(name, "mechanical"), []).append(x)
+    moved = defaultdict[str, list[float]](list)
+    names = found.recalibrated.unknowns.bench_names
+    for name, x in zip(names, found.recalibrated.x.tolist(), strict=False):
+        moved[_STAGES.get(name, "mechanical")].append(x)
     chances = {stage: float(chdtrc(len(xs), np.sum(np.square(xs)))) for stage, xs in moved.items()}
     least = min(chances, key=lambda stage: chances[stage])
     beyond_belief = least if chances[least] * len(moved) < _CHANCE else ""
-    shares: dict[str, float] = {}
+    shares = defaultdict[str, float](float)
     for candidate in candidates:
         share, stage = candidate.probability, ""
         if candidate.effects:
@@ -262,23 +262,19 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
             gains = {one: f.gain for one, f in found.inputs.items() if f.gain > 0.0}
             weights = {one: (1.0 + gain / 4.0) ** exponent for one, gain in gains.items()}
             for one, weight in weights.items():
-                shares[one] = shares.get(one, 0.0) + share * weight / sum(weights.values())
+                shares[one] += share * weight / sum(weights.values())
             stage = "" if weights else stage
         if stage:
-            shares[stage] = shares.get(stage, 0.0) + share
+            shares[stage] += share
     return dict(sorted(shares.items(), key=lambda item: -item[1])) or {least: 0.0}
 
 
 def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
     """What of the bench's unknowns nobody stated."""
-    names = [
-        n for item in unknowns.items[: unknowns.bench] for n in (item.name, item.partner)
-        if n and n not in parameters.given and BY_NAME[n].spread is not None
-    ]
-    text = (
-        f"nobody stated {', '.join(names)}: each may be as far from its default as such wires and "
-        "benches differ; identify it, or state what is known"
-    )
+    names = [n for item in unknowns.items[: unknowns.bench] for n in (item.name, item.partner)
+             if n and n not in parameters.given and BY_NAME[n].spread is not None]
+    text = (f"nobody stated {', '.join(names)}: each may be as far from its default as such wires "
+            "and benches differ; identify it, or state what is known")
     return [Finding("info", "parameters", text, {"unstated": float(len(names))})] if names else []
 
 
@@ -288,14 +284,10 @@ def _facts(
     """What speaks for the verdict and against it, as fields of the result."""
     # Parameters far from what was believed, the farthest first.
     unknowns = model.unknowns
-    values, deviations = unknowns.values(model.x), unknowns.deviations(model.x)
-    moved = [
-        Moved(item.name, value - item.mean, BY_NAME[item.name].unit, deviation)
-        for item, value, deviation in zip(
-            unknowns.items[: unknowns.bench], values.tolist(), deviations.tolist(), strict=False
-        )
-        if abs(deviation) > SURPRISING
-    ]
+    values, deviations = unknowns.values(model.x).tolist(), unknowns.deviations(model.x).tolist()
+    numbers = zip(unknowns.items[: unknowns.bench], values, deviations, strict=False)
+    moved = [Moved(item.name, value - item.mean, BY_NAME[item.name].unit, deviation)
+             for item, value, deviation in numbers if abs(deviation) > SURPRISING]
 
     # Where the two most probable models differ most; one that only adds to the first is no rival.
     models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP]
@@ -312,12 +304,8 @@ def _facts(
     left, gain, by = found.left, found.flexible.gain, RECALIBRATION
     if unknowns.effects:
         left, gain, by = found.left_by_best, found.beyond.gain, "the best model"
-    left_behind = LeftOver(
-        by, gain, left.signal, left.ratio if left.ratio > _IN_MOTION else 0.0,
-        left.outlier if left.outlier > _EVENT else 0.0, gain > _FREE_FORM,
-    )
-
-    return {
-        "moved": tuple(sorted(moved, key=lambda one: -abs(one.deviations))),
-        "difference": differ, "left": left_behind,
-    }
+    ratio, outlier = (size if size > least else 0.0
+                      for size, least in ((left.ratio, _IN_MOTION), (left.outlier, _EVENT)))
+    return {"moved": tuple(sorted(moved, key=lambda one: -abs(one.deviations))),
+            "difference": differ,
+            "left": LeftOver(by, gain, left.signal, ratio, outlier, gain > _FREE_FORM)}

@@ -26,14 +26,7 @@ from sma_bench.compiled import in_threads
 from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate
 from sma_bench.diagnose.drives import KNOWN, LONGER, Drive
-from sma_bench.diagnose.result import (
-    NO_GAP,
-    RECALIBRATION,
-    UNEXPLAINED,
-    WORTH,
-    NextExperiment,
-    Verdict,
-)
+from sma_bench.diagnose.result import NO_GAP, RECALIBRATION, UNEXPLAINED, WORTH, NextExperiment
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.utilities import Utilities, learnt
 from sma_bench.errors import InputError
@@ -86,12 +79,9 @@ class Matter:
     ) -> None:
         self.probability = {c.name: c.probability for c in candidates}
         self.utilities, self.search, self.parameters = utilities, search, parameters
-        possible = [
-            c for c in candidates
-            if c.fit is not None and c.name != NO_GAP
-            and (c.probability > _LEAST or c.name == RECALIBRATION)
-        ]
-        self.fits = {c.name: c.fit for c in possible[:_MOST_CAUSES] if c.fit is not None}
+        possible = [(c.name, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP
+                    if c.probability > _LEAST or c.name == RECALIBRATION]
+        self.fits = dict(possible[:_MOST_CAUSES])
         self.fits.setdefault(RECALIBRATION, search.recalibrated)
         pairs = list(permutations(self.fits, 2))
         believed = Utilities(replace(utilities.found, surprise=0.0))
@@ -128,7 +118,7 @@ class Matter:
 
 
 def next_experiment(
-    verdict: Verdict, candidates: Sequence[Candidate], search: Search, utilities: Utilities,
+    verdict: str, candidates: Sequence[Candidate], search: Search, utilities: Utilities,
     observations: Sequence[Observation], parameters: Parameters,
 ) -> NextExperiment | None:
     """The quickest of what would settle the matter nearly as often as anything. `candidates`: the
@@ -156,8 +146,7 @@ def next_experiment(
         return None
     most = max(option.worth for option in options)
     good = [o for o in options if o.worth >= most - (1.0 - _AS_GOOD) * abs(most)]
-    ranked = sorted(good, key=lambda o: o.worth / (o.minutes + _SETUP), reverse=True)
-    first, *others = ranked
+    first, *others = sorted(good, key=lambda o: o.worth / (o.minutes + _SETUP), reverse=True)
     what = f"named with {100.0 * first.chance:.0f} %"
     if first.chance < WORTH:
         what = f"more probable, by {100.0 * first.worth:.0f} % of all, and named after more of it"
@@ -224,9 +213,8 @@ def _driven(
     readings = {first: known, **{name: planned.predict(f.parameters) for name, f in others}}
 
     # What the bench's own numbers do is much the same under every cause.
-    shared = planned.derivatives(
-        fitted.unknowns, fitted.x, known, range(fitted.unknowns.baseline)
-    )
+    own_numbers = range(fitted.unknowns.baseline)
+    shared = planned.derivatives(fitted.unknowns, fitted.x, known, own_numbers)
 
     def space(name: str) -> Array:
         """(n, k) whitened, in which the records leave a cause free, one deviation long."""
@@ -303,12 +291,9 @@ def _planned(
     voltage = heating_voltage(commanded, matter.parameters)
     like, nothing = matter.observation, np.zeros(0)
     more = [
-        BinnedSignal(
-            f"{channel}.{q}", q, wire, nothing, nothing, np.ones(1), _MOUNTED[q][1],
-            _MOUNTED[q][0], csr_array((0, 1)), SENSORS[q],
-        )
-        for q in mounted for wire, channel in enumerate(like.channels)
-    ]
+        BinnedSignal(f"{channel}.{q}", q, wire, nothing, nothing, np.ones(1), _MOUNTED[q][1],
+                     _MOUNTED[q][0], csr_array((0, 1)), SENSORS[q])
+        for q in mounted for wire, channel in enumerate(like.channels)]
     signals = []
     for signal in (*like.signals, *more):
         stride = max(1, round(signal.period / _PERIOD))
@@ -373,17 +358,12 @@ class Prospect(NamedTuple):
 
 
 def prospect(
-    utilities: Utilities, probability: Mapping[str, float],
-    tellings: Mapping[tuple[str, str], Telling],
-) -> Prospect:  # fmt: skip
-    """What the verdict would be after an experiment, whichever cause is true, as noise may fall.
-
-    Args:
-        utilities: as they are now, the effects' gains before the experiment.
-        probability: of every candidate now.
-        tellings: by (truth, rival) of the causes that were simulated; another cause stays as
-            probable beside the truth as it is.
-    """
+    utilities: Utilities, probability: Mapping[str, float], tellings: Tellings
+) -> Prospect:
+    """What the verdict would be after an experiment, whichever cause is true, as noise may fall:
+    from utilities and every candidate's `probability` as they are now. `tellings`: by (truth,
+    rival) of the causes that were simulated; another cause stays as probable beside the truth as it
+    is."""
     simulated = list(dict.fromkeys(name for pair in tellings for name in pair))
     now = dict(zip(utilities.effects, utilities.gains.tolist(), strict=True))
     named = given = 0.0

@@ -2,6 +2,7 @@
 topic is made from (`templates/diagnosis.j2`)."""
 
 import math
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from typing import Any, Literal
@@ -37,8 +38,7 @@ class Shrinkage:
     rmse_before: float  # with the parameters as believed
     rmse_after: float  # with the best model, an effect in it where there is one
     fraction: float  # of the gap beyond `noise_floor` that is gone
-    # its interval, from blocks of time drawn anew and the spread between drives of different kinds
-    ci90: tuple[float, float]
+    ci90: tuple[float, float]  # from blocks of time drawn anew and the spread between drives
     noise_floor: float
     rmse_recalibrated: float = math.nan  # with the best parameters without an effect
 
@@ -65,10 +65,8 @@ class NextExperiment:
     minutes: float = math.nan  # that it takes, on the bench or at the instrument
     chance: float = math.nan  # that the verdict names the true cause after it
     worth: float = 0.0  # probability more than now that the true cause will be given
-    # that a test of the paper measures, with its standard deviations
-    parameters: Mapping[str, float] = field(default_factory=dict)
-    # that the protocol needs measured, if not those of the records
-    quantities: tuple[str, ...] = ()
+    parameters: Mapping[str, float] = field(default_factory=dict)  # of a test, with its deviations
+    quantities: tuple[str, ...] = ()  # that the protocol needs measured, if not the records'
 
     @property
     def settles(self) -> bool:
@@ -88,8 +86,7 @@ class Explanation:
     log_evidence: float = math.nan  # nats, over recalibration
     # effects that would do less than a tenth of what this one does, with that share
     beside: dict[str, float] = field(default_factory=dict)
-    # what its log odds are the sum of, by what was looked at
-    nats: dict[str, float] = field(default_factory=dict)
+    nats: dict[str, float] = field(default_factory=dict)  # that its log odds are the sum of
 
     @property
     def effects(self) -> tuple[str, ...]:
@@ -100,10 +97,10 @@ class Explanation:
 def inclusion(candidates: Sequence[Explanation]) -> dict[str, float]:
     """Of every effect the probability that it is at work, summed over all explanations that hold
     it; the most probable first."""
-    found: dict[str, float] = {}
+    found = defaultdict[str, float](float)
     for candidate in candidates:
         for effect in candidate.effects:
-            found[effect] = found.get(effect, 0.0) + candidate.probability
+            found[effect] += candidate.probability
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -180,11 +177,9 @@ class DiagnosisResult(Carded):
     missed: Missed | None = None  # of what nothing explains
     not_compared: tuple[str, ...] = ()  # quantities that no record holds
     next_experiment: NextExperiment | None = None
-    # what is known of the records' readings, held back or mended for it
-    record: tuple[str, ...] = ()
+    record: tuple[str, ...] = ()  # what is known of the readings, held back or mended for it
     findings: tuple[Finding, ...] = ()  # remarks on records and parameters
-    # probability from which candidates are credible: these held the truth in 90 % of the cases that
-    # were learnt from
+    # from which candidates are credible: they held the truth in 90 % of the cases learnt from
     least_credible: float = 0.05
     path: str = "diagnosis"  # of the result file
 
@@ -225,19 +220,15 @@ class DiagnosisResult(Carded):
         keys = ("rmse_before", "rmse_after", "noise_floor", "fraction")
         values = [whole, *({k: f"{getattr(s, k):.4g}" for k in keys}
                            for s in self.shrinkage.values())]
-        return [
-            {"name": name, "is_gap": is_gap == "True", "message": message, "values": own}
-            for (name, is_gap, message), own in zip(cells(self, "gap"), values, strict=True)
-        ]
+        return [{"name": name, "is_gap": is_gap == "True", "message": message, "values": own}
+                for (name, is_gap, message), own in zip(cells(self, "gap"), values, strict=True)]
 
     def to_json(self) -> dict[str, Any]:
         """The diagnosis result of contract section 5."""
         own = [f.name for f in fields(DiagnosisResult) if f.name != "path"]
         numbers = self.first.parameters if self.first else {}
-        sizes = {
-            name: {n: e for n, e in numbers.items() if n.startswith(f"effect.{name}.")}
-            for name in self.cause
-        }
+        sizes = {name: {n: e for n, e in numbers.items() if n.startswith(f"effect.{name}.")}
+                 for name in self.cause}
         return {
             **{name: _plain(getattr(self, name)) for name in own}, "size": _plain(sizes),
             "effects": {name: {"probability": p} for name, p in self.effects.items()},

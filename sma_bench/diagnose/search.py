@@ -32,11 +32,9 @@ from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import CARRIED_OVER
 
-_CLOSE = 0.35  # of the best gain in evidence: what lies this near is fitted carefully
-_NEAR = 15.0  # nats
-_MOST_REFINED = 4
-_MOST_FROM_BELIEF = 3
-_MOST_PAIRED, _PARTNERS = 3, 3
+# Of the best gain in evidence, and nats: what lies this near is fitted carefully.
+_CLOSE, _NEAR = 0.35, 15.0
+_MOST_REFINED, _MOST_FROM_BELIEF, _MOST_PAIRED, _PARTNERS = 4, 3, 3, 3
 _HOPELESS = 0.5  # of the best single's gain: with a partner, less than that is no rival of it
 _STANDS_STILL = 0.05  # of the motion that is read
 _DRAWN, _STARTED = 60, 2  # benches that are tried where the believed one stands still
@@ -130,14 +128,9 @@ def search(
     observations: Sequence[Observation], parameters: Parameters,
     progress: Progress = lambda text: None, doubted: Collection[str] = (),
 ) -> Search:
-    """Fit everything.
-
-    Args:
-        observations: of all records, those held out as well (their shares are told apart later).
-        parameters: as believed, with uncertainties.
-        doubted: quantities whose readings are under suspicion; effects of their sensors, or all
-            effects where the drive's are, are held back.
-    """
+    """Fit everything to all records, those held out as well (their shares are told apart later).
+    `doubted`: quantities whose readings are under suspicion; effects of their sensors, or all
+    effects where the drive's are, are held back."""
     quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
     baseline = unknowns_of_records(parameters, quantities, other_laws=True)
     progress("recalibration")
@@ -169,18 +162,15 @@ def search(
         if away.any():
             alike = problem.about(parameters, np.where(away, 0.0, recalibrated.z))
         read = replace(alike, noise=recalibrated.problem.noise)
-        believed = fit(read, baseline, baseline.start(), rounds=0)
-        keep(in_threads(
-            lambda kind, start: fit(alike, kind, start.x, far=True),
-            _starts(kinds, believed)[:_MOST_FROM_BELIEF],
-        ))  # fmt: skip
+        begun = _starts(kinds, fit(read, baseline, baseline.start(), rounds=0))[:_MOST_FROM_BELIEF]
+        keep(in_threads(lambda kind, start: fit(alike, kind, start.x, far=True), begun))
 
     progress("the best again, carefully")
-    gains = {name: f.evidence - recalibrated.evidence for name, f in singles.items()}
-    ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
-    best_gain = gains[ranked[0]] if ranked else 0.0
-    limit = best_gain - max(_NEAR, _CLOSE * best_gain)
-    worth = [(singles[name],) for name in ranked[:_MOST_REFINED] if gains[name] >= limit]
+    ranked = sorted(singles.values(), key=by_evidence, reverse=True)
+    gains = [found.evidence - recalibrated.evidence for found in ranked] or [0.0]
+    limit = gains[0] - max(_NEAR, _CLOSE * gains[0])
+    worth = [(found,) for found, gain in zip(ranked[:_MOST_REFINED], gains, strict=False)
+             if gain >= limit]
     instead = [_handed_over(found) for name, found in singles.items() if name in _INSTEAD]
     keep([*in_threads(_refined, worth), *instead])
     better, stuck = _again(baseline, recalibrated, singles)
@@ -236,10 +226,9 @@ def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
 def _where_it_moves(problem: Problem, unknowns: Unknowns, parameters: Parameters) -> list[Array]:
     """Believable benches (k,) each that move as the records do, where the one believed in stands
     still: no small step from there shows a motion, and all of it would pass for drift."""
-    moved = [b for b in problem.blocks if b.signal.quantity in MOVED]
-    here, reach = problem.predict(parameters), [np.ptp(b.signal.value) for b in moved]
-    shown = [np.ptp(here[b.rows]) for b in moved]
-    if all(a > _STANDS_STILL * b for a, b in zip(shown, reach, strict=True)):
+    here = problem.predict(parameters)
+    if all(np.ptp(here[b.rows]) > _STANDS_STILL * np.ptp(b.signal.value)
+           for b in problem.blocks if b.signal.quantity in MOVED):
         return []
     return nearest_starts(problem, unknowns, _DRAWN)[:_STARTED]
 
@@ -284,7 +273,7 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
         without = off(kind)
         if found.evidence >= without.evidence:
             return found
-        return max(found, without, fit_from(kind, without.x), key=by_evidence)
+        return max(without, fit_from(kind, without.x), key=by_evidence)
 
     worth = [both for both in begun if both[0].forms[0] and both[1].gain > _WORTH_A_FORM]
     worth = [both for both in begun if not both[0].forms[0] or both in worth[:_MOST_FORMS]]
@@ -354,14 +343,13 @@ def _pairs(
 ) -> dict[tuple[str, str], Fit]:
     """The best singles, each with the partners that promise most beside it; the best pair again
     with its own nuisances, as the best singles."""
-    ranked = sorted(singles, key=lambda name: singles[name].evidence, reverse=True)
-    gains = {name: singles[name].evidence - recalibrated.evidence for name in ranked}
+    ranked = sorted(singles.values(), key=by_evidence, reverse=True)
+    gains = [found.evidence - recalibrated.evidence for found in ranked]
     pairs: dict[tuple[str, str], Fit] = {}
 
     def keep(found: Fit) -> None:
         one, other = sorted(found.unknowns.effects)
-        if (one, other) not in pairs or found.evidence > pairs[one, other].evidence:
-            pairs[one, other] = found
+        pairs[one, other] = max(pairs.get((one, other), found), found, key=by_evidence)
 
     def with_partners(alone: Fit) -> list[Fit]:
         (name,), (own,) = alone.unknowns.effects, alone.unknowns.forms
@@ -378,11 +366,10 @@ def _pairs(
             list(promising.values())[:_PARTNERS],
         )  # fmt: skip
 
-    for name in ranked[:_MOST_PAIRED]:
-        if gains[name] < max(_WORTH_PAIRING, _HOPELESS * gains[ranked[0]]):
-            break
-        for found in with_partners(singles[name]):
-            keep(found)
+    for alone, gain in zip(ranked[:_MOST_PAIRED], gains, strict=False):
+        if gain >= max(_WORTH_PAIRING, _HOPELESS * gains[0]):
+            for found in with_partners(alone):
+                keep(found)
     if pairs:
         keep(_refined(max(pairs.values(), key=by_evidence)))
     return pairs

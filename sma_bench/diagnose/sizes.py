@@ -11,6 +11,7 @@ Other drives keep another share. What is left of the gap scatters from drive to 
 fitted to drives of another kind in the development split of the withheld-effect check.
 """
 
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -30,8 +31,7 @@ from sma_bench.physics.effects import EFFECTS
 
 INITIAL, DRIVE, REST = "initial", "drive", "rest"
 _BLOCK = 8.0  # s, longer than any sensor remembers
-_DRAWS = 400
-_SEED = 1
+_DRAWS, _SEED = 400, 1
 _SMALLEST = 0.3  # of the noise: below it there is no gap to shrink
 # From one drive to another: standard deviations of the log of what is left, and of what all have.
 _BETWEEN_DRIVES, _AT_LEAST = 0.4, 0.007
@@ -78,7 +78,7 @@ def largest_gap(problem: Problem, difference: Array) -> float:
 def locate(problem: Problem, difference: Array) -> list[Cell]:
     """Where a difference (n,), in the signals' units, lies; the largest share first, of equal ones
     what comes first in time."""
-    squares: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
+    squares = defaultdict[tuple[str, str, str], list[tuple[float, float, float]]](list)
     for block in problem.blocks:
         signal, part = block.signal, difference[block.rows]
         noise = sample_noise(problem, signal.name)
@@ -87,16 +87,13 @@ def locate(problem: Problem, difference: Array) -> list[Cell]:
             here = (phase == p) & (side == s)
             count = float(signal.count[here].sum())
             power = float(np.sum(part[here] ** 2 * signal.count[here]))
-            cell = squares.setdefault((signal.name, p, s), [])
-            cell.append((count, power, power / noise**2))
+            squares[signal.name, p, s].append((count, power, power / noise**2))
     total = sum(row[2] for rows in squares.values() for row in rows) or 1.0
     cells = []
     for (name, p, s), rows in squares.items():
-        count, power, energy = (sum(row[k] for row in rows) for k in range(3))
-        cells.append(
-            Cell(name, p, s, float(np.sqrt(energy / count)), energy / total,
-                 float(np.sqrt(power / count)))
-        )
+        count, power, energy = map(sum, zip(*rows, strict=True))
+        gap, rms = float(np.sqrt(energy / count)), float(np.sqrt(power / count))
+        cells.append(Cell(name, p, s, gap, energy / total, rms))
     return sorted(cells, key=lambda cell: -round(cell.share, 9))
 
 
@@ -125,15 +122,10 @@ def shrinkage(
     observations: Sequence[Observation], nominal: Parameters, recalibrated: Parameters,
     improved: Parameters, noises: Mapping[str, Noise],
 ) -> dict[str, Shrinkage]:
-    """Of every quantity that the held-out data have.
-
-    Args:
-        observations: held-out data; nominal: parameters as believed.
-        recalibrated, improved: of fits that have not seen these data, without and with effects.
-        noises: of the sensors, by signal.
-    """
+    """Of every quantity that held-out data have: with the parameters as believed and those of fits
+    that have not seen these data, without and with effects; `noises` of the sensors, by signal."""
     # By quantity, a row a block: samples, the variance of their noise, sums of squares by model.
-    found: dict[str, list[Array]] = {}
+    found = defaultdict[str, list[Array]](list)
     for obs in observations:
         models = [obs.readings(obs.simulate(p)) for p in (nominal, recalibrated, improved)]
         for signal, *readings in zip(obs.signals, *models, strict=True):
@@ -144,12 +136,10 @@ def shrinkage(
             floor = float(noise.white**2 * usual + noise.drift**2)
             # A bin's mean hides most of its samples' white noise: it is added again.
             hidden = noise.white**2 * usual * (signal.count - 1.0)
-            squares = [
-                np.bincount(which, signal.count * (signal.value - model) ** 2 + hidden)
-                for model in readings
-            ]
+            squares = [np.bincount(which, signal.count * (signal.value - model) ** 2 + hidden)
+                       for model in readings]
             rows = np.column_stack([counts, np.full(len(counts), floor), *squares])
-            found.setdefault(signal.quantity, []).append(rows)
+            found[signal.quantity].append(rows)
     return {quantity: _of(np.concatenate(rows)) for quantity, rows in found.items()}
 
 
