@@ -26,15 +26,13 @@ class Drive:
     def document(self, level: float, sides: Sequence[str]) -> dict[str, Any]:
         """As a protocol file holds it."""
         one, other = sides[0], sides[-1]
-        targets = {
-            "one side": (one,), "the other side": (other,), "both sides": ("all",),
-        }.get(self.order, (one, other) if one != other else (one,))
+        orders = {"one side": (one,), "the other side": (other,), "both sides": ("all",)}
+        targets = orders.get(self.order, (one, other) if one != other else (one,))
         warmed, triangle = "warmed" in self.order, self.shape == "triangle"
         pulse = self.seconds * (2.0 if triangle else 1.0) + self.rest
         pulse += 2.0 * self.seconds if warmed else 0.0
         steps: list[dict[str, Any]] = [{"kind": "rest", "duration": _FIRST_REST}]
-        left, k = 60.0 * self.minutes - _FIRST_REST, 0
-        shares = _SHARES[self.heights]
+        left, k, shares = 60.0 * self.minutes - _FIRST_REST, 0, _SHARES[self.heights]
         while k == 0 or left >= pulse:
             target = targets[k % len(targets)]
             volts = round(shares[(k // len(targets)) % len(shares)] * level, 3)
@@ -42,11 +40,11 @@ class Drive:
                 passive = next((s for s in sides if s != target), target)
                 steps.append({"kind": "step", "drive": passive, "level": round(0.5 * volts, 3),
                               "duration": 2.0 * self.seconds})
-            pulse_step: dict[str, Any] = (
-                {"kind": "triangle", "peak": volts, "rise": self.seconds, "fall": self.seconds}
-                if triangle else {"kind": "step", "level": volts, "duration": self.seconds}
-            )
-            steps += [{**pulse_step, "drive": target}, {"kind": "rest", "duration": self.rest}]
+            stroke: dict[str, Any] = {"kind": "step", "level": volts, "duration": self.seconds}
+            if triangle:
+                stroke = {"kind": "triangle", "peak": volts, "rise": self.seconds,
+                          "fall": self.seconds}
+            steps += [{**stroke, "drive": target}, {"kind": "rest", "duration": self.rest}]
             left, k = left - pulse, k + 1
         kind = [f"{self.heights} {'triangles' if triangle else 'steps'}"]
         order = [self.order] if one != other else ["warmed before"] if warmed else []

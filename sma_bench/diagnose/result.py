@@ -213,10 +213,8 @@ class DiagnosisResult(Carded):
     def _gap(self) -> list[dict[str, Any]]:
         """Lines of the topic `~/gap`: the gap as a whole, and one a measured quantity."""
         whole: dict[str, Any] = {
-            "verdict": self.verdict, "probability": f"{self.candidates[0].probability:.3f}",
-            "signal": self.where.signal, "phase": self.where.phase, "side": self.where.side,
-            "stage": self.where.stage,
-        }
+            "verdict": self.verdict, "probability": f"{self.candidates[0].probability:.3f}"}
+        whole |= {name: getattr(self.where, name) for name in ("signal", "phase", "side", "stage")}
         keys = ("rmse_before", "rmse_after", "noise_floor", "fraction")
         values = [whole, *({k: f"{getattr(s, k):.4g}" for k in keys}
                            for s in self.shrinkage.values())]

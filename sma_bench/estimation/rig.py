@@ -155,10 +155,8 @@ def begins_warm(rig: Rig, parameters: Parameters) -> bool:
     least = DRIVEN * max(float(np.max(np.abs(c.voltage))) for c in channels)
     # Until the last reading without voltage, of which a slow logger has few.
     driven = [(c.time, np.abs(c.voltage) > least) for c in channels]
-    first_drive = min(
-        (float(time[max(int(np.argmax(on)) - 1, 0)]) for time, on in driven if on.any()),
-        default=rig.stop,
-    )
+    begins = [float(time[max(int(np.argmax(on)) - 1, 0)]) for time, on in driven if on.any()]
+    first_drive = min(begins, default=rig.stop)
     for one in rig.measured:
         rest = one.values[one.time < first_drive]
         some = min(_SOME, len(rest) // 2)

@@ -151,10 +151,9 @@ class Transitions:
         _, known, *usual = (_COORDINATES @ self.mean).tolist()
         before, added = BRANCH * believed * known, BRANCH * spread * half
         room = HIGHEST - LOWEST - 2.0 * half
-        wide = [
-            min(math.hypot(own * math.sqrt(max(1.0 - (before / as_usual) ** 2, 0.0)), added), room)
-            for own, as_usual in zip(ranges, usual, strict=True)
-        ]
+        shares = [math.sqrt(max(1.0 - (before / as_usual) ** 2, 0.0)) for as_usual in usual]
+        wide = [min(math.hypot(own * share, added), room)
+                for own, share in zip(ranges, shares, strict=True)]
         found = _TEMPERATURES @ np.array([centre, half, *wide])
         found += max(LOWEST - found.min(), 0.0) - max(found.max() - HIGHEST, 0.0)
         return np.clip(found, LOWEST, HIGHEST)

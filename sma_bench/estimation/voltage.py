@@ -301,9 +301,8 @@ class AppliedVoltage:
         for channel, polygon in enumerate(self.channels):
             for first, last, noise in polygon.lines:
                 volts = polygon.voltage[first:last]
-                if polygon.hidden > 0.0 and np.ptp(volts) < polygon.step < volts.min() and (
-                    volts.min() > _OFF
-                ):
+                least = max(polygon.step, _OFF)
+                if polygon.hidden > 0.0 and np.ptp(volts) < polygon.step and volts.min() > least:
                     held.append((float(volts.mean()), channel, first, last, noise))
         errors: list[tuple[Array, ...]] = []
         reached = -np.inf
