@@ -13,14 +13,7 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.diagnose.facts import REMARK, effect_fits, own_gap
-from sma_bench.diagnose.result import (
-    JOIN,
-    NO_GAP,
-    RECALIBRATION,
-    Explanation,
-    Verdict,
-    inclusion,
-)
+from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, Explanation, Verdict, inclusion
 from sma_bench.diagnose.search import Search
 from sma_bench.diagnose.utilities import Utilities
 from sma_bench.estimation.estimate import Estimate
@@ -65,10 +58,8 @@ def decide(search: Search, weighed: Utilities) -> tuple[Candidate, ...]:
             stages = [EFFECTS[effect].stage for effect in fitted.unknowns.effects]
             every = estimates(fitted, fitted.errors)
             numbers = dict(list(every.items())[fitted.unknowns.baseline :])
-        candidates.append(Candidate(
-            name, probability, JOIN.join(dict.fromkeys(stages)), numbers, gap, gain,
-            remarks.get(name, {}), nats[name], fits.get(name),
-        ))  # fmt: skip
+        candidates.append(Candidate(name, probability, JOIN.join(dict.fromkeys(stages)), numbers,
+                                    gap, gain, remarks.get(name, {}), nats[name], fits.get(name)))
     return tuple(sorted(candidates, key=lambda c: (-c.probability, c.name)))
 
 
@@ -111,19 +102,15 @@ def law_of(fitted: Fit) -> tuple[float, float, dict[str, Estimate]]:
 def estimates(fitted: Fit, stds: Array) -> dict[str, Estimate]:
     """All numbers of a fit with these errors (k,)."""
     values = fitted.unknowns.values(fitted.x).tolist()
-    return {
-        name: Estimate(value, std, BY_NAME[name].unit)
-        for name, value, std in zip(fitted.unknowns.names, values, stds.tolist(), strict=True)
-    }
+    return {name: Estimate(value, std, BY_NAME[name].unit)
+            for name, value, std in zip(fitted.unknowns.names, values, stds.tolist(), strict=True)}
 
 
 def named(candidates: Sequence[Candidate], weighed: Utilities) -> tuple[str, ...]:
     """Effects that are at work, whatever else is: what gains most by itself first."""
     found, facts = inclusion(candidates), weighed.found.candidates
-    return tuple(sorted(
-        (name for name, p in found.items() if p >= NAMED),
-        key=lambda name: -facts[name].gain if name in facts else 0.0,
-    ))  # fmt: skip
+    return tuple(sorted((name for name, p in found.items() if p >= NAMED),
+                        key=lambda name: -facts[name].gain if name in facts else 0.0))
 
 
 def verdict_of(candidates: Sequence[Candidate]) -> Verdict:

@@ -75,10 +75,9 @@ class Diagnosis(DiagnosisResult, Reported):
     held_out: tuple[Observation, ...]  # and has not
 
 
-def diagnose(
-    records: Sequence[Record], parameters: Parameters, hold_out: Sequence[Record] = (),
-    progress: Progress = lambda text: None, quantities: Sequence[str] = QUANTITIES,
-) -> Diagnosis:
+def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequence[Record] = (),
+             progress: Progress = lambda text: None,
+             quantities: Sequence[str] = QUANTITIES) -> Diagnosis:
     """Diagnose the gap between a bench's records and its model.
 
     Candidates are weighed on all records together; the shrinkage is measured on the held-out ones
@@ -125,17 +124,15 @@ def diagnose(
     blind = moved if model is recalibrated else _fitted_to(fitted, model)
     shrinks = shrinkage(
         unfitted, parameters, moved.parameters, parameters if no_gap else blind.parameters,
-        sensors_noise(model, [recalibrated, *found.singles.values(), *found.pairs.values()]),
-    )
+        sensors_noise(model, [recalibrated, *found.singles.values(), *found.pairs.values()]))
 
     # A proposal that the bench's limits refuse costs no diagnosis.
     following, remarks = None, []
     if not no_gap:
         progress("the next experiment")
         try:
-            following = next_experiment(
-                decision.verdict_of(decided), decided, found, utilities, observations, parameters
-            )
+            following = next_experiment(decision.verdict_of(decided), decided, found, utilities,
+                                        observations, parameters)
             if following:  # causes as they are named beside another law
                 names = {c.name: new.name for c, new in zip(decided, candidates, strict=False)}
                 causes = tuple(names[name] for name in following.separates)
@@ -166,8 +163,7 @@ def diagnose(
     share = unknown_share(fitted, unfitted, improved)
     text = (
         f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had one "
-        "(temperature, its rate, martensite, the other side's temperature)"
-    )
+        "(temperature, its rate, martensite, the other side's temperature)")
     if share < _OF_ONE_KIND:
         text += ": how far the gap shrinks under drives of another kind was not tried"
     measured = {quantity for obs in observations for quantity in obs.quantities}
@@ -175,23 +171,18 @@ def diagnose(
     return Diagnosis(
         verdict=verdict, cause=cause, candidates=candidates,
         where=Where(top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)),
-        shrinkage=shrinks,
-        least_credible=learnt().least,
+        shrinkage=shrinks, least_credible=learnt().least,
         missed=missed(recalibrated, stage, smooth_input) if verdict == UNEXPLAINED else None,
         **_facts(verdict, candidates, found, model),
-        not_compared=tuple(
-            q for q in QUANTITIES if q not in measured and (moves or q != "deflection")
-        ),
+        not_compared=tuple(q for q in QUANTITIES
+                           if q not in measured and (moves or q != "deflection")),
         record=tuple(dict.fromkeys(lines)),
         next_experiment=following if following and following.settles else None,
-        findings=(
-            *ready.follows, *audit(parameters, papers_own=False),
-            *about_unstated(recalibrated.unknowns, parameters),
-            Finding("info", "held-out data", text), *remarks,
-        ),
+        findings=(*ready.follows, *audit(parameters, papers_own=False),
+                  *about_unstated(recalibrated.unknowns, parameters),
+                  Finding("info", "held-out data", text), *remarks),
         parameters=parameters, search=found, model=model, improved=improved,
-        observations=tuple(observations), fitted=tuple(fitted), held_out=tuple(unfitted),
-    )
+        observations=tuple(observations), fitted=tuple(fitted), held_out=tuple(unfitted))
 
 
 def _improved(model: Fit, parameters: Parameters) -> Parameters:
@@ -201,10 +192,8 @@ def _improved(model: Fit, parameters: Parameters) -> Parameters:
     stds = dict(zip(model.unknowns.names, model.errors.tolist(), strict=True))
     stds |= {twin: stds[name] for twin, name in model.unknowns.tied.items()}
     names += model.unknowns.tied
-    return parameters.replace(
-        {name: values[name] for name in names},
-        {name: stds[name] for name in names if stds[name] > 0.0},
-    )
+    return parameters.replace({name: values[name] for name in names},
+                              {name: stds[name] for name in names if stds[name] > 0.0})
 
 
 def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list[Observation]]:
@@ -278,9 +267,8 @@ def about_unstated(unknowns: Unknowns, parameters: Parameters) -> list[Finding]:
     return [Finding("info", "parameters", text, {"unstated": float(len(names))})] if names else []
 
 
-def _facts(
-    verdict: Verdict, candidates: Sequence[Candidate], found: Search, model: Fit
-) -> dict[str, Any]:
+def _facts(verdict: Verdict, candidates: Sequence[Candidate], found: Search,
+           model: Fit) -> dict[str, Any]:
     """What speaks for the verdict and against it, as fields of the result."""
     # Parameters far from what was believed, the farthest first.
     unknowns = model.unknowns

@@ -49,11 +49,9 @@ class Drive:
         kind = [f"{self.heights} {'triangles' if triangle else 'steps'}"]
         order = [self.order] if one != other else ["warmed before"] if warmed else []
         rests = f"with rests of {self.rest:g} s"
-        return {
-            "name": "_".join([*kind, *order]).replace(" ", "_"),
-            "description": ", ".join([f"{kind[0]} of {self.seconds:g} s", *order, rests]),
-            "steps": steps,
-        }
+        return {"name": "_".join([*kind, *order]).replace(" ", "_"),
+                "description": ", ".join([f"{kind[0]} of {self.seconds:g} s", *order, rests]),
+                "steps": steps}
 
 
 _TABLE = read_yaml(Path(__file__).with_suffix(".yaml"), aliases=True)

@@ -70,8 +70,7 @@ def weighed(search: Search) -> Weighed:
         largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
         recalibrated.surprise, search.nominal.evidence - recalibrated.evidence,
         search.left_by_best.ratio, search.left_by_best.outlier, search.beyond.gain,
-        max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations),
-    )  # fmt: skip
+        max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations))
 
 
 def effect_fits(search: Search) -> dict[str, Fit]:

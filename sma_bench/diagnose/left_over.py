@@ -143,11 +143,9 @@ def _of_motion(obs: Observation, simulation: Simulation) -> list[Array]:
         rise = _unit(mean - simulation.temperature.min())
         xi = np.mean(simulation.martensite_fraction[:, own], axis=1)
         turning = np.gradient(xi, obs.grid)
-        found += [
-            *(_remembered(stroke, memory, obs.grid) for memory in _MEMORIES),
-            stroke, stroke**2, np.maximum(stroke - 0.5, 0.0), np.maximum.accumulate(stroke),
-            rise, rise**2, np.maximum(rise - 0.5, 0.0), xi * (1.0 - xi), turning, np.sign(turning),
-        ]
+        found += [*(_remembered(stroke, memory, obs.grid) for memory in _MEMORIES), stroke,
+                  stroke**2, np.maximum(stroke - 0.5, 0.0), np.maximum.accumulate(stroke), rise,
+                  rise**2, np.maximum(rise - 0.5, 0.0), xi * (1.0 - xi), turning, np.sign(turning)]
     return found
 
 
@@ -160,10 +158,8 @@ def _of_wire(obs: Observation, simulation: Simulation, wire: int) -> list[Array]
         across = _unit(np.mean(obs.voltage[:, opposite] ** 2, axis=1))
         found += [_remembered(across, memory, obs.grid) for memory in _MEMORIES[1:]]
     rise = _unit(own - own.min())
-    return [
-        *found, rise, rise**2, np.maximum(rise - 0.5, 0.0), 1.0 - xi,
-        _unit(np.gradient(own, obs.grid)), np.gradient(xi, obs.grid),
-    ]
+    return [*found, rise, rise**2, np.maximum(rise - 0.5, 0.0), 1.0 - xi,
+            _unit(np.gradient(own, obs.grid)), np.gradient(xi, obs.grid)]
 
 
 def _placed(blocks: list[tuple[Key, Array]], columns: Mapping[Key, slice]) -> Array:

@@ -73,10 +73,8 @@ _PLAIN = (Telling(10.0, 4.5), Telling(30.0, 7.7), Telling(100.0, 14.0))
 class Matter:
     """What is still open: the causes, what their fits leave free, and what the bench can do."""
 
-    def __init__(
-        self, candidates: Sequence[Candidate], search: Search, utilities: Utilities,
-        observations: Sequence[Observation], parameters: Parameters,
-    ) -> None:
+    def __init__(self, candidates: Sequence[Candidate], search: Search, utilities: Utilities,
+                 observations: Sequence[Observation], parameters: Parameters) -> None:
         self.probability = {c.name: c.probability for c in candidates}
         self.utilities, self.search, self.parameters = utilities, search, parameters
         possible = [(c.name, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP
@@ -98,9 +96,8 @@ class Matter:
         self.level = min(float(seen), float(parameters["bench.maximum_voltage"]))
         self.minutes, self.records = sum(map(_minutes, observations)), len(observations)
 
-    def experiment(
-        self, kind: str, why: str, minutes: float, tellings: Tellings, **more: Any
-    ) -> NextExperiment:
+    def experiment(self, kind: str, why: str, minutes: float, tellings: Tellings,
+                   **more: Any) -> NextExperiment:
         """What it would be worth, the rivals given."""
         found = self.utilities.found
         if known := more.get("parameters"):  # no record, and what was measured surprises no more
@@ -111,16 +108,13 @@ class Matter:
             found = replace(found, records=found.records + 1)
         after = prospect(Utilities(found), self.probability, tellings)
         causes = tuple(dict.fromkeys(name for pair in tellings for name in pair))
-        return NextExperiment(
-            kind, why, causes, minutes=minutes, chance=after.named,
-            worth=after.given - self.before, **more,
-        )
+        return NextExperiment(kind, why, causes, minutes=minutes, chance=after.named,
+                              worth=after.given - self.before, **more)
 
 
-def next_experiment(
-    verdict: str, candidates: Sequence[Candidate], search: Search, utilities: Utilities,
-    observations: Sequence[Observation], parameters: Parameters,
-) -> NextExperiment | None:
+def next_experiment(verdict: str, candidates: Sequence[Candidate], search: Search,
+                    utilities: Utilities, observations: Sequence[Observation],
+                    parameters: Parameters) -> NextExperiment | None:
     """The quickest of what would settle the matter nearly as often as anything. `candidates`: the
     most probable first; `observations`: the records, for what is measured and how hard the bench
     was driven. For `unexplained` a drive that shows more of it than all records do. Else None where
@@ -138,10 +132,8 @@ def next_experiment(
         # The best drive, and the same with each sensor that the bench does not have.
         best = _best_drive(matter)
         options.append(best)
-        options += [
-            _driven(best.protocol, matter, mounted=(q,), minutes=_MOUNTED[q][2])
-            for q in _MOUNTED if q not in matter.observation.quantities
-        ]
+        options += [_driven(best.protocol, matter, mounted=(q,), minutes=_MOUNTED[q][2])
+                    for q in _MOUNTED if q not in matter.observation.quantities]
     if not options:
         return None
     most = max(option.worth for option in options)
@@ -173,10 +165,8 @@ def _showing(search: Search, matter: Matter) -> NextExperiment | None:
     _, size, minutes, document = max(shown, key=lambda one: one[0])
     if size < so_far:
         return None
-    why = (
-        f"{document['description']}: would show what no effect explains by {size:.0f} standard "
-        "deviations, as far as a smooth response of free form tells it"
-    )
+    why = (f"{document['description']}: would show what no effect explains by {size:.0f} standard "
+           "deviations, as far as a smooth response of free form tells it")
     return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
 
 
@@ -203,9 +193,8 @@ def _best_drive(matter: Matter) -> NextExperiment:
     return best
 
 
-def _driven(
-    document: Mapping[str, Any], matter: Matter, mounted: Sequence[str] = (), minutes: float = 0.0,
-) -> NextExperiment:
+def _driven(document: Mapping[str, Any], matter: Matter, mounted: Sequence[str] = (),
+            minutes: float = 0.0) -> NextExperiment:
     """A drive with what it would tell."""
     fits = matter.fits
     (first, fitted), *others = fits.items()
@@ -244,10 +233,8 @@ def _driven(
     if mounted:
         why += f", with the {' and the '.join(mounted)} of the wires measured too"
     quantities = (*matter.observation.quantities, *mounted) if mounted else ()
-    return matter.experiment(
-        "sensor" if mounted else "protocol", why, minutes + driven, tellings, protocol=document,
-        quantities=quantities,
-    )
+    return matter.experiment("sensor" if mounted else "protocol", why, minutes + driven, tellings,
+                             protocol=document, quantities=quantities)
 
 
 def _test(name: str, matter: Matter) -> NextExperiment | None:
@@ -274,15 +261,12 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
         moved = [reading(f, f.x + _STEP * column) for column in _directions(f).T]
         spaces[cause] = (np.column_stack(moved) - predicted[cause][:, None]) / _STEP
     leaves = {n: stds[n] for n in places}
-    return matter.experiment(
-        name, f"{test.title} ({', '.join(leaves)})", test.minutes,
-        _tellings(predicted, spaces), parameters=leaves,
-    )
+    return matter.experiment(name, f"{test.title} ({', '.join(leaves)})", test.minutes,
+                             _tellings(predicted, spaces), parameters=leaves)
 
 
-def _planned(
-    document: Mapping[str, Any], fitted: Fit, matter: Matter, mounted: Sequence[str]
-) -> tuple[Problem, Array]:
+def _planned(document: Mapping[str, Any], fitted: Fit, matter: Matter,
+             mounted: Sequence[str]) -> tuple[Problem, Array]:
     """The bench on a protocol that it has not run: the same sensors at the same rates, and new ones
     of the quantities that are `mounted`; and what they would read (n,). Raises InputError: the
     wires would get too hot."""
@@ -290,10 +274,9 @@ def _planned(
     time, commanded = protocol.sample(_PERIOD)
     voltage = heating_voltage(commanded, matter.parameters)
     like, nothing = matter.observation, np.zeros(0)
-    more = [
-        BinnedSignal(f"{channel}.{q}", q, wire, nothing, nothing, np.ones(1), _MOUNTED[q][1],
-                     _MOUNTED[q][0], csr_array((0, 1)), SENSORS[q])
-        for q in mounted for wire, channel in enumerate(like.channels)]
+    more = [BinnedSignal(f"{channel}.{q}", q, wire, nothing, nothing, np.ones(1), _MOUNTED[q][1],
+                         _MOUNTED[q][0], csr_array((0, 1)), SENSORS[q])
+            for q in mounted for wire, channel in enumerate(like.channels)]
     signals = []
     for signal in (*like.signals, *more):
         stride = max(1, round(signal.period / _PERIOD))
@@ -304,23 +287,20 @@ def _planned(
             entries = entries * voltage[: len(columns), signal.wire]
         begins = np.arange(0, len(columns) + 1, stride)
         average = csr_array((entries, columns, begins), shape=(len(rows), len(time)))
-        signals.append(replace(
-            signal, time=time[0] + (rows + 0.5) * stride * _PERIOD, value=np.zeros(len(rows)),
-            average=average, count=np.full(len(rows), signal.usual_count),
-        ))  # fmt: skip
+        signals.append(replace(signal, time=time[0] + (rows + 0.5) * stride * _PERIOD,
+                               value=np.zeros(len(rows)), average=average,
+                               count=np.full(len(rows), signal.usual_count)))
     noise = {s.name: first_guess(s.noise, s.period, s.usual_drift) for s in more}
     obs = replace(
         like, grid=time, voltage=voltage, signals=tuple(signals), path=document["name"], delays={},
-        imposed=None if like.imposed is None else np.full(len(time), like.imposed[0]), before=None,
-    )
+        imposed=None if like.imposed is None else np.full(len(time), like.imposed[0]), before=None)
     # Where a level is held for longer than ever, the wires get hotter than they were.
     simulation = obs.simulate(fitted.parameters)
     hottest = float(simulation.temperature.max())
     limit = float(fitted.parameters["bench.maximum_temperature"]) - _COOLER
     if hottest > limit:
         raise InputError(
-            f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}"
-        )
+            f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}")
     read = np.concatenate(obs.readings(simulation))
     unknown = of_planned(obs, fitted.parameters, read)
     return Problem((obs,), noise | fitted.problem.noise, (unknown,)), read
@@ -357,9 +337,8 @@ class Prospect(NamedTuple):
     given: float
 
 
-def prospect(
-    utilities: Utilities, probability: Mapping[str, float], tellings: Tellings
-) -> Prospect:
+def prospect(utilities: Utilities, probability: Mapping[str, float],
+             tellings: Tellings) -> Prospect:
     """What the verdict would be after an experiment, whichever cause is true, as noise may fall:
     from utilities and every candidate's `probability` as they are now. `tellings`: by (truth,
     rival) of the causes that were simulated; another cause stays as probable beside the truth as it
@@ -384,10 +363,8 @@ def prospect(
         begun = now.get(truth, 0.0)
         # What was not simulated goes with the truth, as probable beside it as before.
         longer = np.maximum(begun + over, 0.0) / begun if begun > 0.0 else np.ones(len(_LUCK))
-        gains = [
-            gain + over - lost.get(name, 0.0) if name in simulated else gain * longer
-            for name, gain in now.items()
-        ]
+        gains = [gain + over - lost.get(name, 0.0) if name in simulated else gain * longer
+                 for name, gain in now.items()]
         after = utilities.probabilities(np.column_stack(gains)) if gains else np.zeros((1, 3))
         share = sum(after[:, utilities.names.index(name)] for name in right)
         given += own * float(np.mean(share))

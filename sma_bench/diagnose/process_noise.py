@@ -93,8 +93,7 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
     power = _POWER * float(squares.max()) * warm / max(float(warm.max()), 1e-9)
     heated, conducted = (
         np.column_stack([driven(squares + hat * more) for hat in hats.T[:, :, None]])
-        for more in (power, _POWER * squares)
-    )  # fmt: skip
+        for more in (power, _POWER * squares))
     # A transformation that comes early or late, or is another function of the temperature.
     shifted = parameters.replace({n: parameters[n] + _SHIFT for n in TRANSITIONS.values()})
     shift = np.concatenate(obs.readings(obs.simulate(shifted))) - before

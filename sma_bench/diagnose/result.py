@@ -227,12 +227,10 @@ class DiagnosisResult(Carded):
         numbers = self.first.parameters if self.first else {}
         sizes = {name: {n: e for n, e in numbers.items() if n.startswith(f"effect.{name}.")}
                  for name in self.cause}
-        return {
-            **{name: _plain(getattr(self, name)) for name in own}, "size": _plain(sizes),
-            "effects": {name: {"probability": p} for name, p in self.effects.items()},
-            "credible": [*self.credible], "why": [*self.why], "card": card_rows(self),
-            "gap": self._gap(),
-        }
+        return {**{name: _plain(getattr(self, name)) for name in own}, "size": _plain(sizes),
+                "effects": {name: {"probability": p} for name, p in self.effects.items()},
+                "credible": [*self.credible], "why": [*self.why], "card": card_rows(self),
+                "gap": self._gap()}
 
 
 def _plain(value: Any) -> Any:
@@ -255,7 +253,6 @@ def diagnosis_from(document: Any, where: str) -> DiagnosisResult:
     if isinstance(document, dict):  # null stands for none here, for no number elsewhere
         document = {**{n: v for n, v in document.items() if v is not None}, "path": where}
         if isinstance(lines := document.get("findings"), list):
-            document["findings"] = [
-                vars(Finding.read(line)) if isinstance(line, str) else line for line in lines
-            ]
+            document["findings"] = [vars(Finding.read(line)) if isinstance(line, str) else line
+                                    for line in lines]
     return decoded(DiagnosisResult, document, where)

@@ -124,10 +124,8 @@ class Search:
         return sorted(self.singles, key=self.gain, reverse=True)
 
 
-def search(
-    observations: Sequence[Observation], parameters: Parameters,
-    progress: Progress = lambda text: None, doubted: Collection[str] = (),
-) -> Search:
+def search(observations: Sequence[Observation], parameters: Parameters,
+           progress: Progress = lambda text: None, doubted: Collection[str] = ()) -> Search:
     """Fit everything to all records, those held out as well (their shares are told apart later).
     `doubted`: quantities whose readings are under suspicion; effects of their sensors, or all
     effects where the drive's are, are held back."""
@@ -195,10 +193,8 @@ def held_back(doubted: Collection[str]) -> list[str]:
     """Effects that a doubted signal may feign: those of its sensor, and all where the voltage or
     the current itself is doubted."""
     everything = bool({"voltage", "current"} & set(doubted))
-    return [
-        name for name, effect in EFFECTS.items()
-        if everything or (effect.stage == "sensor" and set(effect.acts_on) & set(doubted))
-    ]
+    return [name for name, effect in EFFECTS.items()
+            if everything or (effect.stage == "sensor" and set(effect.acts_on) & set(doubted))]
 
 
 def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[str]:
@@ -209,11 +205,9 @@ def possible_effects(parameters: Parameters, quantities: Sequence[str]) -> list[
     quantities = [*quantities, *(["deflection"] if "force" in quantities else [])]
     known |= {"slack"} if any(is_stated(parameters, n) for n in IF_STATED) else set()  # refused
     known.add(LAW_EFFECT)  # in every candidate
-    return [
-        name for name, effect in EFFECTS.items()
-        if name not in known and load in effect.loads and law in effect.laws
-        and set(effect.acts_on) & set(quantities)
-    ]
+    return [name for name, effect in EFFECTS.items()
+            if name not in known and load in effect.loads and law in effect.laws
+            and set(effect.acts_on) & set(quantities)]
 
 
 def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
@@ -254,13 +248,9 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
     progress(kinds[0].effects[0])
     begun = _starts(kinds, recalibrated)
 
-    def fit_from(
-        kind: Unknowns, x: Array, rounds: int = 2, predicted: Array | None = None
-    ) -> Fit:
-        return fit(
-            recalibrated.problem, kind, x, rounds=rounds, frozen=recalibrated.derivatives,
-            predicted=predicted,
-        )
+    def fit_from(kind: Unknowns, x: Array, rounds: int = 2, predicted: Array | None = None) -> Fit:
+        return fit(recalibrated.problem, kind, x, rounds=rounds, frozen=recalibrated.derivatives,
+                   predicted=predicted)
 
     def off(kind: Unknowns) -> Fit:
         return fit_from(kind, start_off(recalibrated, kind), 0, recalibrated.predicted)
@@ -282,11 +272,10 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
     found = in_threads(single, worth[:_FIRST])
     lead = max(f.evidence - recalibrated.evidence for f in found)
     hopeful = [_PROMISES * start.gain >= lead - beyond for _, start in worth]
-    found += in_threads(
-        lambda kind, start, hope: single(kind, start) if hope else off(kind),
-        [(*both, hope) for both, hope in zip(worth[_FIRST:], hopeful[_FIRST:], strict=True)
-         if hope or not both[0].forms[0]],
-    )  # fmt: skip
+    found += in_threads(lambda kind, start, hope: single(kind, start) if hope else off(kind),
+                        [(*both, hope)
+                         for both, hope in zip(worth[_FIRST:], hopeful[_FIRST:], strict=True)
+                         if hope or not both[0].forms[0]])
     fits: dict[str, Fit] = {}
     for one in found:
         (name,) = one.unknowns.effects
@@ -338,9 +327,8 @@ def _handed_over(found: Fit) -> Fit:
     return fit(found.problem, found.unknowns, x, rounds=2)
 
 
-def _pairs(
-    baseline: Unknowns, singles: dict[str, Fit], recalibrated: Fit
-) -> dict[tuple[str, str], Fit]:
+def _pairs(baseline: Unknowns, singles: dict[str, Fit],
+           recalibrated: Fit) -> dict[tuple[str, str], Fit]:
     """The best singles, each with the partners that promise most beside it; the best pair again
     with its own nuisances, as the best singles."""
     ranked = sorted(singles.values(), key=by_evidence, reverse=True)
@@ -354,17 +342,14 @@ def _pairs(
     def with_partners(alone: Fit) -> list[Fit]:
         (name,), (own,) = alone.unknowns.effects, alone.unknowns.forms
         frozen = alone.derivatives[:, : baseline.baseline]
-        kinds = [
-            baseline.with_effects([name, one], {name: own, one: form})
-            for one in singles if one != name for form in _forms(one, alone.problem.observations)
-        ]
+        kinds = [baseline.with_effects([name, one], {name: own, one: form}) for one in singles
+                 if one != name for form in _forms(one, alone.problem.observations)]
         promising: dict[str, tuple[Unknowns, Start]] = {}
         for kind, start in _starts(kinds, alone):
             promising.setdefault(kind.effects[-1], (kind, start))
-        return in_threads(
-            lambda kind, start: fit(alone.problem, kind, start.x, rounds=2, frozen=frozen),
-            list(promising.values())[:_PARTNERS],
-        )  # fmt: skip
+        return in_threads(lambda kind, start: fit(alone.problem, kind, start.x, rounds=2,
+                                                  frozen=frozen),
+                          list(promising.values())[:_PARTNERS])
 
     for alone, gain in zip(ranked[:_MOST_PAIRED], gains, strict=False):
         if gain >= max(_WORTH_PAIRING, _HOPELESS * gains[0]):
@@ -431,11 +416,9 @@ def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
     # One switch at a time, every shape.
     numbers, off = [number_of_effect(p) for p in own], start_off(fitted, unknowns)
     known = _SHAPES | _of_records(fitted)
-    shapes = [
-        [off[first + k]] if first + k in switches else
-        [number.x_of(value) for value in known.get(number.name, (number.mean,))]
-        for k, number in enumerate(numbers)
-    ]
+    shapes = [[off[first + k]] if first + k in switches
+              else [number.x_of(value) for value in known.get(number.name, (number.mean,))]
+              for k, number in enumerate(numbers)]
     trials, sizes = [], _SIZES_OF_FORMS if unknowns.forms[-1] else _SIZES
     for k in switches:
         signs = (1.0, -1.0) if numbers[k - first].low < 0.0 else (1.0,)

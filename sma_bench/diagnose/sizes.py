@@ -69,10 +69,9 @@ def sample_noise(problem: Problem, name: str) -> float:
 
 def largest_gap(problem: Problem, difference: Array) -> float:
     """Largest root mean square over the noise, over signals and records."""
-    return max(
-        float(np.sqrt(np.mean(difference[b.rows] ** 2))) / sample_noise(problem, b.signal.name)
-        for b in problem.blocks
-    )
+    return max(float(np.sqrt(np.mean(difference[b.rows] ** 2)))
+               / sample_noise(problem, b.signal.name)
+               for b in problem.blocks)
 
 
 def locate(problem: Problem, difference: Array) -> list[Cell]:
@@ -118,10 +117,8 @@ def _sides(block: Block) -> NDArray[np.str_]:
 # --- How far it shrinks.
 
 
-def shrinkage(
-    observations: Sequence[Observation], nominal: Parameters, recalibrated: Parameters,
-    improved: Parameters, noises: Mapping[str, Noise],
-) -> dict[str, Shrinkage]:
+def shrinkage(observations: Sequence[Observation], nominal: Parameters, recalibrated: Parameters,
+              improved: Parameters, noises: Mapping[str, Noise]) -> dict[str, Shrinkage]:
     """Of every quantity that held-out data have: with the parameters as believed and those of fits
     that have not seen these data, without and with effects; `noises` of the sensors, by signal."""
     # By quantity, a row a block: samples, the variance of their noise, sums of squares by model.
@@ -164,24 +161,21 @@ def _of(rows: Array) -> Shrinkage:
     low, high = np.quantile(1.0 - left, [0.05, 0.95])
     total = float(counts.sum())
     before, recalibrated, after = np.sqrt(squares.sum(axis=0) / total).tolist()
-    return Shrinkage(
-        before, after, value, (float(min(low, value)), float(min(max(high, value), 1.0))),
-        float(np.sqrt((counts * floors).sum() / total)), recalibrated,
-    )
+    return Shrinkage(before, after, value,
+                     (float(min(low, value)), float(min(max(high, value), 1.0))),
+                     float(np.sqrt((counts * floors).sum() / total)), recalibrated)
 
 
 def sensors_noise(model: Fit, candidates: Iterable[Fit]) -> dict[str, Noise]:
     """Of every signal of a model, the drift no larger than any of the candidates needs."""
     least = [fitted.problem.noise for fitted in candidates]
-    return {
-        name: replace(noise, drift=min(noise.drift, noise.usual, *(n[name].drift for n in least)))
-        for name, noise in model.problem.noise.items()
-    }
+    return {name: replace(noise,
+                          drift=min(noise.drift, noise.usual, *(n[name].drift for n in least)))
+            for name, noise in model.problem.noise.items()}
 
 
-def unknown_share(
-    fitted: Sequence[Observation], held_out: Sequence[Observation], parameters: Parameters
-) -> float:
+def unknown_share(fitted: Sequence[Observation], held_out: Sequence[Observation],
+                  parameters: Parameters) -> float:
     """Share of the held-out time in which some wire is where no fitted record has had one:
     temperature, its rate, martensite fraction and the temperature of the other side together."""
     known = np.concatenate([_states(obs, parameters).reshape(-1, _STATE) for obs in fitted])
@@ -196,10 +190,8 @@ def _states(obs: Observation, parameters: Parameters) -> Array:
     run, sides = obs.simulate(parameters), np.array(obs.sides)
     steps = min(max(round(float(np.ptp(obs.grid)) / _STATE_STEP), 1), _MOST_STATES)
     time = np.linspace(obs.grid[0], obs.grid[-1], steps + 1)
-    own, xi = (
-        np.column_stack([np.interp(time, obs.grid, column) for column in columns.T])
-        for columns in (run.temperature, run.martensite_fraction)
-    )
+    own, xi = (np.column_stack([np.interp(time, obs.grid, column) for column in columns.T])
+               for columns in (run.temperature, run.martensite_fraction))
     across = [own[:, sides != side].mean(axis=1) if (sides != side).any() else 0.0 * time
               for side in sides]
     return np.stack([own, np.gradient(own, time, axis=0), xi, np.column_stack(across)], axis=2)

@@ -84,9 +84,8 @@ class Utilities:
         singles = [k for k, one in enumerate(parts) if len(one) == 1]
         self._singles, self._single = singles, np.array([len(one) == 1 for one in parts])
         # (c, s): whether a single effect is part of a candidate.
-        self._part = np.array(
-            [[self.effects[k] in one for k in singles] for one in parts]
-        ).reshape(len(facts), len(singles))
+        self._part = np.array([[self.effects[k] in one for k in singles]
+                               for one in parts]).reshape(len(facts), len(singles))
         self.gains = np.array([f.gain for f in facts.values()])
         # Log odds by the library's size: N candidates bring N chances of a false alarm.
         self.fixed = np.zeros(len(self.names))
@@ -99,10 +98,8 @@ class Utilities:
 
     def _of_effect(self, name: str, facts: Facts) -> dict[str, float]:
         """What does not depend on gains."""
-        row = {
-            "effect.one": 1.0, "effect.size": _small(facts.gap),
-            "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": _wild(facts),
-        }  # fmt: skip
+        row = {"effect.one": 1.0, "effect.size": _small(facts.gap),
+               "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": _wild(facts)}
         if JOIN in name:
             row |= {"pair.two": 1.0, "pair.partner_size": _small(min(facts.parts.values()))}
         return row
@@ -153,11 +150,9 @@ class Utilities:
         """Of every explanation the sum that its log odds are, by feature."""
         sums = self.features()[0] * learnt().values
         rows = zip(self.names, sums, self.fixed.tolist(), strict=True)
-        return {
-            name: {NAMES[k].partition(".")[2]: float(row[k]) for k in np.flatnonzero(row)}
-            | ({"library": fixed} if fixed else {})
-            for name, row, fixed in rows
-        }
+        return {name: {NAMES[k].partition(".")[2]: float(row[k])
+                       for k in np.flatnonzero(row)} | ({"library": fixed} if fixed else {})
+                for name, row, fixed in rows}
 
 
 def _nats(value: Array | float, scale: float = 4.0) -> Array:

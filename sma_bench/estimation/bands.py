@@ -51,9 +51,8 @@ def reach_of(probability: float) -> float:
     return float(ndtri(0.5 + probability / 2.0))
 
 
-def predict(
-    laws: Sequence[LawFit], observation: Observation, probability: float = 0.9
-) -> dict[str, Band]:
+def predict(laws: Sequence[LawFit], observation: Observation,
+            probability: float = 0.9) -> dict[str, Band]:
     """What a run with this drive will show, by signal, after an identification of other runs: the
     mean over the laws, half way from what is most probable to the mean of all that is open, which
     rounds every corner; the limits as laws and numbers leave them. Raises InputError: `probability`
@@ -63,10 +62,8 @@ def predict(
     for weight, fitted, places in (own for one in laws for own in one.drawn):
         differ = max(fitted.problem.states, least_scale(fitted))
         runs = differ * random.standard_normal((len(places) // 2, len(STATES)))
-        benches = [
-            _moved(fitted.unknowns, x, off)
-            for x, off in zip(places, np.vstack([runs, -runs]), strict=True)
-        ]
+        benches = [_moved(fitted.unknowns, x, off)
+                   for x, off in zip(places, np.vstack([runs, -runs]), strict=True)]
         readings = observation.predict([fitted.parameters, *benches])
         best, drawn = readings[:, 0], readings[:, 1:]
         means.append(0.5 * (best + np.mean(drawn, axis=1)))
@@ -84,10 +81,8 @@ def predict(
     return bands
 
 
-def band_of(
-    parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
-    probability: float, report: Report = silent,
-) -> dict[str, Band]:
+def band_of(parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
+            probability: float, report: Report = silent) -> dict[str, Band]:
     """What a run will show, by signal but the voltages, as far as a parameter file says: numbers of
     wire, room, load and effects with a stated `uncertainty.` are drawn, each by itself
     (`benches_within`); sensors and all others are as they are. `simulated`: signals of the run that
@@ -110,18 +105,14 @@ def band_of(
 def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
     """Benches as these parameters leave them open, each in a run of its own. Raises InputError: no
     number of wire, room, load or effects has a stated uncertainty."""
-    stated = [
-        n for n, std in parameters.given_uncertainty.items()
-        if std > 0.0 and not n.startswith("sensor.")
-    ]
+    stated = [n for n, std in parameters.given_uncertainty.items()
+              if std > 0.0 and not n.startswith("sensor.")]
     if not stated:
         raise InputError("a band needs numbers with an uncertainty., the parameters have none")
     names = [n for n in stated if not n.startswith(EFFECT_PREFIX)]
     if set(names) & set(TEMPERATURES):
         names = [*(n for n in names if n not in TEMPERATURES), *TEMPERATURES]
-    shapes = {
-        n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)
-    }
+    shapes = {n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)}
     unknowns = unknowns_of(parameters, names, shapes=shapes)
     random, benches = np.random.default_rng(_SEED), []
     for _ in range(count):

@@ -67,17 +67,11 @@ class Estimate:
     def to_json(self) -> dict[str, Any]:
         """The entry of the result file (contract, section 5)."""
         stated = self.stated
-        return {
-            "value": float(self.value),
-            "std": float(self.std),
-            "statistical": float(self.statistical),
-            "systematic": float(self.systematic),
-            "informed": float(self.informed),
-            "unit": self.unit,
-            "method": self.method,
-            "n": int(self.n),
-            **({"stated": {"value": stated.value, "std": stated.std}} if stated else {}),
-        }
+        return {"value": float(self.value), "std": float(self.std),
+                "statistical": float(self.statistical), "systematic": float(self.systematic),
+                "informed": float(self.informed), "unit": self.unit, "method": self.method,
+                "n": int(self.n),
+                **({"stated": {"value": stated.value, "std": stated.std}} if stated else {})}
 
 
 def _beside(part: float, whole: float) -> float:

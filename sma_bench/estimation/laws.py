@@ -18,12 +18,7 @@ from sma_bench.estimation.noise_model import Array
 from sma_bench.estimation.nuisances import OFFSET, STATE
 from sma_bench.estimation.observation import MOVED, Observation
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.solver import (
-    Fit,
-    fit_imperfect,
-    independent_readings,
-    log_evidence,
-)
+from sma_bench.estimation.solver import Fit, fit_imperfect, independent_readings, log_evidence
 from sma_bench.estimation.unknowns import Unknowns, as_in_the_field, unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import ORIENTING
@@ -82,10 +77,8 @@ class LawFit:
         return tuple(found)
 
 
-def weigh_laws(
-    observations: Sequence[Observation], parameters: Parameters, quantities: Sequence[str],
-    report: Report = silent,
-) -> tuple[LawFit, ...]:
+def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
+               quantities: Sequence[str], report: Report = silent) -> tuple[LawFit, ...]:
     """The laws that the wire may follow, the most probable first: the one that a file states, else
     all; `extended` only where a number of its own is stated. Raises InputError: no law goes with
     what is stated, or leads to a fit."""
@@ -105,10 +98,9 @@ def weigh_laws(
         assumed = {"wire.law": law} | ({} if settled else {"wire.convection": air})
         try:
             own = as_in_the_field(parameters.assuming(assumed, {}))
-            unknowns = unknowns_of_records(
-                own, quantities, load_frame=any(one.holds for one in observations), own_load=True,
-                sides_apart=True, unmodelled=True,
-            )
+            unknowns = unknowns_of_records(own, quantities,
+                                           load_frame=any(one.holds for one in observations),
+                                           own_load=True, sides_apart=True, unmodelled=True)
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
             if air != usual:  # from where the usual one ended, as far as it has these unknowns
                 one, start = fits[law, usual][0][0], unknowns.start().tolist()
@@ -137,12 +129,10 @@ def weigh_laws(
 def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[LawFit, ...]:
     """Every law with its fits, the most probable of each first."""
     every = [(key, one) for key, (found, _) in fits.items() for one in found]
-    logs = np.array([
-        np.log(PRIOR[law]) + np.log(airs.get(air, 1.0))
-        + np.log(_DIFFERENT if one.problem.states else 1.0 - _DIFFERENT)
-        + _TEMPERED * log_evidence(one, readings)
-        for (law, air), one in every
-    ])
+    logs = np.array([np.log(PRIOR[law]) + np.log(airs.get(air, 1.0))
+                     + np.log(_DIFFERENT if one.problem.states else 1.0 - _DIFFERENT)
+                     + _TEMPERED * log_evidence(one, readings)
+                     for (law, air), one in every])
     weights = np.exp(logs - logs.max())
     weights /= weights.sum()
     laws = []
@@ -155,10 +145,8 @@ def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[La
             rows += [(w, share, air, one.with_repeated_misfit()) for w, one in own]
         rows.sort(key=lambda row: -row[0])
         (_, _, air, best), *rest = rows
-        laws.append(LawFit(
-            law, sum(w for w, *_ in rows), best, tuple(fits[law, air][1]),
-            tuple(one for *_, one in rest), tuple(share for _, share, *_ in rows),
-        ))  # fmt: skip
+        laws.append(LawFit(law, sum(w for w, *_ in rows), best, tuple(fits[law, air][1]),
+                           tuple(one for *_, one in rest), tuple(share for _, share, *_ in rows)))
     return tuple(sorted(laws, key=lambda one: -one.probability))
 
 
@@ -180,11 +168,9 @@ def nearest_starts(problem: Problem, unknowns: Unknowns, drawn: int) -> list[Arr
     tries = starts(unknowns, drawn)
     benches = [unknowns.parameters(np.clip(x, *unknowns.bounds())) for x in tries]
     readings = problem.coarse.predict_many(benches)
-    missed = sum(
-        np.std(b.signal.value[:, np.newaxis] - readings[b.rows], axis=0)
-        / max(np.ptp(b.signal.value), b.signal.noise)
-        for b in problem.blocks if b.signal.quantity in MOVED
-    )
+    missed = sum(np.std(b.signal.value[:, np.newaxis] - readings[b.rows], axis=0)
+                 / max(np.ptp(b.signal.value), b.signal.noise)
+                 for b in problem.blocks if b.signal.quantity in MOVED)
     return [tries[k] for k in np.argsort(missed)]
 
 

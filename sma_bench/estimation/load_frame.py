@@ -5,12 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import (
-    Array,
-    autocorrelation,
-    inflation,
-    white_noise_level,
-)
+from sma_bench.estimation.noise_model import Array, autocorrelation, inflation, white_noise_level
 from sma_bench.estimation.voltage import FEWEST_SAMPLES, VoltageSegment, find_segments
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import wire_length
@@ -77,8 +72,7 @@ def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
         raise InputError(
             f"{record.path}: the force is held for {held_for:.0f} of "
             f"{time[-1] - time[0]:.0f} s and the elongation not at all, expected held loads or "
-            "a clamped wire"
-        )
+            "a clamped wire")
     holds: list[Hold] = []
     here = start
     for plateau in plateaus:

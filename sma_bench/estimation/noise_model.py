@@ -83,9 +83,7 @@ class Noise:
         return (bins - 1) * float(np.log(self.arma[2])) + float(np.log(self.total))
 
 
-def _log_prior(
-    drift: Array | float, time: Array | float, usual: float, wanders: bool
-) -> Array:
+def _log_prior(drift: Array | float, time: Array | float, usual: float, wanders: bool) -> Array:
     excess = np.log(np.maximum(np.asarray(drift) / usual, 1.0)) / _UNUSUAL
     seconds = np.asarray(time)
     free = (seconds < _SLOW) | (wanders & (seconds > _WANDERING))
@@ -97,10 +95,8 @@ def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
     return Noise(white, 3.0 * white, 5.0, period, usual)
 
 
-def estimate_noise(
-    residuals: Sequence[Array], white: float, period: float, usual: float = np.inf,
-    wanders: bool = False,
-) -> Noise:
+def estimate_noise(residuals: Sequence[Array], white: float, period: float, usual: float = np.inf,
+                   wanders: bool = False) -> Noise:
     """Most likely noise of residuals (b_i,), one a record, of the same sensor; the white part is at
     least nearly `white`, that of a bin from sample to sample, which no fit can lower. A sensor that
     wanders slowly by many times the `usual` is not noisy, it is faulty, and what it seems to do may
@@ -157,9 +153,8 @@ def _whiten(columns: Array, bins: NDArray[np.int64], noises: Array) -> None:
 
 
 @compiled
-def _add_powers(
-    residual: Array, phi: Array, theta: Array, scale: Array, first: Array, powers: Array
-) -> None:
+def _add_powers(residual: Array, phi: Array, theta: Array, scale: Array, first: Array,
+                powers: Array) -> None:
     """Add the power of the whitened residual (b,) under each noise (m,) to `powers` (m,)."""
     innovation = np.full(phi.shape[0], residual[0])
     power = (innovation * first) ** 2

@@ -13,13 +13,7 @@ import numpy as np
 
 from sma_bench.compiled import in_threads
 from sma_bench.estimation.noise_model import Array
-from sma_bench.estimation.observation import (
-    JUMP_STD,
-    STATES,
-    BinnedSignal,
-    Observation,
-    in_state,
-)
+from sma_bench.estimation.observation import JUMP_STD, STATES, BinnedSignal, Observation, in_state
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 
@@ -65,10 +59,8 @@ def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
     return Nuisances(items, np.column_stack([np.zeros((len(rows), 0)), *columns]))
 
 
-def moved_to(
-    observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = BENT,
-    states: float = 0.0,
-) -> tuple[Observation, Array]:
+def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = BENT,
+             states: float = 0.0) -> tuple[Observation, Array]:
     """The record with its jumps, its stamps and the state of its run, or only those `kinds` of
     them, where a fit has found them, which no straight line goes to from where they were; and
     these values, 0 for what is linear. `states`: deviations that one of a state's stands for."""
@@ -87,10 +79,8 @@ def moved_to(
     return replace(observation, voltage=volts, place=place, delays=delays), kept
 
 
-def nuisances_about(
-    observation: Observation, parameters: Parameters, voltage_noise: bool = False,
-    states: float = 0.0,
-) -> Nuisances:
+def nuisances_about(observation: Observation, parameters: Parameters, voltage_noise: bool = False,
+                    states: float = 0.0) -> Nuisances:
     """All of a record, linear about the model at these parameters; `voltage_noise`: with what the
     voltmeter's noise leaves open of every straight stretch; `states`: with those of the run, so
     many times as far off as usual."""
@@ -116,10 +106,8 @@ def nuisances_about(
     # Each jump once, not the drives, of which an hour has hundreds; held levels of which the
     # converter's steps hide something; what noise hides of straight stretches.
     drive = observation.drive
-    moves = [
-        _Move(JUMP, early, late, place=JUMP_STD * (np.arange(len(drive.early)) == k))
-        for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True))
-    ]
+    moves = [_Move(JUMP, early, late, place=JUMP_STD * (np.arange(len(drive.early)) == k))
+             for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True))]
     known = [(LEVEL, errors) for errors in drive.level_errors()]
     known += [(LINE, errors) for errors in drive.line_errors()] if voltage_noise else []
     for kind, errors in known:
@@ -151,14 +139,11 @@ def of_planned(observation: Observation, parameters: Parameters, predicted: Arra
     return Nuisances((*zeros.items, *run.items), np.hstack([zeros.columns, run.columns]))
 
 
-def _states_of_run(
-    observation: Observation, parameters: Parameters, states: float, base: Array
-) -> Nuisances:
+def _states_of_run(observation: Observation, parameters: Parameters, states: float,
+                   base: Array) -> Nuisances:
     there = {name: in_state(parameters, {name: states}) for name in STATES}
-    items = tuple(
-        Nuisance(STATE, name, bench[name] - parameters[name], BY_NAME[name].unit)
-        for name, bench in there.items()
-    )
+    items = tuple(Nuisance(STATE, name, bench[name] - parameters[name], BY_NAME[name].unit)
+                  for name, bench in there.items())
     return Nuisances(items, observation.predict([*there.values()]) - base[:, np.newaxis])
 
 
@@ -174,9 +159,8 @@ class _Move:
     errors: tuple[Array, ...] | None = None
 
 
-def _responses(
-    observation: Observation, moves: Sequence[_Move], change: Callable[[tuple[Any, ...]], Array]
-) -> Array:
+def _responses(observation: Observation, moves: Sequence[_Move],
+               change: Callable[[tuple[Any, ...]], Array]) -> Array:
     """(n, m): `change` (n,) of the readings by each of the moves (m,) of the voltages.
 
     An hour has hundreds, so those far apart are made at once, and each has the readings from it to

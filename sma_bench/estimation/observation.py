@@ -170,12 +170,10 @@ class Observation:
             found.append(f"{name}: begins before the bench has settled: {text}")
         for signal, off in self.zeros.items():
             found.append(f"{name}: {signal} is {off:+.3g} m at rest, taken for 0")
-        far = [
-            f"{what} {away * STATES[name] * factor:+.2g} {unit}"
-            for name, away in self.away.items()
-            if abs(away) > max(_WORTH_SAYING, 2.0 * self.within.get(name, 0.0))
-            for what, factor, unit in [_OF_A_RUN[name]]
-        ]
+        far = [f"{what} {away * STATES[name] * factor:+.2g} {unit}"
+               for name, away in self.away.items()
+               if abs(away) > max(_WORTH_SAYING, 2.0 * self.within.get(name, 0.0))
+               for what, factor, unit in [_OF_A_RUN[name]]]
         if far:
             found.append(f"{name}: its run differs from the first record's: {', '.join(far)}")
         return found
@@ -205,13 +203,11 @@ class Observation:
         imposed = None if self.imposed is None else np.interp(grid, self.grid, self.imposed)
         alike = alike_by_side(volts, self.sides)
         before = self.before and self.before._on_cells(share)
-        return replace(
-            self, grid=grid, voltage=alike, signals=signals, imposed=imposed, before=before
-        )
+        return replace(self, grid=grid, voltage=alike, signals=signals, imposed=imposed,
+                       before=before)
 
-    def simulate(
-        self, parameters: Parameters, voltage: Array | None = None, loads: Array | None = None
-    ) -> Simulation:
+    def simulate(self, parameters: Parameters, voltage: Array | None = None,
+                 loads: Array | None = None) -> Simulation:
         """The model on this record's drive, with its own channels; a bench too warm for martensite
         leaves it at once. `voltage`: (n, w) V, another one; `loads`: (h,) errors of the holds, m
         or N."""
@@ -228,17 +224,14 @@ class Observation:
             load, most = Boundary.of(parameters), None
             if self.before is not None and carries_over(parameters):
                 pause = self.epoch + self.grid[0] - self.before.epoch - self.before.grid[-1]
-                most = carried_over(
-                    parameters, self.before.simulate(parameters).most_austenite, float(pause)
-                )
+                most = carried_over(parameters, self.before.simulate(parameters).most_austenite,
+                                    float(pause))
             return simulate_from_rest(parameters, self.grid, volts, load, most)
         if self.imposed is not None:
             moved = self.imposed + (0.0 if loads is None else float(loads[0]))
             load = Boundary.imposed(parameters, float(moved[0]))
-            return simulate(
-                parameters, self.grid, volts, initial=at_rest(parameters, load), boundary=load,
-                elongation=moved,
-            )
+            return simulate(parameters, self.grid, volts, initial=at_rest(parameters, load),
+                            boundary=load, elongation=moved)
         # One hold after the other, each from the last sample of the one before.
         errors = np.zeros(len(self.holds)) if loads is None else loads
         begins = np.searchsorted(self.grid, [hold.start for hold in self.holds])
@@ -261,8 +254,7 @@ class Observation:
             return first
         joined: dict[str, Any] = {
             name: np.concatenate([getattr(first, name), *(getattr(p, name)[1:] for p in others)])
-            for name in _HISTORIES
-        }
+            for name in _HISTORIES}
         return replace(first, final=parts[-1].final, **joined)
 
     def readings(self, simulation: Simulation) -> list[Array]:
@@ -272,9 +264,8 @@ class Observation:
 
     def predict(self, benches: Sequence[Parameters]) -> Array:
         """(b, p) what the sensors of p benches read, signal after signal."""
-        return np.column_stack([
-            self._averages @ self._courses(self.simulate(bench)) for bench in benches
-        ])  # fmt: skip
+        return np.column_stack([self._averages @ self._courses(self.simulate(bench))
+                                for bench in benches])
 
     @cached_property
     def _averages(self) -> csr_array:
@@ -299,9 +290,8 @@ class Observation:
 
     def rates(self, simulation: Simulation) -> list[Array]:
         """d/dt of each signal, bin by bin."""
-        return [
-            s.average @ np.gradient(self.course(s, simulation), self.grid) for s in self.signals
-        ]
+        return [s.average @ np.gradient(self.course(s, simulation), self.grid)
+                for s in self.signals]
 
     def phase_of(self, time: Array) -> NDArray[np.str_]:
         """`initial`, `drive` or `rest` at each time: before, during, and after driving."""
@@ -347,10 +337,9 @@ class Observation:
     def between(self, start: float, stop: float) -> "Observation":
         """The same drive, the signals of a span of time only."""
         kept = [(s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals]
-        parts = tuple(
-            replace(s, time=s.time[k], value=s.value[k], count=s.count[k], average=s.average[k])
-            for s, k in kept if len(k) > 1
-        )
+        parts = tuple(replace(s, time=s.time[k], value=s.value[k], count=s.count[k],
+                              average=s.average[k])
+                      for s, k in kept if len(k) > 1)
         return replace(self, signals=parts)
 
 
@@ -368,18 +357,14 @@ def _course(quantity: str, simulation: Simulation) -> Array:
     return current(simulation.parameters, 1.0, *state)
 
 
-def shared_bin(
-    records: Sequence[Record], parameters: Parameters, shortest: float = _BIN
-) -> float:
+def shared_bin(records: Sequence[Record], parameters: Parameters, shortest: float = _BIN) -> float:
     """Shortest bin [s] that suits every signal of all records: noise is that of a bin."""
     measured = [m for record in records for m in find_rig(record, parameters).measured]
     return max([shortest, *(m.bin for m in measured)])
 
 
-def observe(
-    record: Record, parameters: Parameters, shortest_bin: float = _BIN,
-    quantities: Collection[str] = QUANTITIES,
-) -> Observation:
+def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
+            quantities: Collection[str] = QUANTITIES) -> Observation:
     """Prepare a record of the composite rig, or of one wire with or without a load frame; the
     parameters as believed, `shortest_bin` in s of `shared_bin`. Raises InputError: no voltage of
     some channel, nothing to compare with, or a load frame that neither holds a load nor the
@@ -412,10 +397,8 @@ def observe(
     jumps = np.unique(np.concatenate([early, late, loads]))
     jumps = jumps[(jumps > start) & (jumps < even[-1])]
     after = np.add.outer(late, fine).ravel()
-    within = [
-        np.linspace(a, b, int((b - a) / _FINE_CELL) + 1)[1:-1]
-        for a, b in zip(early, late, strict=True) if _FAR_APART[0] < b - a < _FAR_APART[1]
-    ]
+    within = [np.linspace(a, b, int((b - a) / _FINE_CELL) + 1)[1:-1]
+              for a, b in zip(early, late, strict=True) if _FAR_APART[0] < b - a < _FAR_APART[1]]
     others = np.concatenate([even, after[(after > start) & (after < even[-1])], *within])
     around = np.concatenate([[-np.inf], jumps, [np.inf]])
     k = np.searchsorted(around, others)
@@ -441,8 +424,7 @@ def observe(
     if not known and any(m.quantity in quantities for m in rig.measured):
         raise InputError(
             f"{record.path}: begins under voltage or warm, expected a rest first, or more than the "
-            f"{skipped:.3g} s in which a wire of the stated time constant forgets what was before"
-        )
+            f"{skipped:.3g} s in which a wire of the stated time constant forgets what was before")
     if not known:
         held = ", ".join(m.name for m in rig.measured)
         raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
@@ -450,18 +432,15 @@ def observe(
     if not any(len(signal.value) for signal in signals):
         few = ", ".join(m.name for m in known)
         raise InputError(f"{record.path}: too few samples of {few} to compare with a model")
-    return Observation(
-        str(record.path), rig.channels, rig.sides, grid,
-        rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
-        tuple(m.name for m in rig.measured if m.quantity not in quantities), rig.holds,
-        None if rig.moved is None else np.interp(grid, *rig.moved), ohms=rig.ohms,
-        epoch=record.start_ns * 1e-9, skipped=skipped,
-    )
+    return Observation(str(record.path), rig.channels, rig.sides, grid,
+                       rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
+                       tuple(m.name for m in rig.measured if m.quantity not in quantities),
+                       rig.holds, None if rig.moved is None else np.interp(grid, *rig.moved),
+                       ohms=rig.ohms, epoch=record.start_ns * 1e-9, skipped=skipped)
 
 
-def observe_all(
-    records: Sequence[Record], parameters: Parameters, quantities: Collection[str] = EVERYTHING
-) -> list[Observation]:
+def observe_all(records: Sequence[Record], parameters: Parameters,
+                quantities: Collection[str] = EVERYTHING) -> list[Observation]:
     """Records of one bench, in bins that suit all; each knows the one before it by the clock of
     the day. Raises InputError: as `observe`."""
     shortest = shared_bin(records, parameters) if records else 0.0
@@ -469,10 +448,9 @@ def observe_all(
     ends = [one.epoch + one.grid[-1] for one in found]
     for k in np.argsort(ends).tolist():
         one = found[k]
-        earlier = [
-            i for i, end in enumerate(ends) if one.epoch > 0.0 and end <= one.epoch + one.grid[0]
-            if found[i].channels == one.channels
-        ]
+        earlier = [i for i, end in enumerate(ends)
+                   if one.epoch > 0.0 and end <= one.epoch + one.grid[0]
+                   if found[i].channels == one.channels]
         if earlier:
             last = found[max(earlier, key=lambda i: ends[i])]
             found[k] = replace(one.less(last.zeros), before=replace(last, before=None))
@@ -498,11 +476,10 @@ def _binned(measured: Measured, rig: Rig, grid: Array, shortest: float) -> Binne
     if measured.quantity == "current":
         weight = weight * rig.voltage.at(measured.wire, time)
     mean = csr_array((weight, (which, np.arange(len(time)))), shape=(bins, len(time)))
-    return BinnedSignal(
-        measured.name, measured.quantity, measured.wire,
-        np.bincount(which, time, bins) / count, np.bincount(which, value, bins) / count,
-        count.astype(np.float64), period, noise, mean @ _interpolation(grid, time), sensor,
-    )
+    return BinnedSignal(measured.name, measured.quantity, measured.wire,
+                        np.bincount(which, time, bins) / count,
+                        np.bincount(which, value, bins) / count, count.astype(np.float64), period,
+                        noise, mean @ _interpolation(grid, time), sensor)
 
 
 def _interpolation(grid: Array, time: Array) -> csr_array:

@@ -18,14 +18,7 @@ from scipy.linalg import block_diag, cho_factor
 from sma_bench.compiled import in_threads, threads_to_spare
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array, Noise, estimate_noise, first_guess, whiten
-from sma_bench.estimation.nuisances import (
-    BENT,
-    STATE,
-    TICK,
-    Nuisances,
-    moved_to,
-    nuisances_about,
-)
+from sma_bench.estimation.nuisances import BENT, STATE, TICK, Nuisances, moved_to, nuisances_about
 from sma_bench.estimation.observation import BinnedSignal, Observation
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.parameters import Parameters
@@ -66,17 +59,13 @@ class Problem:
     later: float = 0.0  # the same of runs after the first, which is as the parameters have it
 
     @classmethod
-    def of(
-        cls, observations: Sequence[Observation], voltage_noise: bool = False, later: float = 0.0
-    ) -> Self:
+    def of(cls, observations: Sequence[Observation], voltage_noise: bool = False,
+           later: float = 0.0) -> Self:
         """Noise as yet unknown, nuisances none."""
-        noise = {
-            s.name: first_guess(s.noise, s.period, s.usual_drift)
-            for observation in observations for s in observation.signals
-        }
-        none = tuple(
-            Nuisances((), np.zeros((sum(len(s.time) for s in o.signals), 0))) for o in observations
-        )
+        noise = {s.name: first_guess(s.noise, s.period, s.usual_drift)
+                 for observation in observations for s in observation.signals}
+        none = tuple(Nuisances((), np.zeros((sum(len(s.time) for s in o.signals), 0)))
+                     for o in observations)
         return cls(tuple(observations), noise, none, voltage_noise, later=later)
 
     def with_nuisances(self, parameters: Parameters, states: float = 0.0) -> Self:
@@ -98,9 +87,7 @@ class Problem:
         of a run, the jumps of a slow logger."""
         return self.moved(parameters, z, BENT if self.of_kind(TICK).any() else (STATE,))
 
-    def moved(
-        self, parameters: Parameters, z: Array, kinds: Collection[str] = BENT
-    ) -> Self:
+    def moved(self, parameters: Parameters, z: Array, kinds: Collection[str] = BENT) -> Self:
         """Nuisances of these kinds about where a fit has found them (q,), and all about the model
         at its parameters."""
         observations, nuisances, first = [], list[Nuisances](), 0
@@ -112,9 +99,8 @@ class Problem:
             found = nuisances_about(there, parameters, self.voltage_noise, differs)
             observations.append(there)
             nuisances.append(replace(found, about=about))
-        return replace(
-            self, observations=tuple(observations), nuisances=tuple(nuisances), shared={}
-        )
+        return replace(self, observations=tuple(observations), nuisances=tuple(nuisances),
+                       shared={})
 
     def with_noise(self, residual: Array) -> Self:
         """Noise estimated anew from a residual (n,)."""
@@ -178,10 +164,8 @@ class Problem:
         for (k, item), (at, error) in zip(items, sizes.tolist(), strict=True):
             if item.kind == STATE:
                 away[k][item.subject], within[k][item.subject] = at, error
-        return [
-            replace(one, away=far, within=near)
-            for one, far, near in zip(self.observations, away, within, strict=True)
-        ]
+        return [replace(one, away=far, within=near)
+                for one, far, near in zip(self.observations, away, within, strict=True)]
 
     @cached_property
     def blocks(self) -> tuple[Block, ...]:
@@ -199,10 +183,8 @@ class Problem:
         """Rows of all signals in each of the equally long parts of every record."""
         for observation in self.observations:
             borders = np.linspace(observation.grid[0], observation.grid[-1], parts + 1)[1:-1]
-            own = [
-                (b.rows.start, np.searchsorted(borders, b.signal.time))
-                for b in self.blocks if b.observation is observation
-            ]
+            own = [(b.rows.start, np.searchsorted(borders, b.signal.time)) for b in self.blocks
+                   if b.observation is observation]
             for number in range(parts):
                 found = np.concatenate([start + np.flatnonzero(p == number) for start, p in own])
                 if len(found):
@@ -233,10 +215,8 @@ class Problem:
         except InputError as error:
             raise FitError(f"within a fit: {error}") from error
 
-    def derivatives(
-        self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int],
-        rough: bool = False,
-    ) -> Array:
+    def derivatives(self, unknowns: Unknowns, x: Array, predicted: Array, which: Sequence[int],
+                    rough: bool = False) -> Array:
         """d(readings)/dx (n, k) of the `which` unknowns, where the readings are `predicted`.
         `rough` ones, of cells of a whole bin, point the way only.
 

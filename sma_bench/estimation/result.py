@@ -73,9 +73,8 @@ class Result:
         return int(sum(block.signal.count.sum() for block in self.fit.problem.blocks))
 
 
-def result_of(
-    fitted: Fit, tried: Sequence[Fit], scales: Mapping[str, Array] | None = None
-) -> Result:
+def result_of(fitted: Fit, tried: Sequence[Fit],
+              scales: Mapping[str, Array] | None = None) -> Result:
     """Numbers of a fit, which is the best of those `tried` carried to its end; `scales`: of
     `scale_errors`, where the errors are to hold those of the sensors' scales."""
     # A product's deviation x splits by the priors: own share w of it, w' = sqrt(1 - w^2) the
@@ -131,21 +130,16 @@ def result_of(
     off = tuple(
         Off(item.kind, path, item.subject, z * item.std, error * item.std, item.std, item.unit)
         for (path, item), z, error in zip(named, fitted.z.tolist(), errors.tolist(), strict=True)
-        if item.kind in (OFFSET, DELAY)
-    )
+        if item.kind in (OFFSET, DELAY))
 
     # A start has ended where the best one did if it is as probable, or within half a standard
     # deviation, where a few nats are soon lost among hundreds of thousands.
     best = max(tried, key=lambda one: one.evidence)
     near = _NEAR * np.sqrt(np.diag(best.covariance))
-    agreed = sum(
-        one.evidence > best.evidence - _SAME or bool(np.all(np.abs(one.x - best.x) < near))
-        for one in tried
-    )
-    return Result(
-        fitted, numbers, covariance / np.outer(sigma, sigma), tuple(products), off, agreed,
-        len(tried),
-    )
+    agreed = sum(one.evidence > best.evidence - _SAME or bool(np.all(np.abs(one.x - best.x) < near))
+                 for one in tried)
+    return Result(fitted, numbers, covariance / np.outer(sigma, sigma), tuple(products), off,
+                  agreed, len(tried))
 
 
 def _number(item: Unknown, moved: float, sigma: float, at_end: bool,
@@ -167,10 +161,8 @@ def scale_errors(fitted: Fit) -> dict[str, Array]:
         """(n,) change of measured less predicted with other voltages."""
         found = []
         for one in problem.observations:
-            there, here = (
-                one.readings(one.simulate(parameters, volts))
-                for volts in (factor * one.voltage + offset, one.voltage)
-            )
+            there, here = (one.readings(one.simulate(parameters, volts))
+                           for volts in (factor * one.voltage + offset, one.voltage))
             found += [now - up for up, now in zip(there, here, strict=True)]
         return np.concatenate(found)
 

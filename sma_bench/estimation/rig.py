@@ -144,8 +144,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         measured.append(one.where(known))
     if not measured:
         raise InputError(
-            f"{record.path}: only voltages, expected currents, temperatures or a deflection too"
-        )
+            f"{record.path}: only voltages, expected currents, temperatures or a deflection too")
     return Rig(record, channels, sides, voltage, start, stop, holds, tuple(measured), ohms, moved)
 
 

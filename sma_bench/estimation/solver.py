@@ -88,10 +88,8 @@ class Fit:
         """(k,) standard errors as they are stated: `jackknifed`, and of an effect's number what is
         unknown of the factor that it enters the model with."""
         values = self.unknowns.values(self.x).tolist()
-        factors = [
-            sum(shares_of_factor(name, value, self.parameters).values())
-            for name, value in zip(self.unknowns.names, values, strict=True)
-        ]
+        factors = [sum(shares_of_factor(name, value, self.parameters).values())
+                   for name, value in zip(self.unknowns.names, values, strict=True)]
         return np.hypot(self.jackknifed, factors)
 
     def with_repeated_misfit(self) -> "Fit":
@@ -148,8 +146,7 @@ class Fit:
             try:
                 without = np.linalg.solve(
                     information - own.T @ own,
-                    np.column_stack([np.eye(len(information), k), own.T @ white[index]]),
-                )[:k]
+                    np.column_stack([np.eye(len(information), k), own.T @ white[index]]))[:k]
             except np.linalg.LinAlgError:  # readings beyond all measure: nothing else tells them
                 return self.unknowns.slopes(self.x)
             moved += (turn @ without[:, k]) ** 2
@@ -159,10 +156,9 @@ class Fit:
         return self.unknowns.slopes(self.x) * np.sqrt(variance)
 
 
-def fit(
-    problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3, frozen: Array | None = None,
-    keep_noise: bool = False, far: bool = False, predicted: Array | None = None,
-) -> Fit:
+def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
+        frozen: Array | None = None, keep_noise: bool = False, far: bool = False,
+        predicted: Array | None = None) -> Fit:
     """Fit one model to records and their noise as first guessed, from x (k,).
 
     Args:
@@ -189,10 +185,9 @@ def fit(
     return state.finished()
 
 
-def recalibrate(
-    problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
-    report: Report = silent, keep_noise: bool = False,
-) -> tuple[Fit, list[Fit]]:
+def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
+                starts: Sequence[Array], report: Report = silent,
+                keep_noise: bool = False) -> tuple[Fit, list[Fit]]:
     """The model fitted from several starts (k,) each, the best of them carried to its end; and all
     of them. About the parameters as believed nuisances are linear at first. `keep_noise`: begin the
     last fit with the noise that the best start left. Begun with the first guess it may end some
@@ -220,10 +215,8 @@ def recalibrate(
     return fit(last, unknowns, best.x, rounds=2, predicted=best.predicted), tried
 
 
-def fit_imperfect(
-    problem: Problem, parameters: Parameters, unknowns: Unknowns, starts: Sequence[Array],
-    report: Report = silent,
-) -> tuple[list[Fit], list[Fit]]:
+def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
+                  starts: Sequence[Array], report: Report = silent) -> tuple[list[Fit], list[Fit]]:
     """As `recalibrate`, by a model that is never quite right: records are weighed by what it leaves
     (`Problem.with_weights`), found again as the fit improves. Of several runs two fits: all alike,
     and each with states of its own (`STATES`), as different as they show."""
@@ -271,10 +264,8 @@ def log_evidence(fitted: Fit, readings: float) -> float:
     of numbers q in prior deviations and their information H (Laplace).
     """
     blocks = fitted.problem.blocks
-    squares = [
-        np.mean(fitted.left[b.rows] ** 2) / max(np.ptp(b.signal.value), b.signal.noise) ** 2
-        for b in blocks
-    ]
+    squares = [np.mean(fitted.left[b.rows] ** 2) / max(np.ptp(b.signal.value), b.signal.noise) ** 2
+               for b in blocks]
     spread = USUAL_WEIGHT * USUAL_MISFIT**2 + readings * float(np.mean(squares))
     moved = float(fitted.x @ fitted.x + fitted.z @ fitted.z)
     freedom = float(np.linalg.slogdet(fitted.joint)[1])
@@ -319,10 +310,8 @@ def least_scale(fitted: Fit) -> float:
 
 
 class _State:
-    def __init__(
-        self, problem: Problem, unknowns: Unknowns, x: Array, frozen: Array | None,
-        predicted: Array | None,
-    ) -> None:
+    def __init__(self, problem: Problem, unknowns: Unknowns, x: Array, frozen: Array | None,
+                 predicted: Array | None) -> None:
         # The deflection's zero wanders if that is one of the effects.
         drifting = ("deflection",) if DRIFT_EFFECT in unknowns.effects else ()
         noise = {n: replace(own, wanders=n in drifting) for n, own in problem.noise.items()}
@@ -344,18 +333,16 @@ class _State:
         off = np.inf if about is None else np.max(np.abs(self.x - about), initial=0.0)
         if self.given is None and off > near:
             self.linear_about = self.x
-            self.base = self.problem.derivatives(
-                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline), rough
-            )
+            self.base = self.problem.derivatives(self.unknowns, self.x, self.predicted,
+                                                 range(self.unknowns.baseline), rough)
         self._take_slopes()
 
     def _take_slopes(self) -> None:
         assert self.base is not None
         if self.slopes_of[0] is not self.base or self.slopes_of[1] is not self.x:
             self.slopes_of = self.base, self.x
-            own = self.problem.derivatives(
-                self.unknowns, self.x, self.predicted, range(self.unknowns.baseline, len(self.x))
-            )
+            own = self.problem.derivatives(self.unknowns, self.x, self.predicted,
+                                           range(self.unknowns.baseline, len(self.x)))
             self.slopes = np.hstack([self.base, own])
 
     def left(self) -> Array:
@@ -435,17 +422,13 @@ class _State:
         _, _, base, known, across = kept
         own = problem.whiten(self.slopes[:, self.unknowns.baseline :])
         mixed, shared = base.T @ own, own.T @ nuisances
-        information = np.block([
-            [known, mixed, across],
-            [mixed.T, own.T @ own + np.eye(own.shape[1]), shared],
-            [across.T, shared.T, problem.nuisance_information],
-        ])
+        information = np.block([[known, mixed, across],
+                                [mixed.T, own.T @ own + np.eye(own.shape[1]), shared],
+                                [across.T, shared.T, problem.nuisance_information]])
         left = problem.whiten(problem.measured - self.predicted)
         return information, np.concatenate([base.T @ left, own.T @ left, nuisances.T @ left])
 
-    def _step(
-        self, normal: Array, force: Array, damping: float, low: Array, high: Array
-    ) -> Array:
+    def _step(self, normal: Array, force: Array, damping: float, low: Array, high: Array) -> Array:
         """(k,) damped in the unknowns, in their prior deviations (Levenberg)."""
         k = len(self.x)
         damped = normal.copy()

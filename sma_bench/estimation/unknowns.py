@@ -242,9 +242,8 @@ class Unknowns:
 
     def parameters(self, x: Array) -> Parameters:
         """The bench at x."""
-        values = {
-            item.name: item.value(at) for item, at in zip(self.items, x.tolist(), strict=True)
-        }
+        values = {item.name: item.value(at)
+                  for item, at in zip(self.items, x.tolist(), strict=True)}
         if self.transitions is not None:
             found = self._four(x)
             four = dict(zip(TEMPERATURES, found, strict=True))
@@ -317,11 +316,9 @@ class Unknowns:
         return replace(self, items=items, effects=(*effects,), forms=(*effects.values(),))
 
 
-def unknowns_of_records(
-    parameters: Parameters, quantities: Sequence[str], *, load_frame: bool = False,
-    own_load: bool = True, sides_apart: bool = False, unmodelled: bool = False,
-    other_laws: bool = False,
-) -> Unknowns:
+def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
+                        load_frame: bool = False, own_load: bool = True, sides_apart: bool = False,
+                        unmodelled: bool = False, other_laws: bool = False) -> Unknowns:
     """Everything of the baseline that records of these quantities can depend on.
 
     Args:
@@ -349,11 +346,9 @@ def unknowns_of_records(
         if own:
             shapes |= LOADED_SHAPES if unmodelled else {}
             free = parameters["wire.convection"] == "free"
-            shapes |= of_table(
-                n for n in UNMODELLED
-                if parameters[n] != 0.0 or (unmodelled and not (free and n == _RISE))
-                if not (n == _RESIDUAL and parameters["wire.law"] in ORIENTING)
-            )
+            shapes |= of_table(n for n in UNMODELLED
+                               if parameters[n] != 0.0 or (unmodelled and not (free and n == _RISE))
+                               if not (n == _RESIDUAL and parameters["wire.law"] in ORIENTING))
             if parameters["wire.law"] == "normal":
                 shapes[SPREAD] = (parameters.std(SPREAD), 0.02, 2.0)
                 if unmodelled or parameters[END]:
@@ -395,21 +390,16 @@ def as_in_the_field(parameters: Parameters) -> Parameters:
 def stated_effects(parameters: Parameters) -> list[str]:
     """Numbers of effects that somebody believes in, or of which he states what is unknown; and of
     these effects those that have a value where nobody gives one, but how a record begins."""
-    stated = {
-        p.name for p in EFFECT_TABLE
-        if parameters[p.name] != p.default or p.name in parameters.given_uncertainty
-    }
+    stated = {p.name for p in EFFECT_TABLE
+              if parameters[p.name] != p.default or p.name in parameters.given_uncertainty}
     on = [e for e in EFFECTS.values() if stated & {p.name for p in e.parameters}]
-    return [
-        p.name for e in on for p in e.parameters
-        if p.name in stated or (p not in e.switches and p.name != FRESH_START)
-    ]
+    return [p.name for e in on for p in e.parameters
+            if p.name in stated or (p not in e.switches and p.name != FRESH_START)]
 
 
-def unknowns_of(
-    parameters: Parameters, names: Sequence[str], *,
-    shapes: Mapping[str, tuple[float, float, float]] = SHAPES, sides_apart: bool = False,
-) -> Unknowns:
+def unknowns_of(parameters: Parameters, names: Sequence[str], *,
+                shapes: Mapping[str, tuple[float, float, float]] = SHAPES,
+                sides_apart: bool = False) -> Unknowns:
     """Unknowns from the values and the `uncertainty.` of a parameter set. A parameter with
     uncertainty 0 is exact and none of them. Bending coefficients which are derived from the
     geometry start there, with 30 % unless their uncertainty is given. All four transition

@@ -16,12 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.noise_model import (
-    Array,
-    coherence,
-    quantisation_variance,
-    resolution,
-)
+from sma_bench.estimation.noise_model import Array, coherence, quantisation_variance, resolution
 from sma_bench.records.record import Record
 
 SHORTEST_SEGMENT, FEWEST_SAMPLES = 0.5, 20
@@ -92,10 +87,8 @@ class Segments:
 
     def between(self, start: float, stop: float) -> "Segments":
         """Segments and edges that begin within [start, stop) s, such as one protocol's."""
-        return Segments(
-            tuple(s for s in self.items if start <= s.start < stop),
-            tuple(e for e in self.edges if start <= e[0] < stop), self.tolerance,
-        )
+        return Segments(tuple(s for s in self.items if start <= s.start < stop),
+                        tuple(e for e in self.edges if start <= e[0] < stop), self.tolerance)
 
     def levels(self) -> int:
         """Number of plateau voltages that differ from each other."""
@@ -109,8 +102,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     fewer than 20 samples, or values that are not finite."""
     if len(time) < FEWEST_SAMPLES:
         raise InputError(
-            f"voltage has {len(time)} samples, expected {FEWEST_SAMPLES} or more to find segments"
-        )
+            f"voltage has {len(time)} samples, expected {FEWEST_SAMPLES} or more to find segments")
     if not (np.all(np.isfinite(voltage)) and np.all(np.isfinite(time))):
         raise InputError("voltage holds values that are not finite, expected V")
     # The median of three drops single wild samples and keeps edges and ramps.
@@ -122,9 +114,8 @@ def find_segments(time: Array, voltage: Array) -> Segments:
     driven = second[voltage[1:-1] != 0.0]
     second = driven if len(driven) else second
     noise = 1.4826 * float(np.median(np.abs(second - np.median(second)))) / np.sqrt(6.0)
-    tolerance = max(
-        _TOLERANCE_STD * noise, _TOLERANCE_STEPS * _step_of(voltage), _SMALLEST_TOLERANCE
-    )
+    tolerance = max(_TOLERANCE_STD * noise, _TOLERANCE_STEPS * _step_of(voltage),
+                    _SMALLEST_TOLERANCE)
     span = float(np.ptp(smooth))
     while True:
         # Join neighbours that one line describes as well: the chords end on noisy samples.
@@ -150,14 +141,10 @@ def find_segments(time: Array, voltage: Array) -> Segments:
         tolerance *= 2.0
 
     # Plateaus, ramps and edges; a plateau's direction is that from the one before.
-    edges = tuple(
-        (float(time[first]), float(time[last])) for first, last in pieces
-        if last - first == 1 and abs(smooth[last] - smooth[first]) > tolerance
-    )
-    lines = [
-        (float(time[first]), float(time[last]), *_line(time, smooth, first, last)[:2])
-        for first, last in pieces if time[last] - time[first] >= SHORTEST_SEGMENT
-    ]
+    edges = tuple((float(time[first]), float(time[last])) for first, last in pieces
+                  if last - first == 1 and abs(smooth[last] - smooth[first]) > tolerance)
+    lines = [(float(time[first]), float(time[last]), *_line(time, smooth, first, last)[:2])
+             for first, last in pieces if time[last] - time[first] >= SHORTEST_SEGMENT]
     flat = [abs(end - begin) <= tolerance for _, _, begin, end in lines]
     levels = [0.5 * (b + e) for (_, _, b, e), is_flat in zip(lines, flat, strict=True) if is_flat]
     steps = np.diff(levels).tolist()
@@ -180,9 +167,8 @@ def _step_of(voltage: Array) -> float:
     return 0.0 if going.any() and np.mean(again[going]) > _RAMPS else resolution(voltage)
 
 
-def protocol_spans(
-    markers: Iterable[tuple[float, str]], duration: float
-) -> tuple[tuple[str, float, float], ...]:
+def protocol_spans(markers: Iterable[tuple[float, str]],
+                   duration: float) -> tuple[tuple[str, float, float], ...]:
     """(protocol, start, stop) in s, one for each run of markers "protocol/step" of one protocol;
     without markers the whole record is one span without a name."""
     named = [(text.split("/")[0].strip(), time) for time, text in sorted(markers)]
@@ -253,10 +239,8 @@ class Polygon:
         time = np.insert(self.time, order, np.repeat(moments, 2))
         # A ramp runs on to the jump that ends it.
         rising, falling = self._slopes_at_jumps
-        ends = np.column_stack([
-            volts[at - 1] + rising * (moments - self.time[at - 1]),
-            volts[at] + falling * (moments - self.time[at]),
-        ])  # fmt: skip
+        ends = np.column_stack([volts[at - 1] + rising * (moments - self.time[at - 1]),
+                                volts[at] + falling * (moments - self.time[at])])
         level = np.insert(volts, order, ends.ravel())
         before, after = min(grid[0], time[0]) - 1.0, max(grid[-1], time[-1]) + 1.0
         time = np.concatenate([[before], time, [after]])
@@ -365,9 +349,7 @@ class AppliedVoltage:
         inside[inside] = time[inside] < self.late[event[inside]]
         return np.asarray(inside)
 
-    def on_grid(
-        self, grid: Array, place: Array, errors: Sequence[Array] | None = None
-    ) -> Array:
+    def on_grid(self, grid: Array, place: Array, errors: Sequence[Array] | None = None) -> Array:
         """Voltages (n, w) V which, held from each grid time to the next, heat as the true ones.
         `place`: (e,) of the jumps, from -0.5 (just after `early`) to 0.5 (just before `late`);
         `errors`: (k,) V, added to the knots of each channel."""
@@ -381,9 +363,8 @@ class AppliedVoltage:
         return np.vstack([volts, volts[-1:]])
 
 
-def commands_of(
-    record: Record, channels: tuple[str, ...], known: tuple[str, ...]
-) -> tuple[Array, Array] | None:
+def commands_of(record: Record, channels: tuple[str, ...],
+                known: tuple[str, ...]) -> tuple[Array, Array] | None:
     """(c,) s and (c, w) V that channels were commanded, where the record has it of all the `known`
     ones of its bench, in their order."""
     signal = record.get("voltage_command")
@@ -393,9 +374,8 @@ def commands_of(
     return signal.time, signal.values[:, [known.index(channel) for channel in channels]]
 
 
-def applied_voltage(
-    channels: Sequence[tuple[Array, Array]], commands: tuple[Array, Array] | None = None
-) -> AppliedVoltage:
+def applied_voltage(channels: Sequence[tuple[Array, Array]],
+                    commands: tuple[Array, Array] | None = None) -> AppliedVoltage:
     """Prepare measured voltages: of each channel (time (n,) s, voltage (n,) V); `commands`: (c,) s
     and (c, w) V that were commanded, held until the next, where known. Raises InputError: too few
     samples, or values that are not finite."""
@@ -407,11 +387,9 @@ def applied_voltage(
             commanded = commanded[np.searchsorted(commands[0], time, side="right")]
         polygons.append(_polygon(time, voltage, commanded))
     # Jumps of several channels that can have been one command are one event.
-    found = sorted(
-        (polygon.time[knot], polygon.time[knot + 1], channel, order)
-        for channel, polygon in enumerate(polygons)
-        for order, knot in enumerate(polygon.jumps.astype(np.intp))
-    )
+    found = sorted((polygon.time[knot], polygon.time[knot + 1], channel, order)
+                   for channel, polygon in enumerate(polygons)
+                   for order, knot in enumerate(polygon.jumps.astype(np.intp)))
     bounds: list[list[float]] = []
     events = [np.zeros(len(polygon.jumps)) for polygon in polygons]
     for before, after, channel, order in found:
@@ -444,10 +422,8 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
         begin, end = np.searchsorted(time, [segment.start, segment.stop + 1e-9])
         if end - begin < _FEWEST_IN_LINE:
             continue
-        line = np.interp(
-            time[begin:end], [segment.start, segment.stop],
-            [segment.voltage_start, segment.voltage_stop],
-        )
+        line = np.interp(time[begin:end], [segment.start, segment.stop],
+                         [segment.voltage_start, segment.voltage_stop])
         line = line + _bend(voltage[begin:end] - line, step)
         parts, line = _levels(voltage[begin:end], line, step)
         for first, last in parts:
@@ -478,10 +454,8 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
         if b > a_end + _AT_CORNER or min(end - begin for begin, end in parts) < _FEWEST_IN_LINE:
             continue
         rise, fall = (np.polyfit(time[i:j], voltage[i:j], 1) for i, j in parts)
-        if any(
-            np.max(np.abs(np.polyval(line, time[i:j]) - smooth[i:j])) > _BENT * noise + least
-            for line, (i, j), noise in zip((rise, fall), parts, (left, right), strict=True)
-        ):
+        if any(np.max(np.abs(np.polyval(line, time[i:j]) - smooth[i:j])) > _BENT * noise + least
+               for line, (i, j), noise in zip((rise, fall), parts, (left, right), strict=True)):
             continue
         at = float((fall[1] - rise[1]) / (rise[0] - fall[0])) if rise[0] != fall[0] else np.inf
         before = int(np.searchsorted(time, at)) - 1
@@ -506,8 +480,7 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
         polygon, time=np.insert(time, places, moments), voltage=np.insert(smooth, places, levels),
         jumps=moved(polygon.jumps[~np.isin(polygon.jumps + 1, places) & ~within]),
         lines=tuple((int(moved(i)), int(moved(j - 1)) + 1, noise) for i, j, noise in lines),
-        commanded=None if held is None else np.insert(held, places, held[places - 1]),
-    )
+        commanded=None if held is None else np.insert(held, places, held[places - 1]))
 
 
 def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int]], Array]:
