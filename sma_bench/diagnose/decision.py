@@ -11,7 +11,6 @@ from typing import cast
 
 import numpy as np
 
-from sma_bench.arrays import Array
 from sma_bench.diagnose.facts import REMARK, effect_fits, own_gap
 from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, Explanation, Verdict, inclusion
 from sma_bench.diagnose.search import Search
@@ -56,8 +55,7 @@ def decide(search: Search, weighed: Utilities) -> tuple[Candidate, ...]:
         if name in facts:
             fitted, gap, gain = fits[name], facts[name].gap, facts[name].gain
             stages = [EFFECTS[effect].stage for effect in fitted.unknowns.effects]
-            every = estimates(fitted, fitted.errors)
-            numbers = dict(list(every.items())[fitted.unknowns.baseline :])
+            numbers = dict(list(estimates(fitted).items())[fitted.unknowns.baseline :])
         candidates.append(Candidate(name, probability, JOIN.join(dict.fromkeys(stages)), numbers,
                                     gap, gain, remarks.get(name, {}), nats[name], fits.get(name)))
     return tuple(sorted(candidates, key=lambda c: (-c.probability, c.name)))
@@ -95,15 +93,15 @@ def law_of(fitted: Fit) -> tuple[float, float, dict[str, Estimate]]:
     if not places or not np.any(fitted.unknowns.values(fitted.x)[places]):
         return 0.0, 0.0, {}
     x, covariance = fitted.x[places], fitted.covariance[np.ix_(places, places)]
-    numbers = {n: e for n, e in estimates(fitted, fitted.errors).items() if n in OTHER_LAWS}
+    numbers = {n: e for n, e in estimates(fitted).items() if n in OTHER_LAWS}
     return own_gap(fitted, (LAW_EFFECT,)), 0.5 * float(x @ np.linalg.solve(covariance, x)), numbers
 
 
-def estimates(fitted: Fit, stds: Array) -> dict[str, Estimate]:
-    """All numbers of a fit with these errors (k,)."""
-    values = fitted.unknowns.values(fitted.x).tolist()
+def estimates(fitted: Fit) -> dict[str, Estimate]:
+    """All numbers of a fit with their errors."""
+    values, stds = fitted.unknowns.values(fitted.x).tolist(), fitted.errors.tolist()
     return {name: Estimate(value, std, BY_NAME[name].unit)
-            for name, value, std in zip(fitted.unknowns.names, values, stds.tolist(), strict=True)}
+            for name, value, std in zip(fitted.unknowns.names, values, stds, strict=True)}
 
 
 def named(candidates: Sequence[Candidate], weighed: Utilities) -> tuple[str, ...]:

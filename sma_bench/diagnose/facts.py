@@ -40,8 +40,7 @@ class Weighed:
     records: int
 
     def remarks(self) -> dict[str, tuple[str, str]]:
-        """Pairs whose worse half does next to nothing, with the better half and that one: by what
-        each gains alone, for what an effect does, parameters may undo."""
+        """Pairs whose worse half by gain does next to nothing: the better half and that one."""
         found = {}
         for pair, facts in self.candidates.items():
             small, *main = sorted(facts.parts, key=lambda effect: self.candidates[effect].gain)

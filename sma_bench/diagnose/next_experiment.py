@@ -175,8 +175,7 @@ def _minutes(obs: Observation) -> float:
 
 
 def _best_drive(matter: Matter) -> NextExperiment:
-    """The known drive that is worth most, for longer where that is worth the minutes. Raises
-    InputError where the bench's limits refuse all of them."""
+    """The known drive that is worth most, for longer where that is. InputError: none goes."""
 
     def tried(drive: Drive) -> tuple[float, Drive, NextExperiment | InputError]:
         try:
@@ -209,7 +208,7 @@ def _driven(document: Mapping[str, Any], matter: Matter, mounted: Sequence[str] 
         """(n, k) whitened, in which the records leave a cause free, one deviation long."""
         one, free = fits[name].unknowns, fits[name].x
         own = planned.derivatives(one, free, readings[name], range(one.baseline, len(free)))
-        columns = np.hstack([shared, own]) @ _directions(fits[name])
+        columns = np.hstack([shared, own]) @ fits[name].directions
         return np.hstack([planned.whiten(columns), planned.white_nuisances])
 
     spaces = dict(zip(fits, in_threads(space, [(name,) for name in fits]), strict=True))
@@ -258,7 +257,7 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
     predicted, spaces = {}, {}
     for cause, f in fits.items():
         predicted[cause] = reading(f, f.x)
-        moved = [reading(f, f.x + _STEP * column) for column in _directions(f).T]
+        moved = [reading(f, f.x + _STEP * column) for column in f.directions.T]
         spaces[cause] = (np.column_stack(moved) - predicted[cause][:, None]) / _STEP
     leaves = {n: stds[n] for n in places}
     return matter.experiment(name, f"{test.title} ({', '.join(leaves)})", test.minutes,
@@ -306,12 +305,6 @@ def _planned(document: Mapping[str, Any], fitted: Fit, matter: Matter,
     return Problem((obs,), noise | fitted.problem.noise, (unknown,)), read
 
 
-def _directions(fitted: Fit) -> Array:
-    """(k, k) columns in x, one deviation long, the least known last."""
-    spread, turn = np.linalg.eigh(fitted.covariance)
-    return np.asarray(turn * np.sqrt(np.maximum(spread, 0.0)))
-
-
 def _tellings(predicted: Mapping[str, Array], spaces: Mapping[str, Array]) -> Tellings:
     """Of every (truth, rival), from whitened readings (n,) and directions (n, k) of each cause."""
     normals = {name: space.T @ space + np.eye(space.shape[1]) for name, space in spaces.items()}
@@ -330,8 +323,7 @@ def _tellings(predicted: Mapping[str, Array], spaces: Mapping[str, Array]) -> Te
 
 
 class Prospect(NamedTuple):
-    """Probabilities that the verdict after an experiment names the true cause, and that the true
-    cause is `given`: the mean of what it would have."""
+    """Probability that a verdict names the true cause, and the mean that this one is given."""
 
     named: float
     given: float
@@ -348,8 +340,7 @@ def prospect(utilities: Utilities, probability: Mapping[str, float],
     named = given = 0.0
 
     def against(truth: str, rival: str) -> Array:
-        """(l,) nats. An effect that is not there shows by not being seen, which takes an experiment
-        that would show it; its freedom alone settles nothing."""
+        """(l,) nats; an effect shows by not being seen only where it would be seen."""
         telling = tellings[truth, rival]
         nats = telling.evidence + _LUCK * telling.distance
         visible = max(telling.distance, tellings[rival, truth].distance) >= VISIBLE

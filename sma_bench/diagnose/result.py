@@ -95,8 +95,7 @@ class Explanation:
 
 
 def inclusion(candidates: Sequence[Explanation]) -> dict[str, float]:
-    """Of every effect the probability that it is at work, summed over all explanations that hold
-    it; the most probable first."""
+    """Probability of every effect in any of the explanations; the most probable first."""
     found = defaultdict[str, float](float)
     for candidate in candidates:
         for effect in candidate.effects:
@@ -119,8 +118,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Moved:
-    """A parameter that the best model needs far from what was stated: `change` in `unit`, and in
-    standard deviations."""
+    """A parameter needed far from what was stated: `change` in `unit`, and in deviations."""
 
     name: str
     change: float

@@ -270,12 +270,10 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
     # Where numbers went further than anyone believes, a straight line from there says little.
     beyond = _BEYOND if not _surprises(recalibrated) else np.inf
     found = in_threads(single, worth[:_FIRST])
-    lead = max(f.evidence - recalibrated.evidence for f in found)
-    hopeful = [_PROMISES * start.gain >= lead - beyond for _, start in worth]
+    least = max(f.evidence - recalibrated.evidence for f in found) - beyond
+    others = [(*both, _PROMISES * both[1].gain >= least) for both in worth[_FIRST:]]
     found += in_threads(lambda kind, start, hope: single(kind, start) if hope else off(kind),
-                        [(*both, hope)
-                         for both, hope in zip(worth[_FIRST:], hopeful[_FIRST:], strict=True)
-                         if hope or not both[0].forms[0]])
+                        [one for one in others if one[2] or not one[0].forms[0]])
     fits: dict[str, Fit] = {}
     for one in found:
         (name,) = one.unknowns.effects
@@ -347,9 +345,9 @@ def _pairs(baseline: Unknowns, singles: dict[str, Fit],
         promising: dict[str, tuple[Unknowns, Start]] = {}
         for kind, start in _starts(kinds, alone):
             promising.setdefault(kind.effects[-1], (kind, start))
-        return in_threads(lambda kind, start: fit(alone.problem, kind, start.x, rounds=2,
-                                                  frozen=frozen),
-                          list(promising.values())[:_PARTNERS])
+        return in_threads(
+            lambda kind, start: fit(alone.problem, kind, start.x, rounds=2, frozen=frozen),
+            list(promising.values())[:_PARTNERS])
 
     for alone, gain in zip(ranked[:_MOST_PAIRED], gains, strict=False):
         if gain >= max(_WORTH_PAIRING, _HOPELESS * gains[0]):
@@ -381,8 +379,7 @@ class Remainder:
         self._before = problem.coarse.predict(fitted.parameters)
 
     def changes(self, benches: Sequence[Parameters]) -> Array:
-        """(n, p) whitened, of the readings from the fit's to these benches'; 0 of a bench that
-        cannot be, as air that for hours gets colder."""
+        """(n, p) whitened, of the readings by these benches; 0 of one that cannot be."""
         problem = self.fitted.problem
         found = problem.coarse.predict_many(benches) - self._before[:, np.newaxis]
         return problem.whiten(np.where(np.isfinite(found).all(axis=0), found, 0.0))
@@ -402,12 +399,11 @@ def _of_records(fitted: Fit) -> dict[str, tuple[float, ...]]:
     volts = max(float(np.max(obs.voltage)) for obs in seen)
     amperes = volts * fitted.parameters["wire.count"] / ohms
     return {"effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS),
-            "effect.supply_drop.knee": tuple(amperes * p for p in _KNEES)}  # fmt: skip
+            "effect.supply_drop.knee": tuple(amperes * p for p in _KNEES)}
 
 
 def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
-    """Best of the tried sizes of the last effect, added to a fit. `remainder`: of the fit without
-    this effect; `unknowns`: with its numbers last."""
+    """Best of the tried sizes of the last effect, added to the fit that the remainder is of."""
     fitted, bounds, effect = remainder.fitted, unknowns.bounds(), EFFECTS[unknowns.effects[-1]]
     own = effect.numbers(unknowns.forms[-1])
     first = len(unknowns.names) - len(own)
@@ -437,8 +433,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
 
 
 def start_off(fitted: Fit, unknowns: Unknowns) -> Array:
-    """Where a fit without the last of these effects ended, that one added but off, or with what its
-    kinetics have of it already."""
+    """Where a fit without the last effect ended, that one off, or what kinetics have of it."""
     items = unknowns.items[len(fitted.x) :]
     off = [item.x_of(fitted.parameters[item.name]) for item in items]
     return np.clip(np.concatenate([fitted.x, off]), *unknowns.bounds())

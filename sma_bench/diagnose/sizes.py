@@ -59,8 +59,7 @@ def contribution(fitted: Fit, names: Iterable[str]) -> Array:
 
 
 def sample_noise(problem: Problem, name: str) -> float:
-    """Standard deviation of a sample of a signal: what scatters, and what drifts unless it is an
-    effect that it drifts."""
+    """Standard deviation of a sample: what scatters, and drifts unless an effect drifts it."""
     signal = next(problem.of_signal(name)).signal
     noise = problem.noise[name]
     white = noise.white * np.sqrt(signal.usual_count)

@@ -73,8 +73,7 @@ def learnt() -> Learnt:
 
 
 class Utilities:
-    """Features of every explanation of a search, and what they come to; effects first, then the
-    three that name none."""
+    """Features of explanations, and their sums; effects first, then the three without one."""
 
     def __init__(self, found: Weighed) -> None:
         self.found, facts = found, found.candidates
@@ -84,8 +83,8 @@ class Utilities:
         singles = [k for k, one in enumerate(parts) if len(one) == 1]
         self._singles, self._single = singles, np.array([len(one) == 1 for one in parts])
         # (c, s): whether a single effect is part of a candidate.
-        self._part = np.array([[self.effects[k] in one for k in singles]
-                               for one in parts]).reshape(len(facts), len(singles))
+        part = [[self.effects[k] in one for k in singles] for one in parts]
+        self._part = np.array(part).reshape(len(facts), len(singles))
         self.gains = np.array([f.gain for f in facts.values()])
         # Log odds by the library's size: N candidates bring N chances of a false alarm.
         self.fixed = np.zeros(len(self.names))
@@ -98,8 +97,9 @@ class Utilities:
 
     def _of_effect(self, name: str, facts: Facts) -> dict[str, float]:
         """What does not depend on gains."""
+        unsteady = max(_log(facts.unsteady, 1.0), 0.0) if facts.gain > 0.0 else 0.0
         row = {"effect.one": 1.0, "effect.size": _small(facts.gap),
-               "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": _wild(facts)}
+               "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": unsteady}
         if JOIN in name:
             row |= {"pair.two": 1.0, "pair.partner_size": _small(min(facts.parts.values()))}
         return row
@@ -171,7 +171,3 @@ def _log(value: float, least: float) -> float:
 def _small(gap: float) -> float:
     """0 for what is three times the noise or more, and down with its logarithm below."""
     return min(_log(gap / 3.0, 0.01), 0.0)
-
-
-def _wild(facts: Facts) -> float:
-    return max(_log(facts.unsteady, 1.0), 0.0) if facts.gain > 0.0 else 0.0

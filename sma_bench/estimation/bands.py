@@ -29,8 +29,7 @@ FLOOR = 0.005  # of what a signal spans, that no model predicts
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """What a signal will read: `mean` and the limits (n,) of a share of readings at `time` (n,) s,
-    in the signal's unit."""
+    """Mean and limits (n,) of a share of a signal's readings at `time` (n,) s, in its unit."""
 
     time: Array
     mean: Array
@@ -122,7 +121,6 @@ def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
 
 
 def _moved(unknowns: Unknowns, x: Array, off: Array) -> Parameters:
-    """A bench at x (k,), within its bounds, in a run whose states are so many times the usual off
-    (of `STATES`, in their order)."""
+    """A bench at x (k,), within its bounds, its `STATES` so many times the usual off."""
     there = unknowns.parameters(np.clip(x, *unknowns.bounds()))
     return in_state(there, dict(zip(STATES, off.tolist(), strict=True)))

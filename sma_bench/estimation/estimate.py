@@ -8,24 +8,19 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with one standard deviation, both in `unit`; `n` measured points stand behind it.
-
-    `systematic` is the part of `std` that more of the same records would not lower; `informed` the
-    share of the number's information that came from the records, NaN where nobody said; `shares`
-    of the systematic part, in `unit`, by what is behind them, which other numbers may share.
-    `stated`: the same number in the parameter file; `warnings` that concern it.
-    """
+    """A number with one standard deviation, both in `unit`."""
 
     value: float
     std: float
     unit: str = ""
     method: str = ""
-    n: int = 0
-    systematic: float = 0.0
-    informed: float = 1.0
+    n: int = 0  # measured points behind it
+    systematic: float = 0.0  # part of `std` that more of the same records would not lower
+    informed: float = 1.0  # share of its information from the records, NaN where nobody said
+    # Of the systematic part, in `unit`, by what is behind them, which other numbers may share.
     shares: Mapping[str, float] = field(default_factory=dict)
-    stated: "Estimate | None" = None
-    warnings: tuple[str, ...] = ()
+    stated: "Estimate | None" = None  # the same number in the parameter file
+    warnings: tuple[str, ...] = ()  # that concern it
 
     def with_shares(self, shares: Mapping[str, float]) -> "Estimate":
         """The same with these systematic errors, one standard deviation each, and no others."""

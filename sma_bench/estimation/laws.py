@@ -62,16 +62,13 @@ class LawFit:
 
     @cached_property
     def drawn(self) -> tuple[tuple[float, Fit, Array], ...]:
-        """As `weighed`, but what counts for nothing, each with places (p, k) drawn about it as the
-        records allow: pairs, to both sides."""
+        """As `weighed`, without what counts for nothing, with places (p, k) drawn in pairs."""
         found, random = [], np.random.default_rng(_SEED)
         for share, one in self.weighed:
             if share < _NEGLIGIBLE:
                 continue
-            values, vectors = np.linalg.eigh(one.covariance)
-            root = vectors * np.sqrt(np.maximum(values, 0.0))
             pairs = max(round(_PAIRS * share), _FEWEST)
-            steps = random.standard_normal((pairs, len(one.x))) @ root.T
+            steps = random.standard_normal((pairs, len(one.x))) @ one.directions.T
             steps = one.within_reach(np.vstack([steps, -steps]))
             found.append((share, one, one.x + steps))
         return tuple(found)

@@ -92,8 +92,7 @@ def _plateaus(record: Record) -> tuple[list[VoltageSegment], float]:
 
 
 def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
-    """From when to when (s) a frame, that mostly neither holds a load nor stands still, pulls
-    evenly."""
+    """From when to when (s) a frame pulls evenly that mostly neither holds nor stands still."""
     if is_clamped(record) or not has_samples(record, "force"):
         return ()
     time, force = samples(record, "force")

@@ -42,8 +42,7 @@ class Nuisance:
 
 @dataclass(frozen=True, eq=False)
 class Nuisances:
-    """Those of one record: (n, q) `columns` on its rows, one signal after the other; linear about
-    the values `about` (q,)."""
+    """Those of one record: (n, q) `columns` on its rows, linear about the values `about` (q,)."""
 
     items: tuple[Nuisance, ...]
     columns: Array
@@ -132,8 +131,7 @@ def nuisances_about(observation: Observation, parameters: Parameters, voltage_no
 
 
 def of_planned(observation: Observation, parameters: Parameters, predicted: Array) -> Nuisances:
-    """What will be off in a record that is planned, with readings (n,): zeros, and the state of its
-    run."""
+    """Of a record that is planned, with readings (n,): zeros, and the state of its run."""
     zeros = offsets(observation.signals)
     run = _states_of_run(observation, parameters, 1.0, predicted)
     return Nuisances((*zeros.items, *run.items), np.hstack([zeros.columns, run.columns]))

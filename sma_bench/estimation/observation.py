@@ -303,25 +303,23 @@ class Observation:
     def zeroed(self) -> "Observation":
         """Motions as from where they were before the drive, to which a bench returns within 1.2 %
         of its stroke; of a record that begins so, else this one."""
-        signals = []
-        for s in self.signals:
-            before = self.phase_of(s.time) == "initial"
-            if s.quantity in MOVED and np.sum(before) > _SOME:
-                std = min(s.sensor.zero_std, RETURNS * float(np.ptp(s.value)))
-                zero = float(np.mean(s.value[before]))
-                s = replace(s, value=s.value - zero, sensor=replace(s.sensor, zero_std=std))
-            signals.append(s)
-        return replace(self, signals=tuple(signals))
+        signals = {s.name: s for s in self.signals}
+        for name, zero in self._rests().items():
+            value, sensor = signals[name].value, signals[name].sensor
+            std = min(sensor.zero_std, RETURNS * float(np.ptp(value)))
+            sensor = replace(sensor, zero_std=std)
+            signals[name] = replace(signals[name], value=value - zero, sensor=sensor)
+        return replace(self, signals=tuple(signals.values()))
 
     def unset_zeros(self) -> dict[str, float]:
         """By signal, where a motion was before the drive, if nobody has set that to 0."""
-        found = {}
-        for s in self.signals:
-            before = s.value[self.phase_of(s.time) == "initial"]
-            off = float(np.mean(before)) if len(before) > _SOME else 0.0
-            if s.quantity in MOVED and abs(off) > _UNSET * s.sensor.zero_std:
-                found[s.name] = off
-        return found
+        least = {s.name: _UNSET * s.sensor.zero_std for s in self.signals}
+        return {name: off for name, off in self._rests().items() if abs(off) > least[name]}
+
+    def _rests(self) -> dict[str, float]:
+        befores = {s.name: s.value[self.phase_of(s.time) == "initial"]
+                   for s in self.signals if s.quantity in MOVED}
+        return {name: float(np.mean(own)) for name, own in befores.items() if len(own) > _SOME}
 
     def less(self, zeros: Mapping[str, float]) -> "Observation":
         """With these taken off its signals."""

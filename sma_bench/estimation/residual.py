@@ -83,13 +83,11 @@ class Problem:
         return np.array([item.kind == kind for own in self.nuisances for item in own.items], bool)
 
     def about(self, parameters: Parameters, z: Array) -> Self:
-        """`with_nuisances`, but `moved` is what may be far from where it was taken to be: the state
-        of a run, the jumps of a slow logger."""
+        """`with_nuisances`, what may be far off `moved`: a run's state, a logger's jumps."""
         return self.moved(parameters, z, BENT if self.of_kind(TICK).any() else (STATE,))
 
     def moved(self, parameters: Parameters, z: Array, kinds: Collection[str] = BENT) -> Self:
-        """Nuisances of these kinds about where a fit has found them (q,), and all about the model
-        at its parameters."""
+        """Nuisances of these kinds about where a fit has found them (q,), all linear there."""
         observations, nuisances, first = [], list[Nuisances](), 0
         for observation, own in zip(self.observations, self.nuisances, strict=True):
             differs = self.later if nuisances else 0.0
@@ -156,8 +154,7 @@ class Problem:
         return found
 
     def in_states(self, z: Array, errors: Array | float = 0.0) -> list[Observation]:
-        """The records, switched when nuisances z (q,) have it, each in the state of its run, known
-        to within standard `errors` (q,)."""
+        """The records, each in the state of its run by z (q,), within standard `errors` (q,)."""
         items = [(k, item) for k, own in enumerate(self.nuisances) for item in own.items]
         away, within = ([dict[str, float]() for _ in self.observations] for _ in range(2))
         sizes = (self.states or self.later) * np.column_stack([z, errors + np.zeros(len(z))])

@@ -171,8 +171,7 @@ def begins_warm(rig: Rig, parameters: Parameters) -> bool:
 
 
 def pulls_a_load(record: Record, parameters: Parameters) -> bool:
-    """Whether the wires move a load of their own: no beam, no clamps, no frame that measures what
-    it holds."""
+    """Whether wires move a load of their own: no beam, no clamps, no frame that measures it."""
     kind = load_kind(parameters)
     held = kind == "force" and has_samples(record, "force")
     return kind in LOADS and not held

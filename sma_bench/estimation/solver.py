@@ -65,6 +65,12 @@ class Fit:
         k = len(self.x)
         return self.joint[:k, :k]
 
+    @property
+    def directions(self) -> Array:
+        """(k, k) columns in x, one standard deviation long, the least known last."""
+        spread, turn = np.linalg.eigh(self.covariance)
+        return np.asarray(turn * np.sqrt(np.maximum(spread, 0.0)))
+
     @cached_property
     def parameters(self) -> Parameters:
         """The bench as this model has it."""
@@ -72,8 +78,7 @@ class Fit:
 
     @property
     def surprise(self) -> float:
-        """Sum of the squared prior deviations of the bench's parameters: about their number where
-        the model is right."""
+        """Squared prior deviations of the bench's parameters: about their number, if right."""
         moved = self.x[: self.unknowns.bench]
         return float(moved @ moved)
 
@@ -459,7 +464,6 @@ class _State:
         freedom = float(np.linalg.slogdet(information)[1])
         evidence = -0.5 * self.cost() - 0.5 * freedom - self.problem.log_scale()
         evidence += self.problem.log_prior()
-        return Fit(  # of the problem without its whitened columns, which are large
-            replace(self.problem), self.unknowns, self.x, self.z, joint, evidence, self.predicted,
-            self.slopes, self.left(),
-        )
+        problem = replace(self.problem)  # without its whitened columns, which are large
+        return Fit(problem, self.unknowns, self.x, self.z, joint, evidence, self.predicted,
+                   self.slopes, self.left())

@@ -300,16 +300,14 @@ class Unknowns:
         return replace(self, base=base, items=items), np.delete(x, k)
 
     def start(self, spread: float = 0.3) -> Array:
-        """What is believed, effects off; `spread` in its prior's deviations, at 0 of which its
-        slope vanishes."""
+        """What is believed, effects off; `spread` in deviations, at 0 of which it is flat."""
         x = np.zeros(len(self.items))
         if "wire.transition_spread" in self.names:
             x[self.names.index("wire.transition_spread")] = spread
         return x
 
     def with_effects(self, names: Iterable[str], forms: Mapping[str, str] = {}) -> "Unknowns":
-        """The same baseline with the numbers of these effects, each in its form in `forms`, or the
-        usual one."""
+        """The same baseline with the numbers of these effects, in their `forms` if any."""
         effects = {name: forms.get(name, "") for name in names}
         numbers = [p for name, form in effects.items() for p in EFFECTS[name].numbers(form)]
         items = (*self.items[: self.baseline], *map(number_of_effect, numbers))
@@ -459,8 +457,7 @@ def range_of(name: str) -> tuple[float, float]:
 
 
 def number_of_effect(number: Parameter) -> Unknown:
-    """An effect's number, centred where nobody gave another; moved by its logarithm where that is
-    not 0."""
+    """An effect's number about its default, moved by its logarithm where that is not 0."""
     assert number.low is not None and number.high is not None and isinstance(number.default, float)
     std = float(number.uncertainty or 1.0)
     log = number.default != 0.0

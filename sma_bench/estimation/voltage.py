@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sma_bench.arrays import IntArray
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import Array, coherence, quantisation_variance, resolution
 from sma_bench.records.record import Record
@@ -42,17 +43,14 @@ _ALIKE = 4.0  # converter's steps between the ends of two ramps
 
 @dataclass(frozen=True)
 class VoltageSegment:
-    """A stretch of the voltage that one straight line describes.
-
-    `start`, `stop` in s, `voltage_start`, `voltage_stop` in V are the line's ends. A plateau's
-    `direction` is that of the step which led to it (for the first one: of the step which left it).
-    """
+    """A stretch of the voltage that one straight line describes."""
 
     kind: Literal["plateau", "ramp"]
-    start: float
+    start: float  # s
     stop: float
-    voltage_start: float
+    voltage_start: float  # V, of the line
     voltage_stop: float
+    # Of a plateau that of the step which led to it (of the first one: of that which left it).
     direction: Literal["up", "down"]
 
     @property
@@ -159,8 +157,7 @@ def find_segments(time: Array, voltage: Array) -> Segments:
 
 
 def _step_of(voltage: Array) -> float:
-    """The converter's step, V; none of a command that ramps, of which each differs from the last by
-    as much as that from the one before."""
+    """The converter's step, V; none of a command that ramps, of which all steps are alike."""
     moves = np.diff(voltage)
     again = np.abs(np.diff(moves)) < _EXACT * float(np.ptp(voltage))
     going = moves[:-1] != 0.0
@@ -212,28 +209,20 @@ def _energy(begin: Array, end: Array, duration: Array) -> Array:
 
 @dataclass(frozen=True)
 class Polygon:
-    """Voltage of one channel: knots, and straight lines between them.
+    """Voltage of one channel: knots, and straight lines between them."""
 
-    Attributes:
-        time: (k,) s; voltage: (k,) V, straight stretches freed of their noise.
-        jumps: (j,) knots after which the voltage jumps before the next one.
-        lines: first and last knot of each straight stretch, and the noise [V] of its samples.
-        hidden, step: V, amplitude of the converter's error that no averaging removes, and its step.
-        commanded: (k,) V at the knots, where the record has it.
-    """
-
-    time: Array
-    voltage: Array
-    jumps: Array
-    lines: tuple[tuple[int, int, float], ...]
-    hidden: float
-    step: float
-    commanded: Array | None = None
+    time: Array  # (k,) s
+    voltage: Array  # (k,) V, straight stretches freed of their noise
+    jumps: IntArray  # (j,) knots after which the voltage jumps before the next one
+    lines: tuple[tuple[int, int, float], ...]  # first and last knot, and noise [V] of the samples
+    hidden: float  # V, amplitude of the converter's error that no averaging removes
+    step: float  # V, of the converter
+    commanded: Array | None = None  # (k,) V at the knots, where the record has it
 
     def energy(self, moments: Array, grid: Array, error: Array | None = None) -> Array:
         """Integral of V^2 [V2 s] over each cell of `grid` (n,), as (n - 1,), with jumps at these
         `moments` (j,) s; `error`: (k,) V, added to the knots."""
-        at = self.jumps.astype(np.intp) + 1
+        at = self.jumps + 1
         volts = self.voltage if error is None else self.voltage + error
         order = np.repeat(at, 2)
         time = np.insert(self.time, order, np.repeat(moments, 2))
@@ -258,8 +247,7 @@ class Polygon:
         for first, last, _ in self.lines:
             rise, run = (x[last - 1] - x[first] for x in (self.voltage, self.time))
             slope[first:last] = rise / run
-        knots = self.jumps.astype(np.intp)
-        return slope[knots], slope[knots + 1]
+        return slope[self.jumps], slope[self.jumps + 1]
 
 
 @dataclass(frozen=True)
@@ -269,7 +257,7 @@ class AppliedVoltage:
     channels; `events` gives each channel's jumps their event."""
 
     channels: tuple[Polygon, ...]
-    events: tuple[Array, ...]
+    events: tuple[IntArray, ...]
     early: Array
     late: Array
 
@@ -357,7 +345,7 @@ class AppliedVoltage:
         columns = []
         for channel, (polygon, own) in enumerate(zip(self.channels, self.events, strict=True)):
             error = None if errors is None else errors[channel]
-            energy = polygon.energy(moments[own.astype(np.intp)], grid, error)
+            energy = polygon.energy(moments[own], grid, error)
             columns.append(np.sqrt(np.maximum(energy, 0.0) / np.diff(grid)))
         volts = np.column_stack(columns)
         return np.vstack([volts, volts[-1:]])
@@ -365,8 +353,7 @@ class AppliedVoltage:
 
 def commands_of(record: Record, channels: tuple[str, ...],
                 known: tuple[str, ...]) -> tuple[Array, Array] | None:
-    """(c,) s and (c, w) V that channels were commanded, where the record has it of all the `known`
-    ones of its bench, in their order."""
+    """(c,) s and (c, w) V commanded, where the record has all the `known` channels, in order."""
     signal = record.get("voltage_command")
     known = known if set(channels) <= set(known) else channels
     if signal is None or signal.values.ndim != 2 or signal.values.shape[1] != len(known):
@@ -389,9 +376,9 @@ def applied_voltage(channels: Sequence[tuple[Array, Array]],
     # Jumps of several channels that can have been one command are one event.
     found = sorted((polygon.time[knot], polygon.time[knot + 1], channel, order)
                    for channel, polygon in enumerate(polygons)
-                   for order, knot in enumerate(polygon.jumps.astype(np.intp)))
+                   for order, knot in enumerate(polygon.jumps))
     bounds: list[list[float]] = []
-    events = [np.zeros(len(polygon.jumps)) for polygon in polygons]
+    events = [np.zeros(len(polygon.jumps), dtype=np.int64) for polygon in polygons]
     for before, after, channel, order in found:
         if bounds and before < bounds[-1][1] - _NARROWEST:
             bounds[-1] = [max(before, bounds[-1][0]), min(after, bounds[-1][1])]
@@ -438,8 +425,7 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     size = np.abs(smooth[np.minimum(knots + 1, len(smooth) - 1)] - smooth[knots])
     least = _SMALLEST_JUMP * min(1.0, _OFTEN_READ / float(np.median(np.diff(time))))
     knots = knots[size > least * float(np.max(np.abs(smooth), initial=0.0))]
-    jumps = np.unique(knots).astype(np.float64)
-    whole = Polygon(time, smooth, jumps, tuple(lines), hidden, step, commanded)
+    whole = Polygon(time, smooth, np.unique(knots), tuple(lines), hidden, step, commanded)
     return _with_corners(whole, voltage)
 
 
@@ -473,8 +459,8 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
     for first, last, _ in lines:
         within |= (polygon.jumps >= first) & (polygon.jumps + 1 < last)
 
-    def moved(index: Array | int) -> Array:
-        return np.asarray(index + np.searchsorted(places, index, side="right"), dtype=np.float64)
+    def moved(index: IntArray | int) -> IntArray:
+        return np.asarray(index + np.searchsorted(places, index, side="right"))
 
     return replace(
         polygon, time=np.insert(time, places, moments), voltage=np.insert(smooth, places, levels),
