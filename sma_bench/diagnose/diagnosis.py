@@ -156,21 +156,20 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
         cells = locate(model.problem, contribution(model, acting))
     else:
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
-    top = cells[0]
 
     # What was not tried: kinds of drives, and quantities that no record holds. Of a clamped wire
     # there is no motion to miss.
     share = unknown_share(fitted, unfitted, improved)
-    text = (
-        f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had one "
-        "(temperature, its rate, martensite, the other side's temperature)")
+    text = (f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had "
+            "one (temperature, its rate, martensite, the other side's temperature)")
     if share < _OF_ONE_KIND:
         text += ": how far the gap shrinks under drives of another kind was not tried"
     measured = {quantity for obs in observations for quantity in obs.quantities}
     moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(
         verdict=verdict, cause=cause, candidates=candidates,
-        where=Where(top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)),
+        where=Where(cells[0].signal, cells[0].phase, cells[0].side, next(iter(stages), ""), stages,
+                    tuple(cells)),
         shrinkage=shrinks, least_credible=learnt().least,
         missed=missed(recalibrated, stage, smooth_input) if verdict == UNEXPLAINED else None,
         **_facts(verdict, candidates, found, model),
@@ -226,8 +225,8 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     whose parameters moved further than anyone believed; where all moved as far as believed they
     tell of no stage (six transition numbers move further than one resistance by their number
     alone). What nothing explains has the stages at which an unknown input gains something [nats],
-    each in proportion to what its gain weighs; where none does, as recalibration,
-    or the stage of the effect that gains most.
+    each in proportion to what its gain weighs; where none does, as recalibration, or the stage of
+    the effect that gains most.
     """
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved = defaultdict[str, list[float]](list)
@@ -248,8 +247,8 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
             stage = beyond_belief or (EFFECTS[found.ranked[0]].stage if found.ranked else "")
             # As effects are weighed by what they gain.
             exponent = learnt().weights["effect.gain"][0]
-            gains = {one: f.gain for one, f in found.inputs.items() if f.gain > 0.0}
-            weights = {one: (1.0 + gain / 4.0) ** exponent for one, gain in gains.items()}
+            weights = {one: (1.0 + own.gain / 4.0) ** exponent
+                       for one, own in found.inputs.items() if own.gain > 0.0}
             for one, weight in weights.items():
                 shares[one] += share * weight / sum(weights.values())
             stage = "" if weights else stage

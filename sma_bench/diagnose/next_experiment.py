@@ -143,8 +143,8 @@ def next_experiment(verdict: str, candidates: Sequence[Candidate], search: Searc
     if first.chance < WORTH:
         what = f"more probable, by {100.0 * first.worth:.0f} % of all, and named after more of it"
     also = [f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %" for o in others[:2]]
-    why = f"{first.why}: the true cause would be {what}"
-    return replace(first, why="; ".join([why, *filter(None, [", ".join(also)])]))
+    why = [f"{first.why}: the true cause would be {what}", ", ".join(also)]
+    return replace(first, why="; ".join(filter(None, why)))
 
 
 def _showing(search: Search, matter: Matter) -> NextExperiment | None:
@@ -155,8 +155,7 @@ def _showing(search: Search, matter: Matter) -> NextExperiment | None:
         return None
     so_far = float(np.linalg.norm(recalibrated.problem.whiten(missing.response)))
     shown = []
-    for drive in KNOWN:
-        document = drive.document(matter.level, matter.sides)
+    for document in (drive.document(matter.level, matter.sides) for drive in KNOWN):
         planned, _ = _planned(document, recalibrated, matter, ())
         (obs,) = planned.observations
         term = missing.on(obs, obs.simulate(recalibrated.parameters))

@@ -87,6 +87,7 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
     count = len(laws) + min(len(laws), 2) * len(others)
     most = max(_STARTS, _ALL_STARTS // count)
     problem = Problem.of([one.zeroed() for one in observations])
+    framed = any(one.holds for one in observations)
     fits: Fits = {}
     faults: list[InputError] = []
 
@@ -95,9 +96,8 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
         assumed = {"wire.law": law} | ({} if settled else {"wire.convection": air})
         try:
             own = as_in_the_field(parameters.assuming(assumed, {}))
-            unknowns = unknowns_of_records(own, quantities,
-                                           load_frame=any(one.holds for one in observations),
-                                           own_load=True, sides_apart=True, unmodelled=True)
+            unknowns = unknowns_of_records(own, quantities, load_frame=framed, sides_apart=True,
+                                           unmodelled=True)
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
             if air != usual:  # from where the usual one ended, as far as it has these unknowns
                 one, start = fits[law, usual][0][0], unknowns.start().tolist()

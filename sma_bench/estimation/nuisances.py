@@ -180,12 +180,11 @@ def _responses(observation: Observation, moves: Sequence[_Move],
     # Groups in which none begins before another is forgotten.
     groups: list[list[int]] = []
     for k in sorted(range(len(moves)), key=lambda k: moves[k].begin):
-        far = (g for g in groups if moves[k].begin - moves[g[-1]].end >= _FORGOTTEN)
-        group = next(far, None)
-        if group is None:
-            groups.append([k])
+        far = [g for g in groups if moves[k].begin - moves[g[-1]].end >= _FORGOTTEN]
+        if far:
+            far[0].append(k)
         else:
-            group.append(k)
+            groups.append([k])
 
     alone: list[int] = []
     if len(groups) >= _FEWER * len(moves):

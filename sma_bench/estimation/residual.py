@@ -153,11 +153,11 @@ class Problem:
             found.append(max(float(left[1:] @ left[:-1]) / power, 0.0) if power > 0.0 else 0.0)
         return found
 
-    def in_states(self, z: Array, errors: Array | float = 0.0) -> list[Observation]:
+    def in_states(self, z: Array, errors: Array) -> list[Observation]:
         """The records, each in the state of its run by z (q,), within standard `errors` (q,)."""
         items = [(k, item) for k, own in enumerate(self.nuisances) for item in own.items]
         away, within = ([dict[str, float]() for _ in self.observations] for _ in range(2))
-        sizes = (self.states or self.later) * np.column_stack([z, errors + np.zeros(len(z))])
+        sizes = (self.states or self.later) * np.column_stack([z, errors])
         for (k, item), (at, error) in zip(items, sizes.tolist(), strict=True):
             if item.kind == STATE:
                 away[k][item.subject], within[k][item.subject] = at, error

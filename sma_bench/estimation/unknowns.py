@@ -339,8 +339,8 @@ def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         shapes |= of_table(ORIENTING.get(parameters["wire.law"], ()))
-        shapes |= of_table(n for own_names in OPTIONAL for n in own_names
-                           if is_stated(parameters, own_names[0]))
+        shapes |= of_table(n for group in OPTIONAL if is_stated(parameters, group[0])
+                           for n in group)
         if own:
             shapes |= LOADED_SHAPES if unmodelled else {}
             free = parameters["wire.convection"] == "free"
