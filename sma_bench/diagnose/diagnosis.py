@@ -156,6 +156,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
         cells = locate(model.problem, contribution(model, acting))
     else:
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
+    top = cells[0]
 
     # What was not tried: kinds of drives, and quantities that no record holds. Of a clamped wire
     # there is no motion to miss.
@@ -168,8 +169,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(
         verdict=verdict, cause=cause, candidates=candidates,
-        where=Where(cells[0].signal, cells[0].phase, cells[0].side, next(iter(stages), ""), stages,
-                    tuple(cells)),
+        where=Where(top.signal, top.phase, top.side, next(iter(stages), ""), stages, tuple(cells)),
         shrinkage=shrinks, least_credible=learnt().least,
         missed=missed(recalibrated, stage, smooth_input) if verdict == UNEXPLAINED else None,
         **_facts(verdict, candidates, found, model),
