@@ -2,8 +2,7 @@
 
 Files, topics and storage of bags may have been made to harm. Whoever reads them takes them from
 here, or spends a Budget while unfolding them; what is over ends in one line. Names from outside go
-out again as `printable` text, and files are replaced whole, by `write_files`.
-"""
+out again as `printable` text, and files are replaced whole, by `write_files`."""
 
 import contextlib
 import hashlib
@@ -37,6 +36,7 @@ _LOOK = 16 * 1024  # bytes, between two looks at the clock
 _LARGEST_INTEGER = 2**63  # ROS parameters and messages hold none beyond
 _LONGEST_INTEGER, _LONGEST_REASON = 80, 150  # characters
 _STILL_HELD = 2.0  # s for which a name may still be held by a process that is ending
+_PEER = struct.Struct("3i")  # process, user and group at a socket's other end
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _TELLING = (  # signs of units and letters that an encoding makes out of bytes
     r"(?<![^\W\d_])[°º](?= ?[CFKcfk]?(?:\W|\Z))|µ(?=[msVAeN])|[²³]|(?<=[0-9])\u00a0(?=[0-9]{3})"
@@ -88,12 +88,8 @@ def read_bytes(path: str | Path, largest: int) -> bytes:
     """A regular file, whole: a pipe would block and a device never end. Raises InputError:
     unreadable, no regular file, or larger than `largest` bytes."""
     try:
-        handle = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
-        with os.fdopen(handle, "rb") as file:
-            mode = os.fstat(handle).st_mode
-            if stat.S_ISDIR(mode):
-                raise InputError(f"{path}: cannot read: Is a directory")
-            _require_regular(path, mode)
+        with open(path, "rb", opener=lambda name, how: os.open(name, how | os.O_NONBLOCK)) as file:
+            _require_regular(path, os.fstat(file.fileno()).st_mode)
             content = file.read(largest + 1)
     except OSError as error:
         raise InputError(f"{path}: cannot read: {error.strerror}") from None
@@ -122,7 +118,6 @@ def decoded_lines(content: bytes) -> list[str]:
         raise InputError("holds zero bytes, expected a text file in UTF-8, or UTF-16 with its mark")
     with contextlib.suppress(UnicodeDecodeError):
         return content.decode("utf-8-sig").splitlines()
-
     texts = [content.decode(name, "replace") for name in ("cp1252", "cp850", "mac_roman", "cp932")]
     return max(texts, key=lambda text: len(re.findall(_TELLING, text[:400_000]))).splitlines()
 
@@ -197,8 +192,7 @@ def read_json_object(text: str | bytes, where: str) -> dict[str, Any]:
     """As `read_json`, for a text that must hold an object."""
     document = read_json(text, where)
     if not isinstance(document, dict):
-        found = _KINDS.get(type(document), NUMBER)
-        raise InputError(f"{where}: {found}, expected a JSON object")
+        raise InputError(f"{where}: {_KINDS.get(type(document), NUMBER)}, expected a JSON object")
     return document
 
 
@@ -264,13 +258,9 @@ _WRONG_YAML = (yaml.YAMLError, ValueError, RecursionError, TypeError, LookupErro
 
 
 def load_yaml(text: str, aliases: bool = False) -> Any:
-    """Parse YAML as ROS does.
-
-    Aliases are not taken unless asked for (a kilobyte of them can stand for gigabytes): what is
-    loaded may then hold one thing many times, so ask for types before anything walks through it.
-
-    Raises InputError: not YAML, too long or too deep; in one line, without a name.
-    """
+    """Parse YAML as ROS does. Aliases are not taken unless asked for (a kilobyte of them can stand
+    for gigabytes): what is loaded may then hold one thing many times, so ask for types before
+    anything walks through it. Raises InputError: not YAML, too long or too deep, without a name."""
     if len(text) > LARGEST_YAML:
         raise InputError(f"{len(text)} characters, expected at most {LARGEST_YAML}")
     try:
@@ -320,16 +310,12 @@ def shown(text: str, longest: int = LONGEST_SHOWN) -> str:
 
 
 def csv_cell(text: str) -> str:
-    """Text that a spreadsheet takes for text: what begins like a formula, and is no number, gets
-    an apostrophe before it."""
+    """Text for a spreadsheet: what begins like a formula, and is no number, gets an apostrophe."""
     text = printable(text)
-    if not text.startswith(_FORMULA):
-        return text
-    try:
+    with contextlib.suppress(ValueError):
         float(text)
-    except ValueError:
-        return "'" + text
-    return text
+        return text
+    return f"'{text}" if text.startswith(_FORMULA) else text
 
 
 def make_folder(folder: Path) -> Path:
@@ -341,11 +327,8 @@ def make_folder(folder: Path) -> Path:
 
 def claimed(name: str, said: str = "") -> socket.socket:
     """Hold a name, of this machine's ROS domain or of what is `said` of it to others, until the
-    socket is closed or the process ends.
-
-    Waits a moment for one that is about to end: the graph still lists nodes that were killed.
-
-    Raises InputError: it is held already, by another process or this one.
+    socket is closed or the process ends. Waits a moment for one that is about to end: the graph
+    still lists nodes that were killed. Raises InputError: it is held, by this process or another.
     """
     said = said or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
     named = hashlib.sha1(f"{said}/{name}".encode("utf-8", "surrogateescape"))
@@ -363,9 +346,8 @@ def claimed(name: str, said: str = "") -> socket.socket:
             holder = "unknown"
             with socket.socket(socket.AF_UNIX) as asking, contextlib.suppress(OSError):
                 asking.connect(address)
-                size = struct.calcsize("3i")
-                peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, size)
-                holder = str(struct.unpack("3i", peer)[0])
+                peer = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+                holder = str(_PEER.unpack(peer)[0])
             raise InputError(f"{name} is {said}: process {holder}")
         time.sleep(0.05)
 
@@ -377,40 +359,27 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
     def beside(target: Path, content: bytes, mode: int) -> Path:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=".sma_bench.")
-        staged.append(Path(name))
+        staged.callback(Path(name).unlink, missing_ok=True)
         with os.fdopen(handle, "wb") as stream:
             stream.write(content)
         os.chmod(name, mode)
-        return staged[-1]
+        return Path(name)
 
     umask = os.umask(0)
     os.umask(umask)
-    staged: list[Path] = []
     new: dict[Path, Path] = {}
     old: dict[Path, Path] = {}
-    replaced: list[Path] = []
-    try:
+    with contextlib.ExitStack() as staged, contextlib.ExitStack() as undo:
         for path, content in files.items():
             target = Path(os.path.realpath(path))
-            mode = target.stat().st_mode if target.exists() else None
-            if mode is not None and not stat.S_ISREG(mode):
+            mode = target.stat().st_mode if target.exists() else stat.S_IFREG | 0o666 & ~umask
+            if not stat.S_ISREG(mode):
                 raise OSError(0, "something else than a file lies there")
-            new[target] = beside(
-                target, content, 0o666 & ~umask if mode is None else stat.S_IMODE(mode)
-            )
-            if mode is not None and len(files) > 1:
+            new[target] = beside(target, content, stat.S_IMODE(mode))
+            if target.exists() and len(files) > 1:
                 old[target] = beside(target, b"", 0o600)
                 shutil.copy2(target, old[target])
         for target, source in new.items():
             os.replace(source, target)
-            replaced.append(target)
-    except BaseException:
-        for target in replaced:
-            if target in old:
-                old[target].replace(target)
-            else:
-                target.unlink()
-        raise
-    finally:
-        for left in staged:
-            left.unlink(missing_ok=True)
+            undo.callback(old[target].replace if target in old else Path.unlink, target)
+        undo.pop_all()

@@ -1,9 +1,6 @@
-"""What draws itself: `plot()` of records, simulations, overlays, identifications and diagnoses.
-
-The drawing room lies above all of them and brings matplotlib. The package itself
-(`sma_bench/__init__.py`), above both, gives it in: nothing here depends on it, and it is imported
-by the first plot.
-"""
+"""What draws itself: `plot()` of records, simulations, overlays, identifications and diagnoses. The
+drawing room lies above all of them and brings matplotlib: the package itself, above both, gives it
+in, nothing here depends on it, and the first plot imports it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -18,12 +15,10 @@ class Drawn:
 
     def plot(self, *what: str) -> Any:
         """A picture that a notebook shows, with the matplotlib `figure` and `save(path)` as PNG,
-        SVG, PDF or CSV; `what` of it, else what matters most.
-
-        Of a record, a simulation or an overlay `what` are signals or quantities ("wire.current",
-        "temperature"), of an identification "agreement" or "correlation", of a diagnosis "signals",
-        "where", "candidates", "evidence" or "next". Raises InputError: nothing has that name.
-        """
+        SVG, PDF or CSV. `what`, else what matters most: of a record, a simulation or an overlay
+        signals or quantities ("wire.current", "temperature"), of an identification "agreement" or
+        "correlation", of a diagnosis "signals", "where", "candidates", "evidence" or "next". Raises
+        InputError: nothing has that name."""
         return Drawn.drawing_room("plots").picture_of(self, *what)
 
 

@@ -27,12 +27,8 @@ class Finding:
         return cls(cast(Severity, severity), subject, text)
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "severity": self.severity,
-            "subject": self.subject,
-            "text": self.text,
-            "numbers": dict(self.numbers),
-        }
+        about = {"severity": self.severity, "subject": self.subject, "text": self.text}
+        return {**about, "numbers": dict(self.numbers)}
 
     def __str__(self) -> str:
         return f"{self.severity}: {self.subject}: {self.text}"
@@ -41,12 +37,10 @@ class Finding:
 def fold_audit(findings: Sequence[Finding]) -> tuple[list[Finding], list[Finding]]:
     """The findings without those of the parameters' audit, and those behind one line that stands
     for them; both empty where there are none."""
-    audited = [f for f in findings if f.audit]
-    if not audited:
-        return list(findings), []
+    others, audited = ([f for f in findings if f.audit == is_one] for is_one in (False, True))
     clashes = [f.subject for f in audited if f.severity != "info"]
     papers = sum(int(f.numbers.get("clashes", 0)) for f in audited)
     said = f"{len(clashes)} clash ({', '.join(clashes)})" if clashes else "none clashes"
     own = f", {papers} of the paper's own do" if papers else ""
     line = f"of the lab's own numbers {said}{own}; sma-bench audit lists them"
-    return [f for f in findings if not f.audit], [Finding("info", "audit", line), *audited]
+    return others, [Finding("info", "audit", line), *audited] if audited else []
