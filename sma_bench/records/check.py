@@ -1,5 +1,4 @@
-"""What a record holds, and can it be trusted? Order, gaps, clocks, units, saturation, absences; and
-what of it is mended before a model is fitted to it."""
+"""What a record holds, and can it be trusted? Order, gaps, clocks, units, saturation, absences."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,7 +11,7 @@ import numpy as np
 from sma_bench.arrays import Array, IntArray
 from sma_bench.border import read_yaml
 from sma_bench.findings import Finding
-from sma_bench.records.record import Record, Signal, first_order_lag, has_samples, samples
+from sma_bench.records.record import Record, Signal, first_order_lag, has_samples, held_at, samples
 
 # At 5 % random losses ten in a row do not happen; a stalled driver does.
 _GAP_PERIODS = 10
@@ -43,15 +42,13 @@ _FEWEST_LEVELS, _MOST_LEVELS, _SAMPLES_A_LEVEL = 3, 100, 5  # of a coarse readin
 
 def check_record(record: Record) -> list[Finding]:
     """Everything to know before using a record, what the reader noticed included."""
-    found = list(record.findings)
-    for channel in record.channels:
-        for kind in ("voltage", "current", "temperature"):
-            if f"{channel}.{kind}" not in record.signals:
-                found.append(Finding("info", f"{channel}.{kind}", "absent from the record"))
-    if record.signals and not record.channels:
+    found, signals = list(record.findings), record.signals
+    names = [f"{c}.{k}" for c in record.channels for k in ("voltage", "current", "temperature")]
+    found += [Finding("info", n, "absent from the record") for n in names if n not in signals]
+    if signals and not record.channels:
         text = "no channel: neither voltages nor temperatures"
         found.append(Finding("warning", "record", text))
-    if record.signals and not any(name in record.signals for name in _MECHANICS):
+    if signals and not any(name in signals for name in _MECHANICS):
         text = f"no mechanical signal ({', '.join(_MECHANICS)})"
         found.append(Finding("info", "record", text))
     for check in (_values, _rate, _clocks, _saturation, check_response):
@@ -99,15 +96,13 @@ def _values(record: Record) -> Iterator[Finding]:
         if kind in _READ and _FEWEST_LEVELS < len(levels) < _MOST_LEVELS:
             step = float(np.diff(levels).min())
             apart = np.diff(levels) / step
-            is_even = np.abs(apart - np.rint(apart)).max() < _IRREGULAR
-            if is_even and len(signal) > _SAMPLES_A_LEVEL * len(levels):
-                facts = {"unit": unit, "levels": len(levels), "of": len(signal)}
-                yield said("coarse", name, resolution=step, **facts)
+            is_even, of = np.abs(apart - np.rint(apart)).max() < _IRREGULAR, len(signal)
+            if is_even and of > _SAMPLES_A_LEVEL * len(levels):
+                yield said("coarse", name, resolution=step, unit=unit, levels=len(levels), of=of)
 
 
 def against_voltage(record: Record, current: Signal) -> float:
-    """Share of a current's readings, of those worth the name, that have not its voltage's sign; 0
-    where that is not nearly all."""
+    """Share of a current's readings that have not its voltage's sign; 0 where not nearly all."""
     name = current.name.removesuffix("current") + "voltage"
     if not (has_samples(record, name) and has_samples(record, current.name)):
         return 0.0
@@ -132,10 +127,8 @@ def outliers(signal: Signal) -> IntArray:
     apart = np.abs(values[2:] - values[:-2])
     low, high = np.quantile(values, [0.01, 0.99])
     # A reading of few digits flickers by a step.
-    least = max(
-        _OUTLYING * float(np.median(off)) / 0.6745, _OUT_OF_RANGE * float(high - low),
-        _FEW_STEPS * _resolution(values),
-    )
+    least = max(_OUT_OF_RANGE * float(high - low), _FEW_STEPS * _resolution(values))
+    least = max(_OUTLYING * float(np.median(off)) / 0.6745, least)
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
     found = found if len(found) <= _MOST_OUTLIERS else none
     return np.union1d(found, _dropouts(values)) if kind_of(signal.name) in DROPS_OUT else found
@@ -170,8 +163,7 @@ def _rate(record: Record) -> Iterator[Finding]:
             continue
         steps = np.diff(signal.time)
         # An irregular clock has no period that samples could be missing at.
-        away = np.median(np.abs(steps / period - np.rint(steps / period)))
-        is_irregular = bool(away > _IRREGULAR)
+        is_irregular = np.median(np.abs(steps / period - np.rint(steps / period))) > _IRREGULAR
         gaps = steps > _GAP_PERIODS * (np.percentile(steps, 95) if is_irregular else period)
         found = []
         if gaps.any():
@@ -211,10 +203,8 @@ def delays_of(record: Record) -> dict[str, tuple[float, float]]:
 def _clocks(record: Record) -> Iterator[Finding]:
     """Topics whose receive times minus stamps differ from the others', or drift against them; and
     what a second publisher of /clock leaves behind: a run or a recorder in two times."""
-    delays = {
-        record[name].topic or name: delay
-        for name, delay in delays_of(record).items() if name not in _EVENTS
-    }
+    of_signals = delays_of(record).items()
+    delays = {record[name].topic or name: d for name, d in of_signals if name not in _EVENTS}
     common, common_drift = np.median([*delays.values()] or [(0.0, 0.0)], axis=0).tolist()
     if abs(common_drift) > DRIFT_TOLERANCE:
         yield said("drifts", "record", drift=common_drift)
@@ -240,8 +230,8 @@ def _clocks(record: Record) -> Iterator[Finding]:
     turns = sum(a[1] == c[1] != b[1] and c[0] - a[0] < _TURN for a, b, c in between)
     # Where stamps keep pace with a recorder that no ticks have driven there is no /clock.
     if turns > _FEW_TURNS and not (delays and abs(common_drift) <= DRIFT_TOLERANCE):
-        facts = {"steps": len(record.markers), "within": _TURN}
-        yield said("two_runs", "experiment/marker", turns=turns, **facts)
+        facts = {"turns": turns, "steps": len(record.markers), "within": _TURN}
+        yield said("two_runs", "experiment/marker", **facts)
 
 
 def _saturation(record: Record) -> Iterator[Finding]:
@@ -254,28 +244,24 @@ def _saturation(record: Record) -> Iterator[Finding]:
         still.add("elongation")  # clamped
     for name, signal in record.signals.items():
         values, kind = signal.values, kind_of(name)
-        if kind in ("voltage", "voltage_command") or len(values) < _FLAT_SAMPLES * 2:
-            continue
-        if not np.isfinite(values).all():
+        is_short = len(values) < _FLAT_SAMPLES * 2
+        if kind in ("voltage", "voltage_command") or is_short or not np.isfinite(values).all():
             continue
         if np.ptp(values) == 0:
             if driven and kind != "current" and name not in still:
                 yield said("dead", name, value=values[0], unit=signal.unit)
             continue
         for extreme, word in ((float(values.max()), "highest"), (float(values.min()), "lowest")):
-            if len(flat := clipped_samples(record, signal, extreme)):
+            if count := len(clipped_samples(record, signal, extreme)):
                 facts = {"value": extreme, "word": word, "unit": signal.unit}
-                yield said("clipped", name, samples=len(flat), **facts)
+                yield said("clipped", name, samples=count, **facts)
 
 
 def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
     """Samples in flat stretches at an extreme that the signal ran into at speed, or of a signal
-    whose noise never lets it be flat.
-
-    A signal that settles slows down before; one that is clipped does not. Leaving it at speed is
-    what a plateau without noise does when the drive ends. A current jumps with its voltage, so for
-    it flat means flat while the voltage moves.
-    """
+    whose noise never lets it be flat. One that settles slows down before, one that is clipped does
+    not; a plateau without noise is left at speed when the drive ends. A current jumps with its
+    voltage, so for it flat means flat while the voltage moves."""
     values, found = signal.values, [np.zeros(0, dtype=np.int64)]
     if extreme == values[0] and signal.name in _MECHANICS:
         return found[0]  # at rest, where it began
@@ -324,46 +310,51 @@ _LEAST_RESPONSE = 25.0  # variance over that of the noise
 def check_response(record: Record) -> Iterator[Finding]:
     """Readings that do not follow the voltages beside them: stored runs swapped, channels swapped,
     or clocks apart by more than the wire takes to warm; or that go on when these have ended."""
-    driven = [
-        channel
-        for channel in record.channels
-        if has_samples(record, f"{channel}.voltage")
-        and np.ptp(samples(record, f"{channel}.voltage")[1]) > _LEAST_DRIVE
-    ]
+    volts = {c: f"{c}.voltage" for c in record.channels if has_samples(record, f"{c}.voltage")}
+    reach = {c: float(np.ptp(samples(record, name)[1])) for c, name in volts.items()}
+    driven = [channel for channel, span in reach.items() if span > _LEAST_DRIVE]
     if not driven:
         return
 
     # Voltages that end before the readings.
     responses = [n for n in record.signals if kind_of(n) in _EXPLAINED and has_samples(record, n)]
     last = max((float(samples(record, name)[0][-1]) for name in responses), default=-inf)
-    for name in (f"{channel}.voltage" for channel in driven):
-        time, volts = samples(record, name)
+    for name in (volts[channel] for channel in driven):
+        time, values = samples(record, name)
         missing = last - float(time[-1])
         if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
-            yield said("ends_early", name, missing=missing, volts=volts[-1])
+            yield said("ends_early", name, missing=missing, volts=values[-1])
 
-    # Readings that do not follow, and a motion that follows the heat the wrong way.
+    # Readings that do not follow, and a motion that follows the heat the wrong way: an elongation
+    # that of its wire (its temperature, where one was read), a tip that of front less back.
     if len(record.channels) == 1 and "elongation" in responses:
-        together = _lengthens(record, driven[0])
+        time, metres = samples(record, "elongation")
+        if not has_samples(record, f"{driven[0]}.temperature"):
+            together = _together(record, {driven[0]: 1.0}, "elongation")
+        else:
+            kelvin = np.interp(time, *samples(record, f"{driven[0]}.temperature"))
+            moves = np.ptp(kelvin) * np.ptp(metres)
+            together = float(np.corrcoef(kelvin, metres)[0, 1]) if moves else 0.0
         if together > _LENGTHENS:
             yield said("lengthens", "elongation", together=together)
-    if "deflection" in responses and (together := _leans(record, driven)) < -_LENGTHENS:
-        yield said("leans", "deflection", together=together)
+    if "deflection" in responses:
+        sides = {c: float(c.startswith("front")) - float(c.startswith("back")) for c in driven}
+        if (together := _together(record, sides, "deflection")) < -_LENGTHENS:
+            yield said("leans", "deflection", together=together)
     for channel in driven:
         if apart := _apart(record, channel):
-            yield said("apart", f"{channel}.voltage", apart=apart)
+            yield said("apart", volts[channel], apart=apart)
     for name in responses:
         kind, channel = kind_of(name), name.removesuffix(".temperature")
         if kind == "temperature" and channel not in driven:
             continue
         causes = [channel] if kind == "temperature" else driven
-        share = _explained(record, [f"{cause}.voltage" for cause in causes], name)
+        share = _explained(record, [volts[cause] for cause in causes], name)
         if share is None or share >= _EXPLAINED[kind]:
             continue
         facts = {"share": max(share, 0.0), "expected": _EXPLAINED[kind], "explained": share}
         if kind == "temperature":
-            reach = {c: float(np.ptp(samples(record, f"{c}.voltage")[1])) for c in driven}
-            others = {o: _explained(record, [f"{o}.voltage"], name) or 0.0 for o in driven}
+            others = {o: _explained(record, [volts[o]], name) or 0.0 for o in driven}
             other = max(others, key=lambda o: others[o])
             # A wire that is hardly driven is warmed by the others.
             if others[other] >= _EXPLAINED[kind] and reach[channel] > 0.5 * reach[other]:
@@ -374,27 +365,11 @@ def check_response(record: Record) -> Iterator[Finding]:
 
 def _heat(record: Record, voltage: str, grid: Array) -> Array:
     """Volts squared, held from reading to reading, on a grid (n,) s."""
-    stamps, volts = samples(record, voltage)
-    return volts[np.clip(np.searchsorted(stamps, grid, side="right") - 1, 0, None)] ** 2
+    return held_at(*samples(record, voltage), grid) ** 2
 
 
 def _lagged(course: Array, grid: Array, lag: float) -> Array:
     return first_order_lag(course, float(np.exp(-(grid[1] - grid[0]) / lag)))
-
-
-def _lengthens(record: Record, channel: str) -> float:
-    """Correlation of an elongation with the wire's temperature, or its heat where none was read."""
-    time, metres = samples(record, "elongation")
-    if not has_samples(record, f"{channel}.temperature"):
-        return _together(record, {channel: 1.0}, "elongation")
-    kelvin = np.interp(time, *samples(record, f"{channel}.temperature"))
-    return float(np.corrcoef(kelvin, metres)[0, 1]) if np.ptp(kelvin) * np.ptp(metres) else 0.0
-
-
-def _leans(record: Record, driven: list[str]) -> float:
-    """Correlation of the tip with the heat of the front's wires less that of the back's."""
-    sides = {c: float(c.startswith("front")) - float(c.startswith("back")) for c in driven}
-    return _together(record, sides, "deflection")
 
 
 def _together(record: Record, signs: dict[str, float], motion: str) -> float:
@@ -451,8 +426,8 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
         heat = _heat(record, name, grid)
         columns += [_lagged(heat, grid, lag) for lag in _LAGS]
     design = np.column_stack([c / max(float(np.abs(c).max()), 1e-12) for c in columns])
-    if not np.isfinite(design).all() or not np.isfinite(np.var(wanted)):
+    variance = float(np.var(wanted))
+    if not np.isfinite(design).all() or not np.isfinite(variance):
         return None  # readings that no bench has; LAPACK would write on the terminal
     residual = wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
-    unexplained = max(float(np.var(residual)) - noise, 0.0)
-    return 1.0 - unexplained / (float(np.var(wanted)) - noise)
+    return 1.0 - max(float(np.var(residual)) - noise, 0.0) / (variance - noise)

@@ -10,20 +10,8 @@ from sma_bench.arrays import IntArray
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.records.check import (
-    CLOCK_TOLERANCE,
-    DRIFT_TOLERANCE,
-    DROPS_OUT,
-    FEWEST,
-    against_voltage,
-    check_record,
-    check_response,
-    clipped_samples,
-    delays_of,
-    kind_of,
-    outliers,
-    said,
-)
+from sma_bench.records import check
+from sma_bench.records.check import FEWEST, check_response, kind_of, said
 from sma_bench.records.record import Record, Signal, as_calibrated
 
 _MOVED = 1.0  # s: a camera's picture may take as long on its way, with a right stamp
@@ -40,48 +28,41 @@ _STEADY, _TWO_CLOCKS = 0.95, 5
 
 @dataclass(frozen=True)
 class Prepared:
-    """Records as a model can be held to them.
+    """Records as a model can be held to them."""
 
-    Attributes:
-        records: put right; remarks: what that was, line by line.
-        doubted: quantities under suspicion; follows: of readings that do not follow the drive.
-    """
-
-    records: list[Record]
-    remarks: list[str]
-    doubted: set[str]
-    follows: list[Finding]
+    records: list[Record]  # put right
+    remarks: list[str]  # what that was, line by line
+    doubted: set[str]  # quantities under suspicion
+    follows: list[Finding]  # of readings that do not follow the drive
 
 
 def prepare(
     records: Sequence[Record], parameters: Parameters, quantities: Collection[str]
 ) -> Prepared:
     """Records mended and as their sensors are calibrated; `quantities` are to be compared."""
+    kind = load_kind(parameters)
     pairs = [mended(record, parameters) for record in records]
     whole = [as_calibrated(record, parameters) for record, _ in pairs]
     known = [(record, finding) for record, found in pairs for finding in found]
     known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
-    doubts = [
-        (r, f) for r in whole for f in under_suspicion(r)
-        if _compared(f.subject) in ("voltage", "range", *quantities)
-    ]
-    follows = [
-        (r, f) for r in whole for f in check_response(r)
-        if f.subject != "elongation" or load_kind(parameters) != "displacement"
-    ]
+    doubts = [(r, f) for r in whole for f in under_suspicion(r)
+              if _compared(f.subject) in ("voltage", "range", *quantities)]  # fmt: skip
+    follows = [(r, f) for r in whole for f in check_response(r)
+               if f.subject != "elongation" or kind != "displacement"]  # fmt: skip
     sound = [comparable(record, [f for r, f in follows if r is record]) for record in whole]
     less = [(r, f) for r, (_, found) in zip(whole, sound, strict=True) for f in found]
-    whole = [record for record, _ in sound]
-    if load_kind(parameters) == "force":  # the weight is the model's; a load cell holds it as it is
-        whole = [
-            replace(r, signals={n: s for n, s in r.signals.items() if n != "force"}) for r in whole
-        ]
+    # The weight is the model's; a load cell holds it as it is.
+    kept = [_kept(r, ["force"] if kind == "force" else []) for r, _ in sound]
     remarked = (*known, *doubts, *follows, *less)
-    return Prepared(
-        whole, [f"{record.path.name}: {f.subject}: {f.text}" for record, f in remarked],
-        {_compared(finding.subject) for _, finding in doubts},
-        [replace(f, subject=f"{record.path}, {f.subject}") for record, f in follows],
-    )
+    remarks = [f"{record.path.name}: {f.subject}: {f.text}" for record, f in remarked]
+    doubted = {_compared(finding.subject) for _, finding in doubts}
+    about = [replace(f, subject=f"{record.path}, {f.subject}") for record, f in follows]
+    return Prepared(kept, remarks, doubted, about)
+
+
+def _kept(record: Record, without: Collection[str]) -> Record:
+    """The record without some signals."""
+    return replace(record, signals={n: s for n, s in record.signals.items() if n not in without})
 
 
 def _compared(name: str) -> str:
@@ -96,16 +77,16 @@ def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, lis
     many these were. A current is left as it is, for its source may hold it."""
     kept, left_out = dict(record.signals), []
     others = {f.subject for f in findings if "follows" in f.numbers}
+    ended = (*check.DROPS_OUT, "elongation", "force")
     for name, signal in record.signals.items():
-        values, kind = signal.values, kind_of(name)
-        which = np.arange(len(signal) if name in others else 0)
-        if kind in (*DROPS_OUT, "elongation", "force") and len(values) and np.ptp(values) > 0.0:
+        values, which = signal.values, np.arange(len(signal) if name in others else 0)
+        if kind_of(name) in ended and len(values) and np.ptp(values) > 0.0:
             for extreme in (float(values.max()), float(values.min())):
-                which = np.union1d(which, clipped_samples(record, signal, extreme))
+                which = np.union1d(which, check.clipped_samples(record, signal, extreme))
         if len(which):
             kept[name] = _without(signal, which.astype(np.intp))
             left_out.append(said("not_compared", name, count=len(which)))
-    return replace(record, signals={n: s for n, s in kept.items() if n not in others}), left_out
+    return _kept(replace(record, signals=kept), others), left_out
 
 
 def _published_again(signal: Signal) -> IntArray:
@@ -121,8 +102,7 @@ def _published_again(signal: Signal) -> IntArray:
     # Whole multiples, as a sensor may read the same twice; of two clocks now and then one more.
     usual = int(np.quantile(times, 0.1, method="lower"))
     off = np.abs(times - usual * np.rint(times / usual)) > (usual >= _TWO_CLOCKS)
-    steady = usual > 1 and np.mean(~off) > _STEADY
-    if not steady:
+    if usual <= 1 or np.mean(~off) <= _STEADY:
         return none
     # A stretch of one value is so many readings, the first of which come in even parts of it.
     begins = np.append(0, new + 1)
@@ -133,9 +113,7 @@ def _published_again(signal: Signal) -> IntArray:
     return np.flatnonzero((np.diff(part) == 0.0) & (np.diff(stretch) == 0)) + 1
 
 
-def mended(
-    record: Record, parameters: Parameters | None = None
-) -> tuple[Record, list[Finding]]:
+def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
     constant time off the drive's, over a second behind or ahead of their messages, are moved onto
     it, by when the recorder got these, currents that run against their voltage are turned, and
@@ -143,70 +121,56 @@ def mended(
     scatter, are left out. Of a bench with these parameters a motion against the heat is turned
     too. What a machine imposes, and a voltage, may be held for long."""
     is_imposed = parameters is not None and load_kind(parameters) == "displacement"
-    imposed = ["elongation"] if is_imposed else []
+    imposed = "elongation" if is_imposed else ""
     moved: dict[str, Signal] = {}
     found: list[Finding] = []
     for name, signal in record.signals.items():
-        if name.endswith(".current") and (share := against_voltage(record, signal)):
+        if name.endswith(".current") and (share := check.against_voltage(record, signal)):
             moved[name] = signal = replace(signal, values=-signal.values)
             found.append(said("turned", name, share=share))
-        held = name in imposed or kind_of(name).startswith("voltage")
+        held, unit = name == imposed or kind_of(name).startswith("voltage"), signal.unit
         if not held and len(again := _published_again(signal)):
             times = len(signal) / (len(signal) - len(again))
             moved[name] = signal = _without(signal, again)
             found.append(said("again", name, times=times))
-        if len(off := outliers(signal)):
-            shown = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
+        if len(off := check.outliers(signal)):
+            values = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))
             moved[name] = signal = _without(signal, off)
-            facts = {"values": shown, "unit": signal.unit}
-            found.append(said("left_out", name, outliers=len(off), **facts))
+            found.append(said("left_out", name, outliers=len(off), values=values, unit=unit))
         if signal.std is None or len(signal) < FEWEST:
             continue
         stated = float(np.median(signal.std))
         scatter = float(np.median(np.abs(np.diff(signal.values, 2)))) / 0.6745 / np.sqrt(6.0)
         if 0.0 < stated < _BELIEVED * scatter:
             moved[name] = replace(signal, std=None)
-            facts = {"scatter": scatter, "unit": signal.unit}
-            found.append(said("understated", name, stated=stated, **facts))
-    delays = delays_of(record)
+            found.append(said("understated", name, stated=stated, scatter=scatter, unit=unit))
+    delays = check.delays_of(record)
     drive = next((n for n in delays if n.endswith(".voltage")), None)
     for name, (delay, growth) in delays.items() if drive else ():
         late = delay - delays[str(drive)][0]
-        is_off = late > _MOVED or late < -CLOCK_TOLERANCE
-        if is_off and abs(growth) < DRIFT_TOLERANCE:
+        is_off = late > _MOVED or late < -check.CLOCK_TOLERANCE
+        if is_off and abs(growth) < check.DRIFT_TOLERANCE:
             own = moved.get(name, record.signals[name])
             moved[name] = replace(own, time=own.time + late)
             found.append(said("clock_moved", name, offset=late, drive=drive))
     record = replace(record, signals=record.signals | moved)
-    if parameters is not None:
-        record, turned = _turned(record, parameters, imposed)
-        found += turned
-    return record, found
-
-
-def _turned(
-    record: Record, parameters: Parameters, imposed: Sequence[str]
-) -> tuple[Record, list[Finding]]:
-    """The record with motions that run against the heat turned; a wire that stays below A_s grows
-    as everything does that is heated."""
-    found, reach = [], _TRANSFORMS * parameters["wire.length"]
+    if parameters is None:
+        return record, found
+    # A wire that stays below A_s grows as everything does that is heated.
+    turned, reach = dict(record.signals), _TRANSFORMS * parameters["wire.length"]
     for against in check_response(record):
         name = against.subject
-        if "together" not in against.numbers or name in imposed:
+        if "together" not in against.numbers or name == imposed:
             continue
-        signal = record[name]
-        if name != "elongation" or np.ptp(signal.values) > reach:
-            signal = replace(signal, values=-signal.values)
-            record = replace(record, signals=record.signals | {name: signal})
+        if name != "elongation" or np.ptp(record[name].values) > reach:
+            turned[name] = replace(turned[name], values=-turned[name].values)
             found.append(said("turned_tip", name, together=against.numbers["together"]))
-    return record, found
+    return replace(record, signals=turned), found
 
 
 def _without(signal: Signal, which: IntArray) -> Signal:
-    left: dict[str, Any] = {
-        field: np.delete(values, which) for field in ("time", "values", "received", "std")
-        if (values := getattr(signal, field)) is not None
-    }
+    held = {field: getattr(signal, field) for field in ("time", "values", "received", "std")}
+    left: dict[str, Any] = {f: np.delete(v, which) for f, v in held.items() if v is not None}
     return replace(signal, **left)
 
 
@@ -214,7 +178,7 @@ def under_suspicion(record: Record) -> Iterator[Finding]:
     """Signals whose readings are not what they seem: clipped, of two values, on a clock that
     drifts, jumps or lies off the others'. The subject is the signal's name."""
     by_topic = {s.topic: n for n, s in record.signals.items() if s.topic}
-    for finding in check_record(record):
+    for finding in check.check_record(record):
         if finding.severity != "info" and _SUSPECT & set(finding.numbers):
             name = by_topic.get(finding.subject, finding.subject)
             if name in record.signals:
@@ -231,8 +195,8 @@ def under_suspicion(record: Record) -> Iterator[Finding]:
         up = values > values.min() + 0.5 * span
         near = np.abs(values - np.where(up, values.max(), values.min())) < _NEAR * span
         turns = np.flatnonzero(up[1:] != up[:-1])
+        if near.mean() < _SHARE or len(turns) < _TURNS:
+            continue
         held = np.diff(turns)  # samples, of the two levels in turn
-        if near.mean() >= _SHARE and len(turns) >= _TURNS and (
-            min(np.median(held[::2]), np.median(held[1::2])) < _BRIEF
-        ):
+        if min(np.median(held[::2]), np.median(held[1::2])) < _BRIEF:
             yield said("two_valued", name, turns=len(turns), levels=2.0)

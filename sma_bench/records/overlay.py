@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from sma_bench.arrays import Array
 from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.records.record import Record, samples
@@ -13,7 +14,6 @@ from sma_bench.records.record import Record, samples
 _STEP = 0.02  # s, of the voltages that are aligned; longer in long records
 _MOST_STEPS = 100_000
 _SAME_DRIVE = 0.9  # cosine of two drives that are the same
-_ON_PAPER = {"m": ("mm", 1e3)}
 
 
 @dataclass(frozen=True)
@@ -29,13 +29,12 @@ class Difference:
     at: float
     share: float
 
-    def cells(self) -> tuple[str, str, str, str, str, str]:
+    def cells(self) -> tuple[str, ...]:
         """As text: signal, record, rms, largest with its time, and the share."""
-        unit, factor = _ON_PAPER.get(self.unit, (self.unit, 1.0))
+        unit, factor = ("mm", 1e3) if self.unit == "m" else (self.unit, 1.0)
         rms, worst = f"{factor * self.rms:.3g} {unit}", f"{factor * self.worst:+.3g} {unit}"
-        return (
-            self.signal, self.record, rms, worst, f"{self.at:.2f} s", f"{100.0 * self.share:.2g} %"
-        )
+        at, share = f"{self.at:.2f} s", f"{100.0 * self.share:.2g} %"
+        return self.signal, self.record, rms, worst, at, share
 
 
 HEADER = ("signal", "record", "rms", "worst", "at", "rms over range")
@@ -61,40 +60,28 @@ class Overlay(Drawn):
         return "\n".join([*lines, *self.remarks])
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "records": {name: str(record.path) for name, record in self.records.items()},
-            "shifts": self.shifts, "differences": [asdict(d) for d in self.differences],
-            "remarks": list(self.remarks),
-        }
+        paths = {name: str(record.path) for name, record in self.records.items()}
+        found, remarks = [asdict(d) for d in self.differences], list(self.remarks)
+        return {"records": paths, "shifts": self.shifts, "differences": found, "remarks": remarks}
 
 
 def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
-    """Lay records over the first one.
-
-    Their clocks are shifted so that the voltages coincide; those named in `aligned` are on the
-    first one's clock already, and those whose drive is another stay as they are.
-
-    Raises InputError: fewer than two records, or no signal that two of them share.
-    """
+    """Lay records over the first one: their clocks are shifted so that the voltages coincide, but
+    for those named in `aligned`, which are on its clock already, and those whose drive is another.
+    Raises InputError: fewer than two records, or no signal that two of them share."""
     if len(records) < 2:
         raise InputError(f"compare: {len(records)} record or model given, expected two or more")
     first, *others = records
-    shifts, remarks = {first: 0.0}, []
-    for name in others:
-        shift = 0.0 if name in aligned else _shift(records[first], records[name])
-        shifts[name] = shift or 0.0
+    shifts, shifted, remarks = dict[str, float](), dict[str, Record](), []
+    for name, record in records.items():
+        shift = 0.0 if name in (first, *aligned) else _shift(records[first], record)
+        shifts[name] = by = shift or 0.0
+        signals = {n: replace(s, time=s.time + by) for n, s in record.signals.items()}
+        markers = tuple((time + by, text) for time, text in record.markers)
+        shifted[name] = replace(record, signals=signals, markers=markers)
         if shift is None:
-            remarks.append(
-                f"{name}: no drive in common with {first}; both clocks count from their start"
-            )
-    shifted = {
-        name: replace(
-            record,
-            signals={n: replace(s, time=s.time + shifts[name]) for n, s in record.signals.items()},
-            markers=tuple((time + shifts[name], text) for time, text in record.markers),
-        )
-        for name, record in records.items()
-    }
+            text = f"no drive in common with {first}; both clocks count from their start"
+            remarks.append(f"{name}: {text}")
 
     # Differences at the first record's samples, where the other has values at the same time.
     found = []
@@ -104,8 +91,7 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
             own = [record.get(name) for record in pair]
             if not all(s and s.values.ndim == 1 and np.isfinite(s.values).any() for s in own):
                 continue
-            time, values = samples(pair[0], name)
-            their_time, their_values = samples(pair[1], name)
+            (time, values), (their_time, their_values) = (samples(r, name) for r in pair)
             inside = (time >= their_time[0]) & (time <= their_time[-1])
             if not inside.any():
                 continue
@@ -113,8 +99,7 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
             worst = int(np.argmax(np.abs(left)))
             rms, span = float(np.sqrt(np.mean(left**2))), float(np.ptp(values))
             share = rms / span if span > 0.0 else float(rms > 0.0)
-            largest, at = float(left[worst]), float(time[inside][worst])
-            unit = pair[0][name].unit
+            unit, largest, at = pair[0][name].unit, float(left[worst]), float(time[inside][worst])
             found.append(Difference(name, unit, where, rms, largest, at, share))
     if not found:
         raise InputError(f"compare: {', '.join(records)} share no signal at any time")
@@ -125,21 +110,21 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
 def _shift(first: Record, other: Record) -> float | None:
     """s to add to the other's times, by which its voltages lie on those of the first; None where
     they are not the same drive."""
-    pair = (first, other)
+    def is_driven(record: Record, name: str) -> bool:
+        held = record.get(name)
+        return held is not None and bool(np.nanmax(np.abs(held.values), initial=0.0))
+
+    def on_grid(record: Record) -> Array:
+        return np.stack([np.interp(grid, *samples(record, n), left=0.0, right=0.0) for n in names])
+
     names = [f"{channel}.voltage" for channel in first.channels]
-    names = [
-        name for name in names
-        if all(name in r.signals and np.nanmax(np.abs(r[name].values), initial=0.0) for r in pair)
-    ]
+    names = [name for name in names if is_driven(first, name) and is_driven(other, name)]
     if not names:
         return None
     longest = max(first.duration, other.duration)
     step = max(_STEP, longest / _MOST_STEPS)
     grid = np.arange(0.0, longest + step, step)
-    one, two = (
-        np.stack([np.interp(grid, *samples(record, name), left=0.0, right=0.0) for name in names])
-        for record in pair
-    )
+    one, two = on_grid(first), on_grid(other)
     size = 2 * len(grid)
     spectrum = np.fft.rfft(one, size) * np.conj(np.fft.rfft(two, size))
     product = np.fft.irfft(spectrum, size).sum(axis=0)

@@ -39,10 +39,8 @@ class Signal:
 
     def __post_init__(self) -> None:
         if self.time.ndim != 1 or len(self.values) != len(self.time):
-            raise InputError(
-                f"signal {self.name}: values of shape {self.values.shape} on times of shape "
-                f"{self.time.shape}, expected one value for each time"
-            )
+            shapes = f"values of shape {self.values.shape} on times of shape {self.time.shape}"
+            raise InputError(f"signal {self.name}: {shapes}, expected one value for each time")
 
     def __len__(self) -> int:
         return len(self.time)
@@ -104,28 +102,21 @@ class Record(Drawn):
         return max((float(s.time[-1]) for s in self.signals.values() if len(s)), default=0.0)
 
 
-def fingerprint(record: Record) -> bytes:
-    """Hash of what was recorded, whatever the file, storage or compression it lies in."""
-    found = sha256()
-    for name, signal in sorted(record.signals.items()):
-        found.update(name.encode())
-        found.update(np.ascontiguousarray(signal.time).tobytes())
-        found.update(np.ascontiguousarray(signal.values).tobytes())
-    return found.digest()
-
-
 def require_distinct(records: Sequence[Record], hold_out: Sequence[Record] = ()) -> None:
-    """InputError where two hold the same samples: one run that counts twice seems surer than it is,
-    and one that is fitted shows nothing of what a model predicts."""
+    """InputError where two hold the same samples, whatever their files: one run that counts twice
+    seems surer than it is, and one that is fitted shows nothing of what a model predicts."""
     paths: dict[bytes, Path] = {}
     for index, record in enumerate((*records, *hold_out)):
-        if path := paths.get(own := fingerprint(record)):
+        held = sha256()
+        for name, signal in sorted(record.signals.items()):
+            held.update(name.encode() + signal.time.tobytes() + signal.values.tobytes())
+        if path := paths.get(held.digest()):
             text = "; give the run once"
             if index >= len(records):
                 text = ", which is fitted too; a hold-out must be of a run that no fit sees"
             raise InputError(f"{record.path}: holds the samples of {path}{text}")
         if index < len(records):
-            paths[own] = record.path
+            paths[held.digest()] = record.path
 
 
 def samples(record: Record, name: str) -> tuple[Array, Array]:
@@ -189,12 +180,10 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
     # The numbered columns of the command, put side by side.
     named = {name: given for name, given in columns.items() if name != TIME}
     found = [(int(n[1]), name) for name in named if (n := _COMMAND_COLUMN.match(str(name)))]
-    if found:
-        parts = [floats(name, named.pop(name)) for _, name in sorted(found)]
+    if parts := [floats(name, named.pop(name)) for _, name in sorted(found)]:
         named[_COMMAND] = np.column_stack(parts)
 
-    signals: dict[str, Signal] = {}
-    findings = []
+    signals, findings = dict[str, Signal](), []
     for name, given in named.items():
         unit = unit_of(name)
         if unit is None:
@@ -206,10 +195,8 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
         seconds, numbers = floats(TIME, time), floats(name, values)
         flat = 1 if name != _COMMAND else numbers.ndim
         if seconds.ndim != 1 or numbers.ndim != flat or len(numbers) != len(seconds):
-            raise InputError(
-                f"{where}: {name} has shape {numbers.shape} on times of shape {seconds.shape}, "
-                "expected one value for each time"
-            )
+            shapes = f"has shape {numbers.shape} on times of shape {seconds.shape}"
+            raise InputError(f"{where}: {name} {shapes}, expected one value for each time")
         missing = np.isnan(numbers if numbers.ndim == 1 else numbers[:, 0])
         seconds, numbers = seconds[~missing], numbers[~missing]
         backward = np.flatnonzero(~(np.diff(seconds) > 0.0))
@@ -253,9 +240,7 @@ def frame_from_record(record: Record) -> Any:
     the union of all clocks, s since the record's start; where a signal has no sample there is NaN,
     so `record_from_frame` gives the same signals back. The columns of `voltage_command` are
     numbered. Raises InputError: pandas is not installed."""
-    pandas = require_pandas()
-    columns: dict[str, Any] = {}
-    units = {}
+    pandas, columns, units = require_pandas(), dict[str, Any](), dict[str, str]()
     for name, signal in record.signals.items():
         is_wide = signal.values.ndim > 1
         for k, column in enumerate(signal.values.T if is_wide else [signal.values]):
@@ -263,8 +248,7 @@ def frame_from_record(record: Record) -> Any:
             columns[title] = pandas.Series(column, index=signal.time)
             units[title] = signal.unit
     frame = pandas.DataFrame(columns)
-    frame.index.name = TIME
-    frame.attrs["units"] = units
+    frame.index.name, frame.attrs["units"] = TIME, units
     return frame
 
 
@@ -273,9 +257,8 @@ def require_pandas() -> Any:
     try:
         import pandas
     except ModuleNotFoundError:
-        raise InputError(
-            "pandas is not installed: pip install pandas (Ubuntu: apt install python3-pandas)"
-        ) from None
+        how = "pip install pandas (Ubuntu: apt install python3-pandas)"
+        raise InputError(f"pandas is not installed: {how}") from None
     return pandas
 
 
@@ -296,16 +279,14 @@ def drive_of(
         return bench, time, volts, None
     moments, metres = imposed_elongation(record)
     both = np.union1d(time, moments[(moments > time[0]) & (moments < time[-1])])
-    volts = volts[np.searchsorted(time, both, side="right") - 1]
-    return bench, both, volts, np.interp(both, moments, metres)
+    return bench, both, held_at(time, volts, both), np.interp(both, moments, metres)
 
 
 def imposed_elongation(record: Record) -> tuple[Array, Array]:
     """Time (n,) s and elongation (n,) m of a testing machine. InputError: the record has none."""
     if not has_samples(record, "elongation"):
-        raise InputError(
-            f"{record.path}: no elongation, expected the imposed one with load.kind displacement"
-        )
+        text = "no elongation, expected the imposed one with load.kind displacement"
+        raise InputError(f"{record.path}: {text}")
     return samples(record, "elongation")
 
 
@@ -318,8 +299,8 @@ def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float
     if drive not in SOURCES or (is_measured and drive == "current"):
         return record, 0.0
     signals, ohms = dict(record.signals), ohms_of_source(parameters)
-    for name in [f"{c}.current" for c in record.channels if f"{c}.current" in signals]:
-        own, volts = signals.pop(name), name.replace(".current", ".voltage")
+    for channel in (c for c in record.channels if f"{c}.current" in record.signals):
+        own, volts = signals.pop(f"{channel}.current"), f"{channel}.voltage"
         values = ohms * own.values
         if drive == "power":
             if not has_samples(record, volts):
@@ -375,29 +356,25 @@ def held_voltages(record: Record, channels: Sequence[str]) -> tuple[Array, Array
     """Measured voltages of all channels, each held until its next sample. `channels`: in the order
     of bench.channels. Returns time (n,) s, the union of the channels' stamps, and voltage (n, w) V.
     Raises InputError: the record lacks the voltage of a channel."""
-    require_channels(
-        record, channels, [c for c in record.channels if f"{c}.voltage" in record.signals]
-    )
+    driven = [c for c in record.channels if f"{c}.voltage" in record.signals]
+    require_channels(record, channels, driven)
     signals = [record[f"{channel}.voltage"] for channel in channels]
     time = np.unique(np.concatenate([signal.time for signal in signals]))
-    held = [
-        signal.values[np.maximum(np.searchsorted(signal.time, time, side="right") - 1, 0)]
-        for signal in signals
-    ]
-    return time, np.stack(held, axis=1)
+    return time, np.stack([held_at(s.time, s.values, time) for s in signals], axis=1)
+
+
+def held_at(time: Array, values: Array, at: Array) -> Array:
+    """Values (n,) or (n, w) of times (n,) s, each held until the next, at other times (m,) s."""
+    return values[np.maximum(np.searchsorted(time, at, side="right") - 1, 0)]
 
 
 def require_channels(record: Record, channels: Sequence[str], driven: Sequence[str]) -> None:
     """InputError where a channel of the parameters is none of the record's that have voltages; the
     line says which rig either is of."""
-    missing = [channel for channel in channels if channel not in driven]
-    if not missing:
-        return
-    text = (
-        f"{record.path}: no voltage of channel {missing[0]}: the parameters are of a bench of "
-        f"{', '.join(channels)}, the record of one of {', '.join(driven) or 'no channel'}"
-    )
-    fitting = {1: "wire", 4: "composite"}.get(len(driven))
-    if fitting and len(driven) != len(channels):
-        text += f"; expected parameters as those of config/{fitting}_rig.yaml"
-    raise InputError(text)
+    for missing in (channel for channel in channels if channel not in driven):
+        own, theirs = ", ".join(channels), ", ".join(driven) or "no channel"
+        text = f"the parameters are of a bench of {own}, the record of one of {theirs}"
+        fitting = {1: "wire", 4: "composite"}.get(len(driven))
+        if fitting and len(driven) != len(channels):
+            text += f"; expected parameters as those of config/{fitting}_rig.yaml"
+        raise InputError(f"{record.path}: no voltage of channel {missing}: {text}")
