@@ -58,27 +58,21 @@ class _Samples:
 
 
 def read_record(path: str | Path, namespace: str | None = None) -> Record:
-    """Read a rosbag2 folder, or one of its storage files, into named signals.
+    """Read a rosbag2 folder (or an .mcap or .db3 file, zstd-compressed or not) into named signals.
 
     Time is `header.stamp`, in s since the first stamp of the record; the receive time only for
     topics without stamps, brought onto the clock of those that have them. Signals hold what was
     measured: NaN is left out, temperatures are in K. Messages are sorted by stamp, and of several
     with one stamp the first is kept. Whatever was lost, left out or put in order is in
-    `Record.findings`.
-
-    `path`: folder with metadata.yaml, or an .mcap or .db3 file, zstd-compressed or not;
-    `namespace`: look only at topics below this namespace. Raises InputError: no bag, nothing
-    readable in it, two topics for one meaning, or a topic of the bench with another type than the
-    contract's.
-    """
-    path = Path(path)
-    bag = read_storage(
-        path, lambda n, t: contract.inside(n, namespace) and contract.is_decoded(n, t)
-    )
+    `Record.findings`. `namespace`: look only at topics below it. Raises InputError: no bag, nothing
+    readable in it, two topics for one meaning, or a topic of the bench of another type than the
+    contract's."""
+    path, inside = Path(path), contract.inside
+    bag = read_storage(path, lambda n, t: inside(n, namespace) and contract.is_decoded(n, t))
     found = list(bag.topics.values())
 
     # Topics that carry a meaning of the contract become columns, on one clock.
-    counts = {(t.name, t.type): t.count for t in found if contract.inside(t.name, namespace)}
+    counts = {(t.name, t.type): t.count for t in found if inside(t.name, namespace)}
     chosen, remarks = contract.choose_topics(str(path), counts)
     bag.findings += remarks
     decoded: dict[str, _Samples] = {}
@@ -99,12 +93,11 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     made: dict[str, list[str]] = {}
     for meaning, samples in decoded.items():
         if samples.type == contract.STRING:
-            texts = samples.columns["data"].tolist()
-            if len(texts) > _MOST_MARKERS:
+            times, texts = ((samples.stamp - start) / 1e9).tolist(), samples.columns["data"]
+            markers = tuple(zip(times, texts.tolist(), strict=True))[:_MOST_MARKERS]
+            if len(texts) > len(markers):
                 text = f"{len(texts)} markers, the first {_MOST_MARKERS} are kept"
                 bag.remark(samples.topic, text)
-            times = ((samples.stamp - start) / 1e9).tolist()
-            markers = tuple(zip(times, texts, strict=True))[:_MOST_MARKERS]
             continue
         for signal in _signals(meaning, samples, start, bag):
             signals[signal.name] = signal
@@ -128,9 +121,8 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
     OverBudget: they ask for more than such a topic may."""
     budget, is_stamped = bag.budget, raw.type not in contract.HEADERLESS
     decompress_messages(raw, budget)
-    n, received = len(raw.times), np.array(raw.times, dtype=np.int64)
-    samples = _Samples(raw.name, raw.type, received.copy(), received, is_stamped)
-    lengths = np.array(raw.lengths, dtype=np.int64)
+    received, lengths = (np.array(v, dtype=np.int64) for v in (raw.times, raw.lengths))
+    n, samples = len(received), _Samples(raw.name, raw.type, received.copy(), received, is_stamped)
     batches = list(decode(raw.data, lengths, raw.type, budget))
 
     # The numbers or texts of the messages, NaN or empty where one has none.
@@ -167,17 +159,15 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
     # What was decoded, has a possible stamp, and is whole where it is a command.
     def keep(rows: Mask, what: str) -> None:
         if dropped := int(np.count_nonzero(~rows)):
-            text = f"{dropped} of {len(rows)} messages {what}"
-            bag.remark(raw.name, text, messages=dropped)
+            bag.remark(raw.name, f"{dropped} of {len(rows)} messages {what}", messages=dropped)
             samples.keep(rows)
 
     valid = np.zeros(n, dtype=bool)
     for batch in batches:
         valid[batch.rows] = True
         if is_stamped:
-            seconds, nanoseconds = (
-                batch.columns[f"stamp.{part}"][:, 0].astype(np.int64) for part in ("sec", "nanosec")
-            )
+            stamp = (batch.columns[f"stamp.{part}"][:, 0] for part in ("sec", "nanosec"))
+            seconds, nanoseconds = (part.astype(np.int64) for part in stamp)
             samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
             valid[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
     keep(valid, "cannot be decoded and are left out")
@@ -215,10 +205,8 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
         for samples in (s for s in decoded if not s.is_stamped):
             at = (samples.received - zero).astype(np.float64)
             samples.stamp = samples.received - np.interp(at, known, ahead).astype(np.int64)
-            text = (
-                f"receive times are {offset * 1e-9:.3f} s off the stamps of {reference.topic}; "
-                "this topic without stamps was moved onto their clock"
-            )
+            off = f"receive times are {offset * 1e-9:.3f} s off the stamps of {reference.topic}"
+            text = f"{off}; this topic without stamps was moved onto their clock"
             bag.remark(samples.topic, text, offset=offset * 1e-9)
     for samples in decoded:
         if backward := int(np.count_nonzero(np.diff(samples.stamp) < 0)):
@@ -261,11 +249,11 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
         bag.remark(samples.topic, "no joint is called tip or wire; absent")
     if kind == "range":  # REP-117; all are kept, being what the sensor said
         found, low, high = (columns[name] for name in ("range", "min_range", "max_range"))
-        outside = np.isfinite(found) & ((found < low) | (found > high))
-        for what, rows in (
-            ("-Inf (too close)", np.isneginf(found)), ("+Inf (no target)", np.isposinf(found)),
-            ("outside min_range..max_range", outside),
-        ):
+        remarkable = {
+            "-Inf (too close)": np.isneginf(found), "+Inf (no target)": np.isposinf(found),
+            "outside min_range..max_range": np.isfinite(found) & ((found < low) | (found > high)),
+        }
+        for what, rows in remarkable.items():
             if count := int(np.count_nonzero(rows)):
                 text = f"{count} of {len(found)} distances are {what}; kept"
                 bag.remark(samples.topic, text, count=count)
@@ -380,8 +368,7 @@ def _find_layout(blob: bytes, msgtype: str) -> _Layout:
         if kind in ("string", "text", "dim"):
             found = []
             for _ in range(guarded_count(_MOST_TEXTS) if many else 1):
-                length = guarded_count(_LONGEST_TEXT)
-                start = step(1, length)
+                start = step(1, guarded_count(_LONGEST_TEXT))
                 if kind == "text":
                     content = blob[start:position]
                     layout.guards.append((start, content))
@@ -425,8 +412,7 @@ def decode(
             columns: dict[str, NDArray[np.generic]] = {}
             for name, (offset, kind, count) in layout.columns.items():
                 part = matrix[some[alike], offset : offset + count * int(kind[2])]
-                numbers = np.ascontiguousarray(part).view(kind)
-                columns[name] = numbers.reshape(len(part), count)
+                columns[name] = np.ascontiguousarray(part).view(kind).reshape(len(part), count)
             yield Batch(rows[some[alike]], columns, layout.texts)
             remaining = remaining[1:] if len(some) == 1 else remaining[~alike]
 

@@ -1,5 +1,4 @@
-"""Writes bags: message by message, readable whenever the writer dies, and signals by the contract.
-"""
+"""Writes bags, message by message, readable whenever the writer dies, and signals by contract."""
 
 import errno
 import json
@@ -7,12 +6,12 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from math import inf
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -38,16 +37,14 @@ _LATEST_STAMP = 2**31  # s after 1970
 _NAN = float("nan")
 
 
-class BagWriter:
-    """An mcap bag that grows while it is recorded.
+class BagWriter(AbstractContextManager["BagWriter"]):
+    """An mcap bag that grows while it is recorded, from several threads if need be.
 
     Messages go into chunks; a chunk is closed and handed to the operating system every half
     second while messages come in, and by `flush`, which a recorder calls from a timer so that the
-    last messages before a silence are safe too. metadata.yaml is there from the start and kept up
-    with every flush. A killed bag lacks its index: `read_record` (and `mcap recover`) read it.
-    Methods may be called from several threads. Raises InputError: the path exists, cannot be made,
-    or (while writing) the disk is full. What was written until then stays readable.
-    """
+    last messages before a silence are safe too. metadata.yaml is kept up with every flush. A killed
+    bag lacks its index: `read_record` (and `mcap recover`) read it. Raises InputError: the path
+    exists, cannot be made, or the disk is full; what was written until then stays readable."""
 
     def __init__(
         self, path: str | Path, flush_every: float = _FLUSH_EVERY,
@@ -76,7 +73,6 @@ class BagWriter:
             except FileExistsError:
                 raise InputError(f"{self.path}: {_EXISTS}") from None
             self._file = (self.path / f"{self.path.name}.mcap").open("xb")
-        with self._disk():
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
             self._writer.start("ros2")
             self.flush()
@@ -89,18 +85,17 @@ class BagWriter:
         """Announce a topic, `sensor_msgs/msg/Temperature` say; again is harmless. Raises
         InputError: the type is not one of ROS 2 Jazzy, or not the topic's."""
         with self._lock, self._disk():
+            known = self._topics.get(topic, {"type": msgtype})["type"]
+            if known != msgtype:
+                raise InputError(f"topic {topic}: type {msgtype}, expected {known}")
             if topic in self._topics:
-                known = self._topics[topic]["type"]
-                if known != msgtype:
-                    raise InputError(f"topic {topic}: type {msgtype}, expected {known}")
                 return
             if msgtype not in TYPES.fielddefs:
                 raise InputError(f"topic {topic}: unknown message type {msgtype}")
-            if msgtype not in self._schemas:
+            if (schema := self._schemas.get(msgtype)) is None:
                 text, _ = TYPES.generate_msgdef(msgtype, ros_version=2)
-                number = self._writer.register_schema(msgtype, "ros2msg", text.encode())
-                self._schemas[msgtype] = number
-            schema = self._schemas[msgtype]
+                schema = self._writer.register_schema(msgtype, "ros2msg", text.encode())
+                self._schemas[msgtype] = schema
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
             self._topics[topic] = {
                 "name": topic, "type": msgtype, "serialization_format": "cdr",
@@ -144,9 +139,6 @@ class BagWriter:
                 self._write_metadata()
             self._ended = InputError(f"{self.path}: closed, expected an open bag to write to")
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         with suppress(InputError) if kind is not None else nullcontext():
             self.close()
@@ -166,25 +158,26 @@ class BagWriter:
             raise self._ended from None
 
     def _write_metadata(self) -> None:
-        start = {"nanoseconds_since_epoch": self._first if self._counts else 0}
-        duration = {"nanoseconds": self._last - self._first if self._counts else 0}
-        file = f"{self.path.name}.mcap"
-        topics = [
-            {"topic_metadata": dict(topic), "message_count": self._counts[name]}
-            for name, topic in self._topics.items()
-        ]
-        about_file = {"path": file, "starting_time": dict(start), "duration": dict(duration)}
+        first, last = (self._first, self._last) if self._counts else (0, 0)
+        file, count, topics = f"{self.path.name}.mcap", self.count, self._topics.items()
         information = {
-            "version": 9, "storage_identifier": "mcap", "duration": duration,
-            "starting_time": start, "message_count": self.count,
-            "topics_with_message_count": topics, "compression_format": "", "compression_mode": "",
-            "relative_file_paths": [file], "files": [{**about_file, "message_count": self.count}],
+            "version": 9, "storage_identifier": "mcap", "duration": {"nanoseconds": last - first},
+            "starting_time": {"nanoseconds_since_epoch": first}, "message_count": count,
+            "topics_with_message_count": [
+                {"topic_metadata": about, "message_count": self._counts[name]}
+                for name, about in topics
+            ],
+            "compression_format": "", "compression_mode": "", "relative_file_paths": [file],
+            "files": [{
+                "path": file, "starting_time": {"nanoseconds_since_epoch": first},
+                "duration": {"nanoseconds": last - first}, "message_count": count,
+            }],
             "custom_data": self._custom_data or None, "ros_distro": "jazzy",
         }
         text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
-        beside = self.path / f"{METADATA}.new"
-        beside.write_text(text, encoding="utf-8")
-        beside.replace(self.path / METADATA)
+        new = self.path / f"{METADATA}.new"
+        new.write_text(text, encoding="utf-8")
+        new.replace(self.path / METADATA)
 
 
 def write_record(
@@ -194,19 +187,16 @@ def write_record(
     report: Report = silent, replace: bool = False,
 ) -> None:
     """Write a record, or signals (by name or a sequence), as a bag in a new folder, which appears
-    whole or not at all; the same signals give the same bytes.
-
-    Signals that share a message type and place (voltage and current of a wire) share messages;
-    where their times differ the other one is NaN, that is not measured. Voltage, current and range
-    are 32-bit on the wire: about 7 digits.
+    whole or not at all; the same signals give the same bytes. Signals that share a message type and
+    place (voltage and current of a wire) share messages; where their times differ the other one is
+    NaN, not measured. Voltage, current and range are 32-bit on the wire: about 7 digits.
 
     `start_ns`: epoch time of t = 0, else the record's own or 0; `markers`: (time in s, text), added
     to the record's own; `provenance`: where the signals come from (`source`, `sha256`, `how`), as
     JSON in metadata.yaml, which `read_record` gives back; `report`: called with how far it is;
     `replace`: a bag that lies at the path, once the new one is whole. Raises InputError: the path
     exists (and is not to be replaced) or cannot be written, a signal has no place in the contract
-    or times that cannot be stamped.
-    """
+    or times that cannot be stamped."""
     path, texts, start = Path(path), list(markers), start_ns or 0
     if isinstance(source, Record):
         start = source.start_ns if start_ns is None else start_ns
@@ -216,23 +206,17 @@ def write_record(
     prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
     streams = [*streams_of({signal.name: signal for signal in given}, prefix, start)]
     if texts:
-        times = np.array([at for at, _ in texts], dtype=float)
-        received = _stamps(Signal("marker", "", times, times), times, start)
+        received = _stamps("marker", np.array([at for at, _ in texts], dtype=float), start)
         blobs = [_serialised(contract.STRING, data=text) for _, text in texts]
         streams.append(Stream(f"{prefix}experiment/marker", contract.STRING, received, blobs))
     if not streams:
         raise InputError(f"{path}: no signals to write, expected at least one")
     custom = {PROVENANCE: json.dumps(dict(provenance))} if provenance else None
-    messages = [
-        (stream.topic, stamp, blob) for stream in streams
-        for stamp, blob in zip(stream.received.tolist(), stream.blobs, strict=True)
-    ]
+    messages = [(s.topic, stamp, blob) for s in streams
+                for stamp, blob in zip(s.received.tolist(), s.blobs, strict=True)]  # fmt: skip
     messages.sort(key=itemgetter(1))
     parts = range(0, len(messages), _MESSAGES_A_REPORT)
-    with (
-        _beside(path, replace) as temporary,
-        BagWriter(temporary, flush_every=inf, custom_data=custom) as writer,
-    ):
+    with _beside(path, replace) as new, BagWriter(new, inf, custom) as writer:
         for stream in streams:
             writer.add_topic(stream.topic, stream.type)
         for first in in_turn(parts, report, lambda _: "writing"):
@@ -247,17 +231,15 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
         if path.exists() and not replace:
             raise InputError(f"{path}: {_EXISTS}")
         path.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
+        staged = TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent)
+        with staged as folder, ExitStack() as undo:
             new, old = Path(folder, path.name), Path(folder, f"{path.name}.replaced")
             yield new
             if replace and path.exists():
                 path.rename(old)
-            try:
-                new.rename(path)
-            except OSError:
-                if old.exists():
-                    old.rename(path)
-                raise
+                undo.callback(old.rename, path)
+            new.rename(path)
+            undo.pop_all()
     except InputError as error:
         # Of a bag that appears whole or not at all nothing is left to read.
         text = str(error).removesuffix(_STILL_READABLE)
@@ -307,23 +289,21 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         values = signal.values.reshape(len(signal), -1)
         template = _serialised(msgtype, data=np.zeros(values.shape[1]))
         blobs = encode(template, msgtype, {"data": values})
-        return Stream(topic, msgtype, _stamps(signal, signal.time, start), blobs)
+        return Stream(topic, msgtype, _stamps(signal.name, signal.time, start), blobs)
 
     # All columns on the union of their stamps.
-    stamps = {name: _stamps(signal, signal.time, start) for name, signal in columns.items()}
+    stamps = {name: _stamps(s.name, s.time, start) for name, s in columns.items()}
     union = np.unique(np.concatenate([*stamps.values()]))
     received, absent = union.copy(), np.full(len(union), _NAN)
     merged: dict[str, Array] = {}
     for name, signal in columns.items():
-        if signal.values.ndim != 1:
-            raise InputError(
-                f"signal {signal.name}: values of shape {signal.values.shape}, expected (n,)"
-            )
+        if (shape := signal.values.shape) != (len(signal),):
+            raise InputError(f"signal {signal.name}: values of shape {shape}, expected (n,)")
         rows = np.searchsorted(union, stamps[name])
         merged[name] = absent.copy()
         merged[name][rows] = signal.values
         if signal.received is not None:
-            received[rows] = _stamps(signal, signal.received, start)
+            received[rows] = _stamps(signal.name, signal.received, start)
 
     # The fields that they go to, and what else such a message says.
     channel = topic.split("/")[-2]
@@ -344,10 +324,8 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         for name, values in merged.items():
             joint = contract.JOINT_OF[name]
             found[joint, contract.JOINT_SIGNALS[joint][name]] = values
-        merged = {
-            field: np.column_stack([found.get((joint, field), absent) for joint in joints])
-            for field in ("position", "effort")
-        }
+        merged = {field: np.column_stack([found.get((joint, field), absent) for joint in joints])
+                  for field in ("position", "effort")}  # fmt: skip
         rest = {"name": joints, **dict.fromkeys(merged, np.zeros(len(joints)))}
     template = _serialised(msgtype, header=message("std_msgs/msg/Header", frame_id=frame), **rest)
     seconds, nanoseconds = np.divmod(union, 10**9)
@@ -355,14 +333,14 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
     return Stream(topic, msgtype, received, encode(template, msgtype, numbers))
 
 
-def _stamps(signal: Signal, times: Array, start: int) -> IntArray:
-    """Nanoseconds since the epoch of times in s."""
+def _stamps(name: str, times: Array, start: int) -> IntArray:
+    """Nanoseconds since the epoch of a signal's times in s."""
     if not np.isfinite(times).all():
-        raise InputError(f"signal {signal.name}: a time is not finite, expected seconds")
+        raise InputError(f"signal {name}: a time is not finite, expected seconds")
     seconds = times + start * 1e-9
     if len(times) and not (seconds.min() >= -1e-6 and seconds.max() < _LATEST_STAMP):
         raise InputError(
-            f"signal {signal.name}: times {times.min():g} to {times.max():g} s after epoch second "
+            f"signal {name}: times {times.min():g} to {times.max():g} s after epoch second "
             f"{start * 1e-9:g} cannot be stamped, expected between 1970 and 2038"
         )
     return np.maximum(np.rint(times * 1e9).astype(np.int64) + start, 0)

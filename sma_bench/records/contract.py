@@ -20,15 +20,11 @@ ANY_CHANNEL = "*"
 
 # Path elements at the end of a topic's name, and the type expected there.
 CONTRACT: tuple[tuple[tuple[str, ...], str], ...] = (
-    (("voltage_command",), MULTI_ARRAY),
-    ((ANY_CHANNEL, "power"), BATTERY_STATE),
-    ((ANY_CHANNEL, "temperature"), TEMPERATURE),
-    (("front", "range"), RANGE),
-    (("back", "range"), RANGE),
-    (("joint_states",), JOINT_STATE),
-    (("thermal_image",), IMAGE),
-    (("experiment", "marker"), STRING),
-)
+    (("voltage_command",), MULTI_ARRAY), (("joint_states",), JOINT_STATE),
+    ((ANY_CHANNEL, "power"), BATTERY_STATE), ((ANY_CHANNEL, "temperature"), TEMPERATURE),
+    (("front", "range"), RANGE), (("back", "range"), RANGE),
+    (("thermal_image",), IMAGE), (("experiment", "marker"), STRING),
+)  # fmt: skip
 
 CELSIUS_ZERO = 273.15
 
@@ -70,8 +66,7 @@ def place_of(topic: str) -> Place | None:
 
 
 def topic_of(signal: str) -> tuple[str, str] | None:
-    """Topic and column that carry a signal (`wire.voltage`), None for a name outside the
-    contract."""
+    """Topic and column that carry a signal (`wire.voltage`), None outside the contract."""
     channel, _, field = signal.rpartition(".")
     topic = f"{channel}/{_TOPICS.get(field, '')}"
     if channel and (place := place_of(topic)) and place.meaning == topic:
@@ -105,34 +100,25 @@ def choose_topics(
     expected type, and remarks. Raises InputError: two topics carry the same meaning, or one of the
     bench's topics has another type than the contract's."""
     chosen: dict[str, str] = {}
-    namespaces: dict[str, str] = {}
-    strangers: list[tuple[str, str, Place]] = []
-    for (topic, msgtype), count in counts.items():
-        place = place_of(topic)
-        if place is None:
-            continue
+    places = [(*key, place) for key in counts if (place := place_of(key[0]))]
+    for topic, msgtype, place in places:
+        other, count = chosen.get(place.meaning), counts[topic, msgtype]
         if msgtype != place.type:
-            strangers.append((topic, msgtype, place))
             continue
-        other = chosen.get(place.meaning)
         if other is not None and count and counts[other, msgtype]:
-            first, second = sorted((other, topic))
-            raise InputError(
-                f"{where}: both {first} and {second} could be {place.meaning}, expected one; "
-                "choose with a namespace"
-            )
+            both = " and ".join(sorted((other, topic)))
+            how = "expected one; choose with a namespace"
+            raise InputError(f"{where}: both {both} could be {place.meaning}, {how}")
         if other is None or count:
             chosen[place.meaning] = topic
-            namespaces[place.meaning] = place.namespace
 
     # A wrong type is an error inside the bench's own namespace, other traffic elsewhere.
-    findings, own = [], set(namespaces.values())
-    for topic, msgtype, place in strangers:
+    own = {p.namespace for topic, _, p in places if chosen.get(p.meaning) == topic}
+    findings = []
+    for topic, msgtype, place in (p for p in places if p[1] != p[2].type):
         if place.meaning not in chosen and (not own or place.namespace in own):
-            raise InputError(
-                f"{where}: topic {topic} has type {msgtype}, expected {place.type} for "
-                f"{place.meaning}"
-            )
+            wanted = f"{place.type} for {place.meaning}"
+            raise InputError(f"{where}: topic {topic} has type {msgtype}, expected {wanted}")
         text = f"type {msgtype} is not the contract's {place.type}; taken for other traffic"
         findings.append(Finding("info", topic, text))
     return chosen, findings

@@ -2,8 +2,7 @@
 
 An mcap file is walked from its beginning, so one whose recorder died is read like any other, up to
 its first damage; what lies behind that is given up, and said. An sqlite3 file is read whole or
-refused. Both spend a Budget, so that no file takes more memory or time than its size allows.
-"""
+refused. Both spend a Budget, so that no file takes more memory or time than its size allows."""
 
 import mmap
 import re
@@ -12,6 +11,7 @@ import struct
 import sys
 import zlib
 from array import array
+from collections import Counter
 from collections.abc import Callable, Container
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
@@ -59,7 +59,15 @@ class RawTopic:
     lengths: "array[int]" = field(default_factory=lambda: array("q"))  # bytes
     data: bytearray = field(default_factory=bytearray)
 
-    def add(self, records: "np.ndarray") -> None:
+    def add(self, time: int, data: bytes) -> None:
+        """Append one message."""
+        self.count += 1
+        if self.wanted:
+            self.times.append(time)
+            self.lengths.append(len(data))
+            self.data += data
+
+    def add_records(self, records: "np.ndarray") -> None:
         """Append messages whose mcap records are the rows of an array of bytes."""
         self.count += len(records)
         if self.wanted:
@@ -93,10 +101,8 @@ class RawTopics:
             self.topics[key] = RawTopic(*key, wanted)
         return self.topics[key]
 
-    def remark(
-        self, subject: str, text: str, severity: Severity = "warning", **numbers: float
-    ) -> None:
-        self.findings.append(Finding(severity, printable(subject), printable(text), numbers))
+    def remark(self, of: str, text: str, severity: Severity = "warning", **numbers: float) -> None:
+        self.findings.append(Finding(severity, printable(of), printable(text), numbers))
 
 
 # --- files of a bag -----------------------------------------------------------------------------
@@ -108,10 +114,15 @@ def is_bag(path: Path) -> bool:
     border.require_there(path)
     if path.is_dir():
         return True
-    with errors_in(f"{path}: cannot be read"), path.open("rb") as file:
-        head = file.read(len(_SQLITE_MAGIC))
+    with errors_in(f"{path}: cannot be read"):
+        head = _head(path)
     magic = (_MCAP_MAGIC, _SQLITE_MAGIC, _ZSTD_MAGIC)
     return path.name.endswith(_SUFFIXES) or head.startswith(magic)
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(100)
 
 
 def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
@@ -122,17 +133,16 @@ def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
     topics.budget = border.reading_budget(sum(file.stat().st_size for file in files))
     for file in files:
         try:
-            with TemporaryDirectory() as folder, file.open("rb") as opened:
-                plain = file
-                if opened.read(4) == _ZSTD_MAGIC or file.name.endswith(".zstd"):
+            with TemporaryDirectory() as folder:
+                plain, head = file, _head(file)
+                if head.startswith(_ZSTD_MAGIC) or file.name.endswith(".zstd"):
                     plain = Path(folder, file.name.removesuffix(".zstd"))
                     if ended := _decompress_file(file, plain, topics.budget):
                         topics.remark(file.name, f"{ended}; read up to there")
+                    head = _head(plain)
                 # By content; by name where the beginning is damaged.
-                with plain.open("rb") as unpacked:
-                    head = unpacked.read(len(_SQLITE_MAGIC))
                 is_mcap = head.startswith(_MCAP_MAGIC)
-                if head == _SQLITE_MAGIC or (plain.suffix == ".db3" and not is_mcap):
+                if head.startswith(_SQLITE_MAGIC) or (plain.suffix == ".db3" and not is_mcap):
                     _read_sqlite(plain, topics, file)
                 else:
                     _read_mcap(plain, topics, file.name)
@@ -142,9 +152,8 @@ def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
             topics.remark(file.name, f"cannot be read: {error.strerror or error}")
     found = topics.topics.values()
     if not any(topic.count for topic in found):
-        why = "the bag holds no messages (did its recorder die?)"
-        for finding in topics.findings[:1]:
-            why = f"nothing can be read: {finding.subject}: {finding.text}"
+        said = [f"nothing can be read: {f.subject}: {f.text}" for f in topics.findings[:1]]
+        why = (*said, "the bag holds no messages (did its recorder die?)")[0]
         raise InputError(f"{path}: {why}")
     for name, count in promised.items():
         missing = count - sum(topic.count for topic in found if topic.name == name)
@@ -177,30 +186,26 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
     present = [path / numbered[key] for key in sorted(numbered)]
 
     # What the metadata says, from a file that may be anybody's.
-    listed: list[str] = []
-    promised: dict[str, int] = {}
+    listed, promised = list[str](), Counter[str]()
     try:
         if METADATA in own:
             about = border.read_yaml(path / METADATA, aliases=True)["rosbag2_bagfile_information"]
             for entry in about.get("topics_with_message_count") or ():
                 topic = _of(str, entry["topic_metadata"]["name"])
-                promised[topic] = promised.get(topic, 0) + _of(int, entry["message_count"])
+                promised[topic] += _of(int, entry["message_count"])
             listed = [PurePath(_of(str, name)).name for name in about["relative_file_paths"]]
             _remark_provenance(about.get("custom_data"), topics)
     except (InputError, KeyError, TypeError, ValueError, AttributeError):
-        promised = {}
+        promised.clear()
         topics.remark(METADATA, "cannot be understood; the storage files next to it are read")
     if METADATA not in names:
         if not present:
-            raise InputError(
-                f"{path}: not a bag: the folder holds no {METADATA} and no .mcap or .db3 file"
-            )
+            why = f"the folder holds no {METADATA} and no .mcap or .db3 file"
+            raise InputError(f"{path}: not a bag: {why}")
         if len({re.sub(r"_\d+$", "", f.name.partition(".")[0]) for f in present}) > 1:
-            some = ", ".join(file.name for file in present[:3])
-            raise InputError(
-                f"{path}: no {METADATA} in the folder, and files of several bags: {some}; expected "
-                "one bag, or the path of a file"
-            )
+            why = f"files of several bags: {', '.join(file.name for file in present[:3])}"
+            how = "expected one bag, or the path of a file"
+            raise InputError(f"{path}: no {METADATA} in the folder, and {why}; {how}")
         read = f"{len(present)} storage file{'s' * (len(present) > 1)} next to it read"
         topics.remark(METADATA, f"is missing; {read}", "info")
 
@@ -213,12 +218,11 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
     extra = [file for file in present if file.name not in listed]
     for file in extra if listed else ():
         topics.remark(file.name, f"not listed in {METADATA}; read all the same")
-    numbers = [(re.search(r"_(\d+)\.", file.name), file.name) for file in extra]
-    known = [(int(number[1]), name) for number, name in numbers if number and not listed]
-    for (before, _), (after, name) in pairwise(known):
-        if after > before + 1:
-            text = f"files {before + 1} to {after - 1} in front of it are missing"
-            topics.remark(name, text)
+    numbers = [re.search(r"_(\d+)\.", file.name) for file in extra if not listed]
+    for before, after in pairwise(number for number in numbers if number):
+        first, last = int(before[1]) + 1, int(after[1]) - 1
+        if first <= last:
+            topics.remark(after.string, f"files {first} to {last} in front of it are missing")
     return [path / name for name in listed if name in own] + extra, promised
 
 
@@ -241,7 +245,7 @@ def _remark_provenance(custom: Any, topics: RawTopics) -> None:
         return
     how, repeated = said.get("how"), said.get("repeated")
     parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]
-    parts += [str(part) for part in how[:_MOST_SENTENCES]] if isinstance(how, list) else []
+    parts += map(str, how[:_MOST_SENTENCES] if isinstance(how, list) else ())
     topics.remark("record", border.shown("; ".join(parts), _LONGEST_PROVENANCE), "info")
     if isinstance(repeated, int) and repeated > 0:
         text = f"{repeated} rows had the stamp of the row before and were spread evenly at import"
@@ -267,8 +271,7 @@ class _Damage(Exception):
 
 def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
     """Add the messages of one mcap file, called `name` in findings, up to its first damage. Raises
-    OSError; OverBudget: it asks for more than such a file may; what was found until then is there.
-    """
+    OSError; OverBudget: it asks for more than such a file may; what was found stays."""
     if not (size := path.stat().st_size):
         topics.remark(name, "the file is empty")
         return
@@ -293,7 +296,7 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                 turns = _turns(buffer, position, channels)
                 for channel, records in turns.items():
                     topic = channels[channel]
-                    topic.add(records)
+                    topic.add_records(records)
                     position += records.size
                 look = position + (0 if turns else _CHECK_TIME_EVERY // 8)
                 if turns:
@@ -324,11 +327,8 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                 if topic is None or time >> 63 or length < _MESSAGE_HEAD.size:
                     orphans += 1
                 else:
-                    topic.count += 1
-                    if topic.wanted:
-                        topic.times.append(time)
-                        topic.lengths.append(length - _MESSAGE_HEAD.size)
-                        topic.data += buffer[start + _MESSAGE_HEAD.size : stop]
+                    begin = start + _MESSAGE_HEAD.size
+                    topic.add(time, buffer[begin:stop] if topic.wanted else b"")
             elif opcode == _CHUNK:
                 if inside is not None:  # thousands in each other would end the stack
                     raise _Damage("a chunk inside a chunk")
@@ -346,11 +346,11 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                 called, after = _string(content, 4)
                 if schema not in schemas:
                     raise _Damage(f"the topic {printable(called)} has an unknown type")
-                kind = schemas[schema]  # none is no damage, but no ROS topic either
-                if number not in channels and kind:
-                    channels[number] = topics.topic(called, kind, _string(content, after)[0])
-                elif number not in channels:
+                if number not in channels:
+                    kind = schemas[schema]  # none is no damage, but no ROS topic either
                     channels[number] = RawTopic(called, "", False)
+                    if kind:
+                        channels[number] = topics.topic(called, kind, _string(content, after)[0])
             elif opcode == _DATA_END and inside is None:
                 if length != 4:  # of a checksum
                     raise _Damage("the bytes make no sense")
@@ -386,8 +386,7 @@ def _turns(
     of one length each, as a steady bench's do: by channel, that of the last record last, the bytes
     of its records in order, shape (messages, bytes). Nothing where they do so too few times."""
     places: dict[int, list[slice]] = {}
-    first, at, longest = buffer[position : position + _ALIKE], 0, len(buffer) - position
-    records = 0
+    first, longest, at, records = buffer[position : position + _ALIKE], len(buffer) - position, 0, 0
     while not records or buffer[position + at : position + at + _ALIKE] != first:
         if records == _LONGEST_TURN or at + _ALIKE > longest:
             return {}
@@ -458,22 +457,17 @@ _COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP 
 
 
 def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
-    """Add the messages of one sqlite3 file, of which `origin` is the compressed one, or itself.
-
-    It is opened as one that nobody changes: what a writer that died left in a journal beside it is
-    not read, and said. Raises InputError: the file is damaged; OverBudget: it asks for more than
-    such a file may; what was found until then is there.
-    """
-    for suffix in ("-wal", "-journal"):
-        beside = path.with_name(path.name + suffix)
-        if beside.is_file() and not beside.is_symlink() and beside.stat().st_size:
-            text = f"its writer died: what {beside.name} holds is not read; sqlite3 takes it up: "
+    """Add the messages of one sqlite3 file, of which `origin` is the compressed one, or itself. It
+    is opened as one that never changes: what a writer that died left in a journal is not read, and
+    said. Raises InputError: it is damaged; OverBudget, as `_read_mcap`."""
+    for journal in (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal")):
+        if journal.is_file() and not journal.is_symlink() and journal.stat().st_size:
+            text = f"its writer died: what {journal.name} holds is not read; sqlite3 takes it up: "
             topics.remark(path.name, text + f"sqlite3 {path.name} .tables")
     budget = topics.budget
     try:
         # SQLite reads what a cut has taken from the last page as zeros, and finds fewer rows there.
-        with path.open("rb") as file:
-            head = file.read(100)
+        head = _head(path)
         page, pages = (int.from_bytes(head[a:b]) for a, b in ((16, 18), (28, 32)))
         page = 65536 if page == 1 else page
         if head[24:28] == head[92:96] and path.stat().st_size < page * pages:
@@ -500,31 +494,27 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
                 if isinstance(number, int) and all(isinstance(text, bytes) for text in texts)
             }
             wanted = [number for number, topic in found.items() if topic.wanted]
+            others = [number for number in found if number not in wanted]
+
+            def rows_of(sql: str, numbers: list[int]) -> sqlite3.Cursor:
+                return query(sql.format(",".join("?" * len(numbers))), numbers)
+
             last = -1
-            for row, number, time, data in query(
-                _MESSAGES.format(",".join("?" * len(wanted))), wanted
-            ):
+            for row, number, time, data in rows_of(_MESSAGES, wanted):
                 if not isinstance(row, int) or row <= last:
                     raise sqlite3.DatabaseError("rows lead back into the table")
                 last = row
                 budget.take(len(data) + 1)
-                topic = found[number]
-                topic.count += 1
-                topic.times.append(time)
-                topic.lengths.append(len(data))
-                topic.data += data
-            others = [number for number in found if number not in wanted]
-            for number, count in query(_COUNTS.format(",".join("?" * len(others))), others):
+                found[number].add(time, data)
+            for number, count in rows_of(_COUNTS, others):
                 found[number].count += count
     except _READ_ERRORS as error:
         if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_INTERRUPT:
             budget.check()
             raise KeyboardInterrupt from None  # a signal's exception does not get through SQLite
         reason = printable(" ".join(str(error).split()))
-        raise InputError(
-            f"{origin}: damaged: {reason}; what can be saved of it: sqlite3 {path.name} .recover | "
-            "sqlite3 recovered.db3"
-        ) from None
+        how = f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
+        raise InputError(f"{origin}: damaged: {reason}; what can be saved of it: {how}") from None
 
 
 # --- compression --------------------------------------------------------------------------------
@@ -551,13 +541,11 @@ def decompress_messages(topic: RawTopic, budget: Budget) -> None:
         return
     plain, lengths, position = bytearray(), array("q"), 0
     for length in topic.lengths:
-        message = bytes(topic.data[position : position + length])
+        packed, message = bytes(topic.data[position : position + length]), b""
         position += length
         decompressor = zstd.ZstdDecompressor()
-        try:
-            message = decompressor.decompress(message, _LARGEST_MESSAGE)
-        except (zstd.ZstdError, MemoryError):
-            message = b""
+        with suppress(zstd.ZstdError, MemoryError):
+            message = decompressor.decompress(packed, _LARGEST_MESSAGE)
         message = message if decompressor.eof else b""
         budget.take(len(message))
         plain += message
