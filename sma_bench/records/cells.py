@@ -34,20 +34,12 @@ class Unit(NamedTuple):
     offset: float = 0.0
 
     def si(self, values: Array) -> Array:
-        """Values in SI."""
         return values * self.factor + self.offset
 
 
 def said(sentence: str, **values: Any) -> str:
     """One of the `sentences` of words.yaml with its values."""
     return str(WORDS["sentences"][sentence]).format(**values)
-
-
-@cache
-def _registry() -> Any:
-    import pint
-
-    return pint.UnitRegistry()
 
 
 @cache
@@ -64,9 +56,12 @@ def parse_unit(text: str) -> Unit | None:
     words = (name,) if name else (plain, lower) if _HARMLESS.match(plain) else ()
     for word in words:
         with contextlib.suppress(Exception):  # pint raises its parser's and Python's own errors
-            zero, one = (_registry().Quantity(value, word) for value in (0.0, 1.0))
+            import pint
+
+            units = pint.get_application_registry()
+            zero, one = (units.Quantity(value, word) for value in (0.0, 1.0))
             for quantity, base in WORDS["si"].items():
-                if zero.check(_registry().Unit(base).dimensionality):
+                if zero.check(units.Unit(base).dimensionality):
                     offset = float(zero.to(base).magnitude)
                     return Unit(quantity, float(one.to(base).magnitude) - offset, offset)
     return None
@@ -353,11 +348,10 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
 def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
     """Values (n,) of which each has its unit, all in the first one, and that; None where a text is
     no unit of the same quantity."""
-    known = {text: parse_unit(str(text)) for text in set(texts)}
-    first = known[texts[0]]
-    if first is None or {u and (u.quantity, u.offset) for u in known.values()} != {first[::2]}:
+    known = [parse_unit(str(text)) for text in texts]
+    first, factors = known[0], [unit.factor for unit in known if unit]
+    if first is None or any(u is None or u[::2] != first[::2] for u in known):
         return None
-    factors = [unit.factor for text in texts if (unit := known[text])]
     return values * np.array(factors) / first.factor, str(texts[0])
 
 
@@ -392,19 +386,21 @@ def moment_of(cell: Any) -> Moment | None:
 
     # Year, month and day in the orders that may be meant.
     orders: list[tuple[str, Any, str]] = []
-    year = f"20{c}"[-4:] if written else ""
+    year, days = f"20{c}"[-4:] if written else "", [math.nan, math.nan]
     if written and a.isdigit() != b.isdigit():  # a month by its name
         name, number = (b, a) if a.isdigit() else (a, b)
         orders = [(year, _MONTHS.get(plain_title(name)[:3], 0), number)]
     elif written and written == mark.join((a, b, c)) and len(mark.strip()) == 1:
         orders = [(a, b, c)] if len(a) == 4 else [(year, b, a), (year, a, b)]
-    days = [math.nan, math.nan]
     for k, order in enumerate(orders[:1] if mark == "." else orders):
         with contextlib.suppress(ValueError):
             day = date(*map(int, order)).toordinal()
             days[k] = float(day - _EPOCH) if _EPOCH <= day <= _LAST_DAY else math.nan
-    if written and (h is None or np.isnan(days).all()):
-        return None if np.isnan(days).all() else Moment((days[0], days[1]), None)
+    both = days[0], days[1]
+    if written and np.isnan(days).all():
+        return None
+    if h is None:
+        return Moment(both, None)
 
     hours = int(h) % 12 + 12 * (half[0] in "pP") if half else int(h)
     is_short = not s and not written and not half  # mm:ss or hh:mm
@@ -412,7 +408,7 @@ def moment_of(cell: Any) -> Moment | None:
     if zone and zone[0] in "+-":
         total -= float(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
     fields = 3 if not is_short else 1 if broken else 2  # mm:ss.s leaves no doubt
-    return Moment((days[0], days[1]), total, fields, bool(half))
+    return Moment(both, total, fields, bool(half))
 
 
 def moments_of(

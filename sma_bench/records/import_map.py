@@ -36,7 +36,6 @@ _SIGNAL = re.compile(r"(?!ask\b|voltage_command)[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-
 _WORD = re.compile(r"\d+|[A-Z]+(?![^\W\d_A-Z])|[A-Z]?[^\W\d_A-Z]+")  # leftV: left, V
 _CLEAR = 3.0  # times as far one way as the other
 _AT_REST = 0.1  # of all its way, what a position scatters before the first drive
-Proposed = tuple["ImportMap", list[str], dict[str, str]]  # a map, questions, remarks by column
 _UNKNOWN = "its title and unit say nothing of a bench"
 _MOST = 1e9  # that a number of a map may be, in its unit
 _Number = Annotated[float, msgspec.Meta(ge=-_MOST, le=_MOST)]
@@ -181,10 +180,12 @@ def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list
         sentence += ", counted the other way" if entry.sign == -1 else ""
         if (entry.scale, entry.offset) != (1.0, 0.0):
             sentence += f", x {entry.scale:g} + {entry.offset:g}"
-        if entry.reference != "none":
-            is_rest = entry.reference == "rest"
-            zero = float(np.median(_at_rest(read, samples)) if is_rest else entry.reference)
-            sentence += f", zero at rest ({zero:.6g})" if is_rest else f", zero at {zero:.6g}"
+        if entry.reference == "rest":
+            zero = float(np.median(_at_rest(read, samples)))
+            sentence += f", zero at rest ({zero:.6g})"
+        elif entry.reference != "none":
+            zero = float(entry.reference)
+            sentence += f", zero at {zero:.6g}"
         unit, time = contract.unit_of(entry.signal) or "", samples.time - first
         signals[entry.signal] = Signal(entry.signal, unit, time, samples.values - zero)
         sentences.append(sentence + samples.how)
@@ -271,9 +272,11 @@ def record_of_table(path: str | Path, bench: Parameters, stated: Mapping[str, st
     return replace(convert(table, made, Path(path))[0], findings=(account,))
 
 
-def propose(table: TableFile, bench: Parameters, stated: Mapping[str, str]) -> Proposed:
-    """A map of a table, what is unsure about it, and remarks by column. Units that are `stated` of
-    columns go before what titles say; raises InputError for a column that is not there."""
+def propose(
+    table: TableFile, bench: Parameters, stated: Mapping[str, str]
+) -> tuple[ImportMap, list[str], dict[str, str]]:
+    """A map of a table, questions on what is unsure about it, and remarks by column. Units that are
+    `stated` of columns go before titles; raises InputError for a column that is not there."""
     require_columns(table, stated)
     columns = [replace(c, unit=stated[c.name], fields=0) if stated.get(c.name) else c
                for c in table.columns]  # fmt: skip
@@ -304,11 +307,9 @@ def propose(table: TableFile, bench: Parameters, stated: Mapping[str, str]) -> P
         time[ROWS] = ask(ROWS, "no_clock", titles=", ".join(c.name for c in columns[:12]))
     if len({c.start is None for c in clocks if c.name in ticking}) > 1:
         ask("time", "dates")
-    supply, lever, ohms = None, None, None
-    if any(entry.form == "power" for entry in found):
-        ohms = ohms_of_source(bench)
+    supply, lever, volts = None, None, "bench.supply_voltage"
+    ohms = ohms_of_source(bench) if any(entry.form == "power" for entry in found) else None
     if any(entry.kind == "voltage" and entry.form not in _DIRECT for entry in found):
-        volts = "bench.supply_voltage"
         supply = bench[volts] if volts in bench.given else ask("supply_voltage", "which_supply")
     if any(entry.measured.quantity == "angle" for entry in found):
         lever = bench["load.lever"] or ask("lever", "which_lever")
@@ -340,9 +341,8 @@ def _count_alike(one: Column, other: Column) -> bool:
     values, known = values[:, is_there[0]], [parse_unit(c.unit) for c in (one, other)]
     if None in known or one.fields or other.fields:  # one of the day, the other from its start
         values -= values[:, :1]
-    scales = [unit.factor for unit in known if unit]
-    if None in known:
-        scales = [1.0 / (span or 1.0) for span in np.ptp(values, axis=1)]
+    spans = [1.0 / (span or 1.0) for span in np.ptp(values, axis=1)]
+    scales = spans if None in known else [unit.factor for unit in known if unit]
     a, b = values * np.reshape(scales, (2, 1))
     coarse = max(float(np.diff(np.unique(v)).min(initial=np.inf)) for v in (a, b))
     return bool(np.max(np.abs(a - b)) <= 1.01 * coarse + 1e-3 * abs(a[-1]))
@@ -423,14 +423,13 @@ class _Proposal:
         """The signal that a column is: its name, unit, form and reference."""
         name, channels = column.name, self.bench["bench.channels"]
         unit, signal = self.unit(column, meaning), QUANTITIES[meaning].get("signal", "")
-        if signal == "elongation":
-            if load_kind(self.bench) == "displacement":
-                self.remarks[name] = "imposed: zero and sign are the machine's, longer is positive"
-                return Entry(signal, name, unit, clock)
-            is_pulled = load_kind(self.bench) in ("beam", "antagonist")  # by two sides
-            return Entry("deflection" if is_pulled else signal, name, unit, clock, reference="rest")
+        load, zero = load_kind(self.bench), "none"
+        if signal == "elongation" and load == "displacement":
+            self.remarks[name] = "imposed: zero and sign are the machine's, longer is positive"
+        elif signal == "elongation":
+            signal, zero = "deflection" if load in ("beam", "antagonist") else signal, "rest"
         if signal:
-            return Entry(signal, name, unit, clock)
+            return Entry(signal, name, unit, clock, reference=zero)  # type: ignore[arg-type]
         fitting = self.channels_of(column) if len(channels) > 1 else list(channels)
         if len(fitting) != 1:
             fitting = [self.ask(name, "which_channel", channels=", ".join(channels))]

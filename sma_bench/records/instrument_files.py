@@ -4,12 +4,12 @@ specimen under constant stress while its temperature cycles) and tensile ones.
 Of a calorimeter, text exports of PerkinElmer, TA, Netzsch, Mettler and Setaram are read, and
 anybody's table of time, temperature and heat flow. Titles have units, which TA's Universal Analysis
 writes as lines `Sig1 ...`; Pyris (PerkinElmer) writes a block a step under titles ("2) DSC
-Temperature Scan") whose columns are known. Others' steps are cut where the measured rate changes.
-"""
+Temperature Scan") whose columns are known. Others' steps are cut where the measured rate turns."""
 
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from sma_bench.errors import InputError
 from sma_bench.findings import Finding, Severity
 from sma_bench.records import cells, instruments
 from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, plain_title
-from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
+from sma_bench.records.instruments import DscRecord, DscSegment, IsobaricRecord, TensileRecord
 from sma_bench.records.tables import Account, Column, Table, TableFile
 
 _BLOCK = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
@@ -30,6 +30,10 @@ _STEP = re.compile(
 )
 _SIG = re.compile(r"Sig(\d{1,9})\Z")
 _RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)
+_EXOTHERM = {
+    "up": r"exo\w*( direction)? (up|1)\b(?! (no|false|0)\b)|\^ ?exo|endo\w* down",
+    "down": r"exo\w*( direction)? (down|-1)\b|exo\w* up (no|false|0)\b|\^ ?endo|endo\w* up",
+}
 _WINDOW = 20.0  # s over which a rate is measured
 _SHORTEST = 60.0  # s
 _LARGEST_MASS = 1e-3  # kg
@@ -122,21 +126,20 @@ class Sheet:
             raise self.refusal("no_column", what=lacked, titles=self.titles or "none", title=title)
         found = {what: self.find(*roles) for what, roles in WORDS["instruments"][kind].items()}
         chosen = {what: column for what, column in found.items() if column}
-        for column in self.table.columns:  # 1, 1, 2, 2: a text is no column of numbers
-            known, meant = parse_unit(column.unit), cells.title_meanings(column.title)
-            if known and meant == ("temperature",) and known.quantity != "temperature":
-                raise self.refusal(
-                    "other_unit", unit=column.unit, quantity=known.quantity, meaning=meant[0]
-                )
-            is_id = set(cells.words_of(column.title)) <= {*WORDS["specimens"], "id", "no", "nr"}
-            count = len(np.unique(column.values[np.isfinite(column.values)]))
-            if is_id and column.title and 1 < count == 1 + np.count_nonzero(np.diff(column.values)):
-                raise self.refusal("specimens", count=f"{count}", name=column.name)
+        for c in self.table.columns:  # 1, 1, 2, 2: a text is no column of numbers
+            known, meant = parse_unit(c.unit), cells.title_meanings(c.title)
+            if known and meant == ("temperature",) and known.quantity != meant[0]:
+                unit, quantity = c.unit, known.quantity
+                raise self.refusal("other_unit", unit=unit, quantity=quantity, meaning=meant[0])
+            is_id = set(cells.words_of(c.title)) <= {*WORDS["specimens"], "id", "no", "nr"}
+            count = len(np.unique(c.values[np.isfinite(c.values)]))
+            if is_id and c.title and 1 < count == 1 + np.count_nonzero(np.diff(c.values)):
+                raise self.refusal("specimens", count=f"{count}", name=c.name)
         for what, (column, role) in chosen.items():
             (best, _), *others = self.ranked(role)
-            other = [c.name for score, c in others if score == best and _differ(column, c)]
-            if other:
-                self.remark("warning", what, "or_another", name=column.name, other=other[0])
+            alike = (c.name for score, c in others if score == best and _differ(column, c))
+            if other := next(alike, ""):
+                self.remark("warning", what, "or_another", name=column.name, other=other)
         return chosen
 
     def titled(self, names: Sequence[str]) -> "Sheet":
@@ -164,14 +167,12 @@ class Sheet:
         if name in self.given:
             return self.given[name]
         found = self.statements(name)
-        if len(found) > 1:
-            first, second, *_ = found.values()
+        for first, second in pairwise(found.values()):
             raise self.refusal("several", what=name, first=first[:40], second=second[:40])
         return next(iter(found), None)
 
     def statements(self, name: str) -> dict[float, str]:
-        """What lines of text say a number is, and the first of these lines each; of the room, the
-        grips only if no other does."""
+        """What lines of text say a number is, the first each; of the room only if no other does."""
         row, found = WORDS["stated"][name], dict[float, str]()
         lines = [c for cells in self.table.above for c in _clauses(cells)]
         lines += [c for _, text in self.table.marks for c in _clauses([text])]
@@ -204,6 +205,12 @@ class Sheet:
         named = [c for c in self.table.columns if cells.title_meanings(c.title)]
         known = (cells.meanings(c.title, c.unit) for c in named if c.unit or len(c.title) > 1)
         return any(meant in drives for meant in known)
+
+
+def record_of(sheet: Sheet) -> DscRecord | IsobaricRecord | TensileRecord | None:
+    """What a table is the record of, None where it is no instrument's."""
+    kinds = ((is_dsc, dsc_of), (is_isobaric, isobaric_of), (is_tensile, tensile_of))
+    return next((make(sheet) for is_it, make in kinds if is_it(sheet)), None)
 
 
 # --- calorimeters
@@ -242,22 +249,20 @@ def dsc_of(sheet: Sheet) -> DscRecord:
     time, temperature, flow = (sheet.values(*column) for column in columns.values())
     kept = time >= 0.0  # TA's rows of negative time separate the steps of a method
     time, temperature, flow = time[kept], temperature[kept], flow[kept]
-    back = np.flatnonzero(np.diff(time) < 0.0)
-    if len(back):
-        raise sheet.refusal("time_back", line=sheet.table.lines[kept][back[0] + 1])
+    for back in np.flatnonzero(np.diff(time) < 0.0)[:1]:
+        raise sheet.refusal("time_back", line=sheet.table.lines[kept][back + 1])
 
     # The mass; heat flow for a gram needs none: one of 1 mg gives the same.
     unit = parse_unit(columns["heat flow"][0].unit)
     is_specific = unit is not None and unit.quantity == "specific power"
     is_open = "mass" not in sheet.given and len(sheet.statements("mass")) > 1
     mass = None if is_specific and is_open else sheet.noted("mass")
-    if is_specific:
-        if mass is None:
-            mass = 1e-6
-            sheet.remark("warning", "sample mass", "for_a_gram")
-        flow = flow * mass
+    if mass is None and is_specific:
+        mass = 1e-6
+        sheet.remark("warning", "sample mass", "for_a_gram")
     if mass is None:
         raise sheet.refusal("no_mass")
+    flow = flow * mass if is_specific else flow
     if not 0.0 < mass < _LARGEST_MASS:
         raise sheet.refusal("mass", mass=mass)
 
@@ -274,13 +279,13 @@ def dsc_of(sheet: Sheet) -> DscRecord:
         steps = {int(m[1]): m for line in above if (m := _STEP.match(line.strip()))}
         ends = [row for row, _ in blocks[1:]] + [len(time)]
         for (first, match), last in zip(blocks, ends, strict=True):
-            number, step, rate = int(match[1]), steps.get(int(match[1])), 0.0
+            number, rate, is_held = int(match[1]), 0.0, match[2] == "Isothermal"
             if first == last:
                 raise sheet.refusal("no_segment", number=number)
-            duration = time[last - 1] - time[first]
-            if match[2] != "Isothermal" and step and step["way"]:
+            step, duration = steps.get(number), time[last - 1] - time[first]
+            if not is_held and step and step["way"]:
                 rate = (1.0 if step["way"] == "Heat" else -1.0) * float(step["rate"]) / 60.0
-            elif match[2] != "Isothermal" and not step and duration > 0.0:
+            elif not is_held and not step and duration > 0.0:
                 rate = float((program[last - 1] - program[first]) / duration)
             parts.append((number, rate, slice(first, last)))
     else:
@@ -288,10 +293,8 @@ def dsc_of(sheet: Sheet) -> DscRecord:
         parts = _cut(time, temperature, ramps)
         if not any(rate for _, rate, _ in parts):
             raise sheet.refusal("no_scan")
-    segments = []
-    for number, rate, part in parts:
-        values = (v[part] for v in (time, flow, baseline, temperature, program))
-        segments.append(instruments.DscSegment(number, rate, *values))
+    courses = time, flow, baseline, temperature, program
+    segments = tuple(DscSegment(n, rate, *(v[part] for v in courses)) for n, rate, part in parts)
     announced = header.get("Total Points in Run", "")
     if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(time):
         sheet.remark("warning", path.name, "cut_short", points=len(time), announced=announced)
@@ -300,16 +303,12 @@ def dsc_of(sheet: Sheet) -> DscRecord:
     lines = [" ".join(re.split(r"[:\s]+", text.lstrip("# "))) for text in above]
     lines = [text for text in lines if text.lower().startswith(("exo", "endo"))]
     text = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
-    up = re.search(r"exo\w*( direction)? (up|1)\b(?! (no|false|0)\b)|\^ ?exo|endo\w* down", text)
-    down = re.search(
-        r"exo\w*( direction)? (down|-1)\b|exo\w* up (no|false|0)\b|\^ ?endo|endo\w* up", text
-    )
-    exotherm = "up" if up else "down" if down else ""
+    exotherm = next((way for way, words in _EXOTHERM.items() if re.search(words, text)), "")
     names = ("Instrument", "INSTRUMENT", "Instrument Type")
     default = "PerkinElmer Pyris DSC" if blocks else "DSC"
     instrument = next((header[name] for name in names if name in header), default)
     account, findings = sheet.account(columns, len(time)), tuple(sheet.findings)
-    return DscRecord(path, mass, header, tuple(segments), findings, instrument, exotherm, account)
+    return DscRecord(path, mass, header, segments, findings, instrument, exotherm, account)
 
 
 def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[int, float, slice]]:
@@ -320,11 +319,10 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
     padded = [np.pad(v, half, mode="edge") for v in (time, temperature)]
     spans = [v[2 * half :] - v[: -2 * half] for v in padded]
     rate = spans[1] / np.maximum(spans[0], 1e-9)
-    still = _STILL * min(ramps, default=1.0 / 60.0)
-    kind = np.where(np.abs(rate) > still, np.sign(rate), 0)
+    kind = np.where(np.abs(rate) > _STILL * min(ramps, default=1.0 / 60.0), np.sign(rate), 0)
     edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), len(kind)]
     parts: list[tuple[int, float, slice]] = []
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         if time[last - 1] - time[first] < _SHORTEST:
             continue
         # A rate is known to half its window only; the turn itself belongs to neither step.
@@ -347,11 +345,10 @@ def is_isobaric(sheet: Sheet) -> bool:
     columns, has_load = sheet.table.columns, _has_load(sheet)
     if sheet.titles:
         found, loaded = sheet.find("temperature"), sheet.find("stress", "force")
-        has_all = found is not None and not sheet.lacks("isobaric", ["stress"] if has_load else [])
-        span = 0.0 if found is None else float(np.ptp(found[0].values))
-        is_held = loaded is None or _held(loaded[0])
-        varies = span > instruments.SMALLEST_RANGE * (1.0 if is_held else _WARMING)
-        return has_all and varies and not sheet.is_driven()
+        if found is None or sheet.lacks("isobaric", ["stress"] if has_load else []):
+            return False
+        least = instruments.SMALLEST_RANGE * (_WARMING if loaded and not _held(loaded[0]) else 1.0)
+        return float(np.ptp(found[0].values)) > least and not sheet.is_driven()
     if len(columns) != (2 if has_load else 3) or len(columns[0].values) < 2:
         return False
     steps, held = np.diff(columns[0].values), has_load or _held(columns[-1])
@@ -393,13 +390,13 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord:
     sheet = sheet if sheet.titles else _named(sheet, has_load)
     columns = sheet.columns("isobaric", ["stress"] if has_load else [])
     pulled, role = columns["strain"]
-    span = float(np.ptp(pulled.values))
+    span, unit = float(np.ptp(pulled.values)), pulled.unit
     if span == 0.0:
         raise sheet.refusal("constant", what=pulled.name, value=pulled.values[0])
-    is_strain = 0.01 * _LARGEST_SPAN < span < 100.0 * _LARGEST_SPAN
-    if role == "strain" and not pulled.unit and is_strain:
-        pulled = replace(pulled, unit="%" if span > _LARGEST_SPAN else "mm/mm")
-        sheet.remark("warning", "strain unit", "strain_unit", span=span, unit=pulled.unit)
+    if role == "strain" and not unit and 0.01 * _LARGEST_SPAN < span < 100.0 * _LARGEST_SPAN:
+        unit = "%" if span > _LARGEST_SPAN else "mm/mm"
+        sheet.remark("warning", "strain unit", "strain_unit", span=span, unit=unit)
+        pulled = replace(pulled, unit=unit)
     temperature, strain = sheet.values(*columns["temperature"]), sheet.values(pulled, role)
     loaded = columns.get("stress")
     section = sheet.section() if loaded and loaded[1] == "force" else 1.0
@@ -419,11 +416,9 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord:
     elif gauge is not None:
         strain = strain / gauge
     elif span > _LARGEST_SPAN:
-        unit = pulled.unit
         sheet.remark("warning", "strain unit", "percent", span=span, unit=unit, most=_LARGEST_SPAN)
     for k in np.flatnonzero((temperature <= 0.0) | (temperature > _HOTTEST))[:1]:
-        line, value = table.lines[k], temperature[k]
-        raise sheet.refusal("temperature", line=line, value=value, most=_HOTTEST)
+        raise sheet.refusal("temperature", line=table.lines[k], value=temperature[k], most=_HOTTEST)
 
     # Rows between loading and unloading, where stress is at its level.
     level = float(np.median(stress))
@@ -447,16 +442,16 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord:
     # A thermometer's spikes and noise, then the cycles.
     good, spikes = instruments.without_spikes(temperature)
     if count := len(spikes):
-        rows, most = len(temperature), f"{np.abs(spikes).max():.1f}"
-        sheet.remark("info", "temperature", "spikes", count=count, of=f"{rows}", most=most)
+        of, most = f"{len(temperature)}", f"{np.abs(spikes).max():.1f}"
+        sheet.remark("info", "temperature", "spikes", count=count, of=of, most=most)
     settled, noise, rows = instruments.without_noise(temperature[good])
     if noise >= instruments.NOISY:
         sheet.remark("info", "temperature", "noise", noise=noise, rows=rows)
     cycles, remarks = instruments.find_cycles(settled, strain[good], stress[good], str(path))
     median = float(np.median(stress))
     if median > instruments.STRONGEST:
-        stress_MPa, most = f"{median / 1e6:.0f}", f"{instruments.STRONGEST / 1e6:.0f}"
-        sheet.remark("warning", "stress", "strongest", stress=median, shown=stress_MPa, most=most)
+        shown, most = (f"{pascal / 1e6:.0f}" for pascal in (median, instruments.STRONGEST))
+        sheet.remark("warning", "stress", "strongest", stress=median, shown=shown, most=most)
     name = f"{path.parent.name}/{path.stem}"
     name += f"/{table.name}" if len(sheet.file.tables) > 1 else ""
     account, unit = sheet.account(columns, int(np.sum(good))), "relative" if is_relative else "1"
@@ -472,9 +467,9 @@ def _named(sheet: Sheet, is_loaded: bool) -> Sheet:
     for note in sorted(n for n in path.parent.iterdir() if n.suffix in (".txt", ".md")):
         is_one = note != path and any(word in note.stem.lower() for word in _NOTES)
         if is_one and note.stat().st_size < _LARGEST_NOTE:
-            lines = decoded_lines(read_bytes(note, _LARGEST_NOTE))
-            found = [match for line in lines if (match := _UNIT_LINE.match(line))]
-            noted = {m[1].lower(): m[2].strip() for m in reversed(found)} | noted
+            lines = map(_UNIT_LINE.match, decoded_lines(read_bytes(note, _LARGEST_NOTE)))
+            for match in filter(None, lines):
+                noted.setdefault(match[1].lower(), match[2].strip())
     coldest = float(np.nanquantile(columns[0].values, 0.05))
     if "temperature" not in noted and not _COLDEST[0] < coldest < _COLDEST[1]:
         raise sheet.refusal("celsius", coldest=coldest)
@@ -505,19 +500,15 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
     strain, stress = sheet.values(*pulled), sheet.values(*loaded)
 
     # Extension counts from the first row, over the gauge length; force over the section.
-    is_extension, is_force = pulled[1] == "length", loaded[1] == "force"
-    length = sheet.noted("gauge_length") if is_extension else None
-    section = sheet.section() if is_force else None
-    if is_extension:
+    length = sheet.noted("gauge_length") if pulled[1] == "length" else 1.0
+    section = sheet.section() if loaded[1] == "force" else 1.0
+    if pulled[1] == "length":
         start = float(strain[0])
         if abs(start) > 0.01 * float(np.ptp(strain)):
             name, at = pulled[0].name, f"{start * 1e3:.6g}"
             sheet.remark("info", "extension", "begins", name=name, start=start, at=at)
         strain = strain - start
-        if length is not None:
-            strain, is_extension = strain / length, False
-    if is_force and section is not None:
-        stress, is_force = stress / section, False
+    strain, stress = strain / (length or 1.0), stress / (section or 1.0)
     for what, values in (("strain", strain), ("stress", stress)):
         worst, most = int(np.argmax(np.abs(values))), _LARGEST[what]
         if abs(values[worst]) > most:
@@ -527,18 +518,18 @@ def tensile_of(sheet: Sheet) -> TensileRecord:
             raise sheet.refusal("constant", what=what, value=values[0])
 
     measured = None if "temperature" in sheet.given else sheet.find("temperature")
-    temperature = sheet.noted("temperature") if measured is None else None
-    if measured is not None:
-        kelvin = sheet.values(*measured)
+    if measured is None:
+        temperature = sheet.noted("temperature")
+    else:
+        kelvin, most = sheet.values(*measured), instruments.STEADY
         columns["temperature"] = measured
-        if np.ptp(kelvin) > instruments.STEADY:
-            span = np.ptp(kelvin)
-            sheet.remark("warning", "temperature", "unsteady", span=span, most=instruments.STEADY)
+        if np.ptp(kelvin) > most:
+            sheet.remark("warning", "temperature", "unsteady", span=np.ptp(kelvin), most=most)
         temperature = float(np.median(kelvin))
     noted = [m[1].lower() for c in table.above if (m := _PHASE.search(" ".join(c)))]
     phase = next((phase for phase in instruments.PHASES if phase in noted[:1]), None)
     account, findings = sheet.account(columns, len(strain)), tuple(sheet.findings)
     return TensileRecord(
-        sheet.file.path, strain, stress, temperature, findings, phase, is_extension, is_force,
-        account,
+        sheet.file.path, strain, stress, temperature, findings, phase, length is None,
+        section is None, account,
     )

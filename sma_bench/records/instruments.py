@@ -3,6 +3,7 @@ cycles of a test, between the turns of its temperature without a thermometer's s
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, get_args
 
@@ -98,12 +99,9 @@ class DscRecord(Drawn):
 
     @property
     def endothermic_up(self) -> bool | None:
-        """Whether heat into the sample counts positive; None where the run does not show it.
-
-        Where the file does not say: heating a sample takes heat and cooling it gives heat back, so
-        the mean of heat flow less baseline over the heating scans lies on the endothermic side of
-        that over the cooling scans.
-        """
+        """Whether heat into the sample counts positive; None where the run does not show it. Where
+        the file does not say: heating takes heat and cooling gives it back, so the mean of heat
+        flow less baseline over the heating scans is endothermic of that over the cooling ones."""
         if self.exotherm:
             return self.exotherm == "down"
         means = [(s.kind, float(np.mean(s.heat_flow - s.baseline))) for s in self.segments]
@@ -113,11 +111,8 @@ class DscRecord(Drawn):
 
 @dataclass(frozen=True, repr=False)
 class IsobaricRecord(Drawn):
-    """One test at one stress.
-
-    Strain has the unit "1", or is "relative" where the gauge length is unknown: the extension over
-    its own full range, so that strains can be compared within the test only.
-    """
+    """One test at one stress. Strain has the unit "1", or is "relative" where the gauge length is
+    unknown: the extension over its own full range, to be compared within the test only."""
 
     path: Path
     name: str  # unique among files of different folders: folder and stem, and its sheet
@@ -199,20 +194,18 @@ def find_cycles(
     # Extremes that a change of more than the threshold follows, and both ends.
     threshold = max(_TURN * span, 2.0)
     turns, extreme, direction = [0], 0, 0
-    for i, change in ((i, t - temperature[extreme]) for i, t in enumerate(temperature)):
-        if direction == 0 and abs(change) > threshold:
-            direction, extreme = (1 if change > 0.0 else -1), i
-        elif direction and direction * change >= 0.0:
+    for i, t in enumerate(temperature):
+        change = t - temperature[extreme]
+        if direction and direction * change >= 0.0:
             extreme = i
-        elif direction and abs(change) > threshold:
-            turns.append(extreme)
-            direction, extreme = -direction, i
+        elif abs(change) > threshold:
+            turns += [extreme] if direction else []
+            direction, extreme = (1 if change > 0.0 else -1), i
     turns.append(extreme)
 
     # A branch lies between two; two of opposite direction make a cycle.
-    cycles: list[tuple[Branch, ...]] = []
-    partial = 0
-    for first, last in zip(turns[:-1], turns[1:], strict=True):
+    cycles, partial = list[tuple[Branch, ...]](), 0
+    for first, last in pairwise(turns):
         change = temperature[last] - temperature[first]
         if abs(change) < _COMPLETE * span or last - first < _FEWEST_SAMPLES:
             partial += 1
@@ -228,6 +221,5 @@ def find_cycles(
         raise InputError(f"{where}: {short}, expected a heating or cooling")
     short = f"span less than {_COMPLETE:.0%} of the range and are left out"
     text = f"{where}: {partial} turns of temperature {short}"
-    found = tuple(Cycle(number, branches) for number, branches in enumerate(cycles, 1))
-    findings = [Finding("info", "temperature", text, {"count": float(partial)})]
-    return found, findings if partial else []
+    findings = [Finding("info", "temperature", text, {"count": float(partial)})] * bool(partial)
+    return tuple(Cycle(number, branches) for number, branches in enumerate(cycles, 1)), findings

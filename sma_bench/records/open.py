@@ -26,11 +26,11 @@ AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
 def open_records(
     path: str | Path, namespace: str | None = None, stated: Mapping[str, float] | None = None
 ) -> list[AnyRecord]:
-    """Read a bag or an instrument's file, of whose sheets each may be a record; which one it is, is
-    decided by its content. `path`: of the record; `namespace`: where two benches are in one bag,
-    the one to take; `stated`: what an instrument's file does not hold, in SI units: `stress`,
-    `mass`, `gauge_length`, `area`, `diameter`, `temperature`. Raises InputError: neither, or
-    nothing readable in it, with the reader's own reason."""
+    """Read a bag or an instrument's file, of whose sheets each may be a record, by its content.
+    `namespace`: where two benches are in one bag, the one to take; `stated`: what an instrument's
+    file does not hold, in SI units: `stress`, `mass`, `gauge_length`, `area`, `diameter`,
+    `temperature`. Raises InputError: neither, or nothing readable in it, with the reader's own
+    reason."""
     path = Path(path)
     if is_bag(path):
         return [read_record(path, namespace)]
@@ -38,18 +38,9 @@ def open_records(
     from sma_bench.records import instrument_files as files
     from sma_bench.records.tables import read_table_file
 
-    kinds = (
-        (files.is_dsc, files.dsc_of), (files.is_isobaric, files.isobaric_of),
-        (files.is_tensile, files.tensile_of),
-    )  # fmt: skip
     file = read_table_file(path)
-    records: list[AnyRecord] = []
-    for table in file.tables:
-        sheet = files.Sheet(file, table, stated or {})
-        made = next((make for is_it, make in kinds if is_it(sheet)), None)
-        if made is not None:
-            records.append(made(sheet))
-    if records:
+    sheets = [files.Sheet(file, table, stated or {}) for table in file.tables]
+    if records := [record for sheet in sheets if (record := files.record_of(sheet))]:
         return records
     raise InputError(f"{path}: {_what_it_lacks(file, stated or {})}")
 
@@ -62,8 +53,7 @@ def parse_stated(texts: Iterable[str]) -> dict[str, float]:
     known: dict[str, Any] = WORDS["stated"]
     found: dict[str, float] = {}
     for text in texts:
-        name, _, _ = text.partition("=")
-        name = name.strip().replace("-", "_")
+        name = text.partition("=")[0].strip().replace("-", "_")
         if name not in known:
             raise InputError(f"{text!r}: expected one of {', '.join(known)}, e.g. mass=12 mg")
         quantity = known[name]["quantity"]
@@ -80,12 +70,11 @@ def open_record(
     """The record of a file, the first one where several sheets hold one each, with a warning that
     names the others; raises as `open_records`."""
     first, *others = open_records(path, namespace, stated)
-    if others:
-        names = ", ".join(getattr(record, "account").sheet for record in others)  # noqa: B009
-        text = f"{path}: {len(others)} more records in its sheets ({names}), not read here"
-        warning = Finding("warning", "sheets", text)
-        first = replace(first, findings=(*first.findings, warning))
-    return first
+    if not others:
+        return first
+    names = ", ".join(getattr(record, "account").sheet for record in others)  # noqa: B009
+    text = f"{path}: {len(others)} more records in its sheets ({names}), not read here"
+    return replace(first, findings=(*first.findings, Finding("warning", "sheets", text)))
 
 
 def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
@@ -100,22 +89,20 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
             "them; of two, of an isobaric test (temperature in degC, strain), state the stress, "
             "--state 'stress=200 MPa' or a first line 'Stress: 200 MPa'"
         )
-    kinds = WORDS["instruments"]
+    kinds, name = WORDS["instruments"], file.path.name
     lacks = {kind: sheet.lacks(kind) for kind in kinds}
     kind = min(lacks, key=lambda one: len(lacks[one]))
     is_named = kind == "isobaric" or any(map(sheet.find, ("heat flow", "strain", "stress")))
     if len(lacks[kind]) == 1 and is_named and not sheet.is_driven():
         what = lacks[kind][0]
-        for column in sheet.table.columns:
-            if column.unit and not parse_unit(column.unit) and what in title_meanings(column.title):
-                example = f"{what.capitalize()} ({QUANTITIES[what]['example']})"
-                unit = f"unit {column.unit!r} of {column.name}"
-                return f"{unit} is not known: which, as in {example}?"
-        how = f"write its title with a unit, {what.capitalize()} ({QUANTITIES[what]['example']})"
+        example = f"{what.capitalize()} ({QUANTITIES[what]['example']})"
+        for c in sheet.table.columns:
+            if c.unit and not parse_unit(c.unit) and what in title_meanings(c.title):
+                return f"unit {c.unit!r} of {c.name} is not known: which, as in {example}?"
+        how = f"write its title with a unit, {example}"
         if kind == "isobaric" and what == "stress":
             how += ", or state it: --state 'stress=200 MPa', a line 'Stress: 200 MPa' above"
         return f"no {what} column: a {kind} test has {', '.join(kinds[kind])}; {how}"
-    name = file.path.name
     return (
         f"a table of another logger ({file.format}): write titles with units, or make a record of "
         f"it: sma-bench import {name} --out {file.path.stem}"
@@ -132,40 +119,37 @@ def describe(record: AnyRecord) -> dict[str, Any]:
         return {first: float(values[0]), last: float(values[-1])}
 
     about: dict[str, Any] = {"path": str(record.path)}
+    parts: dict[str, list[dict[str, Any]]] = {}
     if isinstance(record, DscRecord):
         about |= {
             "kind": "dsc", "instrument": record.instrument, "sample": record.sample,
             "mass": record.mass, "endothermic_up": record.endothermic_up,
-            "segments": [
-                {"number": s.number, "kind": s.kind, "rate": s.rate, "samples": len(s.time),
-                 **ends("start", "end", s.time), **ends("from", "to", s.temperature)}
-                for s in record.segments
-            ],
         }
+        parts["segments"] = [
+            {"number": s.number, "kind": s.kind, "rate": s.rate, "samples": len(s.time),
+             **ends("start", "end", s.time), **ends("from", "to", s.temperature)}
+            for s in record.segments
+        ]
     elif isinstance(record, IsobaricRecord):
+        about |= {"kind": "isobaric", "stress": record.stress, "strain_unit": record.strain_unit}
+        parts["branches"] = [
+            {"cycle": cycle.number, "kind": b.direction, "samples": len(b.temperature),
+             **ends("from", "to", b.temperature), **ends("strain_from", "strain_to", b.strain)}
+            for cycle in record.cycles for b in cycle.branches
+        ]
         # Quantities of a cycle by their names in ASTM E3097: actuation strain is what heating
         # recovers, residual strain the end less the begin of the cycle.
-        standard = []
+        standard = parts["cycles"] = []
         for cycle in (cycle for cycle in record.cycles if len(cycle.branches) == 2):
-            heating = next(b for b in cycle.branches if b.direction == "heating")
-            kelvin = np.concatenate([branch.temperature for branch in cycle.branches])
             first, last = cycle.branches
+            heating = first if first.direction == "heating" else last
+            kelvin = np.concatenate([first.temperature, last.temperature])
             standard.append({
-                "cycle": cycle.number,
-                "lower_cycle_temperature": float(kelvin.min()),
+                "cycle": cycle.number, "lower_cycle_temperature": float(kelvin.min()),
                 "upper_cycle_temperature": float(kelvin.max()),
                 "actuation_strain": float(heating.strain[0] - heating.strain[-1]),
                 "residual_strain": float(last.strain[-1] - first.strain[0]),
             })
-        about |= {
-            "kind": "isobaric", "stress": record.stress, "strain_unit": record.strain_unit,
-            "branches": [
-                {"cycle": cycle.number, "kind": b.direction, "samples": len(b.temperature),
-                 **ends("from", "to", b.temperature), **ends("strain_from", "strain_to", b.strain)}
-                for cycle in record.cycles for b in cycle.branches
-            ],
-            "cycles": standard,
-        }
     elif isinstance(record, TensileRecord):
         about |= {
             "kind": "tensile", "temperature": record.temperature,
@@ -174,35 +158,31 @@ def describe(record: AnyRecord) -> dict[str, Any]:
             "largest_stress": float(record.stress.max()),
         }
     else:
-        signals = []
-        for signal in record.signals.values():
-            steps, finite = np.diff(signal.time), signal.values[np.isfinite(signal.values)]
-            period, received = signal.period, signal.received
-            jitter = float(np.subtract(*np.percentile(steps, [95, 5]))) if len(steps) else None
-            signals.append({
-                "name": signal.name, "unit": signal.unit, "topic": signal.topic,
-                "samples": len(signal), "rate": 1 / period if period > 0 else None,
-                "jitter": jitter, "longest_gap": float(steps.max()) if len(steps) else None,
-                "delay": None if received is None else float(np.median(received - signal.time)),
-                "start": float(signal.time[0]) if len(signal) else None,
-                "end": float(signal.time[-1]) if len(signal) else None,
-                **{name: float(getattr(finite, name)()) if len(finite) else None
-                   for name in ("min", "max", "mean")},
-            })
         about |= {
             "kind": "bag", "start_ns": record.start_ns, "duration": record.duration,
             "start": datetime.fromtimestamp(record.start_ns / 1e9, UTC).isoformat(),
             "channels": list(record.channels),
-            "topics": [
-                {"name": name, "type": t.type, "count": t.count, "signals": list(t.signals)}
-                for name, t in record.topics.items()
-            ],
-            "signals": signals,
-            "markers": [{"time": time, "text": text} for time, text in record.markers],
         }
+        parts["topics"] = [{"name": name, "type": t.type, "count": t.count,
+                            "signals": list(t.signals)} for name, t in record.topics.items()]
+        signals = parts["signals"] = []
+        for s in record.signals.values():
+            steps, finite, count = np.diff(s.time), s.values[np.isfinite(s.values)], len(s)
+            jitter = float(np.subtract(*np.percentile(steps, [95, 5]))) if len(steps) else None
+            signals.append({
+                "name": s.name, "unit": s.unit, "topic": s.topic, "samples": count,
+                "rate": 1 / s.period if s.period > 0 else None, "jitter": jitter,
+                "longest_gap": float(steps.max()) if len(steps) else None,
+                "delay": None if s.received is None else float(np.median(s.received - s.time)),
+                "start": float(s.time[0]) if count else None,
+                "end": float(s.time[-1]) if count else None,
+                **{name: float(getattr(finite, name)()) if len(finite) else None
+                   for name in ("min", "max", "mean")},
+            })
+        parts["markers"] = [{"time": time, "text": text} for time, text in record.markers]
     found = check_record(record) if isinstance(record, Record) else record.findings
-    findings = [finding.to_json() for finding in found]
-    return about | {"findings": findings, "account": account_line(record)}
+    parts["findings"] = [finding.to_json() for finding in found]
+    return about | parts | {"account": account_line(record)}
 
 
 def account_line(record: AnyRecord) -> str:

@@ -1,6 +1,5 @@
 """Tables of loggers and instruments: text, Excel, MATLAB, HDF5 and Parquet files as named columns.
-Cells are taken as they are written; what unfolds is read in a process of its own (`unfold.py`).
-"""
+Cells are taken as they are written; what unfolds is read in a process of its own (`unfold.py`)."""
 
 import csv
 import hashlib
@@ -159,10 +158,9 @@ class TableFile:
         for k, table in enumerate(tables):
             columns = []
             for column in table.columns:
-                name = label(column.name)
+                name, title, unit = map(label, (column.name, column.title, column.unit))
                 seen[name] += 1
                 name += f" ({seen[name]})" if seen[name] > 1 else ""
-                title, unit = label(column.title), label(column.unit)
                 columns.append(replace(column, table=k, name=name, title=title, unit=unit))
             ignored = {label(name): reason for name, reason in table.ignored.items()}
             named.append(replace(table, columns=tuple(columns), ignored=ignored))
@@ -179,9 +177,9 @@ class TableFile:
         for table in tables:
             ignored |= table.ignored
             left_out += table.left_out
-            if table.marks:
-                first, count = table.marks[0][1][:40], len(table.marks)
-                left_out.append(f"{count} lines of text between the rows, the first {first!r}")
+            for _, first in table.marks[:1]:
+                count = f"{len(table.marks)} lines of text between the rows"
+                left_out.append(f"{count}, the first {first[:40]!r}")
         left_out += self.outside
         sheet = tables[0].name if len(tables) < len(self.tables) else ""
         rows = sum(table.rows for table in tables)
@@ -242,7 +240,7 @@ def _unfolded(content: bytes, reader: str) -> list[Any]:
         raise InputError(f"takes more than {seconds} s to read")
     if child.returncode:
         last = printable(child.stderr.decode(errors="replace").strip().rpartition("\n")[2])[:200]
-        why = f"{child.returncode}{': ' if last else ''}{last}"
+        why = f"{child.returncode}: {last}".removesuffix(": ")
         raise InputError(f"not a readable {reader} file: it ends its reader ({why})")
     error, found = msgspec.msgpack.decode(child.stdout, type=tuple[str, list[Any]])
     if error:
@@ -279,13 +277,13 @@ def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
 def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
     """Tables of the arrays of numbers, those of one length together, and what else there is."""
     # Texts called unit, label or name speak for the arrays in their folder.
-    beside: dict[tuple[str, ...], dict[str, Any]] = {}
+    beside: dict[tuple[str, ...], dict[str, Any]] = defaultdict(dict)
     leaves = [(tuple(path), value, about) for path, value, about in leaves]
     for path, value, _ in leaves:
         key = _MEANS.get(path[-1].lower())
         if key in ("unit", "title") and isinstance(value, str):
-            beside.setdefault(path[:-1], {})[key] = value
-    columns: dict[int, list[Column]] = {}
+            beside[path[:-1]][key] = value
+    columns: dict[int, list[Column]] = defaultdict(list)
     notes: dict[int, list[str]] = defaultdict(list)
     outside: list[str] = []
     for path, value, about in leaves:
@@ -298,8 +296,7 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
         array = np.frombuffer(value[2], value[0]).reshape(value[1])
         if value[0] == "<i8":  # moments in ns since 1970
             seconds, start = (array[:, 0] - array[0, 0]) / 1e9, array[0, 0] / 1e9
-            clock = Column(label, last, "s", seconds, group, float(start), 3)
-            columns.setdefault(len(array), []).append(clock)
+            columns[len(array)].append(Column(label, last, "s", seconds, group, float(start), 3))
             continue
 
         # Attributes that scale, and what stands for a missing value.
@@ -329,10 +326,8 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
                 found = [(*t[:2], t[2] or old[2]) for t, old in zip(titles, found, strict=True)]
             else:
                 found = [(*old[:2], text) for old, text in zip(found, texts, strict=True)]
-        columns.setdefault(len(array), []).extend(
-            Column(*texts, values, group)
-            for texts, values in zip(found, array.T.copy(), strict=True)
-        )
+        parted = zip(found, array.T.copy(), strict=True)
+        columns[len(array)] += [Column(*texts, values, group) for texts, values in parted]
     if sum(map(len, columns.values())) > MOST_COLUMNS:
         raise InputError(f"more than {MOST_COLUMNS} columns, expected at most that")
     lines = ((n, tuple(c), np.arange(1, n + 1)) for n, c in columns.items())
@@ -349,37 +344,34 @@ def tables_of(
     lines in none; raises InputError for titles or cells that cannot be understood."""
     blocks: list[_Block] = []
     between: list[Row] = []
-    width = 0
-    headers = _headers(rows)
+    width, headers = -1, _headers(rows)
     for k, row in enumerate(rows):
+        is_plain = all(isinstance(c, float) or (isinstance(c, str) and _PLAIN.match(c))
+                       for c in row[1][:2])  # fmt: skip
         if k in headers:
             between.append(row)
-            continue
-        if len(row[1]) == width and not between and all(
-            isinstance(c, float) or (isinstance(c, str) and _PLAIN.match(c)) for c in row[1][:2]
-        ):
+        elif is_plain and len(row[1]) == width and not between:
             blocks[-1].rows.append(row)  # it begins with figures and signs alone
-            continue
-        if not is_number_row(row[1]):
+        elif not is_number_row(row[1]):
             between += [row] if any(map(cell_kind, row[1])) else []
-            continue
-        if blocks and blocks[-1].takes(row, between):
-            blocks[-1].marks += [(len(blocks[-1].rows), _text(cells)) for _, cells in between]
         else:
-            blocks.append(_Block(separator, lines, between, [], []))
-        between, width = [], len(row[1])
-        blocks[-1].rows.append(row)
+            if blocks and blocks[-1].takes(row, between):
+                blocks[-1].marks += [(len(blocks[-1].rows), _text(cells)) for _, cells in between]
+            else:
+                blocks.append(_Block(separator, lines, between, [], []))
+            between, width = [], len(row[1])
+            blocks[-1].rows.append(row)
     # A line of numbers among notes is one of them.
-    largest = max((len(block.rows) for block in blocks), default=0)
+    fewest = min(_FEWEST, max((len(block.rows) for block in blocks), default=0))
     tables: list[Table] = []
     heads: list[Row] = []
     for block in blocks:
         heads += block.heads
-        if len(block.rows) < min(_FEWEST, largest):
+        if len(block.rows) < fewest:
             heads += block.rows
-            continue
-        block.heads, heads = heads, []
-        tables.append(block.table(name))
+        else:
+            block.heads, heads = heads, []
+            tables.append(block.table(name))
     unused = [*heads, *between] if tables else []
     return tables, [f"line {line} ({_text(cells)[:40]})" for line, cells in unused]
 
@@ -420,16 +412,13 @@ class _Block:
         if not between and row[0] == self.rows[-1][0] + 1:
             return True
         width = len(self.rows[0][1])
+        if len(row[1]) != width:
+            return False
         again, units, notes = self.titles(between, width)
-        is_row = not any(again) or "n" in map(cell_kind, again)  # a number's neighbour overflowed
-        is_same = is_row or self.goes_on(again, units, notes, width)
-        return len(row[1]) == width and is_same
-
-    def goes_on(
-        self, again: list[str], units: list[str], notes: Sequence[Row], width: int
-    ) -> bool:
-        """Whether titles that come again, under notes, part a table and begin none: neither other
-        units nor another number, as the next load, go with them."""
+        if not any(again) or "n" in map(cell_kind, again):  # a number's neighbour overflowed
+            return True
+        # Titles that come again part a table and begin none where neither other units nor another
+        # number, as the next load, go with them.
         titles, before, _ = self.titles(self.heads, width)
         stated = any(number_with_unit(_text(cells), q) for _, cells in notes for q in _TESTS)
         return again == titles and (units == before or not any(units)) and not stated
@@ -437,8 +426,7 @@ class _Block:
     def begins_with_index(self) -> bool:
         """Whether rows begin with a number that counts them, or with a name."""
         first = [cells[0] for _, cells in self.rows]
-        numbers = plain_numbers(first)
-        if numbers is None:
+        if (numbers := plain_numbers(first)) is None:
             return all(cell_kind(c) == "t" for c in first)
         return len(numbers) > 1 and bool(np.all(np.diff(numbers) == 1.0))
 
@@ -577,8 +565,7 @@ def _columns(
         elif k in dates and clock is not None:
             ignored[label] = f"its dates are in {labels[clock]}"
         elif kinds[k] == "d":
-            before = [texts[d] for d in dates if d < k and k in clocks]
-            found = moments_of(cells, *before[-1:])
+            found = moments_of(cells, *[texts[d] for d in dates if d < k and k in clocks][-1:])
             if found is None:
                 bad = [cell_kind(c) != "" and not moment_of(c) for c in cells].index(True)
             else:

@@ -3,9 +3,8 @@ of its own: a small file may ask for all memory, or end a compiled reader.
 
     python unfold.py KIND BYTES SECONDS < file > answer
 
-This script imports nothing but what a format needs. The answer is msgpack: what is wrong, in one
-line, then what was found: path, value and attributes of each sheet or array.
-"""
+This script imports numpy and what a format needs alone. The answer is msgpack: what is wrong, in
+one line, then what was found: path, value and attributes of each sheet or array."""
 
 import datetime as dt
 import os
@@ -15,6 +14,8 @@ import sys
 from collections.abc import Iterator
 from io import BytesIO
 from typing import Any
+
+import numpy as np
 
 LONGEST_TEXT = 500  # characters of a cell that are kept: a title or a line of notes has less
 MOST_LEAVES = 10_000  # arrays and texts of one file
@@ -28,10 +29,10 @@ def excel(file: BytesIO) -> Found:
     def plain(shown: Any) -> Any:
         cell, is_number = shown.value, isinstance(shown.value, (int, float))
         form = re.sub(r'"[^"]*"|\\.', "", shown.number_format or "")  # without texts
-        if is_number and not isinstance(cell, bool) and "%" in form:
-            return f"{100.0 * cell:.15g}%"  # as it is read: 4.2 % is kept as 0.042
         if cell is None or isinstance(cell, bool):
             return "" if cell is None else cell
+        if is_number and "%" in form:
+            return f"{100.0 * cell:.15g}%"  # as it is read: 4.2 % is kept as 0.042
         if is_number:
             return cell if abs(cell) < 1 << 53 else float(cell)
         if isinstance(cell, dt.timedelta):
@@ -42,8 +43,7 @@ def excel(file: BytesIO) -> Found:
 
     for sheet in openpyxl.load_workbook(file, read_only=True, data_only=True).worksheets:
         sheet.reset_dimensions()  # what a file claims of its size is not believed
-        rows = [list(map(plain, row)) for row in sheet.iter_rows()]
-        yield (sheet.title,), rows, {}
+        yield (sheet.title,), [list(map(plain, row)) for row in sheet.iter_rows()], {}
 
 
 def matlab(file: BytesIO) -> Found:
@@ -69,7 +69,6 @@ def matlab(file: BytesIO) -> Found:
 def hdf5(file: BytesIO) -> Found:
     """Of MATLAB 7.3 too; a compound table gives a leaf a column."""
     import h5py
-    import numpy as np
 
     names: list[str] = []
     with h5py.File(file, "r") as opened:
@@ -102,15 +101,12 @@ def parquet(file: BytesIO) -> Found:
             yield (field.name,), None, {"unread": f"holds {field.type}, no numbers"}
             continue
         column = opened.read(columns=[field.name], use_threads=False).column(0)
-        values = column.cast("timestamp[ns]" if is_stamp else "double").to_numpy()
-        yield (field.name,), values, {}
+        yield (field.name,), column.cast("timestamp[ns]" if is_stamp else "double").to_numpy(), {}
 
 
 def portable(value: Any) -> Any:
     """A text; texts; of an array of numbers its type (float64, of moments int64 ns), its shape as
     columns (n, k), and its bytes; else None."""
-    import numpy as np
-
     if isinstance(value, (str, bytes)):
         text = value.decode(errors="replace") if isinstance(value, bytes) else value
         return text[:LONGEST_TEXT].strip()
@@ -131,8 +127,6 @@ def portable(value: Any) -> Any:
 def portable_leaves(found: Found) -> Found:
     """Leaves without lone numbers; attributes of one text or number, by their names in lower case;
     why a leaf is not read is its attribute `unread`."""
-    import numpy as np
-
     for count, (path, value, attributes) in enumerate(found):
         if count > MOST_LEAVES:
             raise ValueError(f"more than {MOST_LEAVES} arrays")
@@ -141,13 +135,12 @@ def portable_leaves(found: Found) -> Found:
             one = np.ravel(held)[0] if np.size(held) == 1 else ""
             said[name.lower()] = portable(one) if isinstance(one, (str, bytes)) else float(one)
         shown, kind = portable(value), np.asarray(value).dtype.kind
-        if shown is None and not attributes and kind in "fiubc" and np.size(value) == 1:
-            continue
+        is_lone = kind in "fiubc" and np.size(value) == 1 and not attributes
         if shown is None:
-            is_object = kind == "V"
-            why = "an object that MATLAB alone can read" if is_object else "no array of numbers"
+            why = "an object that MATLAB alone can read" if kind == "V" else "no array of numbers"
             said.setdefault("unread", why)
-        yield path, shown, said
+        if shown is not None or not is_lone:
+            yield path, shown, said
 
 
 READERS = {"Excel": excel, "MATLAB": matlab, "HDF5": hdf5, "Parquet": parquet}
