@@ -243,11 +243,8 @@ def _refusal(problem: str, node: Any) -> yaml.MarkedYAMLError:
     return yaml.MarkedYAMLError(None, None, problem, node.start_mark)
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z"),
-    list("-+0123456789."),
-)
+_FLOAT = re.compile(r"[-+]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)[eE][-+]?[0-9]+\Z")
+_Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
 _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.integer)
 _Loader.add_constructor("tag:yaml.org,2002:str", _Loader.text)
 _Loader.add_constructor("tag:yaml.org,2002:value", _Loader.text)  # a plain =
@@ -296,11 +293,8 @@ def printable(text: str, keep: str = "") -> str:
     spelled out (`\x1b`), except those to `keep`."""
     if text.isprintable():
         return text
-    return "".join(
-        letter if letter.isprintable() or letter in keep
-        else letter.encode("unicode_escape").decode("ascii")
-        for letter in text
-    )
+    hidden = {letter for letter in text if not letter.isprintable()} - set(keep)
+    return text.translate({ord(c): c.encode("unicode_escape").decode("ascii") for c in hidden})
 
 
 def shown(text: str, longest: int = LONGEST_SHOWN) -> str:
@@ -327,9 +321,8 @@ def make_folder(folder: Path) -> Path:
 
 def claimed(name: str, said: str = "") -> socket.socket:
     """Hold a name, of this machine's ROS domain or of what is `said` of it to others, until the
-    socket is closed or the process ends. Waits a moment for one that is about to end: the graph
-    still lists nodes that were killed. Raises InputError: it is held, by this process or another.
-    """
+    socket is closed or the process ends. Waits a moment for one that is about to end, as a node
+    that was killed. Raises InputError: it is held, by this process or another."""
     said = said or f"there already in ROS domain {os.environ.get('ROS_DOMAIN_ID') or '0'}"
     named = hashlib.sha1(f"{said}/{name}".encode("utf-8", "surrogateescape"))
     address = f"\0sma_bench/{named.hexdigest()}"

@@ -65,8 +65,7 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     measured: NaN is left out, temperatures are in K. Messages are sorted by stamp, and of several
     with one stamp the first is kept. Whatever was lost, left out or put in order is in
     `Record.findings`. `namespace`: look only at topics below it. Raises InputError: no bag, nothing
-    readable in it, two topics for one meaning, or a topic of the bench of another type than the
-    contract's."""
+    readable in it, two topics for one meaning, or one of another type than the contract's."""
     path, inside = Path(path), contract.inside
     bag = read_storage(path, lambda n, t: inside(n, namespace) and contract.is_decoded(n, t))
     found = list(bag.topics.values())
@@ -117,8 +116,7 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
 
 
 def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
-    """All messages of one topic; those that cannot be decoded are counted in a finding. Raises
-    OverBudget: they ask for more than such a topic may."""
+    """All messages of one topic, but for those that cannot be decoded. Raises OverBudget."""
     budget, is_stamped = bag.budget, raw.type not in contract.HEADERLESS
     decompress_messages(raw, budget)
     received, lengths = (np.array(v, dtype=np.int64) for v in (raw.times, raw.lengths))

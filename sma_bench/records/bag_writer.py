@@ -50,9 +50,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self, path: str | Path, flush_every: float = _FLUSH_EVERY,
         custom_data: Mapping[str, str] | None = None,
     ) -> None:
-        """Begin a bag, a new folder. `flush_every` s of wall time: where the chunks end depends on
-        it; with inf they are full, and the bytes depend on the messages alone. `custom_data`: texts
-        by name for metadata.yaml, which rosbag2 keeps a place for."""
+        """Begin a bag, a new folder. `flush_every` s of wall time; with inf chunks are full, and
+        the bytes depend on the messages alone. `custom_data`: texts by name for metadata.yaml."""
         try:
             from mcap.writer import CompressionType, Writer
         except ModuleNotFoundError:
@@ -282,8 +281,7 @@ def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[
 
 
 def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) -> Stream:
-    """Signals of one topic as copies of a template with other numbers; NaN where only the other
-    signals of the topic have a value."""
+    """Signals of one topic as copies of a template; NaN where others of it alone have a value."""
     if msgtype == contract.MULTI_ARRAY:
         signal = columns["data"]
         values = signal.values.reshape(len(signal), -1)

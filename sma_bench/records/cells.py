@@ -81,9 +81,9 @@ _STATED = {"mass": (1e-9, 1e-3), "stress": (5e6, 1e9)}  # by a test, in SI, wher
 
 
 def number_with_unit(text: str, quantity: str) -> float | None:
-    """The value in SI of the first number in a text with a unit of that quantity behind it. Digits
-    of names and ends of ranges are none; of 1,000 and 12 345, which may be two numbers, the one
-    that a test states, None where that is not told."""
+    """The value in SI of the first number in a text with a unit of that quantity behind it, but for
+    digits of names and ends of ranges; of 1,000 and 12 345 the one that a test states, else None.
+    """
     parted = (text.partition(mark) for mark in ":=")
     key, value = next(((k, v) for k, _, v in parted if re.search(r"\d", v)), ("", text))
     units = (unit for unit in re.findall(r"[/(\[]\s*([^\s)\]:]+)", key) if parse_unit(unit))
@@ -183,8 +183,7 @@ _FACTOR = re.compile(
 def split_title(title: str, below: str = "") -> tuple[str, str]:
     """Title and unit: that in the row `below`, if any, else in brackets, after a slash or comma, or
     after an underscore or blank if it fits what the title says or is no single letter (LVDT_A is no
-    current, T_f no Fahrenheit). With a factor it is a unit that nothing knows: whether values are
-    to be multiplied is not said."""
+    current, T_f no Fahrenheit). With a factor, for or against which nothing speaks, not known."""
     text = " ".join(title.split())
     if len(text) < 200 and (factor := _FACTOR.search(text)):
         name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}", below)

@@ -46,11 +46,9 @@ def check_record(record: Record) -> list[Finding]:
     names = [f"{c}.{k}" for c in record.channels for k in ("voltage", "current", "temperature")]
     found += [Finding("info", n, "absent from the record") for n in names if n not in signals]
     if signals and not record.channels:
-        text = "no channel: neither voltages nor temperatures"
-        found.append(Finding("warning", "record", text))
+        found.append(Finding("warning", "record", "no channel: neither voltages nor temperatures"))
     if signals and not any(name in signals for name in _MECHANICS):
-        text = f"no mechanical signal ({', '.join(_MECHANICS)})"
-        found.append(Finding("info", "record", text))
+        found.append(Finding("info", "record", f"no mechanical signal ({', '.join(_MECHANICS)})"))
     for check in (_values, _rate, _clocks, _saturation, check_response):
         found += check(record)
     return found
@@ -68,8 +66,8 @@ def kind_of(name: str) -> str:
 
 
 def _values(record: Record) -> Iterator[Finding]:
-    """Order and missing values, of records made in memory (a bag's are sorted out when they get
-    here), values that no bench has, a reversed current sensor, and coarse steps."""
+    """Order and missing values, of records made in memory, values that no bench has, a reversed
+    current sensor, and coarse steps."""
     for name, signal in record.signals.items():
         kind, unit, off = kind_of(name), signal.unit, outliers(signal)
         steps = np.diff(signal.time)
@@ -187,8 +185,7 @@ def _rate(record: Record) -> Iterator[Finding]:
 
 def delays_of(record: Record) -> dict[str, tuple[float, float]]:
     """Median of receive time minus stamp, and its growth from the first tenth to the last, in s by
-    signal; none where the recorder's clock was a simulated one, whose ticks come again and again
-    and tell how busy the computer was."""
+    signal; none of a simulated clock, whose ticks repeat and tell how busy the computer was."""
     received = {n: s.received for n, s in record.signals.items()
                 if s.received is not None and len(s.received) == len(s) > 0}
     ticks = [np.mean(np.diff(r) < 1e-9) for r in received.values() if len(r) >= FEWEST]
@@ -224,8 +221,8 @@ def _clocks(record: Record) -> Iterator[Finding]:
         jumps = np.abs(steps[np.abs(steps) > _JUMP])
         turns = min(int(np.sum(steps > _JUMP)), int(np.sum(back < -_JUMP)))
         if turns > _FEW_TURNS:
-            topic = signal.topic or signal.name
-            yield said("two_clocks", topic, turns=turns, jump=np.median(jumps))
+            of = signal.topic or signal.name
+            yield said("two_clocks", of, turns=turns, jump=np.median(jumps))
     between = zip(record.markers, record.markers[1:], record.markers[2:], strict=False)
     turns = sum(a[1] == c[1] != b[1] and c[0] - a[0] < _TURN for a, b, c in between)
     # Where stamps keep pace with a recorder that no ticks have driven there is no /clock.
@@ -386,8 +383,7 @@ def _together(record: Record, signs: dict[str, float], motion: str) -> float:
 
 
 def _apart(record: Record, channel: str) -> float:
-    """How long after its voltage a wire's current comes, s, where no resistance that changes with
-    the wire's heat explains it as well; 0 where that is not clear."""
+    """s from a voltage to its current, 0 where a resistance that heat changes explains as much."""
     if not has_samples(record, f"{channel}.current"):
         return 0.0
     stamps, volts = samples(record, f"{channel}.voltage")
@@ -409,8 +405,7 @@ def _apart(record: Record, channel: str) -> float:
 
 
 def _explained(record: Record, voltages: list[str], response: str) -> float | None:
-    """Share of a response's variance, its noise apart, that lagged heat explains; None where there
-    is too little of it to tell."""
+    """Share of a response's variance, but noise, that lagged heat explains; None for too little."""
     time, values = samples(record, response)
     start = max(float(samples(record, name)[0][0]) for name in voltages)
     time, values = time[time >= start], values[time >= start]

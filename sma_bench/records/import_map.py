@@ -220,10 +220,9 @@ def _read(table: TableFile, made: ImportMap) -> tuple[dict[Entry, _Samples], flo
         if not kept.any():
             raise InputError(f"{where}: no values, expected a column of numbers")
         steps, spread = np.diff(time[kept]), ""
-        if np.any(steps < 0):
-            row = int(np.argmax(steps < 0)) + 1
-            back = time[kept][row - 1 : row + 1]
-            raise InputError(f"{where}: {said('goes_back', a=back[0], b=back[1], row=row + 1)}")
+        for row in np.flatnonzero(steps < 0)[:1]:
+            a, b = time[kept][row : row + 2]
+            raise InputError(f"{where}: {said('goes_back', a=a, b=b, row=row + 2)}")
         if np.any(steps == 0.0):
             # Columns with few gaps share the stamps of all rows: none lags behind another.
             is_full = kept.mean() > 0.5 and np.all(np.diff(time) >= 0.0)

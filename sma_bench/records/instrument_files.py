@@ -54,8 +54,7 @@ _PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(martensite|austenite)\b", re.IGNORECA
 
 
 def _clauses(cells: Sequence[str]) -> list[str]:
-    """What a line states, each key with its number, in cells of their own or not:
-    gauge length 60 mm, diameter 0.5 mm."""
+    """What a line states, each key with its number: gauge length 60 mm, diameter 0.5 mm."""
     found: list[str] = []
     for part in (part for cell in cells for part in re.split(r"[,;]\s+(?=[^\W\d])", cell)):
         if not found or re.match(r"[^\W\d]{3,}[^\d]*\s.*\d", part):
@@ -209,25 +208,21 @@ class Sheet:
 
 def record_of(sheet: Sheet) -> DscRecord | IsobaricRecord | TensileRecord | None:
     """What a table is the record of, None where it is no instrument's."""
-    kinds = ((is_dsc, dsc_of), (is_isobaric, isobaric_of), (is_tensile, tensile_of))
-    return next((make(sheet) for is_it, make in kinds if is_it(sheet)), None)
+    return dsc_of(sheet) or isobaric_of(sheet) or tensile_of(sheet)
 
 
 # --- calorimeters
 
 
-def is_dsc(sheet: Sheet) -> bool:
-    """Whether a table has temperature and heat flow, or is an export that names them elsewhere."""
-    texts = [text for _, text in sheet.table.marks] + [" ".join(c) for c in sheet.table.above]
-    named = any(_BLOCK.match(text) or text.strip() == "StartOfData" for text in texts)
-    return named or not sheet.lacks("dsc", ["time"])
-
-
-def dsc_of(sheet: Sheet) -> DscRecord:
-    """The run in a table that `is_dsc`; its mass is stated or in a line above. Raises InputError
-    without a mass, or where a line is not what it should be."""
+def dsc_of(sheet: Sheet) -> DscRecord | None:
+    """The run in a table of temperature and heat flow, or an export that names them elsewhere, None
+    of others; its mass is stated or in a line above. Raises InputError without a mass, or where a
+    line is not what it should be."""
     path, above = sheet.file.path, [" ".join(line) for line in sheet.table.above]
     marks = [(0, text) for text in above] + list(sheet.table.marks)
+    is_named = any(_BLOCK.match(text) or text.strip() == "StartOfData" for _, text in marks)
+    if not is_named and sheet.lacks("dsc", ["time"]):
+        return None
     header: dict[str, str] = {}
     for line, text in zip(sheet.table.above, above, strict=True):
         parted = len(line) > 1 and not any(":" in cell for cell in line[:3])
@@ -312,8 +307,8 @@ def dsc_of(sheet: Sheet) -> DscRecord:
 
 
 def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[int, float, slice]]:
-    """Number, rate and rows of the steps of a run, which is split where the rate, measured over
-    some seconds around each row, changes its kind; `ramps`: of the method, K/s."""
+    """Number, rate and rows of the steps of a run, split where the rate around a row changes its
+    kind; `ramps`: of the method, K/s."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     half = max(int(round(0.5 * _WINDOW / period)) if period > 0.0 else 3, 1)
     padded = [np.pad(v, half, mode="edge") for v in (time, temperature)]
@@ -380,10 +375,12 @@ def _has_load(sheet: Sheet) -> bool:
     return named or "stress" in sheet.given or bool(sheet.statements("stress"))
 
 
-def isobaric_of(sheet: Sheet) -> IsobaricRecord:
+def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     """The test in a table that `is_isobaric`, without titles in degC and MPa or in the units of a
     note beside the file, such as "Data Source.txt"; `gauge_length` that of an extension. Raises
     InputError for a malformed line (named), and without a thermal cycle."""
+    if not is_isobaric(sheet):
+        return None
     path, table, has_load = sheet.file.path, sheet.table, _has_load(sheet)
     if len(table.lines) < instruments.FEWEST_ROWS:
         raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)
@@ -484,14 +481,12 @@ def _named(sheet: Sheet, is_loaded: bool) -> Sheet:
     return sheet.titled(named[: len(columns)])
 
 
-def is_tensile(sheet: Sheet) -> bool:
-    """Whether a table has strain or extension, and stress or force, and no drive."""
-    return not sheet.lacks("tensile") and not sheet.is_driven()
-
-
-def tensile_of(sheet: Sheet) -> TensileRecord:
-    """The test in a table that `is_tensile`. Length, section and temperature are stated, or in
-    lines above it. Raises InputError for a malformed line (named), or values that no test gives."""
+def tensile_of(sheet: Sheet) -> TensileRecord | None:
+    """The test in a table of strain or extension, and stress or force, and no drive. Length,
+    section and temperature are stated, or in lines above it. Raises InputError for a malformed line
+    (named), or values that no test gives."""
+    if sheet.lacks("tensile") or sheet.is_driven():
+        return None
     table = sheet.table
     if len(table.lines) < instruments.FEWEST_ROWS:
         raise sheet.refusal("few_rows", rows=len(table.lines), fewest=instruments.FEWEST_ROWS)

@@ -162,9 +162,9 @@ def without_spikes(temperature: Array) -> tuple[Mask, Array]:
 
 
 def without_noise(temperature: Array) -> tuple[Array, float, int]:
-    """(n,) K without the scatter of a noisy thermometer, which would pass for a wider range of
-    transformation, that scatter, and through how many rows: a parabola, at most a sixth of a
-    branch; 0 where nothing was done."""
+    """(n,) K without the scatter of a noisy thermometer, which would widen the transformation, that
+    scatter, and through how many rows the parabola goes (a sixth of a branch at most), 0 for none.
+    """
     from scipy.signal import savgol_filter  # half a second to load
 
     noise = 0.0

@@ -90,8 +90,7 @@ def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, lis
 
 
 def _published_again(signal: Signal) -> IntArray:
-    """Where readings are what the sensor read before, published again at a fixed rate; none where
-    that is not told from a reading of few digits."""
+    """Where readings are those before, published again at a fixed rate, not of few digits only."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
     if values.ndim != 1 or len(values) < FEWEST:
         return none
@@ -115,11 +114,10 @@ def _published_again(signal: Signal) -> IntArray:
 
 def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record, list[Finding]]:
     """The record without what is known to be wrong of it, and what that was: clocks that lie a
-    constant time off the drive's, over a second behind or ahead of their messages, are moved onto
-    it, by when the recorder got these, currents that run against their voltage are turned, and
-    readings far off their neighbours, or published again, and deviations far below a reading's
-    scatter, are left out. Of a bench with these parameters a motion against the heat is turned
-    too. What a machine imposes, and a voltage, may be held for long."""
+    constant time off the drive's are moved onto it, by when the recorder got their messages,
+    currents that run against their voltage are turned, and so are motions against the heat of a
+    bench with these parameters; readings far off their neighbours, or published again (of what no
+    machine imposes), and deviations far below a reading's scatter, are left out."""
     is_imposed = parameters is not None and load_kind(parameters) == "displacement"
     imposed = "elongation" if is_imposed else ""
     moved: dict[str, Signal] = {}

@@ -27,10 +27,9 @@ def open_records(
     path: str | Path, namespace: str | None = None, stated: Mapping[str, float] | None = None
 ) -> list[AnyRecord]:
     """Read a bag or an instrument's file, of whose sheets each may be a record, by its content.
-    `namespace`: where two benches are in one bag, the one to take; `stated`: what an instrument's
-    file does not hold, in SI units: `stress`, `mass`, `gauge_length`, `area`, `diameter`,
-    `temperature`. Raises InputError: neither, or nothing readable in it, with the reader's own
-    reason."""
+    `namespace`: of the bench to take, where two are in one bag; `stated`: what the file of an
+    instrument does not hold, in SI units: `stress`, `mass`, `gauge_length`, `area`, `diameter`,
+    `temperature`. Raises InputError: neither, or nothing readable, with the reader's own reason."""
     path = Path(path)
     if is_bag(path):
         return [read_record(path, namespace)]
@@ -46,8 +45,7 @@ def open_records(
 
 
 def parse_stated(texts: Iterable[str]) -> dict[str, float]:
-    """`stress=200 MPa` and the like in SI units; raises InputError for nothing that can be stated,
-    or no number with its unit."""
+    """`stress=200 MPa` and the like in SI units; InputError for another name, or no such number."""
     from sma_bench.records.cells import WORDS, number_with_unit
 
     known: dict[str, Any] = WORDS["stated"]

@@ -108,8 +108,7 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
 
 
 def _shift(first: Record, other: Record) -> float | None:
-    """s to add to the other's times, by which its voltages lie on those of the first; None where
-    they are not the same drive."""
+    """s by which the other's voltages lie on those of the first; None for drives that differ."""
     def is_driven(record: Record, name: str) -> bool:
         held = record.get(name)
         return held is not None and bool(np.nanmax(np.abs(held.values), initial=0.0))

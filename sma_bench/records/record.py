@@ -268,10 +268,9 @@ def require_pandas() -> Any:
 def drive_of(
     record: Record, parameters: Parameters
 ) -> tuple[Parameters, Array, Array, Array | None]:
-    """The bench as a record shows it, time (n,) s, volts (n, w) that drive it, of a current source
-    whose current alone was measured the command that stands for it, and the elongation (n,) m that
-    was imposed, None but for `load.kind` displacement. Raises InputError: the record lacks what
-    drives a channel, or that elongation."""
+    """The bench as a record shows it, time (n,) s, volts (n, w) that drive it (of a source, where
+    nothing else was measured, what stands for its current), and the elongation (n,) m imposed, None
+    but for `load.kind` displacement. Raises InputError: the record lacks what drives it."""
     record, ohms = with_commands(record, parameters)
     bench = parameters if ohms else as_recorded(parameters)
     time, volts = held_voltages(record, parameters["bench.channels"])
@@ -325,14 +324,13 @@ def as_calibrated(record: Record, parameters: Parameters) -> Record:
         if f"sensor.{quantity}.gain" not in BY_NAME or name.startswith("ambient."):
             continue
         gain, offset = (parameters[f"sensor.{quantity}.{k}"] for k in ("gain", "offset"))
-        hot = quantity == "temperature"
-        share = parameters["sensor.temperature.spot_share"] if hot else 1.0
-        if (gain, offset, share) == (1.0, 0.0, 1.0):
-            continue
-        zero = CELSIUS_ZERO if hot else 0.0
-        values = gain * (signal.values - zero) + offset + zero
-        room = parameters["environment.ambient_temperature"] if hot else 0.0
-        corrected[name] = replace(signal, values=room + (values - room) / share)
+        share, zero, room = 1.0, 0.0, 0.0
+        if quantity == "temperature":
+            share, zero = parameters["sensor.temperature.spot_share"], CELSIUS_ZERO
+            room = parameters["environment.ambient_temperature"]
+        if (gain, offset, share) != (1.0, 0.0, 1.0):
+            values = gain * (signal.values - zero) + offset + zero
+            corrected[name] = replace(signal, values=room + (values - room) / share)
     return replace(record, signals={**record.signals, **corrected}) if corrected else record
 
 
@@ -369,8 +367,7 @@ def held_at(time: Array, values: Array, at: Array) -> Array:
 
 
 def require_channels(record: Record, channels: Sequence[str], driven: Sequence[str]) -> None:
-    """InputError where a channel of the parameters is none of the record's that have voltages; the
-    line says which rig either is of."""
+    """InputError where a channel of the parameters is none of the record's that have voltages."""
     for missing in (channel for channel in channels if channel not in driven):
         own, theirs = ", ".join(channels), ", ".join(driven) or "no channel"
         text = f"the parameters are of a bench of {own}, the record of one of {theirs}"

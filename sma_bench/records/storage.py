@@ -382,9 +382,8 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
 def _turns(
     buffer: bytes | mmap.mmap, position: int, known: Container[int]
 ) -> dict[int, "np.ndarray"]:
-    """The messages of a chunk from `position` on as arrays, where topics take turns with messages
-    of one length each, as a steady bench's do: by channel, that of the last record last, the bytes
-    of its records in order, shape (messages, bytes). Nothing where they do so too few times."""
+    """The records of a chunk from `position` on, by channel (that of the last one last), (messages,
+    bytes), where topics take turns with messages of one length each, as a steady bench's do."""
     places: dict[int, list[slice]] = {}
     first, longest, at, records = buffer[position : position + _ALIKE], len(buffer) - position, 0, 0
     while not records or buffer[position + at : position + at + _ALIKE] != first:
@@ -457,9 +456,8 @@ _COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP 
 
 
 def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
-    """Add the messages of one sqlite3 file, of which `origin` is the compressed one, or itself. It
-    is opened as one that never changes: what a writer that died left in a journal is not read, and
-    said. Raises InputError: it is damaged; OverBudget, as `_read_mcap`."""
+    """Add the messages of one sqlite3 file, of which `origin` is the compressed one, or itself, but
+    for what a writer left in a journal. Raises InputError: it is damaged; else as `_read_mcap`."""
     for journal in (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal")):
         if journal.is_file() and not journal.is_symlink() and journal.stat().st_size:
             text = f"its writer died: what {journal.name} holds is not read; sqlite3 takes it up: "

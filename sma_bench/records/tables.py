@@ -342,9 +342,14 @@ def tables_of(
 ) -> tuple[list[Table], list[str]]:
     """Tables of a text or sheet, parted by `separator` (None for blanks, "" of a sheet), and the
     lines in none; raises InputError for titles or cells that cannot be understood."""
+    headers, start = set[int](), 0  # rows of LabVIEW's headers, which hold numbers of their own
+    for k, (_, cells) in enumerate(rows):
+        first = str(cells[0]) if cells else ""
+        start = k if first == "Channels" else start
+        headers |= set(range(start, k + 1)) if first == _END_OF_HEADER else set()
     blocks: list[_Block] = []
     between: list[Row] = []
-    width, headers = -1, _headers(rows)
+    width = -1
     for k, row in enumerate(rows):
         is_plain = all(isinstance(c, float) or (isinstance(c, str) and _PLAIN.match(c))
                        for c in row[1][:2])  # fmt: skip
@@ -374,16 +379,6 @@ def tables_of(
             tables.append(block.table(name))
     unused = [*heads, *between] if tables else []
     return tables, [f"line {line} ({_text(cells)[:40]})" for line, cells in unused]
-
-
-def _headers(rows: Sequence[Row]) -> set[int]:
-    """Which of the rows are of LabVIEW's headers, which hold numbers of their own."""
-    found, start = set[int](), 0
-    for k, (_, cells) in enumerate(rows):
-        first = str(cells[0]) if cells else ""
-        start = k if first == "Channels" else start
-        found |= set(range(start, k + 1)) if first == _END_OF_HEADER else set()
-    return found
 
 
 def _text(cells: Sequence[Any]) -> str:

@@ -121,3 +121,10 @@ def test_dots_that_may_be_of_thousands_are_asked_about_unless_another_cell_tells
                 read_table_file(path)
         else:
             assert read_table_file(path).columns[1].values[1] == float(cells[1])
+
+
+def test_a_text_parted_by_blanks_may_begin_with_an_empty_line(tmp_path):
+    path = tmp_path / "log.txt"
+    path.write_text("\n\nTime Voltage\n0.0 1.5\n0.1 2.5\n0.2 3.5\n")
+    columns = read_table_file(path).columns
+    assert [c.values.tolist() for c in columns] == [[0.0, 0.1, 0.2], [1.5, 2.5, 3.5]]
