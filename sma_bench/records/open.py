@@ -39,7 +39,8 @@ def open_records(
 
     file = read_table_file(path)
     sheets = [files.Sheet(file, table, stated or {}) for table in file.tables]
-    if records := [record for sheet in sheets if (record := files.record_of(sheet))]:
+    records: list[AnyRecord] = [r for sheet in sheets if (r := files.record_of(sheet))]
+    if records:
         return records
     raise InputError(f"{path}: {_what_it_lacks(file, stated or {})}")
 
