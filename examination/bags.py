@@ -14,10 +14,8 @@ def in_sqlite3(bag: Path) -> Path:
     writer = Writer(other / bag.name, version=9, storage_plugin=StoragePlugin.SQLITE3)
     other.mkdir()
     with Reader(bag) as reader, writer:
-        connections = {
-            c.id: writer.add_connection(c.topic, c.msgtype, typestore=TYPES)
-            for c in reader.connections
-        }
+        connections = {c.id: writer.add_connection(c.topic, c.msgtype, typestore=TYPES)
+                       for c in reader.connections}
         for connection, time, data in reader.messages():
             writer.write(connections[connection.id], time, data)
     shutil.rmtree(bag)

@@ -23,9 +23,8 @@ IN_PIECES = {
 }
 
 
-def options_of(
-    name: str, doc: str | None, argv: Sequence[str] | None, **own: tuple[Any, str]
-) -> argparse.Namespace:
+def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
+               **own: tuple[Any, str]) -> argparse.Namespace:
     """Options of `./bench check NAME`, of which `in_pieces` needs IN_PIECES.
 
     `own`: default and help of each; False for a flag, several for a list, of texts the only ones
@@ -51,9 +50,8 @@ def options_of(
     return parser.parse_args(argv)
 
 
-def in_pieces(
-    run: Callable[..., Any], jobs: Sequence[tuple], options: argparse.Namespace
-) -> list[Any]:
+def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
+              options: argparse.Namespace) -> list[Any]:
     """The result of every job, the arguments of `run`, in the order of the jobs: a function of a
     module whose results are plain JSON; the options have IN_PIECES."""
     kept: dict[str, Any] = {}
@@ -137,9 +135,8 @@ def without_exclusions(drawn: dict, habits: dict[str, list], rules: Iterable[dic
     return held
 
 
-def outcome_table(
-    found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str, *head: str
-) -> list[str]:
+def outcome_table(found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str,
+                  *head: str) -> list[str]:
     """Lines of the format `row`: outcomes by habit, by kind, of all, of those that tell what they
     mean; then how many are wrong: the last two outcomes."""
     kinds = sorted({one["kind"] for one in found if "kind" in one})

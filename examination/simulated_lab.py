@@ -81,8 +81,6 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
 
 
 # --- Its experiments.
-
-
 def staircase(truth: Parameters) -> Simulation:
     """E1, E2: voltage up and down in steps of 30 s."""
     peak = voltage_for(truth, truth["wire.austenite_finish_temperature"] + 20.0)

@@ -64,10 +64,8 @@ class Program(psutil.Popen):
 
     def nodes(self) -> dict[Any, str]:
         found = {process: process.cmdline() for process in self.children(recursive=True)}
-        return {
-            process: next((Path(w).name for w in words if "/lib/sma_bench/" in w), "?")
-            for process, words in found.items()
-        }
+        return {process: next((Path(w).name for w in words if "/lib/sma_bench/" in w), "?")
+                for process, words in found.items()}
 
     def ends(self) -> None:
         until(lambda: self.poll() is not None, "it goes on")
@@ -186,9 +184,8 @@ def stage(built):
         ("wire_bench", "hardware", "false", "false", "not connected"),
     ],
 )
-def test_every_launch_file_in_every_mode_comes_up_and_ends_with_ctrl_c(
-    stage, file, mode, camera, container, said
-):
+def test_every_launch_file_in_every_mode_comes_up_and_ends_with_ctrl_c(stage, file, mode, camera,
+                                                                       container, said):
     given = {"mode": mode, "camera": camera, "container": container}
     bench = stage.launch(file, namespace=f"{file}_{mode}_{container}", **given)
     for text in (said, "identification", "experiment]: idle"):

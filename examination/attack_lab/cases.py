@@ -37,15 +37,12 @@ class Attack:
 
 
 # --- E1 to E3: a staircase and ramps of one wire, near Table I and bare in air by turns.
-
-
 def _both(bench: Bench, random) -> Sequence[Record]:
     return bench.staircase(random), bench.ramps(random)
 
 
-def clean_bag(
-    random, seed: int, change: Callable[[Bench], Bench] = lambda b: b, records=_both
-) -> Case:
+def clean_bag(random, seed: int, change: Callable[[Bench], Bench] = lambda b: b,
+              records=_both) -> Case:
     """`change` what the bench is, or `records` how it is recorded."""
     believed = paper_bench(random) if seed % 2 == 0 else bare_bench(random)
     bench = change(believed)
@@ -183,8 +180,6 @@ WIRES = {
 }
 
 # --- E5 to E8: an alloy in a calorimeter, a load frame, a tensile machine, between clamps.
-
-
 def _unknown_alloy() -> Parameters:
     """A lab that has bought a wire "of 70 degrees"."""
     errors = dict.fromkeys(TEMPERATURES, 15.0)
@@ -201,14 +196,12 @@ def _lab(alloy: Alloy) -> Parameters:
 
 def dsc(random, seed: int, **own) -> Case:
     alloy = Alloy.drawn(random)
-    return Case(
-        [instruments.dsc(alloy, random, **own)], _unknown_alloy(), alloy.truth(*TEMPERATURES)
-    )
+    return Case([instruments.dsc(alloy, random, **own)], _unknown_alloy(),
+                alloy.truth(*TEMPERATURES))
 
 
-def frame(
-    random, seed: int, one=None, other=False, experiments=None, calorimeter=None, **own
-) -> Case:
+def frame(random, seed: int, one=None, other=False, experiments=None, calorimeter=None,
+          **own) -> Case:
     """`one`: what is wrong with the third load only; `other`: that is another alloy; with the
     `calorimeter` whose faults are given."""
     alloy = Alloy.drawn(random)
@@ -226,11 +219,8 @@ def frame(
 
 def machine(random, seed: int, cold=None, hot=None, **own) -> Case:
     alloy, special = Alloy.drawn(random), (own | (cold or {}), own | (hot or {}))
-    tests = [
-        instruments.tensile(alloy, phase, k, random, **faults)
-        for phase, faults in zip(PHASES, special, strict=True)
-        for k in range(2)
-    ]
+    tests = [instruments.tensile(alloy, phase, k, random, **faults)
+             for phase, faults in zip(PHASES, special, strict=True) for k in range(2)]
     return Case(tests, _unknown_alloy(), alloy.truth("e_m", "e_a"))
 
 

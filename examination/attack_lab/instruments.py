@@ -148,9 +148,8 @@ def isobaric(alloy: Alloy, stress: float, random, *, area=1.0, **faults) -> Isob
     return IsobaricRecord(path, name, median, "1", tuple(cycles), tuple(remarks))
 
 
-def tensile(
-    alloy: Alloy, phase: str, number: int, random, *, said: str | None = None, **faults: float
-) -> TensileRecord:
+def tensile(alloy: Alloy, phase: str, number: int, random, *, said: str | None = None,
+            **faults: float) -> TensileRecord:
     """E7: one test, `said` to be of a phase."""
     f = faulty("tensile", faults)
     cold = phase == "martensite"
@@ -201,8 +200,6 @@ def clamped(alloy: Alloy, random, up=(298.0, 322.0), **faults: float) -> Record:
 
 
 # --- A beam with a wire on each side (E10): eqs. (1), (6) to (13), the corrected stiffness.
-
-
 @dataclass(frozen=True)
 class Beam:
     """Two wires on a strip of silicone; alpha in m, beta in Pa/m."""

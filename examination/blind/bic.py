@@ -15,10 +15,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import least_squares
 
 from examination.blind.case_files import NO_EFFECT, NO_GAP, RECALIBRATION, STAGE_OF
+from sma_bench.arrays import Array
 from sma_bench.diagnose.sizes import locate, shrinkage
 from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
@@ -26,8 +26,6 @@ from sma_bench.estimation.unknowns import Unknowns, unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records import Record
-
-Array = npt.NDArray[np.float64]
 
 _ENOUGH = 1e-4  # relative gain below which a fit is done
 _STAGES = {"current": "electrical", "temperature": "thermal"}
@@ -77,9 +75,8 @@ def every_fit(problem: Problem, nominal: Parameters) -> Mapping[str, Fit]:
     return fits
 
 
-def bic_answer(
-    records: Sequence[Record], hold_out: Sequence[Record], nominal: Parameters
-) -> tuple[dict[str, Any], Parameters]:
+def bic_answer(records: Sequence[Record], hold_out: Sequence[Record],
+               nominal: Parameters) -> tuple[dict[str, Any], Parameters]:
     """What the rival says, to the contract, and its improved parameters; `hold_out` measures the
     shrinkage."""
     problem = Problem.of([observe(record, nominal).coarse for record in records])

@@ -15,7 +15,6 @@ from sma_bench.errors import InputError
 from sma_bench.parameters.yaml_file import write_text_atomically
 
 # --- The words of the contract that a case's label and an answer share.
-
 STAGES = ("electrical", "thermal", "transformation", "mechanical", "sensor")
 VERDICTS = ("effect", "recalibration", "no_gap", "ambiguous", "unexplained")
 NO_GAP, RECALIBRATION, UNEXPLAINED = "no_gap", "recalibration", "unexplained"
@@ -36,7 +35,6 @@ STAGE_OF = {name: stage for stage, names in _EFFECTS_OF.items() for name in name
 
 
 # --- What a diagnosis says. Any program may be examined: its JSON is checked before it counts.
-
 PAIR_SIGN = "+"
 # Probabilities are printed with four decimals and may be twenty.
 SUM_TOLERANCE = 2e-3
@@ -112,7 +110,6 @@ def checked_answer(document: Any, where: str = "answer") -> Answer:
     """An Answer from the plain document of a diagnosis; raises InputError where something is
     missing, of another type or against the contract, in one line."""
     import msgspec  # robots that examine nobody do without
-
     try:
         json.dumps(document, allow_nan=False)
         answer = msgspec.convert(document, Answer)
@@ -158,7 +155,6 @@ def _clauses(answer: Answer) -> Iterator[tuple[str, bool]]:
 
 
 # --- A set of cases as the examination sees it: folders and names, and labels that stay sealed.
-
 MANIFEST, CASES, LABELS, ANSWERS = "manifest.json", "cases", "labels.sealed", "answers"
 _CASE_NAME = re.compile(r"[0-9A-Za-z_]+\Z")
 
@@ -204,7 +200,6 @@ def _read(path: Path, decode: Callable[[bytes], Any] = json.loads) -> Iterator[A
 
 
 # --- Labels under seal: one deflated file whose digest the manifest names.
-
 _HEAD = b"sma-bench labels, sealed: only the scorer opens them, after the last answer\n"
 
 
@@ -231,7 +226,6 @@ def unseal(path: Path, sha256: str) -> list[dict[str, Any]]:
 #     0001/answer.json            {"case", "line", "seconds", "result"}: written last
 #     0001/improved.yaml          the parameters with the cause in them
 #     after_1/0001/               the same after the suggested experiment; at most three
-
 ANSWER, IMPROVED, EXAMINATION = "answer.json", "improved.yaml", "examination.json"
 FOLLOW_UPS = ("after_1", "after_2", "after_3")
 
@@ -258,9 +252,8 @@ class Examination:
     sealed: str
 
 
-def keep(
-    folder: Path, case: str, result: Any, line: str, seconds: float, improved: str | None = None
-) -> None:
+def keep(folder: Path, case: str, result: Any, line: str, seconds: float,
+         improved: str | None = None) -> None:
     """Keep the plain document of an answer (None: failed, `line` says why) and the text of its
     parameter file; it is there once answer.json is."""
     place = folder / case

@@ -17,7 +17,6 @@ from examination.blind.sensors import NOISE_MODELS, Noise, Sensors
 from sma_bench.parameters import Parameters
 
 # --- Every effect as features of the reality: symptoms.yaml.
-
 MOVING = ("beam", "force", "spring", "antagonist")
 CLAMPED, LOADS, ALL_LOADS = "clamped", ("clamped", *MOVING), "all"
 
@@ -74,17 +73,14 @@ class Symptom:
     def in_form(self, name: str) -> "Symptom":
         """The effect in one of its forms; as it is for ""."""
         form = self.forms[name] if name else Form()
-        return replace(
-            self, moves=form.moves or self.moves, natural=form.natural or self.natural,
-            settings={**self.settings, **form.settings},
-        )  # fmt: skip
+        return replace(self, moves=form.moves or self.moves, natural=form.natural or self.natural,
+                       settings={**self.settings, **form.settings})
 
 
 _HERE = Path(__file__)
 _DEALT = yaml.safe_load(_HERE.with_suffix(".yaml").read_text())
-_TABLE = msgspec.convert(
-    yaml.safe_load(_HERE.with_name("symptoms.yaml").read_text()), dict[str, dict[str, Symptom]]
-)
+_TABLE = msgspec.convert(yaml.safe_load(_HERE.with_name("symptoms.yaml").read_text()),
+                         dict[str, dict[str, Symptom]])
 # The contract's effects, and what no diagnosis has in its library.
 EFFECTS, OUTSIDE = _TABLE["effects"], _TABLE["outside"]
 # Effects of which every rig has a little; forms of what every rig has, with their features.
@@ -130,9 +126,7 @@ def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Dra
     return Draw(symptom, sign, weights, draw_settings(symptom.settings, rng), peak_current)
 
 
-def draw_settings(
-    settings: Mapping[str, Setting], rng: np.random.Generator
-) -> dict[str, float]:  # fmt: skip
+def draw_settings(settings: Mapping[str, Setting], rng: np.random.Generator) -> dict[str, float]:
     return {
         name: float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))) if s.spread == "log"
                     else rng.uniform(s.low, s.high))
@@ -166,15 +160,12 @@ def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start:
 
 
 # --- Which case hides what: kinds, effects, severities and signals dealt in balance.
-
 SINGLE, NONE, PAIR, OUTSIDE_KIND = "single", "none", "pair", "outside"
 ALL, PAPER = "all", "paper"
 # What a case shows besides the voltages.
-QUANTITIES = {
-    ALL: ("current", "temperature", "deflection"), PAPER: ("deflection",),
-    "without current": ("temperature", "deflection"),
-    "without temperature": ("current", "deflection"),
-}  # fmt: skip
+QUANTITIES = {ALL: ("current", "temperature", "deflection"), PAPER: ("deflection",),
+              "without current": ("temperature", "deflection"),
+              "without temperature": ("current", "deflection")}
 
 
 @dataclass(frozen=True)
@@ -195,9 +186,8 @@ def possible(symptoms: Mapping[str, Symptom], load: str) -> tuple[str, ...]:
     return tuple(name for name, symptom in symptoms.items() if load in symptom.loads)
 
 
-def deal(
-    n: int, rng: np.random.Generator, load: str = "beam", shares: str = "shares"
-) -> list[Card]:  # fmt: skip
+def deal(n: int, rng: np.random.Generator, load: str = "beam",
+         shares: str = "shares") -> list[Card]:
     """n cards in random order, every share kept as nearly as n allows.
 
     Signals and noise models are dealt within each kind, so that neither reveals the kind.
@@ -228,9 +218,8 @@ def _in_turns(names: Sequence, n: int, rng: np.random.Generator) -> list:
     return dealt[:n]
 
 
-def _hidden(
-    kind: str, n: int, rng: np.random.Generator, load: str
-) -> list[tuple[tuple[str, ...], tuple[float | None, ...]]]:
+def _hidden(kind: str, n: int, rng: np.random.Generator,
+            load: str) -> list[tuple[tuple[str, ...], tuple[float | None, ...]]]:
     """Effects and their severities: each name in turn, and each name's severities in turn."""
     if kind in (SINGLE, OUTSIDE_KIND):
         names = possible(EFFECTS if kind == SINGLE else OUTSIDE, load)
@@ -252,10 +241,8 @@ def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator, load: str)
     clamped wire, which does not move, the others show its temperature."""
     symptoms = {**EFFECTS, **OUTSIDE}
     less = "without current" if load == CLAMPED else PAPER
-    free = [
-        k for k, names in enumerate(hidden)
-        if load == CLAMPED or all(symptoms[n].in_deflection for n in names)
-    ]  # fmt: skip
+    free = [k for k, names in enumerate(hidden)
+            if load == CLAMPED or all(symptoms[n].in_deflection for n in names)]
     if not free:
         return [ALL] * len(hidden)
     # Every effect's own cases change sides in turn: systematic sampling along sorted names.
@@ -267,7 +254,6 @@ def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator, load: str)
 
 
 # --- A case: what is dealt to it, and everything about it that is drawn without knowing that.
-
 SPLITS = {range(1000, 2000): "development", range(2000, 3000): "frozen-test",
           range(3000, 4000): "development"}  # fmt: skip
 OPEN = "open"
@@ -349,13 +335,11 @@ def draw_cases(seed: int, n: int, load: str = "beam") -> list[Case]:
         parts = _DEALT["with_clamped" if seed in WITH_CLAMPED else "all_loads"]
         counts = {one: int(part * n + 1e-9) for one, part in parts.items()}
         counts["beam"] += n - sum(counts.values())
-        cards = [
-            (one, card) for one, count in counts.items() for card in deal(count, rng, one, shares)
-        ]
+        cards = [(one, card)
+                 for one, count in counts.items() for card in deal(count, rng, one, shares)]
         cards = [cards[k] for k in rng.permutation(n)]
-    return [
-        draw_case(seed, k, card, f"{k + 1:0{width}d}", one) for k, (one, card) in enumerate(cards)
-    ]
+    return [draw_case(seed, k, card, f"{k + 1:0{width}d}", one)
+            for k, (one, card) in enumerate(cards)]
 
 
 def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") -> Case:
@@ -397,21 +381,16 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
     random = stream("drives")
     families = random.choice(rigs.FAMILIES, size=2, replace=False).tolist()
     drives = {r: rigs.draw_drive(f, truth, random) for r, f in zip(RECORDS, families, strict=True)}
-    return Case(
-        truth, sensors, drives,
-        seed=seed, index=index, name=name, card=card, wrong=wrong, nuisances=nuisances,
-        nominal=rigs.draw_nominal(truth, beliefs, wrong),
-        nuisance_gap=float(little.uniform(*_DEALT["nuisance_gap"])),
-        mild_gap=float(np.exp(little.uniform(*np.log(_DEALT["mild_gap"])))),
-        storage=storage, namespace=namespace,
-        starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
-        forms=forms, fixed=fixed, second_run=second_run,
-    )  # fmt: skip
+    return Case(truth, sensors, drives, seed=seed, index=index, name=name, card=card, wrong=wrong,
+                nuisances=nuisances, nominal=rigs.draw_nominal(truth, beliefs, wrong),
+                nuisance_gap=float(little.uniform(*_DEALT["nuisance_gap"])),
+                mild_gap=float(np.exp(little.uniform(*np.log(_DEALT["mild_gap"])))),
+                storage=storage, namespace=namespace,
+                starts={name: int(t * 1e9) for name, t in zip(RECORDS, starts, strict=True)},
+                forms=forms, fixed=fixed, second_run=second_run)
 
 
-def _draw_forms(
-    rng: np.random.Generator, load: str
-) -> tuple[dict[str, str], dict[str, float]]:  # fmt: skip
+def _draw_forms(rng: np.random.Generator, load: str) -> tuple[dict[str, str], dict[str, float]]:
     """A form of every effect and of what every rig has, by name, and the features that go with the
     latter; a rig's little of an effect has the form that the effect has. Under a load that cannot
     tell a form from the first one it is that one; every load can, where none is named."""

@@ -56,7 +56,6 @@ def blind() -> None:
               help="processes; the result does not depend on it")  # fmt: skip
 def make_cases(seed: int, n: int, out: str, load: str, jobs: int) -> None:
     from examination.blind.make import make
-
     manifest = make(out, seed, n, jobs, load)
     print(f"{out}: {n} cases of seed {seed} ({manifest['split']})")
     print(f"labels sealed, sha256 {manifest['sha256']}")
@@ -69,12 +68,10 @@ def make_cases(seed: int, n: int, out: str, load: str, jobs: int) -> None:
 @click.option("--jobs", type=click.IntRange(1), default=2, help="cases at a time")
 @click.option("--time-limit", type=click.FloatRange(0.0, min_open=True), default=120.0,
               help="s for a case (half as long more a further record)")  # fmt: skip
-def run_cases(
-    folder: str, rival: str | None, answers: str | None, jobs: int, time_limit: float
-) -> None:
+def run_cases(folder: str, rival: str | None, answers: str | None, jobs: int,
+              time_limit: float) -> None:
     from examination.blind.case_files import Examination, read_case_set, write_examination
     from examination.blind.examination import Examinee, examine, open_cases
-
     name = rival or DIAGNOSIS
     program = (sys.executable, "-m", HERE, "rival", name) if rival else DIAGNOSE
     cases = read_case_set(folder)
@@ -88,26 +85,19 @@ def run_cases(
 
 @blind.command("score", help="Open the labels, once all are answered, and print every measure.")
 @click.argument("folder", metavar="DIR")
-@click.option(
-    "--answers",
-    metavar="DIR",
-    multiple=True,
-    help="folder of answers (repeatable; default: all that lie in DIR/answers)",
-)
+@click.option("--answers", metavar="DIR", multiple=True,
+              help="folder of answers (repeatable; default: all that lie in DIR/answers)")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="follow-ups at a time")
 @click.option("--no-follow-up", is_flag=True, help="do not perform what answers ask for")
 @click.option("--ties-only", is_flag=True, help="perform what ambiguous answers ask for, no more")
 @click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
 @click.option("--json", "result", metavar="FILE", help="write the result to FILE")
 @click.option("--force", is_flag=True, help="replace outputs that exist")  # fmt: skip
-def score_cases(
-    folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool, ties_only: bool,
-    markdown: str | None, result: str | None, force: bool,
-) -> None:  # fmt: skip
+def score_cases(folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool,
+                ties_only: bool, markdown: str | None, result: str | None, force: bool) -> None:
     from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, follow_up
     from examination.blind.score import followed_up, handed_in, open_labels, page, score
-
     _refuse_existing(force, markdown, result)
     cases = read_case_set(folder)
     papers = handed_in(cases, [Path(place) for place in answers])
@@ -136,7 +126,6 @@ def score_cases(
 @click.option("--out", required=True, metavar="FILE", help="a line a case; goes on where it ended")
 def keep_features(seed: int, n: int, out: str) -> None:
     from examination.blind.features import keep_features
-
     keep_features(Path(out), seed, n)
 
 
@@ -147,7 +136,6 @@ def keep_features(seed: int, n: int, out: str) -> None:
 def learn_weights(features: tuple[str, ...], out: str | None, markdown: str | None) -> None:
     from examination.blind.features import STORED
     from examination.blind.learn import learn
-
     paths = [Path(path) for path in features] or [STORED]
     learn(paths, Path(out) if out else None, Path(markdown) if markdown else None)
 
@@ -160,13 +148,10 @@ def learn_weights(features: tuple[str, ...], out: str | None, markdown: str | No
 @click.option("--out", metavar="FILE", help="write the improved parameters")
 @click.option("--json", "result", metavar="FILE", help="write the answer to FILE")
 @click.option("--force", is_flag=True, help="replace outputs that exist")
-def answer_as_rival(
-    name: str, records: tuple[str, ...], params: str, hold_out: tuple[str, ...], out: str | None,
-    result: str | None, force: bool,
-) -> None:  # fmt: skip
+def answer_as_rival(name: str, records: tuple[str, ...], params: str, hold_out: tuple[str, ...],
+                    out: str | None, result: str | None, force: bool) -> None:
     from examination.blind.bic import bic_answer
     from sma_bench.records import read_record
-
     _refuse_existing(force, out, result)
     nominal = read_parameters(params)
     seen, unseen = ([read_record(path) for path in paths] for paths in (records, hold_out))

@@ -47,9 +47,8 @@ class Examinee:
     time_limit: float
     stopped: threading.Event = field(default_factory=threading.Event)
 
-    def ask(
-        self, case: Path, place: Path, experiments: Sequence[Path] = (), nominal: Path | None = None
-    ) -> str:
+    def ask(self, case: Path, place: Path, experiments: Sequence[Path] = (),
+            nominal: Path | None = None) -> str:
         """Put a case, the records of further experiments and what the owners believe by now to the
         program, in a folder of its own that holds copies and nothing else, and keep its answer in
         `place`; why it failed, or "". Whatever the program does is a failed answer; one that cannot
@@ -115,15 +114,12 @@ class Examinee:
 
 
 # --- Every case of a set put to one program; what is answered stays answered.
-
-
 def open_cases(cases: Sequence[str], answers: Path) -> list[str]:
     return sorted(case for case in cases if not files.is_kept(answers, case))
 
 
-def examine(
-    examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path, jobs: int = 1
-) -> int:
+def examine(examinee: Examinee, cases: Sequence[str], folder: Path, answers: Path,
+            jobs: int = 1) -> int:
     """Put `cases` below `folder` to a program; how many failed."""
     place = folder.absolute()
     ask = {case: partial(examinee.ask, place / case, answers / case) for case in cases}
@@ -154,7 +150,6 @@ def ask_all(examinee: Examinee, ask: Mapping[str, Callable[[], str]], jobs: int)
 # (and with one more where that is what was asked for), and hands all records over together. A test
 # of the paper is not played: its instrument reads what the hidden wire has, off by a draw of the
 # standard deviation that the answer has stated for it.
-
 LONGEST = 1000.0
 _START_NS = 1_750_000_000 * 10**9
 _HOUR_NS = 3600 * 10**9
@@ -167,10 +162,8 @@ def asks_for_more(kept: files.Kept) -> bool:
     return asked is not None and bool(asked.protocol or asked.parameters)
 
 
-def follow_up(
-    cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee,
-    answers: Path, jobs: int = 1, ties_only: bool = False,
-) -> None:  # fmt: skip
+def follow_up(cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee,
+              answers: Path, jobs: int = 1, ties_only: bool = False) -> None:
     """Do what the examinee's answers ask for, of all or of the ambiguous ones, and keep each one
     after it in `answers`/after_1 to after_3; what has been answered stays."""
     for number, name in enumerate(files.FOLLOW_UPS):
@@ -186,10 +179,8 @@ def follow_up(
         ask_all(examinee, ask, jobs)
 
 
-def _do_and_ask(
-    case: Path, place: Path, seed: int, label: Mapping[str, Any], history: Sequence[files.Kept],
-    examinee: Examinee,
-) -> str:  # fmt: skip
+def _do_and_ask(case: Path, place: Path, seed: int, label: Mapping[str, Any],
+                history: Sequence[files.Kept], examinee: Examinee) -> str:
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
         bags: list[Path] = []
         try:
@@ -220,10 +211,8 @@ def _do_and_ask(
         return examinee.ask(case, place, bags, nominal)
 
 
-def after_tests(
-    label: Mapping[str, Any], asked: files.NextExperiment, believed: Parameters,
-    rng: np.random.Generator,
-) -> Parameters:  # fmt: skip
+def after_tests(label: Mapping[str, Any], asked: files.NextExperiment, believed: Parameters,
+                rng: np.random.Generator) -> Parameters:
     """What is believed after a test of some parameters; raises InputError for one that no test
     gives."""
     stds, truth = asked.parameters, label["truth"]

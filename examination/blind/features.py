@@ -110,11 +110,8 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
               "distinguishable", "load", "forms", "law_distance", "transformation_law",
               "loops_distance", "inner_loops", "beyond_parameters")  # fmt: skip
-    return {
-        "label": {name: label[name] for name in wanted}, "today": today,
-        "plain": plain, "records": len(names), "stated": len(nominal.given),
-        "facts": asdict(looked_at),
-    }  # fmt: skip
+    return {"label": {name: label[name] for name in wanted}, "today": today, "plain": plain,
+            "records": len(names), "stated": len(nominal.given), "facts": asdict(looked_at)}
 
 
 def recorded(case: Case, features: dict[str, float], names: tuple[str, ...]) -> list[Record]:
@@ -122,9 +119,8 @@ def recorded(case: Case, features: dict[str, float], names: tuple[str, ...]) -> 
     world, found = world_of(case.truth, features), []
     for name in names:
         outcome, random = case.recorded(features, name), case.stream(name)
-        signals = measure(
-            outcome, world, case.sensors, case.channels, random, QUANTITIES[case.card.signals]
-        )
+        signals = measure(outcome, world, case.sensors, case.channels, random,
+                          QUANTITIES[case.card.signals])
         found.append(Record(Path(name), case.starts[name], {s.name: s for s in signals}))
     return found
 

@@ -9,17 +9,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 import yaml
 from scipy import stats
 
 from examination.blind import case_files as files
 from examination.blind.case_files import NO_GAP, RECALIBRATION, STAGE_OF, UNEXPLAINED
 from examination.blind.rigs import PER_WIRE, Drive, Pulse, Stage, quantity_of
+from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
-
-Array = npt.NDArray[np.float64]
 
 SET_MASS = 0.9
 CONFIDENT = 0.8
@@ -139,9 +137,7 @@ class Judged:
         # first, that make 90 %.
         total, credible = 0.0, []
         for candidate in said.candidates:
-            if candidate.name in said.credible or (
-                not said.credible and total < SET_MASS - 1e-9
-            ):
+            if candidate.name in said.credible or (not said.credible and total < SET_MASS - 1e-9):
                 credible.append(candidate.parts)
             total += candidate.probability
         in_set = frozenset[str]().union(*credible)
@@ -152,7 +148,6 @@ class Judged:
             size = len(in_set)
         elif label.kind == "pair":
             holds_truth = label.hidden <= frozenset[str]().union(*right_ones)
-
         # What the first choice and the verdict come to.
         first_right = first is not None and bool(chosen <= right or chosen & right & _BENIGN)
         stages = {STAGE_OF[name] for name in right if name in STAGE_OF}
@@ -185,7 +180,6 @@ class Judged:
             "error_before": self.error_before, "error_after": self.error_after,
             "seconds": self.seconds,
         }  # fmt: skip
-
         # Where the gap is, if the label has a place: signals are the same when their quantity is,
         # front_1.temperature and temperature. The stage is that of the effect that does most, or of
         # any wrong parameter.
@@ -200,7 +194,6 @@ class Judged:
                 place = getattr(said.where, key, None)
                 wanted = own if key == "stage" and own else {quantity_of(label.where[key])}
                 facts[f"place_right {key}"] = place is not None and quantity_of(place) in wanted
-
         # Of the claimed and the true fraction of one signal: the deflection where it has a gap
         # above the noise, else the signal with the largest.
         usable = {
@@ -219,7 +212,6 @@ class Judged:
 
 
 # --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
-
 UNSEEN = "unseen"
 _DURATION = 110.0
 # Starts and lengths in s of smooth hills, back and front by turns, and their heights as a share of
@@ -259,10 +251,8 @@ class UnseenRecord:
         simulated = self.stage.named({"current": found.current,
                                       "temperature": found.temperature_reading,
                                       "deflection": found.deflection_reading})  # fmt: skip
-        square = {
-            name: float(np.mean((read - simulated[name]) ** 2))
-            for name, read in self.readings.items()
-        }
+        square = {name: float(np.mean((read - simulated[name]) ** 2))
+                  for name, read in self.readings.items()}
         for quantity in PER_WIRE:
             of_wires = [square[f"{channel}.{quantity}"] for channel in self.stage.channels]
             square[quantity] = float(np.mean(of_wires))
@@ -271,10 +261,8 @@ class UnseenRecord:
     def shrunk(self, nominal: Parameters, improved: Parameters) -> dict[str, Shrunk]:
         """The true shrinkage by signal (`front_1.temperature`) and quantity (`temperature`)."""
         before, after = self.gaps(nominal), self.gaps(improved)
-        return {
-            name: Shrunk(before[name], after[name], self.stage.sensors.std(quantity_of(name)))
-            for name in before
-        }
+        return {name: Shrunk(before[name], after[name], self.stage.sensors.std(quantity_of(name)))
+                for name in before}
 
 
 def parameter_error(truth: Mapping[str, float], nominal: Parameters, lab: Parameters) -> float:
@@ -287,14 +275,12 @@ def parameter_error(truth: Mapping[str, float], nominal: Parameters, lab: Parame
 def moved_parameters(nominal: Parameters, improved: Parameters) -> frozenset[str]:
     """Those that were moved by MOVED of their stated standard deviations or more."""
     stated = nominal.given_uncertainty.items()
-    return frozenset(
-        name for name, std in stated
-        if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std
-    )  # fmt: skip
+    return frozenset(name
+                     for name, std in stated
+                     if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std)
 
 
 # --- Measures over judged cases, with their intervals.
-
 CONFIDENCE = 0.95
 _BOOTSTRAP = {"n_resamples": 2000, "method": "percentile", "confidence_level": CONFIDENCE}
 _SEED = 20240229
@@ -367,7 +353,6 @@ def _bootstrapped(statistic: Callable[..., float], *data: Sequence[float]) -> Me
 
 
 # --- One row of the result.
-
 Bound = float | tuple[float, float] | None
 _STATISTICS: dict[str, Callable[[list], Measured]] = {
     "share": proportion, "mean": mean, "median": lambda values: quantile(values, 0.5),

@@ -23,12 +23,11 @@ from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
 from examination.blind.cases import EFFECTS, frozen_shares
 from examination.blind.judgement import WORTH_NAMING, unseen
 from examination.blind.score import as_markdown, stated_and_right
+from sma_bench.arrays import Array
 from sma_bench.diagnose.facts import Weighed
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.utilities import NAMES, SIGNS, Utilities
 from sma_bench.parameters.yaml_file import write_text_atomically
-
-Array = npt.NDArray[np.float64]
 
 # Of the fit, which weighs cases less in which the records say nothing, and as stated: the smallest
 # that is as likely as any but for _AS_LIKELY.
@@ -67,9 +66,7 @@ class Known:
         self.gains_most = max(singles, key=lambda n: singles[n], default="")
 
 
-def right_names(
-    label: dict[str, Any], names: Sequence[str], small: dict[str, str]
-) -> set[str]:
+def right_names(label: dict[str, Any], names: Sequence[str], small: dict[str, str]) -> set[str]:
     """Explanations that are right to put first; `small`: pairs that stand for their better half."""
     kind, effects = label["kind"], label["effects"]
     # Grains that are spread have inner loops of their own, whatever is hidden.
@@ -150,9 +147,8 @@ def scales(cases: Sequence[Known]) -> Array:
     return np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
 
 
-def left_out(
-    cases: Sequence[Known], folds: Array, ridge: float, lapse: float, share: float = 1.0
-) -> list[Array]:
+def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float,
+             share: float = 1.0) -> list[Array]:
     """(c,) shares that weights which have not seen its fold give the explanations of every case;
     learnt from a share of the others, drawn."""
     found: list[Array] = [np.zeros(0)] * len(cases)
@@ -173,10 +169,8 @@ def lapsed(shares: Sequence[Array], lapse: float) -> list[Array]:
 
 def log_probability(cases: Sequence[Known], answers: Sequence[Array]) -> Array:
     """(n,) of what is right."""
-    return np.array([
-        np.log(max(float(p[case.right].sum()), _LEAST))
-        for case, p in zip(cases, answers, strict=True)
-    ])  # fmt: skip
+    return np.array([np.log(max(float(p[case.right].sum()), _LEAST))
+                     for case, p in zip(cases, answers, strict=True)])
 
 
 def of_truth(case: Known, p: Array) -> float:
@@ -223,10 +217,8 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
     whole = [truths(case) for case in cases]
     right = np.array([first in truth for (first, *_), truth in zip(found, whole, strict=True)])
     effect = np.array([first not in (BENIGN, UNEXPLAINED) for first, *_ in found])
-    both = np.array([
-        set(ranked[: len(c.label["effects"])]) == set(c.label["effects"])
-        for (*_, ranked), c in zip(found, cases, strict=True)
-    ])
+    both = np.array([set(ranked[: len(c.label["effects"])]) == set(c.label["effects"])
+                     for (*_, ranked), c in zip(found, cases, strict=True)])
     plain = (kinds == "single") & np.array([bool(c.label["distinguishable"]) for c in cases])
     named, confident = effect & (likely >= NAMED), likely >= CONFIDENT
     truth = np.array([of_truth(c, p) for c, p in zip(cases, answers, strict=True)])
@@ -245,22 +237,18 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
         of, own = (of, own) if among is None else (of[among], own[among])
         return float(np.average(of, weights=own)) if len(of) else float("nan")
 
-    return {
-        "log probability of the truth": share(log_probability(cases, answers)),
-        "first choice right": share(right),
-        "of distinguishable singles": share(right, plain),
-        "of these named and right": share(right & named, plain),
-        "pairs: one": share(right, kinds == "pair"),
-        "pairs: both": share(right & both, kinds == "pair"),
-        "outside as such": share(right, kinds == "outside"),
-        "wrong parameters as such": share(right, kinds == "recalibration"),
-        "an effect named of clean ones": share(named, kinds == "none"),
-        "confident and wrong": share(~right & confident),
-        "of those an effect": share(~right & effect & confident),
-        "90 % set: coverage": share(covered),
-        "90 % set: size": share(sizes),
-        "90 % set: least probability": conformal(truth),
-    }  # fmt: skip
+    return {"log probability of the truth": share(log_probability(cases, answers)),
+            "first choice right": share(right), "of distinguishable singles": share(right, plain),
+            "of these named and right": share(right & named, plain),
+            "pairs: one": share(right, kinds == "pair"),
+            "pairs: both": share(right & both, kinds == "pair"),
+            "outside as such": share(right, kinds == "outside"),
+            "wrong parameters as such": share(right, kinds == "recalibration"),
+            "an effect named of clean ones": share(named, kinds == "none"),
+            "confident and wrong": share(~right & confident),
+            "of those an effect": share(~right & effect & confident),
+            "90 % set: coverage": share(covered), "90 % set: size": share(sizes),
+            "90 % set: least probability": conformal(truth)}
 
 
 def conformal(truth: Array) -> float:
@@ -363,10 +351,9 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     # By the number of the form, the first being the one that all seeds before 2700 have.
     rows = []
     for form in np.unique(forms).tolist():
-        own = [
-            k for k, c in enumerate(cases)
-            if c.form == form and c.label["kind"] == "single" and c.label["distinguishable"]
-        ]
+        own = [k
+               for k, c in enumerate(cases)
+               if c.form == form and c.label["kind"] == "single" and c.label["distinguishable"]]
         if own:
             most = np.mean([cases[k].gains_most == cases[k].main for k in own])
             firsts = [np.mean([said(cases[k], p[k])[0] == cases[k].main for k in own])
@@ -388,11 +375,9 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         head = "# What the decision has learnt", "", "`./bench blind learn --markdown FILE`"
         write_text_atomically(markdown, "\n".join([*head, "", *text, ""]))
     if out is not None:
-        document = {
-            "source": f"{len(cases)} development cases", "ridge": ridge, "fit_lapse": lapse,
-            "lapse": last, "library": lines[0]["library"],
-            "least": round(columns[2]["90 % set: least probability"], 4), "weights": table,
-        }  # fmt: skip
+        document = {"source": f"{len(cases)} development cases", "ridge": ridge, "fit_lapse": lapse,
+                    "lapse": last, "library": lines[0]["library"],
+                    "least": round(columns[2]["90 % set: least probability"], 4), "weights": table}
         said_of_it = "# Weights of the decision with their errors: ./bench blind learn writes it.\n"
         dumped = yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
         write_text_atomically(out, said_of_it + dumped)

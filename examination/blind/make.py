@@ -11,7 +11,6 @@ from typing import Any
 
 import joblib
 import numpy as np
-import numpy.typing as npt
 
 from examination.bags import in_sqlite3
 from examination.blind import cases, rigs
@@ -21,6 +20,7 @@ from examination.blind.judgement import WORTH_NAMING
 from examination.blind.reality import BY_NAME
 from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
 from examination.blind.sensors import measure
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.parameters import Parameters, write_parameters
@@ -28,12 +28,10 @@ from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
 
-Array = npt.NDArray[np.float64]
 Features = Mapping[str, float]
 Readings = Mapping[str, Mapping[str, Array]]
 
 # --- How large a case's effects are.
-
 # Features that a mildly different kinetics moves together, at amount 1.
 MILD_KINETICS = {"grain_spread": 1.2, "kinetics_smoothness": 0.5}
 _SHRINK, _TRIALS = 0.8, 8
@@ -62,17 +60,14 @@ def size(case: Case) -> Sized:
     nuisance_gap = 0.0
     for trial in range(_TRIALS):
         # As far as the reality goes: a clamped wire hardly shows some of them.
-        scaled = {
-            name: float(np.clip(scale * value, BY_NAME[name].low, BY_NAME[name].high))
-            for name, value in case.nuisances.items()
-        }
+        scaled = {name: float(np.clip(scale * value, BY_NAME[name].low, BY_NAME[name].high))
+                  for name, value in case.nuisances.items()}
         reached = measured(case, {**case.fixed, **scaled}, {}, fine=COARSE if trial == 0 else 1.0)
         if trial and reached <= cases.NUISANCE_LIMIT:
             little, nuisance_gap = scaled, reached
             break
         # The gap grows with the scale or its square: down by the root stays above nothing.
         scale *= wanted / reached if trial == 0 else min(wanted / reached, _SHRINK)
-
     # A transformation smoother by the wanted gap.
     little = {**case.fixed, **little}
     base, kinetics_gap = dict(little), 0.0
@@ -87,7 +82,6 @@ def size(case: Case) -> Sized:
             kinetics_gap = measured(case, base, little, fine=COARSE if trial < 3 else 1.0)
             # Smoothing acts by its variance: the gap grows between the first and second power.
             amount *= float(np.clip((case.mild_gap / kinetics_gap) ** 0.7, 0.2, 3.0))
-
     # What is hidden, at its target or as it comes.
     rng, quantities = case.stream("effect"), QUANTITIES[case.card.signals]
     features, draws, amounts = dict(base), {}, {}
@@ -106,11 +100,9 @@ def size(case: Case) -> Sized:
     return Sized(base, features, draws, amounts, nuisance_gap, kinetics_gap)
 
 
-def measured(
-    stage: Stage, features: Features, other: Features,
-    quantities: tuple[str, ...] = QUANTITIES[cases.ALL], fine: float = 1.0,
-    records: Sequence[str] = RECORDS,
-) -> float:  # fmt: skip
+def measured(stage: Stage, features: Features, other: Features,
+             quantities: tuple[str, ...] = QUANTITIES[cases.ALL], fine: float = 1.0,
+             records: Sequence[str] = RECORDS) -> float:
     """Gap over noise between two worlds: the largest over signals and records."""
     found = 0.0
     for record in records:
@@ -126,7 +118,6 @@ def measured(
 # parameters being refitted under their stated uncertainty each time. What no refit takes away, in
 # standard deviations, is the distance to that rival. From cases.WITH_REFITS on no zero of a
 # deflection is evidence, no bench is taken for a straight line, and rivals have all their forms.
-
 # Squared distance above which two explanations are distinguishable: five standard deviations.
 DISTINCT = 25.0
 _WINDOW = 10  # samples of 20 ms to a mean: 5 Hz
@@ -137,10 +128,9 @@ _ZERO = 1e-3  # m, of a deflection's sensor
 _REFITS, _BETTER = 8, 0.99  # steps of Gauss and Newton, halved where the squares do not fall so far
 
 
-def separation(
-    stage: Stage, base: Features, truth: Readings, without: Readings, quantities: tuple[str, ...],
-    own: str = "", nominal: Parameters | None = None, refits: int = 0,
-) -> dict[str, Any]:  # fmt: skip
+def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
+               quantities: tuple[str, ...], own: str = "", nominal: Parameters | None = None,
+               refits: int = 0) -> dict[str, Any]:
     """Distances [standard deviations] of one difference from every rival explanation, the closest
     rival with its own, and whether every rival is out of reach. `base`: features without the
     effect; `truth`, `without`: noise-free readings of each record that is given, with and without
@@ -227,10 +217,8 @@ def separation(
         if name == own or not (symptom.in_deflection or "temperature" in quantities):
             continue
         forms = [symptom.in_form(form) for form in (symptom.forms if refits else ("",))]
-        does = [
-            whitened(read(features, numbers), here)
-            for form in forms for features in _varieties(form, base)
-        ]
+        does = [whitened(read(features, numbers), here)
+                for form in forms for features in _varieties(form, base)]
         free_of = beyond_parameters(np.column_stack(does))
         # What the columns cannot explain, those of one direction in that direction only.
         if free_of.shape[1] == 1:
@@ -245,12 +233,9 @@ def separation(
             left = rest - basis @ (basis.T @ rest)
         distances[name] = float(np.linalg.norm(left))
     rival = min(distances, key=lambda name: distances[name])
-    return {
-        "rival": rival,
-        "distance": round(distances[rival], 3),
-        "distances": {name: round(value, 3) for name, value in distances.items()},
-        "distinguishable": distances[rival] ** 2 > DISTINCT,
-    }
+    return {"rival": rival, "distance": round(distances[rival], 3),
+            "distances": {name: round(value, 3) for name, value in distances.items()},
+            "distinguishable": distances[rival] ** 2 > DISTINCT}
 
 
 def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
@@ -267,9 +252,7 @@ def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
             yield {**base, **shape, name: moved}
 
 
-def law_distances(
-    stage: Stage, base: Features, quantities: tuple[str, ...]
-) -> tuple[float, float]:  # fmt: skip
+def law_distances(stage: Stage, base: Features, quantities: tuple[str, ...]) -> tuple[float, float]:
     """Gap over noise, the largest over signals and records, between what a rig's law does and the
     nearest of other laws: the cosine with its four temperatures refitted, and any smooth law of a
     single grain, which has no inner loops of its own."""
@@ -278,11 +261,9 @@ def law_distances(
 
     def readings(features: Features, parameters: Parameters | None = None) -> dict[str, Array]:
         played = {r: stage.read(features, r, COARSE, parameters) for r in RECORDS}
-        return {
-            f"{r}/{name}": values / stage.sensors.std(quantity_of(name))
-            for r, read in played.items() for name, values in read.items()
-            if quantity_of(name) in quantities
-        }  # fmt: skip
+        return {f"{r}/{name}": values / stage.sensors.std(quantity_of(name))
+                for r, read in played.items() for name, values in read.items()
+                if quantity_of(name) in quantities}
 
     def stacked(one: Mapping[str, Array], other: Mapping[str, Array]) -> Array:
         return np.concatenate([one[name] - other[name] for name in other])
@@ -320,15 +301,13 @@ def law_distances(
 
 
 # --- A case's label, its bags, and a set of them in a new folder.
-
 NOMINAL = "nominal.yaml"
 LARGEST_SET = 9999
 _LAYOUT = 1
 
 
-def make_label(
-    case: Case, sized: Sized, records: Sequence[str] = RECORDS, nominal: Parameters | None = None
-) -> dict[str, Any]:
+def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,
+               nominal: Parameters | None = None) -> dict[str, Any]:
     """All that is hidden, and what can be told of it from the given records: severities, and what
     is as near to it with the owners' numbers, or with others."""
     card, load, quantities = case.card, load_kind(case.truth), QUANTITIES[case.card.signals]
@@ -387,20 +366,19 @@ def make_label(
             of_forms["inner_loops"] = of_forms["loops_distance"] > WORTH_NAMING
         if case.seed in cases.WITH_REFITS:
             of_forms["beyond_parameters"] = apart.get("distances", {}).get(RECALIBRATION)
-    return {
-        "id": case.name, "kind": card.kind, "effects": list(card.effects), "stages": stages,
-        "signals": card.signals, "noise": card.noise, "kinetics": card.mild_kinetics,
-        "severity": severity, "severities": severities, "targets": list(card.targets),
-        "amounts": dict(sized.amounts), "gap": gap,
-        "nuisance_gap": round(sized.nuisance_gap, 4), "kinetics_gap": round(sized.kinetics_gap, 4),
-        "wrong": dict(case.wrong), "where": place,
-        "distinguishable": apart.pop("distinguishable", True), "separation": apart or None,
-        "features": dict(sorted(sized.features.items())), "base": dict(sorted(sized.base.items())),
-        "load": load, "truth": rigs.true_values(case.truth), "sensors": asdict(case.sensors),
-        "drives": {name: vars(drive) for name, drive in case.drives.items()},
-        "starts": dict(case.starts), "version": VERSION, **of_forms,
-        **({"second_run": dict(case.second_run)} if case.second_run else {}),
-    }  # fmt: skip
+    return {"id": case.name, "kind": card.kind, "effects": list(card.effects), "stages": stages,
+            "signals": card.signals, "noise": card.noise, "kinetics": card.mild_kinetics,
+            "severity": severity, "severities": severities, "targets": list(card.targets),
+            "amounts": dict(sized.amounts), "gap": gap,
+            "nuisance_gap": round(sized.nuisance_gap, 4),
+            "kinetics_gap": round(sized.kinetics_gap, 4), "wrong": dict(case.wrong), "where": place,
+            "distinguishable": apart.pop("distinguishable", True), "separation": apart or None,
+            "features": dict(sorted(sized.features.items())),
+            "base": dict(sorted(sized.base.items())), "load": load,
+            "truth": rigs.true_values(case.truth), "sensors": asdict(case.sensors),
+            "drives": {name: vars(drive) for name, drive in case.drives.items()},
+            "starts": dict(case.starts), "version": VERSION, **of_forms,
+            **({"second_run": dict(case.second_run)} if case.second_run else {})}
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
@@ -426,9 +404,8 @@ def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") 
     same seed and n give the same bytes, whatever the number of jobs. Raises InputError where the
     folder exists or cannot be made, and for a number out of range."""
     out = Path(out)
-    for what, value, low, high in (
-        ("seed", seed, 0, 2**31 - 1), ("number of cases", n, 1, LARGEST_SET), ("jobs", jobs, 1, 64),
-    ):  # fmt: skip
+    for what, value, low, high in (("seed", seed, 0, 2**31 - 1),
+                                   ("number of cases", n, 1, LARGEST_SET), ("jobs", jobs, 1, 64)):
         if not low <= value <= high:
             raise InputError(f"blind make: {what} {value}, expected {low} to {high}")
     if out.exists():

@@ -7,20 +7,16 @@ from typing import Any, NamedTuple, Self
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 import yaml
 
 from examination.blind.case_files import STAGES
 from examination.blind.reality import BY_NAME, Outcome, World, happen
 from examination.blind.sensors import Sensors, readings
+from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
 
-Array = npt.NDArray[np.float64]
-
-
 # --- A lab's rig, drawn: what it truly is, and the numbers its owners believe in.
-
 _DRAWN = yaml.safe_load(Path(__file__).with_name("cases.yaml").read_text())
 _LAYOUT, _DRIVES = _DRAWN["layouts"], _DRAWN["drives"]
 SIDES = tuple(_LAYOUT["beam"]["bench.channel_sides"])
@@ -48,9 +44,8 @@ class Number:
         return float(f"{self.std if self.absolute else abs(value) * self.std:.3g}")
 
 
-_POPULATION = msgspec.convert(
-    yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text()), dict[str, dict[str, Number]]
-)
+_POPULATION = msgspec.convert(yaml.safe_load(Path(__file__).with_name("rigs.yaml").read_text()),
+                              dict[str, dict[str, Number]])
 
 
 def numbers(load: str) -> dict[str, Number]:
@@ -69,9 +64,8 @@ def true_values(truth: Parameters) -> dict[str, float]:
     return {name: float(truth[name]) for name in numbers(load_kind(truth))}
 
 
-def draw_nominal(
-    truth: Parameters, rng: np.random.Generator, wrong: Mapping[str, float] | None = None
-) -> Parameters:
+def draw_nominal(truth: Parameters, rng: np.random.Generator,
+                 wrong: Mapping[str, float] | None = None) -> Parameters:
     """What the owners believe: the truth, wrong by one draw of the uncertainty they state, or by so
     many stated standard deviations as `wrong` says."""
     values, stds = {}, {}
@@ -111,7 +105,6 @@ def _rig(values: dict[str, float], stds: dict[str, float], load: str) -> Paramet
 
 
 # --- What the rig is driven with: triangles, steps, staircases and holds, with rests between.
-
 COMMAND_PERIOD = 0.02  # s: an Arduino that is commanded 50 times a second
 FAMILIES = ("triangle", "step", "staircase", "trapezoid")
 
@@ -165,9 +158,8 @@ def draw_drive(family: str, truth: Parameters, rng: np.random.Generator) -> Driv
     return Drive(family, duration, tuple(pulses))
 
 
-def _draw_pulse(
-    family: str, reach: str, side: str, start: float, truth: Parameters, rng: np.random.Generator
-) -> Pulse:
+def _draw_pulse(family: str, reach: str, side: str, start: float, truth: Parameters,
+                rng: np.random.Generator) -> Pulse:
     above = rng.uniform(*_DRIVES["full" if reach == "full" else "partial"])
     peak = _volts_for(truth, hottest(truth) + above)
     corners: list[tuple[float, float]] = []  # s, share of the peak
@@ -242,7 +234,6 @@ def _volts_for(truth: Parameters, temperature: float) -> float:
 
 
 # --- One rig under the drives of its two records, played with any set of features.
-
 RECORDS = ("record", "hold_out")
 PER_WIRE = ("current", "temperature")
 # 20 ms instead of 5 ms inside: enough to size an effect, and for sensitivities.
@@ -256,9 +247,8 @@ class Stage:
     truth: Parameters
     sensors: Sensors
     drives: Mapping[str, Drive]
-    _played: dict[tuple, Outcome] = field(
-        default_factory=dict, init=False, repr=False, compare=False
-    )
+    _played: dict[tuple, Outcome] = field(default_factory=dict, init=False, repr=False,
+                                          compare=False)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -277,10 +267,8 @@ class Stage:
                    msgspec.convert(label["sensors"], Sensors),
                    msgspec.convert(label["drives"], dict[str, Drive]))  # fmt: skip
 
-    def play(
-        self, features: Mapping[str, float], record: str, fine: float = 1.0,
-        parameters: Parameters | None = None,
-    ) -> Outcome:  # fmt: skip
+    def play(self, features: Mapping[str, float], record: str, fine: float = 1.0,
+             parameters: Parameters | None = None) -> Outcome:
         """What happens in a record under these features, every 20 ms, in steps of at most
         5 ms/fine, with other parameters than the rig's true ones where they are given."""
         # What only the instruments do does not change what happens.
@@ -295,20 +283,16 @@ class Stage:
             self._played[key] = outcome
         return outcome
 
-    def read(
-        self, features: Mapping[str, float], record: str, fine: float = 1.0,
-        parameters: Parameters | None = None,
-    ) -> dict[str, Array]:  # fmt: skip
+    def read(self, features: Mapping[str, float], record: str, fine: float = 1.0,
+             parameters: Parameters | None = None) -> dict[str, Array]:
         """What the instruments would read without noise: signal -> (n,), every 20 ms."""
         outcome = self.play(features, record, fine, parameters)
         return self.named(readings(outcome, world_of(self.truth, features), self.sensors))
 
     def named(self, clean: Mapping[str, Array]) -> dict[str, Array]:
         """Signal -> (n,) of readings (n, w) by quantity."""
-        of_wires = {
-            f"{channel}.{quantity}": clean[quantity][:, wire]
-            for quantity in PER_WIRE for wire, channel in enumerate(self.channels)
-        }  # fmt: skip
+        of_wires = {f"{channel}.{quantity}": clean[quantity][:, wire]
+                    for quantity in PER_WIRE for wire, channel in enumerate(self.channels)}
         return of_wires | {n: v for n, v in clean.items() if n == "deflection"}
 
     def peak_current(self) -> float:
@@ -321,23 +305,16 @@ def quantity_of(signal: str) -> str:
     return signal.rpartition(".")[2]
 
 
-def gaps(
-    one: Mapping[str, Array], other: Mapping[str, Array], sensors: Sensors,
-    quantities: Iterable[str],
-) -> dict[str, float]:  # fmt: skip
+def gaps(one: Mapping[str, Array], other: Mapping[str, Array], sensors: Sensors,
+         quantities: Iterable[str]) -> dict[str, float]:
     """Root mean square of the difference over the noise, for every signal of the quantities."""
     wanted = set(quantities)
-    return {
-        name: float(np.sqrt(np.mean((one[name] - other[name]) ** 2)) / sensors.std(quantity))
-        for name in one
-        if (quantity := quantity_of(name)) in wanted
-    }
+    return {name: float(np.sqrt(np.mean((one[name] - other[name]) ** 2)) / sensors.std(quantity))
+            for name in one if (quantity := quantity_of(name)) in wanted}
 
 
-def where(
-    with_effect: Mapping[str, Array], without: Mapping[str, Array], stage: Stage, record: str,
-    quantities: Iterable[str],
-) -> list[dict[str, Any]]:  # fmt: skip
+def where(with_effect: Mapping[str, Array], without: Mapping[str, Array], stage: Stage, record: str,
+          quantities: Iterable[str]) -> list[dict[str, Any]]:
     """The gap by signal, phase and side, largest share first: rows of signal, phase, side, gap
     (over noise, root mean square in the cell) and share (of the squared gaps over noise of all
     samples that the record holds)."""

@@ -10,7 +10,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 from scipy import stats
 
 from examination.blind import case_files as files
@@ -18,11 +17,11 @@ from examination.blind import judgement
 from examination.blind.case_files import STAGE_OF, CaseSet, Kept
 from examination.blind.examination import NOMINAL, open_cases
 from examination.blind.judgement import OF_GROUPS, OTHERS, TARGETS, Bound, Judged, Measure, Measured
+from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
 from sma_bench.parameters import read_parameters
 
-Array = npt.NDArray[np.float64]
 Labels = Mapping[str, Mapping[str, Any]]
 FOLLOWED_UP = ", followed up"
 
@@ -94,15 +93,13 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
             kept, history = paper.kept[k], files.answers_of(paper.folder, name)
             improved = read_parameters(kept.improved) if kept.improved else nominal
             tied = kept.answer is not None and kept.answer.verdict == "ambiguous"
-            before, after = (
-                judgement.parameter_error(label["truth"], nominal, p) for p in (nominal, improved)
-            )
+            before, after = (judgement.parameter_error(label["truth"], nominal, p)
+                             for p in (nominal, improved))
             into.append(Judged(msgspec.convert(label, judgement.Label), kept.answer,
                                unseen.shrunk(nominal, improved),
                                judgement.moved_parameters(nominal, improved),
                                history[-1].answer if len(history) > 1 else None,
-                               tied and len(history) > 1, before, after, kept.seconds,
-                               kept.line))  # fmt: skip
+                               tied and len(history) > 1, before, after, kept.seconds, kept.line))
     return [
         Score(paper.examination.name, tuple(of), {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
         for paper, of in zip(papers, judged, strict=True)
@@ -121,7 +118,6 @@ def followed_up(papers: Sequence[Paper]) -> list[Paper]:
 
 
 # --- Results by what was hidden: the confusion matrix, groups of cases.
-
 _ROWS = (*STAGE_OF, "pair", "none", "mild kinetics", "recalibration", "outside")
 _EDGES = (0.0, 1.5, 3.0, 6.0, 12.0, np.inf)
 
@@ -175,15 +171,12 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
         split: dict[str, list[Judged]] = {}
         for case in among:
             split.setdefault(group_of(case), []).append(case)
-        found[title] = {
-            group: {m.name: m.of(split[group]) for m in OF_GROUPS}
-            for group in sorted(split, key=_place)
-        }
+        found[title] = {group: {m.name: m.of(split[group]) for m in OF_GROUPS}
+                        for group in sorted(split, key=_place)}
     return found
 
 
 # --- The result as a page: on the terminal, and as a repository keeps it.
-
 _MOST_SHOWN = 4
 _RANGES = (0.0, 0.4, 0.6, 0.7, 0.8, 0.9, 1.01)  # of a probability
 _DASH = "–"
@@ -283,10 +276,8 @@ def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name:
         text = f"- {one.name}: {aims} aims reached, {floors} of {len(met)} floors"
         lines.append(text + (f"; missed: {', '.join(missed)}" if missed else ""))
     lines += ["", "Value (95 % interval); Clopper-Pearson for shares.", ""]
-    rows = [
-        (name, bound(m, m.floor), bound(m, m.aim), *values)
-        for m, (name, *values) in zip(TARGETS, side_by_side(scores, TARGETS), strict=True)
-    ]
+    rows = [(name, bound(m, m.floor), bound(m, m.aim), *values)
+            for m, (name, *values) in zip(TARGETS, side_by_side(scores, TARGETS), strict=True)]
     lines += as_markdown(("measure", "floor", "aim", *(one.name for one in scores)), rows)
     for one in scores:
         lines += ["", f"## {one.name}", "", *tables(one), ""]

@@ -4,15 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.signal import lfilter
 
 from examination.blind.reality import Outcome, World, forms
+from sma_bench.arrays import Array
 from sma_bench.records import Signal
 
 # --- What a sensor adds of its own: white, coloured and drifting noise.
-
-Array = npt.NDArray[np.float64]
 
 # Noise model -> lowest and highest (share of the variance that is correlated), and the same of its
 # correlation time in s.
@@ -40,9 +38,8 @@ class Noise:
         time = float(np.exp(rng.uniform(np.log(fastest), np.log(slowest))))
         return cls(std, float(rng.uniform(least, most)), time)
 
-    def draw(
-        self, n: int, period: float, rng: np.random.Generator, tails: float = 0.0, slow: float = 0.0
-    ) -> Array:
+    def draw(self, n: int, period: float, rng: np.random.Generator, tails: float = 0.0,
+             slow: float = 0.0) -> Array:
         """(n,) noise at samples `period` s apart, stationary from the first one on. Its white part
         may follow Student's t with so many degrees of freedom (`tails`), a share `slow` of its
         correlated part remember ten times as long."""
@@ -90,7 +87,6 @@ class Noise:
 #
 # What happens (an Outcome of the reality) becomes readings, by the physics of the instruments,
 # and readings become signals, by sampling, noise and resolution.
-
 QUANTITIES = ("voltage", "current", "temperature", "deflection")
 UNITS = {"voltage": "V", "current": "A", "temperature": "K", "deflection": "m"}
 # 5 V in 1024 counts; the current through an amplifier of 1 V/A; the camera's tenth of a degree on
@@ -189,10 +185,8 @@ def shutter_offset(time: Array, seed: int) -> Array:
     return np.asarray(levels[np.searchsorted(instants, time - time[0], side="right")])
 
 
-def measure(
-    outcome: Outcome, world: World, sensors: Sensors, channels: tuple[str, ...],
-    rng: np.random.Generator, quantities: tuple[str, ...] = QUANTITIES,
-) -> list[Signal]:  # fmt: skip
+def measure(outcome: Outcome, world: World, sensors: Sensors, channels: tuple[str, ...],
+            rng: np.random.Generator, quantities: tuple[str, ...] = QUANTITIES) -> list[Signal]:
     """Signals of the contract as these instruments would record an outcome on a uniform grid from
     0, whose voltage and current hold until the next time; voltages are recorded always."""
     clean = readings(outcome, world, sensors)

@@ -20,6 +20,7 @@ from mcap.writer import CompressionType, IndexType, Writer
 
 from examination.campaign.outcome import allowance
 from examination.pieces import without_exclusions
+from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.records import contract, describe, read_record
 from sma_bench.records.bag_writer import TYPES, message
@@ -36,8 +37,6 @@ _CHUNK, _PAGE = 2000, 4096
 _SAME_TIME, _SAME = 1e-6, 1e-12  # s; V, A, K, m, N: numbers are read as they were written
 
 _PROFILES = "- history: 1\n  depth: 10\n  reliability: 2\n  durability: 2\n"
-IntArray = np.ndarray[Any, np.dtype[np.int64]]
-FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 # Receipt, topic, type, bytes, and the numbers of stream and message.
 Row = tuple[int, str, str, bytes, tuple[int, int]]
 
@@ -53,8 +52,8 @@ class Stream:
     stamp: IntArray
     received: IntArray
     order: IntArray
-    fields: dict[str, FloatArray] = field(default_factory=dict)
-    signals: dict[str, FloatArray] = field(default_factory=dict)
+    fields: dict[str, Array] = field(default_factory=dict)
+    signals: dict[str, Array] = field(default_factory=dict)
     is_stamped: bool = True
 
 
@@ -76,16 +75,12 @@ class Bag:
 
 def draw_habits(rng: np.random.Generator) -> dict[str, str]:
     """One habit of each kind, most of them plain."""
-    drawn = {
-        kind: str(rng.choice(habits[1:])) if rng.random() > _PLAIN_SHARE else habits[0]
-        for kind, habits in HABITS.items()
-    }
+    drawn = {kind: str(rng.choice(habits[1:])) if rng.random() > _PLAIN_SHARE else habits[0]
+             for kind, habits in HABITS.items()}
     return without_exclusions(drawn, HABITS, _DATA["exclusions"])
 
 
 # --- what is true -------------------------------------------------------------------------------
-
-
 def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Stream]:
     """A wire that is driven up and down, measured at several rates."""
     content, stamps = habits["content"], habits["stamps"]
@@ -154,8 +149,6 @@ def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
 
 
 # --- on the disk --------------------------------------------------------------------------------
-
-
 def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
     """Message `k` of a stream."""
     content, row = habits["content"], {name: float(v[k]) for name, v in s.fields.items()}
@@ -189,18 +182,13 @@ def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
     return bytes(TYPES.serialize_cdr(message(s.type, **fields), s.type, little_endian=order))
 
 
-def write_bag(
-    folder: Path,
-    rng: np.random.Generator,
-    habits: dict[str, str],
-    alter: Callable[[list[Stream]], None] = lambda _: None,
-) -> Bag:
+def write_bag(folder: Path, rng: np.random.Generator, habits: dict[str, str],
+              alter: Callable[[list[Stream]], None] = lambda _: None) -> Bag:
     """Draw what is true, alter it, and write it as the habits have it."""
     bag = Bag(folder / "bag", true_streams(rng, habits), habits)
     set_clocks(bag, rng)
     alter(bag.streams)
     bag.path.mkdir()
-
     # In the order of the files.
     rows: list[Row] = []
     for i, s in enumerate(bag.streams):
@@ -217,7 +205,6 @@ def write_bag(
         rows = [(at, name, kind.replace("/msg/", "/"), *rest) for at, name, kind, *rest in rows]
     if habits["compression"] == "of messages":
         rows = [(*head, zstandard.compress(blob), where) for *head, blob, where in rows]
-
     # In files of equal length, of which the last is damaged.
     count = {"three": 3, "one missing": 3, "twelve": 12}.get(habits["files"], 1)
     write, suffix = (_write_mcap, "mcap") if habits["storage"] == "mcap" else (_write_db3, "db3")
@@ -291,9 +278,8 @@ def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int
             if key not in channels:
                 schema = writer.register_schema(kind, "ros2msg", b"") if kind else 0
                 profiles = {"offered_qos_profiles": _PROFILES * (habits["qos"] == "profiles")}
-                channels[key] = writer.register_channel(
-                    topic, _encoding(topic, habits), schema, profiles
-                )
+                channels[key] = writer.register_channel(topic, _encoding(topic, habits), schema,
+                                                        profiles)
             before = file.tell()
             writer.add_message(channels[key], received, blob, received)
             if file.tell() > before:  # with all that waited for its chunk's end
@@ -367,8 +353,6 @@ def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[s
 
 
 # --- what came of it ----------------------------------------------------------------------------
-
-
 def outcome(bag: Bag) -> tuple[str, str]:
     """One of OUTCOMES, and why."""
     try:
@@ -404,7 +388,7 @@ def outcome(bag: Bag) -> tuple[str, str]:
     return (LOSS, f"{lost} numbers") if lost else (RIGHT, "")
 
 
-def _fault(bag: Bag, number: int, true: FloatArray, time: FloatArray, values: FloatArray) -> str:
+def _fault(bag: Bag, number: int, true: Array, time: Array, values: Array) -> str:
     """What is wrong with a signal of stream `number`, (n,) as the messages have it, read as (m,)
     values at (m,) s of its clock; "" for nothing."""
     s = bag.streams[number]

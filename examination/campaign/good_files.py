@@ -20,9 +20,8 @@ from sma_bench.report.reports import read_result
 FOLDER = Path(__file__).parent / "good"
 GOOD = {path.name: path.read_bytes() for path in FOLDER.iterdir()}
 RESULT, DIAGNOSIS = (json.loads(GOOD[f"{name}.json"]) for name in ("result", "diagnosis"))
-MAP, PARAMETERS, METADATA = (
-    yaml.safe_load(GOOD[f"{name}.yaml"]) for name in ("import_map", "parameters", "metadata")
-)
+MAP, PARAMETERS, METADATA = (yaml.safe_load(GOOD[f"{name}.yaml"])
+                             for name in ("import_map", "parameters", "metadata"))
 _TELEMETRY = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
 _SERIAL = (
     b"".join(line(text.decode()) for text in (_TELEMETRY, b"K A 13841", b"N V 6", b"P 3 9 5"))

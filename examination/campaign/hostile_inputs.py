@@ -54,7 +54,6 @@ Maker = Callable[[random.Random, Path], Case]
 
 
 # --- bags ---------------------------------------------------------------------------------------
-
 _RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
 
 
@@ -152,8 +151,6 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
 
 
 # --- other files --------------------------------------------------------------------------------
-
-
 def hostile_yaml(rng: random.Random, folder: Path) -> Case:
     """Twenty readings or the drive, whose metadata or parameters are altered."""
     bag, storage = folder / "bag", rng.choice(("mcap", "sqlite3"))
@@ -233,7 +230,6 @@ MAKERS: dict[str, tuple[int, Maker]] = {
 
 
 # --- the commands -------------------------------------------------------------------------------
-
 COMMANDS: dict[str, Callable[[Case, Path], list[str]]] = {
     "info": lambda case, _: [],
     "identify": lambda case, out: [*case.options, "--out", str(out / "identified.yaml")],
@@ -315,10 +311,8 @@ def run_command(command: str, case: Case, out: Path, seconds: float = SECONDS) -
     told, errors = io.StringIO(), io.StringIO()
     arguments = [command, *COMMANDS[command](case, out), "--", str(case.path)]
     try:
-        with (
-            allowance(MEMORY, seconds), warnings.catch_warnings(),
-            contextlib.redirect_stdout(told), contextlib.redirect_stderr(errors),
-        ):  # fmt: skip
+        with (allowance(MEMORY, seconds), warnings.catch_warnings(),
+              contextlib.redirect_stdout(told), contextlib.redirect_stderr(errors)):
             code = main(arguments)
     except Exception as error:  # that is what is looked for
         return f"{type(error).__name__}: {str(error)[:_SHOWN]!r}", 1
@@ -343,8 +337,6 @@ def _everything(folder: Path) -> dict[Path, tuple[int, bytes | str]]:
 
 
 # --- the parsers --------------------------------------------------------------------------------
-
-
 def try_input(parser: good_files.Parser, content: bytes, folder: Path) -> str:
     """What went wrong with one input, or ""."""
     path = folder / parser.file

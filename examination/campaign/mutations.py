@@ -37,14 +37,12 @@ def _told(entry: str | list) -> str:
 _DATA = yaml.safe_load(Path(__file__).with_name("hostile.yaml").read_text(encoding="utf-8"))
 TRIPWIRES = (*(_told(e).encode("latin-1") for e in _DATA["tripwires"]), b"\n" + _BOMB,
              b"\n" + _MAP_BOMB)  # fmt: skip
-_TITLES, TOPICS, PLACES = (
-    [_told(entry) for entry in _DATA[kind]] for kind in ("titles", "topics", "places")
-)
-_VALUES: tuple[Any, ...] = (
-    None, True, 0, -1, 2**63, 10**400, 1e308, math.inf, math.nan, "", "nan", "\x1b[2J", "=1+1",
-    "<<", "~", "x" * 3000, "\ud800", "/dev/zero", "../../x", [], {}, [[1, 2], [3]], {"": {"": 0}},
-    {"<<": {"a": 1}}, ["a"] * 300, "2020-01-01", "0x" + "f" * 500, "!!python/none",
-)  # fmt: skip
+_TITLES, TOPICS, PLACES = ([_told(entry) for entry in _DATA[kind]]
+                           for kind in ("titles", "topics", "places"))
+_VALUES: tuple[Any, ...] = (None, True, 0, -1, 2**63, 10**400, 1e308, math.inf, math.nan, "", "nan",
+                            "\x1b[2J", "=1+1", "<<", "~", "x" * 3000, "\ud800", "/dev/zero",
+                            "../../x", [], {}, [[1, 2], [3]], {"": {"": 0}}, {"<<": {"a": 1}},
+                            ["a"] * 300, "2020-01-01", "0x" + "f" * 500, "!!python/none")
 EDITS = ("cut", "drop", "twice", "insert", "replace", "replace")
 
 
@@ -58,11 +56,10 @@ def edited(content: bytes, edits: list[tuple[str, float, int, bytes]]) -> bytes:
             end = at
             while end < len(content) and content[end : end + 1] not in b" \t\n,:{}[]":
                 end += 1
-        content = {
-            "cut": content[:at], "drop": content[:at] + content[end:],
-            "twice": content[:end] + content[at:], "insert": content[:at] + payload + content[at:],
-            "replace": content[:at] + payload + content[end:],
-        }[kind]  # fmt: skip
+        content = {"cut": content[:at], "drop": content[:at] + content[end:],
+                   "twice": content[:end] + content[at:],
+                   "insert": content[:at] + payload + content[at:],
+                   "replace": content[:at] + payload + content[end:]}[kind]
     return content
 
 
@@ -76,8 +73,6 @@ def mutated(rng: random.Random, content: bytes, most: int = 5) -> bytes:
 
 
 # --- documents ----------------------------------------------------------------------------------
-
-
 def changed(rng: random.Random, node: Any) -> Any:
     """A document with a leaf, a name or a branch put in place of something else."""
     if type(node) in (int, float) and abs(node) < 1e300 and rng.random() < 0.7:
@@ -108,11 +103,8 @@ def hostile_document(rng: random.Random, document: Any, is_json: bool = False) -
 
 
 # --- numbers ------------------------------------------------------------------------------------
-
-
-def changed_series(
-    rng: random.Random, time: np.ndarray, values: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def changed_series(rng: random.Random, time: np.ndarray,
+                   values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Times and values of a sensor, one of them as no sensor says it."""
     time, values, pick = time.copy(), values.copy(), rng.choice
     first, last = sorted((rng.randrange(len(time)), rng.randrange(len(time))))
@@ -137,13 +129,10 @@ def changed_series(
 
 
 # --- tables -------------------------------------------------------------------------------------
-
 _UNFOLDS = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 9))
 _UNFOLDS = f'<!DOCTYPE b [<!ENTITY a0 "xxxxxxxxxx">{_UNFOLDS}]>'
-_WORKBOOK = [
-    (pattern, [_told(text).replace("{unfolds}", _UNFOLDS) for text in texts])
-    for pattern, texts in _DATA["workbook"]
-]
+_WORKBOOK = [(pattern, [_told(text).replace("{unfolds}", _UNFOLDS) for text in texts])
+             for pattern, texts in _DATA["workbook"]]
 
 
 def hostile_table(rng: random.Random) -> tuple[str, bytes]:
@@ -210,7 +199,6 @@ def _other(rng: random.Random, found: dict[str, Any], kind: str) -> bytes:
     import pyarrow
     from pyarrow import parquet
     from scipy.io import savemat
-
     found = {re.sub(r"\W+", "_", title, flags=re.ASCII).strip("_0123456789")[:31] or "c": values
              for title, values in found.items()}  # fmt: skip
     is_large, is_odd = rng.random() < 0.3, rng.random() < 0.3
@@ -229,9 +217,8 @@ def _other(rng: random.Random, found: dict[str, Any], kind: str) -> bytes:
                 file["again"], file["self"] = file["/"], h5py.SoftLink("/self")
                 file["out"] = h5py.ExternalLink("/etc/passwd", "/")
     else:
-        found |= (
-            {"odd": rng.choice((pyarrow.nulls(60), pyarrow.array([[1.0]] * 60)))} if is_odd else {}
-        )
+        found |= ({"odd": rng.choice((pyarrow.nulls(60),
+                                      pyarrow.array([[1.0]] * 60)))} if is_odd else {})
         found = dict.fromkeys(found, np.zeros(1 << 18)) if is_large else found
         parquet.write_table(pyarrow.table(found), written)
     return written.getvalue()

@@ -120,7 +120,6 @@ def bench_nodes(logs: Path) -> Iterator[Talker]:
 
 
 # --- Recorders killed at random times: nothing older than a second is lost, and the bag is read.
-
 ALLOWED = 1.0  # s
 _LATEST_KILL = 3.0  # s after the first message is recorded
 
@@ -174,7 +173,6 @@ def lost_seconds(bag: Path, killed: float, began: float) -> float:
 
 
 # --- Nodes killed and started again in every order: 0 V meanwhile, and the bench works afterwards.
-
 # s: the contract's command timeout, what a busy machine needs to notice, and what a killed recorder
 # may lose.
 _TIMEOUT, _SLACK, _TO_DISK = 0.5, 1.0, 1.5
@@ -251,7 +249,6 @@ def _restart(talker: Talker, end: tuple[str, ...], begin: tuple[str, ...], folde
 
 
 # --- Other types and broken bytes on the bench's topics: every node goes on.
-
 # A node, and the topics that it listens to with their own type.
 LISTENERS: dict[str, dict[str, type]] = {
     "simulator": {"voltage_command": Float64MultiArray},
@@ -308,7 +305,6 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
 # writing all that is published. What grows with the computer's time and not with the bench's shows
 # less here than in life: of that there is the index of the recorder's chunks, 0.7 to 0.9 kB for
 # each of two chunks a second.
-
 # MB/h: a day adds 0.2 GB and a week 1.3 GB, which a small computer of 2 GB bears beside the bench.
 # The index of a bag, which has to grow, takes 5 to 7 of it.
 LIMIT = 8.0
@@ -370,9 +366,8 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
     outcomes = []
     for node in NODES:
         found, met = judge(np.array(hours), np.array(held[node]))
-        outcomes.append(
-            Outcome("soak", f"memory of {node}", len(hours), found, f"{LIMIT:g} MB/h", met)
-        )
+        outcomes.append(Outcome("soak", f"memory of {node}", len(hours), found, f"{LIMIT:g} MB/h",
+                                met))
     return outcomes
 
 

@@ -22,9 +22,8 @@ class Outcome(NamedTuple):
     met: bool
 
     @classmethod
-    def of(
-        cls, section: str, what: str, tried: int, wrong: Sequence[str], limit: str = "failed 0"
-    ) -> "Outcome":
+    def of(cls, section: str, what: str, tried: int, wrong: Sequence[str],
+           limit: str = "failed 0") -> "Outcome":
         """Of so many tries, of which each that went wrong has its text."""
         failures = [text for text in wrong if text]
         found = "; ".join([f"failed {len(failures)}", *dict.fromkeys(failures[:_SHOWN])])

@@ -107,14 +107,12 @@ def draw_tests(alloy: Alloy, random: np.random.Generator, folder: Path) -> dict[
     """Records by the method that reads them; who sees cycles or specimens differ repeats them."""
     stresses = np.sort(random.choice(LOADS, int(random.integers(1, 5)), replace=False))
     records: dict[str, list[Any]] = {"E6": isobaric_tests(alloy, random, folder, stresses)}
-
     differ = draw_noise(random, 0.02, 5.0)  # K: of a scan from the others
     faults = {"scatter": differ, "cycles": int(random.integers(2, 4) if differ < 0.3 else 6)}
     faults |= {"zero": CALORIMETER * random.standard_normal(), "rate": random.choice([5.0, 10.0])}
     faults["lag"] = 0.5 + abs(PAN * random.standard_normal())
     span = (alloy.m_f - 45.0, alloy.a_f + 45.0)
     records["E5"] = [instruments.dsc(alloy, random, span, **faults)]
-
     differ = draw_noise(random, 2e-4, 0.10)  # relative, of a specimen from the others
     count = int(random.integers(1, 4) if differ < 0.003 else random.integers(3, 7))
     faults = {"noise": draw_noise(random, 1e5, 2e6), "toe": 0.0}
@@ -125,7 +123,6 @@ def draw_tests(alloy: Alloy, random: np.random.Generator, folder: Path) -> dict[
             other = 1.0 + differ * random.standard_normal()
             specimen = replace(alloy, e_a=alloy.e_a * other, e_m=alloy.e_m * other)
             records["E7"].append(instruments.tensile(specimen, phase, k, random, **faults))
-
     faults = {"noise": draw_noise(random, 0.02, 10.0), "preload": 120e6, "area": _section(random)}
     faults["camera"] = 1.0 / (1.0 + CAMERA * random.standard_normal())
     up = (alloy.a_s - 51.0, alloy.a_s - 6.0)
@@ -133,9 +130,8 @@ def draw_tests(alloy: Alloy, random: np.random.Generator, folder: Path) -> dict[
     return records
 
 
-def isobaric_tests(
-    alloy: Alloy, random: np.random.Generator, folder: Path, stresses: Iterable[float], **own: Any
-) -> list[IsobaricRecord]:
+def isobaric_tests(alloy: Alloy, random: np.random.Generator, folder: Path,
+                   stresses: Iterable[float], **own: Any) -> list[IsobaricRecord]:
     """One file a stress (Pa), read back; `own` scatter (K) and number of cycles, drawn if not."""
     faults = {"scatter": draw_noise(random, 0.02, 10.0), "noise": draw_noise(random, 0.02, 10.0)}
     few = max(faults["scatter"], faults["noise"] / 10.0) < 0.3

@@ -59,8 +59,7 @@ NEEDED = {"single": THRESHOLD, "pair": PAIR_THRESHOLD, "recalibration": -np.inf}
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = options_of("ceilings", __doc__, argv, set=(..., "answered"), out=(Path, "new folder"),
-                         cases=(int, "the first so many only"),
-                         time_limit=(600.0, "s a case"))  # fmt: skip
+                         cases=(int, "the first so many only"), time_limit=(600.0, "s a case"))
     if options.out is None:
         print("ceilings: no --out, expected a new folder", file=sys.stderr)
         return 2
@@ -68,15 +67,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     labels = open_labels(whole)
     names = whole.names[: options.cases]
     options.out.mkdir(parents=True)
-
     # Nothing is left of wrong parameters once they are right, and no library has effects outside.
     variants = {"as_is": (None, ""), "exact": (make_exact, "recalibration"),
                 "tested": (make_tested, ""), "model": (make_by_model, "outside")}  # fmt: skip
     scores = []
     for variant, (change, without) in variants.items():
-        cases = copied(
-            options.out / variant, whole, labels, [n for n in names if labels[n]["kind"] != without]
-        )
+        cases = copied(options.out / variant, whole, labels,
+                       [n for n in names if labels[n]["kind"] != without])
         answers = cases.answers / DIAGNOSIS
         for name in cases.names:
             if change:
@@ -108,9 +105,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 0
 
 
-def copied(
-    root: Path, whole: files.CaseSet, labels: Mapping[str, Label], names: Sequence[str]
-) -> files.CaseSet:
+def copied(root: Path, whole: files.CaseSet, labels: Mapping[str, Label],
+           names: Sequence[str]) -> files.CaseSet:
     """A set of some of the cases, to be answered by the diagnosis."""
     for name in names:
         shutil.copytree(whole.folder / name, root / files.CASES / name)
@@ -123,8 +119,6 @@ def copied(
 
 
 # --- The variants of a case.
-
-
 def make_exact(case: Path, label: Label, _: files.CaseSet) -> None:
     believed = read_parameters(case / blind.NOMINAL)
     stds = {n: _SHARE * s for n, s in believed.given_uncertainty.items()}
@@ -148,10 +142,8 @@ def make_tested(case: Path, label: Label, whole: files.CaseSet) -> None:
 def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
     # Numbers of the effects that are there, as the answer has fitted them.
     answer = files.read_kept(whole.answers / DIAGNOSIS, label["id"]).answer
-    fitted = {
-        c.name: {name: number["value"] for name, number in c.parameters.items()}
-        for c in (answer.candidates if answer else ())
-    }
+    fitted = {c.name: {name: number["value"] for name, number in c.parameters.items()}
+              for c in (answer.candidates if answer else ())}
     effects = {n: v for name in label["effects"] for n, v in fitted.get(name, {}).items()}
     effects |= fitted.get(files.PAIR_SIGN.join(sorted(label["effects"])), {})
     stage = Stage.from_label(label)
@@ -163,8 +155,7 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
         found = simulate_finely(bench, time, drive.voltage(time, stage.sides))
         outcome = Outcome(time, found.voltage, found.current, found.temperature_reading,
                           found.temperature_reading, found.martensite_fraction, found.stress,
-                          found.deflection_reading, found.bending,
-                          np.full(len(time), 293.0))  # fmt: skip
+                          found.deflection_reading, found.bending, np.full(len(time), 293.0))
         random = np.random.default_rng([_STREAM, int(label["id"]), number])
         shown = QUANTITIES[label["signals"]]
         signals = measure(outcome, world, stage.sensors, stage.channels, random, shown)
@@ -180,7 +171,6 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
     effects = [name for name in label["effects"] if name in found.singles]
     if len(effects) < len(label["effects"]):
         return 0.0, 0.0  # nothing that is measured shows one
-
     # Evidence without the (second) effect, and the fit with all.
     without, best = -np.inf, found.recalibrated
     if len(effects) == 1:
@@ -194,7 +184,6 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
             start = find_start(Remainder(alone), unknowns)
             both = fit(found.problem, unknowns, start.x)
         best = both
-
     # The bench's true parameters, a product's as a whole.
     unknowns = best.unknowns
     values = unknowns.values(best.x).tolist()

@@ -80,7 +80,6 @@ def claims_of(case: Case) -> list[Claim]:
     about = first.problem.with_nuisances(first.parameters)
     found = fit(about, unknowns, first.x, rounds=2)
     gain = found.evidence - recalibrated.evidence
-
     # Numbers of the effect that fit best where there is no noise.
     drives = {**case.drives, UNSEEN: unseen_drive(case.drives)}
     noise = {q: replace(n, std=_QUIET * n.std) for q, n in case.sensors.noise.items()}

@@ -29,11 +29,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     own = {"rigs": (2, "that each pair is tried on"), "effect": ("", "only this one")}
     options = options_of("forms", __doc__, argv, **own, **IN_PIECES)
     names = [options.effect] if options.effect else list(EFFECTS)
-    jobs = [
-        (name, true, other, rig)
-        for name in names for true in EFFECTS[name].forms for other in EFFECTS[name].forms
-        for rig in range(options.rigs) if true != other
-    ]  # fmt: skip
+    jobs = [(name, true, other, rig)
+            for name in names for true in EFFECTS[name].forms for other in EFFECTS[name].forms
+            for rig in range(options.rigs) if true != other]
     return report(jobs, in_pieces(try_forms, jobs, options))
 
 
@@ -51,7 +49,6 @@ def try_forms(name: str, true: str, other: str, rig: int) -> float:
     amount = cases.amount_for(one, GAP, gap, one.natural(rng))
     wanted = _stacked(case, one.features({}, amount))
     scale = GAP / max(gap(amount), 1e-9)
-
     # Size and, within their ranges, the numbers that shape the other form.
     shapes = {n: s for n, s in two.symptom.settings.items() if s.high > s.low}
     low, high = np.log(two.symptom.natural[1] * 1e-3), np.log(two.symptom.natural[1] * 2.0)
@@ -68,9 +65,8 @@ def try_forms(name: str, true: str, other: str, rig: int) -> float:
     for sign in two.symptom.signs:
         tried = [np.array([at, *[0.5] * len(shapes)]) for at in np.linspace(low, high, _STARTS)]
         begin = min(tried, key=lambda x: float(np.sum(left(x, sign) ** 2)))
-        found = least_squares(
-            left, begin, bounds=bounds, args=(sign,), diff_step=0.03, x_scale=0.3, max_nfev=_TRIALS
-        )
+        found = least_squares(left, begin, bounds=bounds, args=(sign,), diff_step=0.03, x_scale=0.3,
+                              max_nfev=_TRIALS)
         best = min(best, found.fun, key=lambda rest: float(rest @ rest))
     parts = np.split(best, np.cumsum([len(p) for p in _parts(case, {})])[:-1])
     return scale * max(float(np.sqrt(np.mean(part**2))) for part in parts)

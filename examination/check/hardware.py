@@ -76,25 +76,20 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
     logs.mkdir(parents=True)
     write_parameters(rig, truth, "What the emulated bench is made of.")
     private_ros_environment()
-    uno = subprocess.Popen(
-        [sys.executable, str(UNO / "node.py"), "--port", str(port), "--namespace", NAMESPACE,
-         "--params", str(rig), "--camera"], env=tied_to_this_process(),
-    )  # fmt: skip
+    uno = subprocess.Popen([sys.executable, str(UNO / "node.py"), "--port", str(port),
+                            "--namespace", NAMESPACE, "--params", str(rig),
+                            "--camera"], env=tied_to_this_process())
     try:
-        with (
-            NodeProcesses(NAMESPACE, logs) as nodes,
-            BenchClient(NAMESPACE, meanwhile=nodes.check) as client,
-        ):
+        with (NodeProcesses(NAMESPACE, logs) as nodes,
+              BenchClient(NAMESPACE, meanwhile=nodes.check) as client):
             # The first start compiles firmware and physics.
             client.wait("emulated bench", lambda: port.exists() or uno.poll() is not None, 600.0)
             roots = dict.fromkeys(("record_root", "output_root"), str(folder.resolve()))
-            for name, settings in {
-                "synthetic_camera": {**CAMERA, "rate": 15.0},
-                "ir_camera": {**CAMERA, "read_cold_wires": True},
-                "serial_bridge": {"port": str(port)},
-                "experiment": {"protocol": PROTOCOLS[0], "protocol_root": "/"},
-                "identification": {"output_directory": ".", **roots},
-            }.items():
+            for name, settings in {"synthetic_camera": {**CAMERA, "rate": 15.0},
+                                   "ir_camera": {**CAMERA, "read_cold_wires": True},
+                                   "serial_bridge": {"port": str(port)},
+                                   "experiment": {"protocol": PROTOCOLS[0], "protocol_root": "/"},
+                                   "identification": {"output_directory": ".", **roots}}.items():
                 nodes.start(name, settings, (rig,))
             client.follow("serial_bridge")
             for service in ("serial_bridge/self_test", "serial_bridge/enable"):

@@ -38,11 +38,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     jobs = [(options.seed + k,) for k in range(options.draws)]
     results = in_pieces(run_draw, jobs, options)
     # Whether enough intervals hold the truth and none is missing.
-    found = [
-        (name, (p["value"] - p["truth"]) / p["std"])
-        for result in results
-        for name, p in result["parameters"].items()
-    ]
+    found = [(name, (p["value"] - p["truth"]) / p["std"])
+             for result in results for name, p in result["parameters"].items()]
     share = print_coverage(found, Z_95)
     missing = len(IDENTIFIED) * len(results) - len(found)
     good = missing == 0 and BAND[0] <= share <= BAND[1]

@@ -54,7 +54,6 @@ def try_bench(load: str, seed: int, kind: str) -> dict[str, Any]:
     families = rng.permutation(rigs.FAMILIES).tolist()
     seen = [rigs.draw_drive(family, truth, rng) for family in families[:2]]
     unseen = [rigs.draw_drive(families[2 + k % 2], truth, rng) for k in range(UNSEEN)]
-
     # Voltage and motion, as instruments of the withheld-effect check read them.
     sensors = Sensors({quantity: Noise(std) for quantity, std in NOISE.items()})
     channels = tuple(world.parameters["bench.channels"])
@@ -63,18 +62,13 @@ def try_bench(load: str, seed: int, kind: str) -> dict[str, Any]:
         signals = measure(_played(world, drive), world, sensors, channels, rng, ("deflection",))
         records.append(Record(Path(f"run_{k}"), 0, {signal.name: signal for signal in signals}))
     found = identify(records, nominal)
-    deviations = {
-        name: (e.value - float(truth[name])) / e.std
-        for name, e in found.estimates.items()
-        if name not in SHAPES and "effect." not in name and e.std > 0.0
-    }
-    return {
-        "load": load,
-        "deviations": deviations,
-        "believed": [_error(world, nominal, drive) for drive in unseen],
-        "seen": [_error(world, found.parameters, drive) for drive in seen],
-        "unseen": [_error(world, found.parameters, drive) for drive in unseen],
-    }
+    deviations = {name: (e.value - float(truth[name])) / e.std
+                  for name, e in found.estimates.items()
+                  if name not in SHAPES and "effect." not in name and e.std > 0.0}
+    return {"load": load, "deviations": deviations,
+            "believed": [_error(world, nominal, drive) for drive in unseen],
+            "seen": [_error(world, found.parameters, drive) for drive in seen],
+            "unseen": [_error(world, found.parameters, drive) for drive in unseen]}
 
 
 def _error(world: World, parameters: Parameters, drive: rigs.Drive) -> float:

@@ -75,8 +75,6 @@ class Mutation(NamedTuple):
 
 
 # --- Where there is something to mutate
-
-
 def python_edits(source: str) -> Iterator[tuple[str, str, int, str, str]]:
     """Place, kind, position, before, after."""
     starts = [0]
@@ -211,8 +209,6 @@ def compiles(mutation: Mutation) -> bool:
 
 
 # --- Each in a copy of this folder
-
-
 class Copy:
     """A copy of this folder, in which one file at a time is another."""
 

@@ -37,8 +37,7 @@ ROBOT, NOBLE = "requirements-robot.txt", "requirements-noble.txt"
 BELOW = {BUILD: (), RUNTIME: (BUILD,), TEST: (BUILD, RUNTIME),
          "requirements-docs.txt": (BUILD, RUNTIME, TEST),
          "requirements-perf.txt": (BUILD, RUNTIME, TEST),
-         "requirements-notebook.txt": (BUILD, RUNTIME), ROBOT: (),
-         NOBLE: (BUILD, ROBOT)}  # fmt: skip
+         "requirements-notebook.txt": (BUILD, RUNTIME), ROBOT: (), NOBLE: (BUILD, ROBOT)}
 # These two have Ubuntu 24.04's Python and versions, and never meet the others.
 UBUNTU = (ROBOT, NOBLE)
 
@@ -141,10 +140,8 @@ def write_locks(folder: Path) -> int:
                 print(f"pins: {path.name}: {process.stderr.strip()[-300:]}", file=sys.stderr)
                 return 1
         texts[path.name] = made.read_text()
-        metadata[path.name] = {
-            canonical(package["metadata"]["name"]): package["metadata"]
-            for package in json.loads(process.stdout)["install"]
-        }
+        metadata[path.name] = {canonical(package["metadata"]["name"]): package["metadata"]
+                               for package in json.loads(process.stdout)["install"]}
     # Of hundreds of extras only those that a package here asks for are of interest.
     extras: dict[str, set[str]] = defaultdict(set)
     for packages in metadata.values():

@@ -64,17 +64,14 @@ def nodes_rules() -> Rules:
                              *words])  # fmt: skip
             node = node_class(name)()
             try:
-                found = {
-                    "publish": {publisher.topic_name for publisher in node.publishers},
-                    "subscribe": {s.topic_name for s in node.subscriptions} | {_CLOCK},
-                    "reply": {service.service_name for service in node.services},
-                    "request": {client.service_name for client in node.clients},
-                }
+                found = {"publish": {publisher.topic_name for publisher in node.publishers},
+                         "subscribe": {s.topic_name for s in node.subscriptions} | {_CLOCK},
+                         "reply": {service.service_name for service in node.services},
+                         "request": {client.service_name for client in node.clients}}
             finally:
                 node.close()
                 node.destroy_node()
                 rclpy.try_shutdown()
-
         # `*/power` of /bench/front_1/power, `~start` of /bench/experiment/start.
         own = f"{NAMESPACE}/{name}/"
         for kind, names in found.items():

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
+from sma_bench.arrays import Array
 from sma_bench.compiled import compiled
 from sma_bench.diagnose import diagnose
 from sma_bench.errors import InputError
@@ -29,8 +29,6 @@ from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
 from sma_bench.records.record import Signal
-
-Array = NDArray[np.float64]
 
 BENCH = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())["spring_and_duty"]
 RUNS = tuple(BENCH["runs"])
@@ -54,10 +52,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     fitted = dict.fromkeys([*STATED, *itertools.combinations(SAME_INPUT, 2), *pairs])
     jobs = [(str(folder), list(names)) for names in fitted]
     found = dict(zip(fitted, in_pieces(try_runs, jobs, options), strict=True))
-    print_table(
-        ("fitted to", ">eight numbers", ">this model", ">band holds", ">its width", "law"),
-        [_row(names, found[names]) for names in STATED],
-    )
+    print_table(("fitted to", ">eight numbers", ">this model", ">band holds", ">its width", "law"),
+                [_row(names, found[names]) for names in STATED])
     pairwise = [found[pair]["repeats"] for pair in itertools.combinations(SAME_INPUT, 2)]
     same, seen = (np.round(np.multiply(100.0, x), 1).tolist() for x in (pairwise, _repeats(folder)))
     print(f"one run predicts another of its input to {same} % by pairs; measured {seen} %")
@@ -70,9 +66,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         for name, own in (("eight numbers", theirs), ("this model", ours)):
             low, mean, high = np.median(own), np.mean(own), np.max(own)
             print(f"{len(of)} pairs, {name}: median {low:.2f} %, mean {mean:.2f}, worst {high:.1f}")
-        runs, held, width = (
-            float(np.mean([one[key] for one in of])) for key in ("not worse", "held", "width")
-        )
+        runs, held, width = (float(np.mean([one[key] for one in of]))
+                             for key in ("not worse", "held", "width"))
         print(f"not worse: {np.mean(ours <= theirs):.0%} of pairs, {runs:.0%} of runs")
         print(f"the 90 % band holds {held:.1%}, {width:.1%} of the stroke wide")
         good &= abs(float(np.median(theirs)) - MEDIAN) <= WITHIN
@@ -112,9 +107,8 @@ def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
     for run in (runs[name] for name in unseen):
         time, moved = motion(run)
         band = model.predict(run)["deflection"]
-        mean, low, high = (
-            np.interp(time, band.time, own) for own in (band.mean, band.low, band.high)
-        )
+        mean, low, high = (np.interp(time, band.time, own)
+                           for own in (band.mean, band.low, band.high))
         stroke = float(np.ptp(moved))
         scores["ours"].append(100.0 * _rms(mean - moved) / stroke)
         scores["rival"].append(100.0 * _rms(eight_numbers(rival, run) - moved) / stroke)
@@ -151,8 +145,6 @@ def _rms(left: Array) -> float:
 
 
 # --- The bench as its owners give it.
-
-
 def run_of(folder: Path, name: str) -> Record:
     """A run as a record: volts of the same heat as the duty, and the elongation from rest."""
     own = BENCH["runs"][name] or {}
@@ -189,8 +181,6 @@ def motion(run: Record) -> tuple[Array, Array]:
 
 # --- Eight numbers: stroke, gain, room, time constant, and centre and width of two branches, of
 # which records tell six.
-
-
 def eight_numbers(numbers: Array, run: Record) -> Array:
     """Elongation in bins: a heated lump, and a phase that follows a logistic branch from its last
     turn (Duhem). The room is 0 and the gain 500 K a duty: any others come to the same."""

@@ -33,11 +33,9 @@ ROW = "{:9} {:58.58} {:>7}  {:4} {}"
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when everything stayed within what is allowed."""
-    options = options_of(
-        "reliability", __doc__, argv, only=(tuple(CAMPAIGNS), "sections"),
-        seed=(0, "of all"), scale=(1.0, "multiplies every size"),
-        **{name: (size, what) for name, (what, size, _) in CAMPAIGNS.items()},
-    )  # fmt: skip
+    options = options_of("reliability", __doc__, argv, only=(tuple(CAMPAIGNS), "sections"),
+                         seed=(0, "of all"), scale=(1.0, "multiplies every size"),
+                         **{name: (size, what) for name, (what, size, _) in CAMPAIGNS.items()})
     lines = failed = 0
     print(ROW.format("section", "what", "tried", "", "found (allowed)"))
     for name in options.only:

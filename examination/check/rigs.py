@@ -108,15 +108,14 @@ def draw_rig(load: str, rng: np.random.Generator) -> Parameters:
     centre, half = rng.uniform(325.0, 365.0), rng.uniform(1.0, 12.0)
     up, down = rng.uniform(6.0, 25.0, 2) / 2.0
     pull = section * rng.uniform(40e6, 150e6)
-    given = {
-        "bench.channels": tuple(f"{side}_wire" for side in sides), "bench.channel_sides": sides,
-        "bench.maximum_voltage": 60.0, "load.kind": load, "wire.length": length,
-        "wire.diameter": diameter, "wire.mass": DENSITY * section * length,
-        "wire.surface_area": math.pi * diameter * length,
-        "wire.resistance": RESISTIVITY * length / section,
-        "wire.heat_transfer_coefficient": rng.uniform(60.0, 250.0),
-        "wire.specific_heat": rng.uniform(320.0, 550.0),
-    }  # fmt: skip
+    given = {"bench.channels": tuple(f"{side}_wire" for side in sides),
+             "bench.channel_sides": sides, "bench.maximum_voltage": 60.0, "load.kind": load,
+             "wire.length": length, "wire.diameter": diameter,
+             "wire.mass": DENSITY * section * length,
+             "wire.surface_area": math.pi * diameter * length,
+             "wire.resistance": RESISTIVITY * length / section,
+             "wire.heat_transfer_coefficient": rng.uniform(60.0, 250.0),
+             "wire.specific_heat": rng.uniform(320.0, 550.0)}
     ends = (centre + half - up, centre + half + up, centre - half + down, centre - half - down)
     given |= zip(TEMPERATURES, ends, strict=True)
     if load in ("force", "antagonist"):

@@ -29,7 +29,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
@@ -41,6 +40,7 @@ from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware
 from virtual_host import VirtualHost
 
 from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
+from sma_bench.arrays import Array
 from sma_bench.hardware.bench_driver import BenchDriver, device_limits
 from sma_bench.hardware.bench_sensors import BenchSensors, Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO, CommandGate, Guard, Limits
@@ -49,8 +49,6 @@ from sma_bench.hardware.serial_messages import CAUSES, DeviceIdentity, DeviceSta
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE, SIMULATOR
 from sma_bench.physics import Bench
-
-Array = NDArray[np.float64]
 
 ROOT = Path(__file__).resolve().parents[2]
 PARTS = ("host", "firmware", "uno")
@@ -63,9 +61,8 @@ BELIEVED["four wires"] = read_parameters(ROOT / "config" / "composite_rig.yaml")
 SIMULATED = {p.name: p.default for p in SIMULATOR}
 BRIDGE = {p.name: p.default for p in SERIAL_BRIDGE}
 TIMEOUT = BRIDGE["feedback_timeout"]
-DEVICE = DeviceIdentity(
-    "sma-uno", "0", "power-on", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0, 2.0
-)
+DEVICE = DeviceIdentity("sma-uno", "0", "power-on", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0,
+                        2.0)
 COOLER, SHARE_OF_CURRENT = 10.0, 0.8  # K and share that a sound bench stays below its limits
 CURRENT_NOISE = 0.018  # A, of one conversion: an ACS712-20A
 DRIFT = 3.4e-3  # A/K, of its offset
@@ -73,8 +70,6 @@ CONVERSIONS = 24  # of a board in a window of telemetry
 
 
 # --- A sound bench, drawn
-
-
 @dataclass(frozen=True)
 class World:
     """What an hour is like; factors, unless a unit stands there."""
@@ -99,9 +94,8 @@ class World:
                  "supply that sags": self.sag > 0.0, "no camera": not self.camera}  # fmt: skip
         return [name for name, true in found.items() if true]
 
-    def parameters(
-        self, believed: Parameters, loss: float = 1.0, warmer: float = 0.0
-    ) -> Parameters:
+    def parameters(self, believed: Parameters, loss: float = 1.0,
+                   warmer: float = 0.0) -> Parameters:
         """What the bench is made of, in a draught of `loss` and a room `warmer` K than at first."""
         return believed.replace({
             "wire.resistance": believed["wire.resistance"] * max(self.age),
@@ -173,10 +167,8 @@ def rates(rng: np.random.Generator, world: World) -> tuple[int, int]:
 
 
 def instruments(world: World, seed: int) -> dict[str, Instrument]:
-    settings = {
-        name: value * world.noise if name.endswith("_noise") else value
-        for name, value in SIMULATED.items()
-    }
+    settings = {name: value * world.noise if name.endswith("_noise") else value
+                for name, value in SIMULATED.items()}
     kinds = ("voltage", "current", "temperature")
     seeds = np.random.SeedSequence(seed).spawn(len(kinds))
     return {k: Instrument(settings, k, s) for k, s in zip(kinds, seeds, strict=True)}
@@ -191,8 +183,6 @@ def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
 
 
 # --- The host's rules
-
-
 def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple[float, str]]:
     """When, and why, the rules of a node that commands cut a sound wire."""
     rng, believed = np.random.default_rng([1, seed]), BELIEVED["a wire"]
@@ -209,7 +199,6 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple
     for loss, warmer in gusts(rng, world, seconds):
         commands = programme(rng, world.highest(limits), n)
         commands[: round(1.0 / COMMANDS)] = 0.0
-
         # The bench: what its supply leaves of the volts, and what instruments make of it.
         own = limits.resistance * max(world.age)
         true = np.repeat(commands * dips(rng, world, n) * own / (own + world.sag), 2)
@@ -305,7 +294,6 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
     for loss, warmer in gusts(rng, world, seconds):
         commands = np.column_stack([programme(rng, most, n) for _ in channels])
         commands[: round(1.0 / COMMANDS)] = 0.0
-
         # The device follows its supply; a board's pulses take from it what they carry.
         hidden = world.parameters(believed, loss, warmer)
         bench = Bench(hidden, initial=bench.state)
@@ -327,9 +315,8 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
         if not driver.enabled:  # where it begins, and after a cut
             for k in range(100):
                 at = begun + GRID * (k - 100)
-                driver.take(Telemetry(
-                    0, 0, 0, 0, 12.0, (world.errors[3],) * 2, (1.5, 1.5), (0.0,) * 4, 0, time=at,
-                ), at)  # fmt: skip
+                driver.take(Telemetry(0, 0, 0, 0, 12.0, (world.errors[3],) * 2, (1.5, 1.5),
+                                      (0.0,) * 4, 0, time=at), at)
             for name in channels:
                 guard.temperature(name, world.room, begun, begun, limits)
             driver.enable(begun)
@@ -341,10 +328,9 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
                     read = chain["temperature"].read(kelvin - CELSIUS_ZERO) + CELSIUS_ZERO
                     guard.temperature(name, read, stamp, now, limits)
             if (k + 1) % power_every == 0:
-                driver.take(Telemetry(
-                    0, 0, 0, 0, supply[k] * (1.0 + world.errors[0]), tuple(mean[k]), (1.5, 1.5),
-                    tuple(duties[k]), 0, tuple(drop[k]), stamp,
-                ), now)  # fmt: skip
+                driver.take(Telemetry(0, 0, 0, 0, supply[k] * (1.0 + world.errors[0]),
+                                      tuple(mean[k]), (1.5, 1.5), tuple(duties[k]), 0,
+                                      tuple(drop[k]), stamp), now)
             if k % 2:
                 continue
             timeouts = driver.gate.timeouts
@@ -360,8 +346,6 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
 
 
 # --- The firmware's rules
-
-
 @functools.cache
 def built(what: str) -> Any:
     """The host's program, or emulator and image, once a process."""
@@ -460,8 +444,6 @@ def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> list
 
 
 # --- Counted
-
-
 PLAYS = {"a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
          "firmware": hour_of_the_firmware, "uno": minutes_of_the_uno}  # fmt: skip
 
@@ -471,10 +453,9 @@ def played(kind: str, seed: int, seconds: float) -> dict[str, Any]:
     started = time.monotonic()
     world = draw_world(np.random.default_rng([list(PLAYS).index(kind), seed]))
     cuts = PLAYS[kind](world, seed, seconds)
-    return {
-        "kind": kind, "seed": seed, "seconds": cuts[0][0] if kind == "uno" and cuts else seconds,
-        "stresses": world.stresses, "cuts": cuts, "took": time.monotonic() - started,
-    }  # fmt: skip
+    return {"kind": kind, "seed": seed,
+            "seconds": cuts[0][0] if kind == "uno" and cuts else seconds,
+            "stresses": world.stresses, "cuts": cuts, "took": time.monotonic() - started}
 
 
 def some_played(kind: str, seed: int, first: int, stop: int, seconds: float) -> list[dict]:
@@ -519,10 +500,9 @@ def report(found: Sequence[dict[str, Any]]) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when nothing was cut."""
-    options = options_of(
-        "soak", __doc__, argv, only=(PARTS, "parts"), hours=(1000, "of host and of firmware, each"),
-        minutes=(180, "of the emulated Uno"), seed=(1, "of all"), **IN_PIECES,
-    )  # fmt: skip
+    options = options_of("soak", __doc__, argv, only=(PARTS, "parts"),
+                         hours=(1000, "of host and of firmware, each"),
+                         minutes=(180, "of the emulated Uno"), seed=(1, "of all"), **IN_PIECES)
     sizes: dict[str, tuple[int, float, int]] = {}  # how many, s of each, together in a piece
     if "host" in options.only:
         driven = options.hours // EVERY_DRIVEN
@@ -531,11 +511,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         sizes["firmware"] = options.hours, HOUR, 10
     if "uno" in options.only:
         sizes["uno"] = options.minutes, MINUTE, 1
-    jobs = [
-        (kind, options.seed, first, min(first + step, count), seconds)
-        for kind, (count, seconds, step) in sizes.items()
-        for first in range(0, count, step)
-    ]
+    jobs = [(kind, options.seed, first, min(first + step, count), seconds)
+            for kind, (count, seconds, step) in sizes.items() for first in range(0, count, step)]
     with contextlib.suppress(KeyboardInterrupt):
         found = [one for some in in_pieces(some_played, jobs, options) for one in some]
         return 1 if report(found) else 0

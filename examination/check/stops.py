@@ -91,9 +91,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if any(one["wrong"] for one in stops if one["node"] in NODES) else 0
 
 
-def stopped(
-    seed: int, number: int, size: int, only: Sequence[str] = tuple(NODES)
-) -> list[dict[str, Any]]:
+def stopped(seed: int, number: int, size: int,
+            only: Sequence[str] = tuple(NODES)) -> list[dict[str, Any]]:
     """Start a group, stop it, and say of each of its nodes how long that took and what was wrong.
     Every other group is stopped while it starts."""
     rng = random.Random(f"{seed}/{number}")
@@ -130,10 +129,9 @@ def _started(name: str, folder: Path) -> subprocess.Popen[bytes]:
                                 cwd=folder, env=tied_to_this_process())  # fmt: skip
 
 
-def _stopped(
-    rng: random.Random, while_starting: bool, processes: dict[str, subprocess.Popen[bytes]],
-    folder: Path, node: Any,
-) -> dict[str, dict[str, Any]]:  # fmt: skip
+def _stopped(rng: random.Random, while_starting: bool,
+             processes: dict[str, subprocess.Popen[bytes]], folder: Path,
+             node: Any) -> dict[str, dict[str, Any]]:
     """By node: s until it had ended, whether it was ready, and what was wrong, "" for nothing."""
 
     def said(name: str) -> str:
@@ -147,7 +145,6 @@ def _stopped(
     while time.monotonic() < until and (while_starting or not all(ready().values())):
         time.sleep(_LOOK)
     time.sleep(0.0 if while_starting else rng.uniform(0.0, _LONGEST_RUN))
-
     # Ctrl-C, as a terminal sends it: to all of them.
     were, ended = ready(), dict[str, float]()
     begin = time.monotonic()
@@ -158,7 +155,6 @@ def _stopped(
             if process.poll() is not None:
                 ended.setdefault(name, time.monotonic() - begin)
         time.sleep(_LOOK)
-
     # Whom another program still sees.
     while ghosts := {n for n, where in node.get_node_names_and_namespaces() if where == NAMESPACE}:
         if time.monotonic() > begin + max(LIMIT, *ended.values(), 0.0) + _DISCOVERY:

@@ -14,15 +14,13 @@ from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
 from examination.pieces import options_of
+from sma_bench.arrays import Array
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin.comparison import BIN, MEMORY, SURPRISING, Bin, SignalBins
-
-Array = NDArray[np.float64]
 
 SETTINGS = {p.name: p.default for p in NODE_TABLES["twin"]}
 WINDOW, FEWEST = SETTINGS["window"], round(SETTINGS["learning"] / BIN)
@@ -100,9 +98,8 @@ def delay_of_gap(residual: Array, known: int) -> float:
     return math.inf
 
 
-def delays(
-    random: np.random.Generator, step: float, drift: float, time: float, trials: int = TRIALS
-) -> Array:
+def delays(random: np.random.Generator, step: float, drift: float, time: float,
+           trials: int = TRIALS) -> Array:
     """(trials,) s from a step of the residual to the verdict that names it within a minute."""
     found = []
     for _ in range(trials):

@@ -17,17 +17,15 @@ from typing import Any
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
 from examination.check.real import BENCH, eight_numbers, fit_rival, motion
 from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
+from sma_bench.arrays import Array
 from sma_bench.compiled import compiled
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record
 from sma_bench.records.record import Signal
-
-Array = NDArray[np.float64]
 
 HELD = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 WORLDS, DRIVES = HELD["worlds"], HELD["drives"]

@@ -16,13 +16,13 @@ import numpy as np
 
 import sma_bench
 from examination.pieces import print_table
+from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.protocols import load_protocol
 from sma_bench.records import Record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import protocol_record
 
-Array = np.ndarray
 LINEAR = 1.15  # exponent: what may be called linear growth
 
 
@@ -57,11 +57,9 @@ def print_section(name: str, figures: Iterable[Figure], seconds: float, missing:
 
 def as_json(figures: Iterable[Figure], missing: str) -> dict[str, Any]:
     """A section; a value that is not finite is null."""
-    rows = [
-        {"case": f.case, "measure": f.measure, "unit": f.unit, "aim": f.aim, "verdict": f.verdict,
-         "value": float(f.value) if np.isfinite(f.value) else None}
-        for f in figures
-    ]  # fmt: skip
+    rows = [{"case": f.case, "measure": f.measure, "unit": f.unit, "aim": f.aim,
+             "verdict": f.verdict,
+             "value": float(f.value) if np.isfinite(f.value) else None} for f in figures]
     return {"figures": rows, "missing": missing}
 
 
@@ -76,11 +74,8 @@ def processor_of(pid: int) -> float:
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def interleaved(
-    calls: Mapping[str, Callable[[], object]],
-    rounds: int,
-    budget: float = np.inf,
-) -> dict[str, Array]:
+def interleaved(calls: Mapping[str, Callable[[], object]], rounds: int,
+                budget: float = np.inf) -> dict[str, Array]:
     """Seconds of every call, (r,) each: `rounds` rounds, fewer (two at least) beyond `budget` s.
 
     A first round is not counted: it compiles, fills caches, touches memory.
@@ -115,7 +110,6 @@ def exponent(sizes: Iterable[float], seconds: Iterable[float]) -> float:
 
 
 # --- Synthetic records that several sections measure with.
-
 ROOT = Path(__file__).resolve().parents[2]
 COMPOSITE = ROOT / "config" / "composite_rig.yaml"
 RATE = 100.0  # Hz

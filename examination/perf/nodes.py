@@ -141,9 +141,8 @@ def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
             simulated = _Asked(bench, "voltage_command", "wire/power")
             bare = _Asked(bench, "bare/command", "bare/power")
             both = simulated, bare
-            bench.node.create_subscription(
-                BatteryState, "wire/power", lambda m: late.append(time.time() - seconds_of(m)), 1000
-            )
+            bench.node.create_subscription(BatteryState, "wire/power",
+                                           lambda m: late.append(time.time() - seconds_of(m)), 1000)
 
             def ask() -> None:
                 for one in both:
@@ -173,7 +172,6 @@ def _latency(case: str, what: str, seconds: list[float]) -> Iterator[Figure]:
 
 
 # --- A whole bench, as its launch file plans it.
-
 SIX = {"nodes": "identification,diagnosis", "twin": "true"}
 MEMORY, START = 350.0, 1.5  # MB and s of a bench in one process
 
@@ -189,9 +187,8 @@ def bench(tiny: bool = False) -> Iterator[Figure]:
             yield from _whole_bench(case, plan, Path(name), *how)
 
 
-def _whole_bench(
-    case: str, plan: list[bench_plan.PlannedNode], folder: Path, seconds: float, times: int
-) -> Iterator[Figure]:
+def _whole_bench(case: str, plan: list[bench_plan.PlannedNode], folder: Path, seconds: float,
+                 times: int) -> Iterator[Figure]:
     heard, starts = list[float](), list[tuple[float, float]]()
     processes: list[subprocess.Popen[bytes]] = []
     rclpy.init(args=[])
@@ -228,9 +225,8 @@ def _whole_bench(
     yield Figure(case, "share of a core at rest", used / elapsed)
 
 
-def _start(
-    processes: list[subprocess.Popen[bytes]], plan: list[bench_plan.PlannedNode], log: Path
-) -> tuple[float, float]:
+def _start(processes: list[subprocess.Popen[bytes]], plan: list[bench_plan.PlannedNode],
+           log: Path) -> tuple[float, float]:
     """Start the bench's processes; s until all six nodes are ready, and s of the processor."""
     begin = time.monotonic()
     for planned in plan:

@@ -170,7 +170,6 @@ def _tolerances(rtol: float, y: Array) -> dict:
 
 
 # --- The cases, and both held against a solver whose error is far smaller.
-
 COMPOSITE = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
              "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 EFFECTS = {"effect.latent_heat.heat": 12e3, "effect.temperature_dependent_convection.rise": 2e-3}

@@ -106,9 +106,8 @@ def _cold(copy: Path, words: Sequence[str]) -> tuple[float, float]:
 
 
 def identification(tiny: bool = False) -> Iterator[Figure]:
-    yield from over_lengths(
-        "identification", {"a minute": 60.0} if tiny else LENGTHS, measuring.TRIANGLES
-    )
+    yield from over_lengths("identification", {"a minute": 60.0} if tiny else LENGTHS,
+                            measuring.TRIANGLES)
 
 
 def diagnosis(tiny: bool = False) -> Iterator[Figure]:
@@ -198,7 +197,6 @@ def _spent(batch: Iterable[tuple[int, Outcome]]) -> tuple[float, float]:
 
 
 # --- Reading a bag beside what one would pick instead, message by message.
-
 DURATION, EACH_SECOND = 600.0, 200  # s; messages of power and temperature
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import yaml
 
 from examination.pieces import applies, without_exclusions
-from examination.tables.truths import FloatArray, Quantity, Truth
+from examination.tables.truths import Quantity, Truth
+from sma_bench.arrays import Array
 
 PLAIN = 0.93  # probability of a feature's first habit: a file has a few oddities, not all
 KNOWN = 0.7  # probability that a file starts from what a user sent (`SEEN`)
@@ -30,7 +31,7 @@ _UNITS: dict[str, list[tuple[str, float, float, int]]] = _DATA["units"]
 _UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
 _NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
 _COARSE = ("whole seconds", "whole s", "date and whole s")
-_CONVENTIONS: dict[str, Callable[[FloatArray], FloatArray]] = {
+_CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "driven is positive": lambda amperes: amperes,
     "battery's sign": lambda amperes: -amperes,
     "mean of a switched supply": lambda amperes: amperes**2 / max(amperes.max(), 1e-9),
@@ -55,7 +56,7 @@ class Sample(NamedTuple):
     path: Path
     habits: dict[str, str]
     columns: tuple[Written, ...]
-    times: dict[str, FloatArray]
+    times: dict[str, Array]
     tick: float
     tells: bool
 
@@ -69,7 +70,6 @@ def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
     seen = _BENCH_SEEN if truth.is_bench else _MACHINE_SEEN
     if rng.random() < KNOWN:
         habits |= seen[int(rng.integers(len(seen)))]
-
     held = without_exclusions(_about(truth, habits), HABITS, _DATA["exclusions"])
     return {feature: held[feature] for feature in habits}
 
@@ -133,7 +133,6 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
     }
     if habits["beside"] in beside:
         put(*beside[habits["beside"]], 2)
-
     # Cells that are not there, and rows of the last column alone.
     grid = [[column[k] for column in cells] for k in range(rows)]
     width = len(columns)
@@ -148,7 +147,6 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
             empty = range(len(clock), width) if is_late[k] else (last,)
             grid[k] = ["" if c in empty and (c != last or not is_late[k]) else v
                        for c, v in enumerate(row)]  # fmt: skip
-
     # Titles, units and numbers as texts.
     texts = [[_text(cell, decimals[k], units[k], habits) for k, cell in enumerate(row)]
              for row in grid]  # fmt: skip
@@ -172,18 +170,15 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
         times[last_one.signal] = truth.time + _SHIFT
     if is_sparse:
         times[last_one.signal] = late
-    marked = tuple(
-        Written(title, column.quantity, column.step)
-        for title, column in zip(titles[-width:], columns, strict=True)
-    )
+    marked = tuple(Written(title, column.quantity, column.step)
+                   for title, column in zip(titles[-width:], columns, strict=True))
     held = _about(truth, habits)
     tells = not any(applies(rule, held) for rule in _DATA["untold"])
     return Sample(path, habits, marked, times, tick, tells)
 
 
-def _clock(
-    time: FloatArray, habits: dict[str, str], language: int
-) -> list[tuple[str, str, list[Any], int]]:
+def _clock(time: Array, habits: dict[str, str],
+           language: int) -> list[tuple[str, str, list[Any], int]]:
     """Columns of the clock: title, unit, cells, decimals."""
     title, how = _WORDS["time"][language], habits["time"]
     unit = {"days": "d", "a clock each": "s"}.get(how, how.removesuffix(", no unit"))
@@ -204,16 +199,13 @@ def _clock(
 
     day = _DATA["dates"][language]
     dates = (_WORDS["date"][language], "", written(day), 0)
-    clocks = {
-        "none": [], "date and time": [dates, (title, "", written("%H:%M:%S.%f"), 0)],
-        "date and whole s": [dates, (title, "", written("%H:%M:%S"), 0)],
-        "mm:ss": [(title, "", [f"{int(t // 60):02d}:{t % 60:06.3f}" for t in time], 0)],
-    }  # fmt: skip
+    clocks = {"none": [], "date and time": [dates, (title, "", written("%H:%M:%S.%f"), 0)],
+              "date and whole s": [dates, (title, "", written("%H:%M:%S"), 0)],
+              "mm:ss": [(title, "", [f"{int(t // 60):02d}:{t % 60:06.3f}" for t in time], 0)]}
     if how in clocks:
         return clocks[how]
     forms = {"AM/PM": "%I:%M:%S.%f %p", "hh:mm:ss": "%H:%M:%S.%f",
-             "whole seconds": "%Y-%m-%d %H:%M:%S",
-             "ISO with zone": "%Y-%m-%dT%H:%M:%S.%f+01:00"}  # fmt: skip
+             "whole seconds": "%Y-%m-%d %H:%M:%S", "ISO with zone": "%Y-%m-%dT%H:%M:%S.%f+01:00"}
     if how in forms:
         return [(title, "", written(forms[how]), 0)]
     columns = [("Timestamp", "", written(f"{day} %H:%M:%S.%f"), 0)]
@@ -235,9 +227,8 @@ def _text(cell: Any, places: int, unit: str, habits: dict[str, str]) -> str:
     return f"{text} {unit}" if habits["units"] == "in cells" and unit not in ("", "1") else text
 
 
-def _titles(
-    names: list[str], units: list[str], habits: dict[str, str]
-) -> tuple[list[str], list[list[str]]]:
+def _titles(names: list[str], units: list[str],
+            habits: dict[str, str]) -> tuple[list[str], list[list[str]]]:
     """Titles, and the rows of units below them."""
     how = habits["units"]
     if habits["separator"] == "blanks":
@@ -251,17 +242,13 @@ def _titles(
     return names, []
 
 
-def _write_file(
-    truth: Truth, habits: dict[str, str], titles: list[str], head: list[list[str]],
-    texts: list[list[str]], grid: list[list[Any]], folder: Path,
-) -> Path:  # fmt: skip
+def _write_file(truth: Truth, habits: dict[str, str], titles: list[str], head: list[list[str]],
+                texts: list[list[str]], grid: list[list[Any]], folder: Path) -> Path:
     mass = [("Sample Mass", f"{truth.mass * 1e6:.3f} mg")] if truth.mass else []
     notes = [("Operator", "nobody"), *mass]
-    lines = {
-        "key: value": [f"{key}: {value}" for key, value in notes],
-        "# lines": [f"# {key} = {value}" for key, value in notes],
-        "a sentence": ["Measured on a bench that is not there", ""],
-    }.get(habits["notes"], [])
+    lines = {"key: value": [f"{key}: {value}" for key, value in notes],
+             "# lines": [f"# {key} = {value}" for key, value in notes],
+             "a sentence": ["Measured on a bench that is not there", ""]}.get(habits["notes"], [])
     if habits["file"].startswith(("mat", "h5")):
         return _write_arrays(habits, titles, head, grid, folder)
     if habits["file"] != "text":
@@ -272,9 +259,8 @@ def _write_file(
         if separator == "   ":
             return separator + separator.join(cell or "-" for cell in row)
         must = habits["thousands"] != "none" or habits["units"] == "comma u"
-        return separator.join(
-            f'"{cell}"' if quoted or (must and separator in cell) else cell for cell in row
-        )
+        return separator.join(f'"{cell}"' if quoted or (must and separator in cell) else cell
+                              for cell in row)
 
     quoted = habits["quotes"] != "none"
     header = [joined(titles, quoted)] + [joined(row, quoted) for row in head]
@@ -295,16 +281,13 @@ def _write_file(
     return path
 
 
-def _write_arrays(
-    habits: dict[str, str], titles: list[str], head: list[list[str]], grid: list[list[Any]],
-    folder: Path,
-) -> Path:  # fmt: skip
+def _write_arrays(habits: dict[str, str], titles: list[str], head: list[list[str]],
+                  grid: list[list[Any]], folder: Path) -> Path:
     """Named arrays with their units beside or within their names, a matrix or a compound table."""
     values, units = np.array(grid, dtype=float), head[0] if head else [""] * len(titles)
     path = folder / f"run.{habits['file'][:3].strip(',')}"
     if habits["file"].startswith("mat"):
         from scipy.io import savemat
-
         as_names = {"°C": "degC", "%": "pct", "µm": "um", "mm/mm": "ratio", "1": "ratio"}
         names = [re.sub(r"\W", "_", f"{t}_{as_names.get(u, u)}".rstrip("_"), flags=re.ASCII)
                  for t, u in zip(titles, units, strict=True)]  # fmt: skip
@@ -316,7 +299,6 @@ def _write_arrays(
             savemat(path, {"log": {"data": values, **lists}})
         return path
     import h5py
-
     with h5py.File(path, "w") as file:
         if habits["file"] == "h5, compound":
             names = [f"{t} [{u}]" if u else t for t, u in zip(titles, units, strict=True)]
@@ -328,12 +310,10 @@ def _write_arrays(
     return path
 
 
-def _write_workbook(
-    habits: dict[str, str], lines: list[str], titles: list[str], head: list[list[str]],
-    texts: list[list[str]], grid: list[list[Any]], folder: Path,
-) -> Path:  # fmt: skip
+def _write_workbook(habits: dict[str, str], lines: list[str], titles: list[str],
+                    head: list[list[str]], texts: list[list[str]], grid: list[list[Any]],
+                    folder: Path) -> Path:
     from openpyxl import Workbook
-
     book = Workbook()
     sheet = book.active
     sheet.title = "Data"

@@ -17,7 +17,8 @@ import numpy as np
 import yaml
 
 from examination.tables.dialects import START, Sample, Written
-from examination.tables.truths import RIGS, FloatArray, Truth
+from examination.tables.truths import RIGS, Truth
+from sma_bench.arrays import Array
 
 RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "raised"
 OUTCOMES = (RIGHT, ASKED, REFUSED, WRONG, RAISED)
@@ -127,7 +128,6 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
         return WRONG, f"read as {kind or 'a run'}"
     if sample.habits["file"] == "xlsx, a second sheet" and "Data 2" not in str(record.findings):
         return WRONG, "sheet Data 2: vanished"
-
     # What was read, what is true, and to what the file writes it.
     by_name = {c.quantity.signal: c for c in sample.columns if c.quantity}
     true = {c.signal: c.values for c in truth.columns}
@@ -151,7 +151,6 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
             return WRONG, "extension or force taken for strain or stress, or the other way"
         strain = record.strain - record.strain[0] + true["strain"][0]
         got = {"strain": strain, "stress": record.stress}
-
     # Every row read is one of the truth's, in all columns, and there are enough of them.
     count, read = len(next(iter(true.values()))), len(next(iter(got.values())))
     if read < _ENOUGH * count:
@@ -166,7 +165,7 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
     return RIGHT, ""
 
 
-def _joined(parts: Any, name: str) -> FloatArray:
+def _joined(parts: Any, name: str) -> Array:
     return np.concatenate([getattr(part, name) for part in parts])
 
 

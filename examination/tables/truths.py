@@ -5,9 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from numpy.typing import NDArray
 
-FloatArray = NDArray[np.float64]
+from sma_bench.arrays import Array
 
 TABLES = 40
 _DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encoding="utf-8"))
@@ -21,7 +20,7 @@ class Quantity:
 
     signal: str
     kind: str
-    values: FloatArray
+    values: Array
     offset: float = 0.0
     sign: float = 1.0
 
@@ -31,7 +30,7 @@ class Truth:
     """A true table: `time` (n,) s, its columns, and of DSC the mass in kg."""
 
     kind: str
-    time: FloatArray
+    time: Array
     columns: tuple[Quantity, ...]
     mass: float = 0.0
 
@@ -130,8 +129,7 @@ def _isobaric(kind: str, rng: np.random.Generator) -> Truth:
     strain = 0.005 + 0.03 / (1.0 + np.exp((temperature - centre) / 3.0))
     stress = rng.uniform(50e6, 250e6) * np.ones(rows) * (1.0 + 1e-3 * np.sin(np.arange(rows)))
     columns = (Quantity("temperature", "temperature", temperature),
-               Quantity("strain", "strain", strain),
-               Quantity("stress", "stress", stress))  # fmt: skip
+               Quantity("strain", "strain", strain), Quantity("stress", "stress", stress))
     return Truth(kind, np.arange(rows) * 2.0, columns)
 
 

@@ -25,11 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from examination.blind.reality import forms
+from examination.blind.reality.forms import Array
 from examination.blind.reality.world import Numbers, World
 from sma_bench.compiled import inlined
 from sma_bench.parameters.parameters import wire_length
-
-Array = NDArray[np.float64]
 
 ITERATIONS = 25
 CONVERGED = 1e-9  # of a strain; the error left is of the order of its square
@@ -112,13 +111,11 @@ def beam(world: World) -> Beam:
         else:
             stiffness, load = np.array([0.0, IDLE]), np.array([held, 0.0])
     relaxing = world.feature("relaxation_law"), world.feature("relaxation_time")
-    return Beam(
-        sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]), lever,
-        bow, opposing, *forms.prony(*relaxing),
-        p["wire.austenite_modulus"], p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
-        p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
-        p["environment.ambient_temperature"], world.numbers,
-    )  # fmt: skip
+    return Beam(sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]),
+                lever, bow, opposing, *forms.prony(*relaxing), p["wire.austenite_modulus"],
+                p["wire.martensite_modulus"] - p["wire.austenite_modulus"],
+                p["wire.maximum_recoverable_strain"], p["wire.thermal_expansion_factor"],
+                p["environment.ambient_temperature"], world.numbers)
 
 
 def pull_at_rest(beam: Beam) -> Pull:

@@ -15,7 +15,6 @@ from sma_bench.compiled import inlined
 Array = NDArray[np.float64]
 
 # --- Electrical.
-
 SLOW_SHARE = 0.8  # of a battery's drop that comes and goes
 
 
@@ -61,7 +60,6 @@ def sagged(has, sag, amperes, step):
 
 
 # --- Heat.
-
 ASIDE_WIDTH, ASIDE_BELOW = 5.0, 8.0  # K: deviation of a heat peak of its own, below A_s
 ONSET_GAIN = 1.44
 EVENT_RISE, EVENT_FALL, EVENT_REACH = 3.0, 60.0, 120.0  # s; a door does what a rate does in so long
@@ -84,9 +82,8 @@ def latent_aside(has, temperature, centre):
     return has.latent_aside * math.exp(-0.5 * away * away) / (ASIDE_WIDTH * 2.5066282746)
 
 
-def film(
-    radiant: float, onset: float, relative: Array, rays: Array, excess: Array, reference: float
-) -> Array:  # fmt: skip
+def film(radiant: float, onset: float, relative: Array, rays: Array, excess: Array,
+         reference: float) -> Array:
     """Film (m,) by excess over that at the reference [K]: free convection and radiation; radiation
     alone, `rays` (m,) (Stefan and Boltzmann); or Nu = 1 + 1.44 max(1 - Ra_c/Ra, 0), a layer in
     which convection sets in (Hollands et al., J. Heat Transfer 98, 1976)."""
@@ -129,7 +126,6 @@ def room(rate: float, settling: float, instant: float, passed: Array) -> Array:
 
 
 # --- Transformation.
-
 RELAYS = 6
 NARROW = 0.35  # width of a grain's own range, of the wire's
 
@@ -143,14 +139,10 @@ def relay_rows(starts, finishes, shifts, share: float) -> list[tuple]:
     wanted = math.sqrt((0.25 - 2.0 / math.pi**2) * (1.0 - NARROW**2))
     places *= wanted / np.std(places)
     hot, cold = finishes[0] - starts[0], starts[1] - finishes[1]
-    return [
-        (share / RELAYS,
-         0.5 * (starts[0] + finishes[0]) + (place + 0.5 * NARROW) * hot, 1.0 / (NARROW * hot),
-         shifts[0],
-         0.5 * (starts[1] + finishes[1]) + (place - 0.5 * NARROW) * cold, 1.0 / (NARROW * cold),
-         shifts[1])
-        for place in places.tolist()
-    ]  # fmt: skip
+    return [(share / RELAYS, 0.5 * (starts[0] + finishes[0]) + (place + 0.5 * NARROW) * hot,
+             1.0 / (NARROW * hot), shifts[0],
+             0.5 * (starts[1] + finishes[1]) + (place - 0.5 * NARROW) * cold, 1.0 / (NARROW * cold),
+             shifts[1]) for place in places.tolist()]
 
 
 @inlined
@@ -196,7 +188,6 @@ def worn(has, loops, driven):
 
 
 # --- Mechanics.
-
 SLOW_BACK = 8.0  # recovery's time, of relaxation's
 POWER_TIMES, POWER_LAW = (0.001, 3.0), 0.3  # of the time; exponent
 
@@ -271,7 +262,6 @@ def ratcheted(has, loops):
 
 
 # --- Sensors.
-
 SLOWER = 8.0  # time constant of a slow share, of the fast one's
 
 
@@ -282,9 +272,7 @@ def lagged(values: Array, period: float, lag: float, slow: float, exposure: floa
 
     def first_order(time: float) -> Array:
         rho = np.exp(-period / time)
-        return np.asarray(
-            lfilter([1.0 - rho], [1.0, -rho], values, axis=0, zi=rho * values[:1])[0]
-        )
+        return np.asarray(lfilter([1.0 - rho], [1.0, -rho], values, axis=0, zi=rho * values[:1])[0])
 
     if exposure > 0.0:
         width = max(round(2.0 * lag / period), 1)
@@ -300,7 +288,6 @@ def offset(shape: Array, time: Array, settling: float, memory: float, power: Arr
     tau), or a mount that follows the wires' heat (n,) W (thermal drift of triangulation sensors:
     makers' data sheets)."""
     from scipy.signal import lfilter
-
     if settling > 0.0:
         return np.asarray(-np.expm1(-(time - time[0]) / settling))
     if memory > 0.0:

@@ -5,9 +5,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from examination.blind.reality import forms
+from examination.blind.reality.forms import Array
 from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
@@ -15,8 +15,6 @@ from sma_bench.compiled import inlined
 #
 # Free convection from a horizontal cylinder: S. W. Churchill and H. H. S. Chu, Int. J. Heat
 # Mass Transfer 18 (1975) 1049, eq. 12. Radiation to surroundings at the temperature of the air.
-
-Array = NDArray[np.float64]
 
 GRAVITY = 9.81
 PRANDTL = 0.71
@@ -96,7 +94,6 @@ def gusts(world: World, time: Array) -> Array:
 #
 # The resistance of martensite and austenite differs, and both rise with temperature (NiTi: D.
 # C. Lagoudas, Shape Memory Alloys, 2008, table 1.1); only the wire's own part heats it.
-
 LEAST_RESISTANCE = 0.05  # of the wire's at rest
 SECONDS_PER_MINUTE = 60.0
 
@@ -128,7 +125,6 @@ def current(rig, voltage, temperature, martensite, driven, sag):
 # heat capacity is the baseline. Time integration: the L-stable, stiffly accurate, second order
 # SDIRK of R. Alexander, SIAM J. Numer. Anal. 14 (1977) 1006; a cell without capacity is an
 # algebraic equation to it. Each of its two stages is one tridiagonal solution.
-
 # Relative thickness of the cells, from a wire outwards and from wire to wire: finer at the wires.
 SKIN_CELLS = (0.1, 0.2, 0.3, 0.4)
 MIDDLE_CELLS = (0.15, 0.35, 0.35, 0.15)
@@ -163,10 +159,8 @@ def strip_of(world: World) -> Strip:
     conductance *= 1.0 - world.feature("coupling_plume")
     # W/K: wire to the first cell, cell to cell, last cell to the surface; and from wire to wire.
     skin_cells, middle_cells = share / loss * np.array(SKIN_CELLS), np.array(MIDDLE_CELLS)
-    skin, middle = (
-        0.5 * np.concatenate([[0.0], cells]) + 0.5 * np.concatenate([cells, [0.0]])
-        for cells in (skin_cells, middle_cells)
-    )
+    skin, middle = (0.5 * np.concatenate([[0.0], cells]) + 0.5 * np.concatenate([cells, [0.0]])
+                    for cells in (skin_cells, middle_cells))
     skin, middle = 1.0 / skin, conductance / middle
     heat = world.feature("silicone_heat_capacity")
     wire = p["wire.mass"] * p["wire.specific_heat"]
@@ -174,11 +168,9 @@ def strip_of(world: World) -> Strip:
     # Isolated cells take part in nothing, but the equations need a number.
     between = 2.0 * heat + world.feature("coupling_capacity")
     middle_heat = between * middle_cells if conductance > 0.0 else np.ones(MIDDLE)
-    return Strip(
-        np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
-        np.concatenate([skin[:-1][::-1], middle, skin[:-1]]), float(skin[-1]),
-        loss / (1.0 - share), relative_film(world),
-    )  # fmt: skip
+    return Strip(np.concatenate([skin_heat[::-1], [wire], middle_heat, [wire], skin_heat]),
+                 np.concatenate([skin[:-1][::-1], middle, skin[:-1]]), float(skin[-1]),
+                 loss / (1.0 - share), relative_film(world))
 
 
 @inlined

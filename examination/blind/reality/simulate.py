@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from examination.blind.reality import forms
 from examination.blind.reality.beam import ROWS, Beam, balance, beam, pull_at_rest
+from examination.blind.reality.forms import Array
 from examination.blind.reality.heat import (
     BACK_WIRE,
     FRONT_WIRE,
@@ -39,8 +40,6 @@ from examination.blind.reality.transformation import (
 )
 from examination.blind.reality.world import Numbers, World
 from sma_bench.compiled import borrowing, inlined, warn_if_plain
-
-Array = NDArray[np.float64]
 
 PAID_BACK = 0.1  # of the owed latent heat, each step
 STEEPEST = 0.5  # 1/K, transformation per kelvin that an apparent capacity may stand for
@@ -114,9 +113,8 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                 # Heat [W] into every wire: Joule's, and the latent heat that is still owed.
                 for i in range(len(wires.after)):
                     voltage, xi = inputs.voltage[k - 1, i], pull.martensite[i]
-                    amperes, joule = current(
-                        rig, voltage, wires.after[i], xi, wires.driven[i], wires.sag[i]
-                    )
+                    amperes, joule = current(rig, voltage, wires.after[i], xi, wires.driven[i],
+                                             wires.sag[i])
                     wires.sag[i] = forms.sagged(rig.features, wires.sag[i], amperes, step)
                     if voltage != 0.0:
                         wires.driven[i] += step
@@ -124,9 +122,8 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                     wires.owed[i] -= paid
                     scratch.source[0, i] = joule + paid / step
                     if rig.features.reservoir > 0.0:
-                        scratch.source[0, i] += forms.from_reservoir(
-                            rig.features, wires.beside, i, wires.after[i], step
-                        )
+                        scratch.source[0, i] += forms.from_reservoir(rig.features, wires.beside, i,
+                                                                     wires.after[i], step)
                     worth = forms.latent_worth(rig.features, xi)
                     aside = forms.latent_aside(rig.features, wires.after[i], rig.aside)
                     scratch.source[1, i] = rig.latent * (worth * wires.apparent[i] + aside)
@@ -146,10 +143,8 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
 @inlined
 def report(rig, inputs, k, field, wires, pull, values):
     for i in range(len(wires.after)):
-        values[k, CURRENT, i] = current(
-            rig, inputs.voltage[k, i], wires.after[i], pull.martensite[i], wires.driven[i],
-            wires.sag[i],
-        )[0]  # fmt: skip
+        values[k, CURRENT, i] = current(rig, inputs.voltage[k, i], wires.after[i],
+                                        pull.martensite[i], wires.driven[i], wires.sag[i])[0]
         values[k, TEMPERATURE, i] = wires.after[i]
         values[k, MARTENSITE, i] = pull.martensite[i]
         values[k, STRESS, i] = pull.stress[i]
@@ -190,10 +185,8 @@ def phase(rig, grains, pull, wires, step):
         if abs(moved) > SMALLEST_MOVE and (moved > 0.0) != grains.rising[i]:
             turn(rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift, pull.stress[i])
         pull.predicted[i] = pull.stress[i] + pull.stress_change[i]
-        xi, slope = transform(
-            rig.classes, rig.ramps, memory, bow, grains, i, wires.after[i] - shift,
-            pull.predicted[i],
-        )  # fmt: skip
+        xi, slope = transform(rig.classes, rig.ramps, memory, bow, grains, i,
+                              wires.after[i] - shift, pull.predicted[i])
         if rig.features.transformation_lag > 0.0:
             share = -math.expm1(-step / rig.features.transformation_lag)
             xi = wires.martensite[i] + share * (xi - wires.martensite[i])
@@ -229,7 +222,6 @@ def aftermath(rig, grains, pull, wires):
 
 
 # --- Let things happen in a world: voltages in, true values out.
-
 LONGEST_STEP = 5e-3  # s
 ROUNDING = 1e-9
 
@@ -271,20 +263,17 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     front, back = ([i for i, s in enumerate(world.sides) if s == side]
                    for side in ("front", "back"))  # fmt: skip
     p, law = world.parameters, (world.feature("kinetics_smoothness"), world.feature("kinetics_law"))
-    rig = Rig(
-        world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
-        p["wire.austenite_start_temperature"] - forms.ASIDE_BELOW, strip_of(world),
-        np.array([front, back], dtype=np.int64).T.copy(), grain_classes(world), ramp_table(*law),
-        beam(world),
-    )  # fmt: skip
+    rig = Rig(world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
+              p["wire.austenite_start_temperature"] - forms.ASIDE_BELOW, strip_of(world),
+              np.array([front, back], dtype=np.int64).T.copy(), grain_classes(world),
+              ramp_table(*law), beam(world))
     # Cold, all martensite, never driven.
     still = float(p["environment.ambient_temperature"])
     before, after = np.full((2, wires), still)
     zeros = (np.zeros(wires) for _ in range(6))
     at_rest = Wires(before, after, np.ones(wires), *zeros, np.full((wires, 3), still))
-    scratch = Scratch(
-        np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)), np.zeros((ROWS, wires))
-    )
+    scratch = Scratch(np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)),
+                      np.zeros((ROWS, wires)))
     field = np.full((len(rig.pairs), NODES), still)
     values = np.zeros((len(time), QUANTITIES, wires))
     tip, sides = np.zeros(len(time)), np.zeros((len(time), 2))

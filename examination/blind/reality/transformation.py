@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from examination.blind.reality import forms
+from examination.blind.reality.forms import Array
 from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
 # --- What a wire's grains are: classes with transition temperatures of their own, their ramps.
-
-Array = NDArray[np.float64]
 
 GRAIN_CLASSES = 7
 
@@ -53,9 +52,8 @@ def grain_classes(world: World) -> Classes:
     p = world.parameters
     starts = p["wire.austenite_start_temperature"], p["wire.martensite_start_temperature"]
     finishes = p["wire.austenite_finish_temperature"], p["wire.martensite_finish_temperature"]
-    factors = np.array([
-        world.feature(f"stress_influence_factor_{phase}") for phase in ("austenite", "martensite")
-    ])  # fmt: skip
+    factors = np.array([world.feature(f"stress_influence_factor_{phase}")
+                        for phase in ("austenite", "martensite")])
     plain = np.array([p["wire.stress_influence_austenite"], p["wire.stress_influence_martensite"]])
     # Of a bent line only what is added to the belief is bent.
     knee, square = world.feature("stress_knee"), world.feature("stress_square")
@@ -66,11 +64,9 @@ def grain_classes(world: World) -> Classes:
     offsets, weights = _normal(spread)
     rates = 1.0 / (finishes[0] - starts[0]), 1.0 / (starts[1] - finishes[1])
     relays = world.feature("relays")
-    rows = [
-        ((1.0 - relays) * (1.0 - r_share) * weight, finishes[0] + offset, rates[0], shifts[0],
-         finishes[1] + offset, rates[1], shifts[1])
-        for offset, weight in zip(offsets, weights, strict=True)
-    ]  # fmt: skip
+    rows = [((1.0 - relays) * (1.0 - r_share) * weight, finishes[0] + offset, rates[0], shifts[0],
+             finishes[1] + offset, rates[1],
+             shifts[1]) for offset, weight in zip(offsets, weights, strict=True)]
     if r_share > 0.0:
         middle = 0.5 * (starts[0] + starts[1])
         hot, cold = middle + 0.5 * (R_WIDTH + R_HYSTERESIS), middle - 0.5 * R_HYSTERESIS
@@ -134,7 +130,6 @@ def ramp_table(smoothness: float, law: float = 0.0) -> Array:
 # Wires of one side that are driven very unequally can pull each other, one into martensite and
 # one into austenite; the contract's rule has several solutions then, and which one is found
 # depends on the step.
-
 LOOPS = 16  # reversals that a class remembers
 SMALLEST_MOVE = 1e-9  # K, below which the temperature counts as held
 NOTHING = 1e-14
@@ -162,10 +157,8 @@ def grains_at_rest(wires: int, classes: int) -> Grains:
     shape = (wires, classes)
     line = np.zeros((*shape, LINE))
     line[..., SLOPE] = line[..., TURNED] = 1.0
-    return Grains(
-        np.ones(wires, dtype=np.bool_), np.ones(shape), np.zeros(shape), line,
-        np.zeros(shape, dtype=np.int64), np.zeros((*shape, LOOPS, 3)),
-    )  # fmt: skip
+    return Grains(np.ones(wires, dtype=np.bool_), np.ones(shape), np.zeros(shape), line,
+                  np.zeros(shape, dtype=np.int64), np.zeros((*shape, LOOPS, 3)))
 
 
 @inlined

@@ -14,9 +14,8 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 
+
 # --- Every departure of the reality from the baseline model: features.yaml.
-
-
 @dataclass(frozen=True)
 class Feature:
     """One departure from the baseline; the fields are explained in features.yaml."""
@@ -45,8 +44,6 @@ Numbers = namedtuple("Numbers", [feature.name for feature in FEATURES])
 
 
 # --- A world: the true numbers of a rig, and what the baseline model does not know of it.
-
-
 @dataclass(frozen=True, eq=False)
 class World:
     """One bench as it really is: true numbers of the baseline of a composite, of wires with a load

@@ -35,8 +35,6 @@ BLIND = "examination.blind.command"
 
 
 # --- numbers -----------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Number:
     """What is compared: a number within a tolerance, or a text or count that must be the same.
@@ -114,7 +112,6 @@ def is_number(value: Any) -> bool:
 
 
 # --- what is computed: identify -----------------------------------------------------------------
-
 WIRE, DEMO, COMPOSITE = (CONFIG / f"{rig}_rig.yaml" for rig in ("wire", "demo", "composite"))
 
 
@@ -148,7 +145,6 @@ def simulated_composite() -> Numbers:
 def instrument_files(experiment: str, *names: str) -> Numbers:
     """E5, E6, E7, E9: files as the instruments export them, synthetic."""
     from make import instrument_text
-
     with tempfile.TemporaryDirectory() as folder:
         for name in names:
             Path(folder, name).write_text(instrument_text(name))
@@ -170,10 +166,8 @@ def foreign_spring() -> Numbers:
         return identified([f"{made}/run_a", f"{made}/run_b"], rig, None, f"{made}/run_c")
 
 
-def identified(
-    records: Sequence[Any], parameters: Any = None, experiments: Sequence[str] | None = None,
-    unseen: Any = None,
-) -> Numbers:  # fmt: skip
+def identified(records: Sequence[Any], parameters: Any = None,
+               experiments: Sequence[str] | None = None, unseen: Any = None) -> Numbers:
     """Of `identify`: which experiments, their estimates, the details behind them, and how far a
     record is missed that the fit has not seen."""
     found = sma_bench.identify(list(records), parameters, experiments)
@@ -218,7 +212,6 @@ def _recorded(protocol: str, truth: Any, rate: float, seed: int) -> Any:
 
 
 # --- what is computed: simulate -----------------------------------------------------------------
-
 SPAN = 1e-5
 INSTANTS = (29, 62, 83)  # %
 
@@ -229,9 +222,8 @@ def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
     record = sma_bench.load(run)
     wires = ["wire"] if rig == "wire" else ["front_1", "back_1"]
     names = [f"{wire}.{signal}" for wire in wires for signal in ("current", "temperature")]
-    signals = {
-        name: record[name].values for name in [*names, "deflection"] if name in record.signals
-    }
+    signals = {name: record[name].values
+               for name in [*names, "deflection"] if name in record.signals}
     columns = range(0, run.martensite_fraction.shape[1], 2)
     for wire, k in zip(wires, columns, strict=True):
         signals[f"{wire}, martensite fraction"] = run.martensite_fraction[:, k]
@@ -247,7 +239,6 @@ def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
 
 
 # --- what is computed: diagnose -----------------------------------------------------------------
-
 # The demo's bench is off by these many of the lab's standard errors.
 LAB_ERRORS = (0.8, -1.1, 0.3, 1.4, -0.6, -0.2, 1.0, -1.3, 0.5)
 SCORED_CASES = 60
@@ -301,8 +292,6 @@ def diagnosed(record: Any, parameters: Any, hold_out: Any) -> Numbers:
 
 
 # --- what is computed: paper, blind60 -----------------------------------------------------------
-
-
 def paper() -> Numbers:
     """Every row of the paper's tables, and the errata."""
     with tempfile.TemporaryDirectory() as folder:
@@ -358,8 +347,6 @@ def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
 
 
 # --- the tasks ----------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class Task:
     """A result to be made: see made.yaml."""
@@ -402,8 +389,6 @@ def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
             return tuple(map(filled, value))
         return value.format(data=DATA, cases=cases, jobs=jobs) if isinstance(value, str) else value
 
-    return [
-        Task(section, name, row["make"], filled(row.get("of", [])), row.get("named", {}),
-             row.get("needs", ""), row.get("cases", 0))
-        for name, row in _MADE["tasks"][section].items()
-    ]  # fmt: skip
+    return [Task(section, name, row["make"], filled(row.get("of", [])), row.get("named", {}),
+                 row.get("needs", ""),
+                 row.get("cases", 0)) for name, row in _MADE["tasks"][section].items()]
