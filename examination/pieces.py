@@ -6,12 +6,14 @@ import math
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import nullcontext
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from sma_bench.parameters.yaml_file import write_text_atomically
 
@@ -60,30 +62,28 @@ def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
         if not isinstance(kept, dict):
             raise SystemExit(f"{options.json}: holds no results of this check")
     due = [job for job in jobs if str(job) not in kept]
-    begun = time.monotonic()
-
-    def keep(done: int, job: tuple, result: Any) -> None:
-        kept[str(job)] = result
-        if options.json:
-            write_text_atomically(options.json, json.dumps(kept, indent=1) + "\n")
-        left = (time.monotonic() - begun) / done * (len(due) - done)
-        if sys.stderr.isatty() or done % 5 == 0 or done == len(due):
-            print(f"{done}/{len(due)}, {left:.0f} s left", file=sys.stderr, flush=True)
-
-    if options.processes == 1 or len(due) == 1:
-        for done, job in enumerate(due, 1):
-            keep(done, job, run(*job))
-    else:
-        # A fresh interpreter each: forked ones would inherit the threads of numpy and numba.
-        with get_context("spawn").Pool(options.processes) as pool:
-            found = pool.imap_unordered(partial(_labelled, run), due)
-            for done, (job, result) in enumerate(found, 1):
-                keep(done, job, result)
+    begun, call = time.monotonic(), partial(_labelled, run)
+    alone = options.processes == 1 or len(due) == 1
+    # A fresh interpreter each: forked ones would inherit the threads of numpy and numba.
+    with nullcontext() if alone else get_context("spawn").Pool(options.processes) as pool:
+        found = map(call, due) if alone else pool.imap_unordered(call, due)
+        for done, (job, result) in enumerate(found, 1):
+            kept[str(job)] = result
+            if options.json:
+                write_text_atomically(options.json, json.dumps(kept, indent=1) + "\n")
+            left = (time.monotonic() - begun) / done * (len(due) - done)
+            if sys.stderr.isatty() or done % 5 == 0 or done == len(due):
+                print(f"{done}/{len(due)}, {left:.0f} s left", file=sys.stderr, flush=True)
     return [kept[str(job)] for job in jobs]
 
 
 def _labelled(run: Callable[..., Any], job: tuple) -> tuple[tuple, Any]:
     return job, run(*job)
+
+
+def poisson_bound(count: int) -> float:
+    """Mean of a Poisson distribution that gives so few, or fewer, in 5 % of all cases."""
+    return float(chi2.ppf(0.95, 2 * (count + 1)) / 2.0)
 
 
 def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
@@ -135,8 +135,8 @@ def without_exclusions(drawn: dict, habits: dict[str, list], rules: Iterable[dic
     return held
 
 
-def outcome_table(found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str,
-                  *head: str) -> list[str]:
+def print_outcomes(found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str,
+                   *head: str) -> None:
     """Lines of the format `row`: outcomes by habit, by kind, of all, of those that tell what they
     mean; then how many are wrong: the last two outcomes."""
     kinds = sorted({one["kind"] for one in found if "kind" in one})
@@ -148,9 +148,9 @@ def outcome_table(found: list[dict], outcomes: Sequence[str], habits: dict[str, 
         "that tell what they mean": [one for one in found if one["tells"]],
         "that do not": [one for one in found if not one["tells"]],
     }  # fmt: skip
-    lines = [row.format(*head, *outcomes)]
+    print(row.format(*head, *outcomes))
     for name, group in groups.items():
-        ends = [one["outcome"] for one in group]
-        lines += [row.format(name, len(ends), *map(ends.count, outcomes))] * bool(ends)
+        if ends := [one["outcome"] for one in group]:
+            print(row.format(name, len(ends), *map(ends.count, outcomes)))
     wrong = sum(one["outcome"] in outcomes[-2:] for one in found)
-    return [*lines, f"silently wrong {wrong} of {len(found)} ({wrong / len(found):.1%})"]
+    print(f"silently wrong {wrong} of {len(found)} ({wrong / len(found):.1%})")

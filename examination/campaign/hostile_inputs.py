@@ -22,9 +22,9 @@ import yaml
 
 import sma_bench
 from examination.bags import in_sqlite3
-from examination.campaign import good_files, hostile_bags, mutations
-from examination.campaign.drawn_bags import HABITS, Stream, write_bag
+from examination.campaign import hostile_bags, mutations
 from examination.campaign.outcome import Outcome, allowance
+from examination.check.bags import HABITS, Stream, write_bag
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
 from sma_bench.commands.answers import MISFIT
@@ -60,7 +60,7 @@ _RIG = Path(__file__).resolve().parents[2] / "config" / "wire_rig.yaml"
 @cache
 def drive() -> Record:
     """Eleven seconds of a wire at five voltages: enough to be identified and diagnosed."""
-    run = sma_bench.simulate(good_files.FOLDER / "drive.yaml", _RIG, rate=10.0)
+    run = sma_bench.simulate(mutations.FOLDER / "drive.yaml", _RIG, rate=10.0)
     return sma_bench.measure(run, seed=1)
 
 
@@ -160,23 +160,23 @@ def hostile_yaml(rng: random.Random, folder: Path) -> Case:
         write_record(bag, list(drive().signals.values()))
         if storage == "sqlite3":
             in_sqlite3(bag)
-    good, path = good_files.PARAMETERS, folder / "p.yaml"
+    good, path = mutations.PARAMETERS, folder / "p.yaml"
     if rng.random() < 0.3:
-        good, path = good_files.METADATA, bag / "metadata.yaml"
+        good, path = mutations.METADATA, bag / "metadata.yaml"
     path.write_bytes(mutations.hostile_document(rng, good))
     return Case(bag, ("--params", str(path)) if path.parent == folder else ())
 
 
 def hostile_result(rng: random.Random, folder: Path) -> Case:
     """A result of identify or diagnose, altered."""
-    path, good = folder / "result.json", rng.choice((good_files.RESULT, good_files.DIAGNOSIS))
+    path, good = folder / "result.json", rng.choice((mutations.RESULT, mutations.DIAGNOSIS))
     path.write_bytes(mutations.hostile_document(rng, good, is_json=True))
     return Case(path)
 
 
 def hostile_instrument(rng: random.Random, folder: Path) -> Case:
     """A file of an instrument whose numbers, titles or units are altered."""
-    parser = rng.choice(good_files.parsers()[:4])
+    parser = rng.choice(mutations.parsers()[:4])
     content = mutations.mutated(rng, parser.good, rng.choice((1, 2, 8))) * rng.choice((1, 1, 1, 3))
     (folder / parser.file).write_bytes(content)
     return Case(folder / parser.file)
@@ -189,7 +189,7 @@ def hostile_import(rng: random.Random, folder: Path) -> Case:
     beside = rng.choice(("", "", "", "--params", "--map"))
     if not beside:
         return Case(folder / name, tabled=())
-    document = good_files.MAP if beside == "--map" else good_files.PARAMETERS
+    document = mutations.MAP if beside == "--map" else mutations.PARAMETERS
     is_hostile, good = rng.random() < 0.8, yaml.safe_dump(document).encode()
     hostile = mutations.hostile_document(rng, document) if is_hostile else good
     (folder / "beside.yaml").write_bytes(hostile)
@@ -337,7 +337,7 @@ def _everything(folder: Path) -> dict[Path, tuple[int, bytes | str]]:
 
 
 # --- the parsers --------------------------------------------------------------------------------
-def try_input(parser: good_files.Parser, content: bytes, folder: Path) -> str:
+def try_input(parser: mutations.Parser, content: bytes, folder: Path) -> str:
     """What went wrong with one input, or ""."""
     path = folder / parser.file
     path.write_bytes(content)
@@ -357,7 +357,7 @@ def edited_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     logging.disable(logging.WARNING)
     folder.mkdir(parents=True, exist_ok=True)
     outcomes = []
-    for parser in good_files.parsers():
+    for parser in mutations.parsers():
         rng = random.Random(f"{seed} {parser.name}")
         inputs = [parser.good, *(mutations.mutated(rng, parser.good) for _ in range(size))]
         tried = [(try_input(parser, content, folder), content) for content in inputs]

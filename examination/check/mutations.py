@@ -19,6 +19,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -89,43 +90,32 @@ def python_edits(source: str) -> Iterator[tuple[str, str, int, str, str]]:
     def edit(place: str, kind: int, at: int, end: int, after: str) -> tuple:
         return (place, KINDS[kind], len(data[:at].decode()), data[at:end].decode(), after)
 
-    def between(place: str, left: Any, right: Any) -> Iterator[tuple]:
-        """The operator that stands there."""
-        first, last = span(left)[1], span(right)[0]
-        found = re.search(rb"is not|not in|is|in|and|or|[<>=!]=|[<>]", data[first:last])
-        if found:
-            operator = found.group().decode()
-            at = first + found.start()
-            yield edit(place, 0, at, at + len(found.group()), TURNED[operator])
-
     def walk(node: Any, place: str) -> Iterator[tuple]:
+        at = span(node) if hasattr(node, "lineno") else (0, 0)
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             place = f"{place}.{node.name}".lstrip(".")
-        own = [node]
-        if isinstance(node, ast.FunctionDef | ast.ClassDef):
-            own = []
-        for one in own:
-            at = span(one) if hasattr(one, "lineno") else (0, 0)
-            if isinstance(one, ast.Compare):
-                for left, right in zip([one.left, *one.comparators], one.comparators, strict=False):
-                    yield from between(place, left, right)
-            elif isinstance(one, ast.BoolOp):
-                for left, right in zip(one.values, one.values[1:], strict=False):
-                    yield from between(place, left, right)
-            elif isinstance(one, ast.UnaryOp) and isinstance(one.op, ast.Not):
-                yield edit(place, 0, at[0], at[0] + 4, "")
-            elif isinstance(one, ast.Constant) and type(one.value) in (int, float) and one.value:
-                yield edit(place, 1, *at, repr(2 * one.value))
-            elif isinstance(one, ast.Attribute) and LIMITS.fullmatch(one.attr):
-                if isinstance(one.ctx, ast.Load):
-                    yield edit(place, 1, *at, f"(2.0 * {data[slice(*at)].decode()})")
-            elif isinstance(one, ast.Assign | ast.AugAssign):
-                targets = one.targets if isinstance(one, ast.Assign) else [one.target]
-                parts = [e for t in targets for e in (t.elts if isinstance(t, ast.Tuple) else [t])]
-                if any(isinstance(part, ast.Attribute | ast.Subscript) for part in parts):
-                    yield edit(place, 2, *at, "pass")
-            elif isinstance(one, ast.Expr) and isinstance(one.value, ast.Call):
+        elif isinstance(node, ast.Compare | ast.BoolOp):
+            parts = node.values if isinstance(node, ast.BoolOp) else [node.left, *node.comparators]
+            for left, right in itertools.pairwise(parts):  # the operator that stands there
+                first, last = span(left)[1], span(right)[0]
+                found = re.search(rb"is not|not in|is|in|and|or|[<>=!]=|[<>]", data[first:last])
+                if found:
+                    begin, end = first + found.start(), first + found.end()
+                    yield edit(place, 0, begin, end, TURNED[found.group().decode()])
+        elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
+            yield edit(place, 0, at[0], at[0] + 4, "")
+        elif isinstance(node, ast.Constant) and type(node.value) in (int, float) and node.value:
+            yield edit(place, 1, *at, repr(2 * node.value))
+        elif isinstance(node, ast.Attribute) and LIMITS.fullmatch(node.attr):
+            if isinstance(node.ctx, ast.Load):
+                yield edit(place, 1, *at, f"(2.0 * {data[slice(*at)].decode()})")
+        elif isinstance(node, ast.Assign | ast.AugAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            parts = [e for t in targets for e in (t.elts if isinstance(t, ast.Tuple) else [t])]
+            if any(isinstance(part, ast.Attribute | ast.Subscript) for part in parts):
                 yield edit(place, 2, *at, "pass")
+        elif isinstance(node, ast.Expr) and isinstance(node.value, ast.Call):
+            yield edit(place, 2, *at, "pass")
         for child in ast.iter_child_nodes(node):
             if not isinstance(child, ast.JoinedStr):  # what is said to people
                 yield from walk(child, place)
@@ -158,16 +148,14 @@ def c_edits(source: str) -> Iterator[tuple[str, str, int, str, str]]:
             is_define = line.startswith("#define") and at > plain.find(line) + len("#define ")
             if is_define:
                 place = line.split()[1].partition("(")[0]
-            elif not line.startswith((" ", "\t")):
+            if not (is_define or line.startswith((" ", "\t"))):
                 continue
             if is_define and (kind != KINDS[1] or before in line.split()[1]):
                 continue
-            after = {KINDS[0]: TURNED.get(before, ""), KINDS[1]: f"(2 * {before})"}.get(kind)
-            if kind == KINDS[2]:
-                if re.match(r"return|case|goto|else", before):
-                    continue
-                after = "(void)0;"
-            yield place, kind, at, before, after
+            if kind == KINDS[2] and re.match(r"return|case|goto|else", before):
+                continue
+            changes = (TURNED.get(before, ""), f"(2 * {before})", "(void)0;")
+            yield place, kind, at, before, changes[KINDS.index(kind)]
 
 
 def _blank(found: re.Match) -> str:
@@ -179,15 +167,14 @@ def mutations_of(file: str) -> list[Mutation]:
     source, only = (ROOT / file).read_text(), FILES[file].get("only", "")
     edits = python_edits if file.endswith(".py") else c_edits
     found: list[Mutation] = []
-    met: dict[tuple, int] = {}
+    met: Counter[tuple] = Counter()
     for place, kind, at, before, after in edits(source):
-        if not re.match(only, place):
-            continue
-        begin = source.rfind("\n", 0, at) + 1
-        text = source[begin:].partition("\n")[0].strip()
-        turn = met[place, before, text] = met.get((place, before, text), -1) + 1
-        line = source.count("\n", 0, at) + 1
-        found.append(Mutation(file, place, kind, at, before, after, line, text, turn))
+        if re.match(only, place):
+            begin, line = source.rfind("\n", 0, at) + 1, source.count("\n", 0, at) + 1
+            text = source[begin:].partition("\n")[0].strip()
+            turn = met[place, before, text]
+            met[place, before, text] += 1
+            found.append(Mutation(file, place, kind, at, before, after, line, text, turn))
     return found
 
 
@@ -279,8 +266,8 @@ def copy() -> Copy:
 
 def tried(name: str, tests_only: bool) -> str:
     """How a mutation ended, by its name."""
-    found = [m for file in FILES for m in mutations_of(file) if m.name == name]
-    return copy().outcome(found[0], with_faults=not tests_only)
+    mutation = next(m for file in FILES for m in mutations_of(file) if m.name == name)
+    return copy().outcome(mutation, with_faults=not tests_only)
 
 
 def report(outcomes: dict[Mutation, str]) -> float:
@@ -288,13 +275,11 @@ def report(outcomes: dict[Mutation, str]) -> float:
     rows = []
     for file in [*FILES, "all"]:
         own = {m: ended for m, ended in outcomes.items() if file in (m.file, "all")}
-        ends = list(own.values())
+        ends = Counter(own.values())
         alike = sum(e == SURVIVED and m.name in EQUIVALENT for m, e in own.items())
-        caught = ends.count(PURE) + ends.count(FAULTS)
-        judged = caught + ends.count(SURVIVED) - alike
-        share = caught / judged if judged else 1.0
-        rows.append((file, len(ends), *map(ends.count, (PURE, FAULTS)), alike,
-                     ends.count(SURVIVED) - alike, f"{share:.1%}"))  # fmt: skip
+        caught, survived = ends[PURE] + ends[FAULTS], ends[SURVIVED] - alike
+        share = caught / (caught + survived) if caught + survived else 1.0
+        rows.append((file, len(own), ends[PURE], ends[FAULTS], alike, survived, f"{share:.1%}"))
     print_table(("mutations of", ">drawn", ">caught by tests", ">by faults",
                  ">equivalent", ">survived", ">caught"), rows)  # fmt: skip
     for mutation in sorted(outcomes, key=lambda m: (m.file, m.line)):
@@ -306,11 +291,9 @@ def report(outcomes: dict[Mutation, str]) -> float:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when enough of those that can be noticed were."""
-    options = options_of(
-        "mutations", __doc__, argv, number=(200, "of mutations"), seed=(1, "of the draw"),
-        tests_only=(False, "without the faults, which need a computer that does nothing else"),
-        **IN_PIECES,
-    )  # fmt: skip
+    options = options_of("mutations", __doc__, argv, number=(200, "of mutations"),
+                         seed=(1, "of the draw"), tests_only=(False, "without the faults, which "
+                         "need a computer that does nothing else"), **IN_PIECES)
     chosen = drawn(options.number, options.seed)
     ends = in_pieces(tried, [(one.name, True) for one in chosen], options)
     outcomes = dict(zip(chosen, ends, strict=True))

@@ -9,13 +9,9 @@ something was lost; and what is now if the power lasted for 40 ms. Three minutes
     ./bench check power_cuts [--cuts 1000] [--seed 1] [--json FILE]
 """
 
-import atexit
 import random
-import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Collection, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 from uno import emulated_uno
 from virtual_host import VirtualHost
 
+from examination.check.soak import built
 from examination.pieces import IN_PIECES, in_blocks, options_of, print_table
 from sma_bench.hardware.serial_messages import CAUSES, line
 
@@ -182,16 +179,9 @@ class CutUno:
                 "told": "" if outcome != OUTCOMES[-1] else f"{before} {now} {said}"}  # fmt: skip
 
 
-@cache
-def _built() -> tuple[Path, Path]:
-    folder = Path(tempfile.mkdtemp(prefix="power_cuts_"))
-    atexit.register(shutil.rmtree, folder)
-    return emulated_uno.build_emulator(folder), emulated_uno.build_firmware(folder)
-
-
 def cuts(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
     """The outcomes of a chain of cuts."""
-    uno = emulated_uno.EmulatedUno(*_built(), seed=seed + first)
+    uno = emulated_uno.EmulatedUno(*built("uno"), seed=seed + first)
     chain = CutUno(uno, random.Random(f"{seed} {first}"))
     return [chain.cut() for _ in range(first, stop)]
 

@@ -15,6 +15,7 @@ uno        the image on an emulated Uno and the bridge's driver, in minutes of v
     ./bench check soak [--only host firmware uno] [--hours 1000] [--minutes 180] [--json soak.json]
 """
 
+import atexit
 import contextlib
 import functools
 import math
@@ -29,7 +30,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
@@ -39,7 +39,7 @@ from uno.emulated_bench import Plant
 from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware
 from virtual_host import VirtualHost
 
-from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
+from examination.pieces import IN_PIECES, in_pieces, options_of, poisson_bound, print_table
 from sma_bench.arrays import Array
 from sma_bench.hardware.bench_driver import BenchDriver, device_limits
 from sma_bench.hardware.bench_sensors import BenchSensors, Instrument
@@ -55,6 +55,8 @@ PARTS = ("host", "firmware", "uno")
 HOUR, MINUTE = 3600.0, 60.0
 GRID, COMMANDS = 0.01, 0.02  # s, of the physics and between commands
 GUST = 30.0  # s of one draught, and of one programme
+N, TICKS = round(GUST / COMMANDS), round(GUST / GRID)  # commands and steps in it
+CLOCK = GRID * np.arange(TICKS + 1)
 EVERY_DRIVEN = 20  # of the host's hours one is of four wires under the bridge's driver
 BELIEVED = {"a wire": Parameters.defaults()}
 BELIEVED["four wires"] = read_parameters(ROOT / "config" / "composite_rig.yaml")
@@ -64,6 +66,9 @@ TIMEOUT = BRIDGE["feedback_timeout"]
 DEVICE = DeviceIdentity("sma-uno", "0", "power-on", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0,
                         2.0)
 COOLER, SHARE_OF_CURRENT = 10.0, 0.8  # K and share that a sound bench stays below its limits
+SWING = 1.5  # K, of the room in an hour
+NOT_ASKED = "the gate's outputs are not those that were asked for"
+Cuts = list[tuple[float, str]]  # when, and why
 CURRENT_NOISE = 0.018  # A, of one conversion: an ACS712-20A
 DRIFT = 3.4e-3  # A/K, of its offset
 CONVERSIONS = 24  # of a board in a window of telemetry
@@ -94,8 +99,11 @@ class World:
                  "supply that sags": self.sag > 0.0, "no camera": not self.camera}  # fmt: skip
         return [name for name, true in found.items() if true]
 
-    def parameters(self, believed: Parameters, loss: float = 1.0,
-                   warmer: float = 0.0) -> Parameters:
+    @property
+    def feedback(self) -> tuple[str, ...]:
+        return ("power", "temperature") if self.camera else ("power",)
+
+    def parameters(self, believed: Parameters, loss: float, warmer: float) -> Parameters:
         """What the bench is made of, in a draught of `loss` and a room `warmer` K than at first."""
         return believed.replace({
             "wire.resistance": believed["wire.resistance"] * max(self.age),
@@ -111,9 +119,6 @@ class World:
         hottest = limits.maximum_temperature - COOLER - max(self.room, limits.ambient) - SWING
         heat = math.sqrt(hottest * limits.heat_loss * least)
         return min(heat, SHARE_OF_CURRENT * limits.maximum_current * least)
-
-
-SWING = 1.5  # K, of the room in an hour
 
 
 def draw_world(rng: np.random.Generator) -> World:
@@ -134,27 +139,34 @@ def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tu
         yield 1.0 + min(share, world.draught), SWING * math.sin(2.0 * math.pi * k * GUST / HOUR)
 
 
-def programme(rng: np.random.Generator, most: float, n: int) -> Array:
-    """(n,) V, a command each: rest, a hold, a staircase, a triangle, or pulses."""
-    level, at = most * rng.random() ** 0.5, np.arange(n) * COMMANDS
+def programme(rng: np.random.Generator, most: float) -> Array:
+    """(N,) V, a command each: rest, a hold, a staircase, a triangle, or pulses, after a second of
+    nothing."""
+    found = _shape(rng, most, np.arange(N))
+    found[: round(1.0 / COMMANDS)] = 0.0
+    return found
+
+
+def _shape(rng: np.random.Generator, most: float, at: Array) -> Array:
+    level = most * rng.random() ** 0.5
     shape = rng.integers(5)
     if shape == 0:
-        return np.zeros(n)
+        return np.zeros(N)
     if shape == 1:
-        return np.full(n, level)
+        return np.full(N, level)
     if shape == 2:
-        return np.asarray(most * rng.random(rng.integers(2, 9)))[np.arange(n) * 2 // n]
+        return np.asarray(most * rng.random(rng.integers(2, 9)))[at * 2 // N]
     period = rng.uniform(4.0, 30.0) if shape == 3 else rng.uniform(0.2, 4.0)
-    phase = at / period % 1.0
+    phase = at * COMMANDS / period % 1.0
     shown = 1.0 - np.abs(2.0 * phase - 1.0) if shape == 3 else phase < rng.uniform(0.2, 0.8)
     return np.asarray(level * shown)
 
 
-def dips(rng: np.random.Generator, world: World, n: int) -> Array:
-    """(n,) share of its volts that the supply has, a command each."""
-    share = np.full(n, 1.0)
+def dips(rng: np.random.Generator, world: World) -> Array:
+    """(N,) share of its volts that the supply has, a command each."""
+    share = np.full(N, 1.0)
     if world.dip:
-        begin, last = int(rng.integers(n)), int(rng.uniform(0.02, 0.6) / COMMANDS) + 1
+        begin, last = int(rng.integers(N)), int(rng.uniform(0.02, 0.6) / COMMANDS) + 1
         share[begin : begin + last] -= world.dip * rng.random()
     return share
 
@@ -179,32 +191,26 @@ def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
     silent = rng.random(n) < (0.05 if world.slow or world.noise > 1.0 else 0.0)
     silent[2:] &= ~(silent[1:-1] & silent[:-2])
     silent[:2] = silent[-2:] = False
-    return [bool(one) for one in silent]
+    return silent.tolist()
 
 
 # --- The host's rules
-def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple[float, str]]:
+def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """When, and why, the rules of a node that commands cut a sound wire."""
     rng, believed = np.random.default_rng([1, seed]), BELIEVED["a wire"]
     limits, chain = Limits.from_parameters(believed), instruments(world, seed)
     power_every, kelvin_every = rates(rng, world)
     volt_gain, ampere_gain, kelvin_gain = (1.0 + error for error in world.errors[:3])
-    feedback = ("power", "temperature") if world.camera else ("power",)
-    n = round(GUST / COMMANDS)
-    ticks = round(GUST / GRID)
-    bench, cuts, begun = Bench(world.parameters(believed)), [], 0.0
+    bench, cuts, begun, arrived = Bench(world.parameters(believed, 1.0, 0.0)), [], 0.0, [0.0]
     heard = 1.0  # s, when every reading of a new guard has come
-    arrived = [0.0]
-    guard, gate = Guard(["wire"], feedback, TIMEOUT), CommandGate(1, limits)
+    guard, gate = Guard(["wire"], world.feedback, TIMEOUT), CommandGate(1, limits)
     for loss, warmer in gusts(rng, world, seconds):
-        commands = programme(rng, world.highest(limits), n)
-        commands[: round(1.0 / COMMANDS)] = 0.0
+        commands = programme(rng, world.highest(limits))
         # The bench: what its supply leaves of the volts, and what instruments make of it.
         own = limits.resistance * max(world.age)
-        true = np.repeat(commands * dips(rng, world, n) * own / (own + world.sag), 2)
-        hidden = world.parameters(believed, loss, warmer)
-        bench = Bench(hidden, initial=bench.state)
-        made = bench.follow(GRID * np.arange(ticks + 1), np.append(true, true[-1]))
+        true = np.repeat(commands * dips(rng, world) * own / (own + world.sag), 2)
+        bench = Bench(world.parameters(believed, loss, warmer), initial=bench.state)
+        made = bench.follow(CLOCK, np.append(true, true[-1]))
         # What a sensor reads when the next command comes, the last one made.
         read = slice(power_every - 1, -1, power_every)
         volts = chain["voltage"].read_all(made.voltage[read, 0] * volt_gain)
@@ -218,12 +224,11 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple
         silent = silences(rng, world, len(kelvins))
         powers = list(zip(volts.tolist(), amperes.tolist(), strict=True))
         temperatures, asked = kelvins.tolist(), commands.tolist()
-        late = begun + GRID * np.arange(ticks + 1) + rng.uniform(0.0, 0.04, ticks + 1)
+        late = begun + CLOCK + rng.uniform(0.0, 0.04, TICKS + 1)
         late[0] = arrived[-1]
         arrived = np.maximum.accumulate(late).tolist()
-
         held = 0
-        for k in range(1, ticks + 1):
+        for k in range(1, TICKS + 1):
             stamp = begun + GRID * k
             if k % 2:
                 command = asked[k // 2]
@@ -231,21 +236,18 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> list[tuple
                 guard.commanded((command,))
                 if held % 5 == 0:
                     gate.command((command,), stamp, "soak")
-            reason = ""
+            reason, now = "", arrived[k]
             if k % kelvin_every == 0 and not silent[k // kelvin_every - 1] and world.camera:
-                now = arrived[k]
                 reason = guard.fault(now) if stamp > heard else ""  # the oldest that it gets
-                kelvin = temperatures[k // kelvin_every - 1]
-                guard.temperature("wire", kelvin, stamp, now, limits)
+                guard.temperature("wire", temperatures[k // kelvin_every - 1], stamp, now, limits)
             if k % power_every == 0:
-                now = arrived[k]
                 guard.power("wire", *powers[k // power_every - 1], stamp, now, limits)
                 reason = reason or (guard.fault(now) if stamp > heard else "")
                 if gate.outputs(now) != (asked[(k - 1) // 2],):
-                    reason = reason or "the gate's outputs are not those that were asked for"
+                    reason = reason or NOT_ASKED
             if reason:
                 cuts.append((stamp, reason))
-                guard, heard = Guard(["wire"], feedback, TIMEOUT), begun + GUST + 1.0
+                guard, heard = Guard(["wire"], world.feedback, TIMEOUT), begun + GUST + 1.0
                 break
         begun += GUST
     return cuts
@@ -274,32 +276,27 @@ class SoundLink:
 def driver_of(link: Any, world: World) -> tuple[BenchDriver, Guard, Limits]:
     """The bridge's driver of four wires, which never looks at a device before it enables."""
     believed = BELIEVED["four wires"]
-    limits = Limits.from_parameters(believed)
-    channels = believed["bench.channels"]
-    feedback = ("power", "temperature") if world.camera else ("power",)
-    guard = Guard(channels, feedback, TIMEOUT)
+    limits, channels = Limits.from_parameters(believed), believed["bench.channels"]
+    guard = Guard(channels, world.feedback, TIMEOUT)
     sensors = BenchSensors(believed["bench.channel_sides"], BRIDGE)
     return BenchDriver(link, sensors, guard, channels, limits, waiver="soak"), guard, limits
 
 
-def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[tuple[float, str]]:
+def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """When, and why, the bridge's driver cuts four sound wires."""
     rng, believed = np.random.default_rng([2, seed]), BELIEVED["four wires"]
     driver, guard, limits = driver_of(SoundLink(), world)
     chain, channels = instruments(world, seed), believed["bench.channels"]
     power_every, kelvin_every = rates(rng, world)
-    n, ticks = round(GUST / COMMANDS), round(GUST / GRID)
-    bench, cuts, begun = Bench(world.parameters(believed)), [], 0.0
+    bench, cuts, begun = Bench(world.parameters(believed, 1.0, 0.0)), [], 0.0
     own, most = limits.resistance * max(world.age), world.highest(limits)
     for loss, warmer in gusts(rng, world, seconds):
-        commands = np.column_stack([programme(rng, most, n) for _ in channels])
-        commands[: round(1.0 / COMMANDS)] = 0.0
+        commands = np.column_stack([programme(rng, most) for _ in channels])
         # The device follows its supply; a board's pulses take from it what they carry.
-        hidden = world.parameters(believed, loss, warmer)
-        bench = Bench(hidden, initial=bench.state)
+        bench = Bench(world.parameters(believed, loss, warmer), initial=bench.state)
         held = np.repeat(commands, 2, axis=0)
-        made = bench.follow(GRID * np.arange(ticks + 1), np.vstack([held, held[-1:]]))
-        supply = np.repeat(12.0 * dips(rng, world, n), 2)
+        made = bench.follow(CLOCK, np.vstack([held, held[-1:]]))
+        supply = np.repeat(12.0 * dips(rng, world), 2)
         ohms = own * (1.0 + world.austenite * (1.0 - made.martensite_fraction[1:]))
         pairs = held.reshape(-1, 2, 2) > 0.0
         drop = supply[:, None] * world.sag * (pairs / ohms.reshape(-1, 2, 2)).sum(axis=2)
@@ -310,8 +307,7 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
         mean = mean * (1.0 + world.errors[1]) + world.errors[3] + noise
         kelvins = made.temperature_reading[1:]
         kelvins = world.room + (1.0 + world.errors[2]) * (kelvins - world.room) + world.errors[4]
-        silent = silences(rng, world, ticks // kelvin_every)
-
+        silent = silences(rng, world, TICKS // kelvin_every)
         if not driver.enabled:  # where it begins, and after a cut
             for k in range(100):
                 at = begun + GRID * (k - 100)
@@ -320,7 +316,7 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
             for name in channels:
                 guard.temperature(name, world.room, begun, begun, limits)
             driver.enable(begun)
-        for k in range(ticks):
+        for k in range(TICKS):
             stamp = begun + GRID * (k + 1)
             now = stamp + 0.01
             if (k + 1) % kelvin_every == 0 and not silent[k // kelvin_every] and world.camera:
@@ -336,7 +332,7 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
             timeouts = driver.gate.timeouts
             reason = driver.command(commands[k // 2].tolist(), now, "soak") or driver.tick(now)
             if not reason and driver.gate.timeouts > timeouts:
-                reason = "the gate's outputs are not those that were asked for"
+                reason = NOT_ASKED
             if reason:
                 cuts.append((stamp, reason))
                 driver, guard, limits = driver_of(SoundLink(), world)
@@ -350,17 +346,14 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> list[t
 def built(what: str) -> Any:
     """The host's program, or emulator and image, once a process."""
     folder = tempfile.TemporaryDirectory(prefix="soak_")
-    KEPT.append(folder)
+    atexit.register(folder.cleanup)
     place = Path(folder.name)
     if what == "firmware":
         return build_program("soak.c", place, ("-O3",))
     return build_emulator(place), build_firmware(place)
 
 
-KEPT: list[tempfile.TemporaryDirectory] = []
-
-
-def hour_of_the_firmware(world: World, seed: int, seconds: float = HOUR) -> list[tuple[float, str]]:
+def hour_of_the_firmware(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """When, and why, safety.c cuts four sound wires."""
     limits = Limits.from_parameters(BELIEVED["four wires"])
     own = limits.resistance * max(world.age)
@@ -393,7 +386,7 @@ class UnoLink(SoundLink):
         self.host.drive(*millivolts)
 
 
-def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> list[tuple[float, str]]:
+def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> Cuts:
     """When, and why, the image or the bridge's driver cuts four sound wires."""
     rng, believed = np.random.default_rng([3, seed]), BELIEVED["four wires"]
     emulator, image = built("uno")
@@ -401,20 +394,17 @@ def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> list
     pins, chain = uno.electrics, instruments(world, seed)
     pins.supply_resistance, pins.noise = world.sag, 2e-3 * world.noise
     pins.offset[:] = [0.1 * world.errors[3]] * 2
-    plant, host = Plant(uno, world.parameters(believed)), VirtualHost(uno)
+    plant, host = Plant(uno, world.parameters(believed, 1.0, 0.0)), VirtualHost(uno)
     host.run(0.2)
     link = UnoLink(host)
     driver, guard, limits = driver_of(link, world)
     _, kelvin_every = rates(rng, world)
-    channels, most, cuts = believed["bench.channels"], world.highest(limits), []
-    n, step = round(GUST / COMMANDS), 0
-
+    channels, most, step = believed["bench.channels"], world.highest(limits), 0
     for loss, warmer in gusts(rng, world, seconds):
         plant.bench = Bench(world.parameters(believed, loss, warmer), initial=plant.bench.state)
-        commands = np.column_stack([programme(rng, most, n) for _ in channels])
-        commands[: round(1.0 / COMMANDS)] = 0.0
-        supply = 12.0 * dips(rng, world, n)
-        for k in range(min(n, round(seconds / COMMANDS) - step)):
+        commands = np.column_stack([programme(rng, most) for _ in channels])
+        supply = 12.0 * dips(rng, world)
+        for k in range(min(N, round(seconds / COMMANDS) - step)):
             step += 1
             pins.supply = supply[k]
             pins.resistance[:] = (1.0 / np.maximum(plant.bench.current(np.ones(4)), 1e-3)).tolist()
@@ -438,9 +428,8 @@ def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> list
                 link.status.state = DeviceState.ARMED
             reason = driver.command(commands[k].tolist(), now, "soak") or driver.tick(now)
             if reason:
-                cuts.append((now, reason))
-                return cuts  # what is left of these minutes is not counted
-    return cuts
+                return [(now, reason)]  # what is left of these minutes is not counted
+    return []
 
 
 # --- Counted
@@ -448,23 +437,18 @@ PLAYS = {"a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
          "firmware": hour_of_the_firmware, "uno": minutes_of_the_uno}  # fmt: skip
 
 
-def played(kind: str, seed: int, seconds: float) -> dict[str, Any]:
-    """One drawn stretch of time: its stresses, its cuts, and how long it took."""
-    started = time.monotonic()
-    world = draw_world(np.random.default_rng([list(PLAYS).index(kind), seed]))
-    cuts = PLAYS[kind](world, seed, seconds)
-    return {"kind": kind, "seed": seed,
-            "seconds": cuts[0][0] if kind == "uno" and cuts else seconds,
-            "stresses": world.stresses, "cuts": cuts, "took": time.monotonic() - started}
-
-
 def some_played(kind: str, seed: int, first: int, stop: int, seconds: float) -> list[dict]:
-    return [played(kind, 10_000 * seed + k, seconds) for k in range(first, stop)]
+    """Drawn stretches of time: of each its stresses, its cuts, and how long it took."""
+    found = []
+    for number in range(10_000 * seed + first, 10_000 * seed + stop):
+        started = time.monotonic()
+        world = draw_world(np.random.default_rng([list(PLAYS).index(kind), number]))
+        cuts = PLAYS[kind](world, number, seconds)
+        lasted = cuts[0][0] if kind == "uno" and cuts else seconds
+        found.append({"kind": kind, "seed": number, "seconds": lasted, "stresses": world.stresses,
+                      "cuts": cuts, "took": time.monotonic() - started})
+    return found
 
-
-def at_most(cuts: int, hours: float) -> float:
-    """Cuts an hour that are not exceeded with 95 % confidence (Poisson)."""
-    return float(chi2.ppf(0.95, 2 * (cuts + 1)) / 2.0) / hours
 
 
 def report(found: Sequence[dict[str, Any]]) -> int:
@@ -474,20 +458,19 @@ def report(found: Sequence[dict[str, Any]]) -> int:
              "firmware": "firmware: its logic on this computer",
              "uno": "emulated Uno: its image and the bridge's driver"}  # fmt: skip
     groups = {name: [o for o in found if o["kind"] == kind] for kind, name in names.items()}
-    host = [one for one in found if one["kind"] in ("a wire", "four wires")]
-    groups |= {"host, all": host}
+    groups["host, all"] = [one for one in found if one["kind"] in ("a wire", "four wires")]
     stresses = sorted({stress for one in found for stress in one["stresses"]})
     groups |= {f"with {s}": [one for one in found if s in one["stresses"]] for s in stresses}
     rows = []
     for name, own in groups.items():
         if own:
-            hours, cuts = sum(o["seconds"] for o in own) / HOUR, sum(len(o["cuts"]) for o in own)
-            pace = sum(o["seconds"] for o in own) / sum(o["took"] for o in own)
+            seconds, cuts = sum(o["seconds"] for o in own), sum(len(o["cuts"]) for o in own)
+            hours = seconds / HOUR
             rows.append((name, f"{hours:.4g}", cuts, f"{cuts / hours:.2g}",
-                         f"{at_most(cuts, hours):.2g}", f"{pace:.3g}"))  # fmt: skip
-    head = ("synthetic hours of sound benches", ">hours", ">false cuts", ">an hour",
-            ">at most (95 %)", ">times real time")  # fmt: skip
-    print_table(head, rows)
+                         f"{poisson_bound(cuts) / hours:.2g}",
+                         f"{seconds / sum(o['took'] for o in own):.3g}"))
+    print_table(("synthetic hours of sound benches", ">hours", ">false cuts", ">an hour",
+                 ">at most (95 %)", ">times real time"), rows)
     kinds: dict[str, list[str]] = {}
     for one in found:
         for at, reason in one["cuts"]:

@@ -6,62 +6,211 @@ user would, and what comes of it is compared with the truth.
     ./bench check tables --imports 4000 --seed 2 --json result.json
 """
 
+import contextlib
+import io
+import re
 import tempfile
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
-from examination.pieces import IN_PIECES, in_blocks, options_of, outcome_table
-from examination.tables.dialects import HABITS, draw_habits, write
-from examination.tables.outcome import ASKED, OUTCOMES, RAISED, REFUSED, RIGHT, WRONG, outcome
-from examination.tables.truths import TABLES, true_table
+from examination.pieces import IN_PIECES, in_blocks, options_of, print_outcomes
+from examination.tables import dialects
+from examination.tables.dialects import HABITS, Sample, Truth, Written
+from sma_bench.arrays import Array
+
+# What came of a file: every value and time within what the file writes, every column and sheet used
+# or named; a question, in the map or in the line; a reason, exit 2; exit 0 with values, times or
+# rows that are not those of the file, or a column left out without a word; anything but an answer.
+RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "raised"
+OUTCOMES = (RIGHT, ASKED, REFUSED, WRONG, RAISED)
+_ENOUGH = 0.7  # of an instrument's rows; its readers leave out turns and rests
+_MOST_LINE = 300
+_ADVICE = r"\b(expected|write|quote|give|states?|which)\b"  # what to do is in every refusal
+
+
+def outcome(truth: Truth, sample: Sample) -> tuple[str, str]:
+    try:
+        return _imported(truth, sample) if truth.is_bench else _opened(truth, sample)
+    except Exception:
+        return RAISED, traceback.format_exc()[-_MOST_LINE:]
+
+
+def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
+    import sma_bench
+    from sma_bench.cli import main
+
+    folder = sample.path.parent
+    rig, bag = folder / "rig.yaml", folder / "bag"
+    rig.write_text(yaml.safe_dump({"/**": {"ros__parameters": dialects.RIGS[truth.kind]}}))
+    said = io.StringIO()
+    arguments = ["import", str(sample.path), "--params", str(rig), "--out", str(bag)]
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        status = main(arguments)
+    text = said.getvalue()
+    maps = "\n".join(path.read_text() for path in folder.glob("*.map.yaml"))
+    if status == 2:
+        asks = "unsure of" in text or ": ask" in maps or '"ask"' in maps
+        return ASKED if asks else _refused(text), _line(text)
+    if status != 0:
+        return RAISED, f"exit {status}: {_line(text)}"
+    bags = [bag] if (bag / "metadata.yaml").exists() else sorted(bag.iterdir())
+    record, said_of, faults = sma_bench.load(bags[0]), text + maps, []
+    for column in sample.columns:
+        title, quantity = column.title, column.quantity
+        if quantity is None:
+            if any(title.startswith(t) and t not in said_of for t in ("Comment", "Status", "T2")):
+                faults.append(f"{title}: vanished")
+        elif (signal := record.get(quantity.signal)) is not None:
+            fault = _signal_fault(truth, sample, column, signal)
+            faults += [f"{title}: {fault}"] if fault else []
+        elif title not in said_of:
+            faults.append(f"{title}: vanished")
+        elif quantity.signal != "ambient.temperature":
+            faults.append(f"{title}: not read, though named")
+    extra = set(record.signals) - {column.signal for column in truth.columns}
+    if extra - {"ambient.temperature"}:
+        faults.append(f"signals of nothing: {', '.join(sorted(extra))}")
+    if sample.habits["file"] == "xlsx, a second sheet" and len(bags) < 2 and "Data 2" not in text:
+        faults.append("sheet Data 2: vanished")
+    return (WRONG, "; ".join(faults)) if faults else (RIGHT, "")
+
+
+def _refused(text: str) -> str:
+    """`REFUSED` where the reason says what to write, else `RAISED`: nobody can act on it."""
+    return REFUSED if re.search(_ADVICE, text) else RAISED
+
+
+def _signal_fault(truth: Truth, sample: Sample, column: Written, signal: Any) -> str:
+    """What is wrong with a signal; "" if nothing is."""
+    quantity, step = column.quantity, column.step
+    assert quantity is not None
+    time, values = np.asarray(signal.time), np.asarray(signal.values, dtype=float)
+    if quantity.kind == "duty":  # read as the direct voltage of the same heat
+        values, step = (values / 12.0) ** 2, 2.0 * step
+    if quantity.kind == "current" and sample.habits["cells"] == "SI letters":
+        step = max(step, 1e-4)
+    if not len(time):
+        return "empty"
+    # Gaps are drawn: of them at most a tenth may be absent.
+    expected = sample.times[quantity.signal]
+    true = quantity.values[::3] if len(expected) < len(quantity.values) else quantity.values
+    rows = len(expected)
+    fewest = 0.88 * rows if sample.habits["cells"] == "gaps" else rows
+    if not fewest <= len(time) <= rows:
+        return f"{len(time)} samples of {rows}"
+    nearest = np.arange(rows)
+    if len(time) < rows:
+        nearest = np.abs(time[:, None] - expected[None, :]).argmin(axis=1)
+    late = np.abs(time - expected[nearest]).max()
+    tick = 1.05 if sample.tick >= 1.0 else max(sample.tick, 1e-4 * np.ptp(truth.time))
+    if late > tick:
+        return f"times off by {late:.3g} s"
+    error = np.abs(values - true[nearest]).max()
+    loose = 2.2 if quantity.signal in ("elongation", "deflection") else 1.2  # a zero was taken off
+    limit = loose * 0.5 * step + 1e-6 * np.abs(true).max()
+    return "" if error <= limit else f"values off by {error:.3g}, written to {step:.3g}"
+
+
+def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
+    import sma_bench
+
+    try:
+        record: Any = sma_bench.load(sample.path)
+    except sma_bench.InputError as error:
+        line = str(error)
+        asks = "which one" in line or "state" in line
+        return ASKED if asks else _refused(line), line[:_MOST_LINE]
+    kind = type(record).__name__.removesuffix("Record").lower()
+    kind = "dsc" if kind.endswith("dsc") else kind
+    if kind != truth.kind:
+        return WRONG, f"read as {kind or 'a run'}"
+    if sample.habits["file"] == "xlsx, a second sheet" and "Data 2" not in str(record.findings):
+        return WRONG, "sheet Data 2: vanished"
+    # What was read, what is true, and to what the file writes it.
+    by_name = {c.quantity.signal: c for c in sample.columns if c.quantity}
+    true = {c.signal: c.values for c in truth.columns}
+    steps = {name: c.step for name, c in by_name.items()}
+    if truth.kind == "dsc":
+        per_gram = sample.habits["scale"] == "other" and sample.habits["notes"] != "key: value"
+        if abs(record.mass - truth.mass) > 1e-9 and not per_gram:
+            return WRONG, f"mass {record.mass:.4g} kg of {truth.mass:.4g}"
+        got = {n: _joined(record.segments, n) for n in ("time", "temperature", "heat_flow")}
+        true, steps = {"time": truth.time} | true, {"time": 1e-3} | steps
+        if per_gram:  # nobody said the mass: the flow of whatever was taken for it
+            got["heat_flow"] = got["heat_flow"] * truth.mass / record.mass
+        if got["time"][-1] > truth.time[-1] + 1.0:  # stamps of a day, or of the epoch
+            got["time"] = got["time"] - dialects.EPOCH
+    elif truth.kind == "isobaric":
+        parts = [branch for cycle in record.cycles for branch in cycle.branches]
+        got = {name: _joined(parts, name) for name in by_name}
+    else:
+        kinds = by_name["strain"].quantity.kind, by_name["stress"].quantity.kind
+        if (record.is_extension, record.is_force) != (kinds[0] == "extension", kinds[1] == "force"):
+            return WRONG, "extension or force taken for strain or stress, or the other way"
+        got = {"strain": record.strain - record.strain[0] + true["strain"][0],
+               "stress": record.stress}
+    # Every row read is one of the truth's, in all columns, and there are enough of them.
+    count, read = len(next(iter(true.values()))), len(next(iter(got.values())))
+    if read < _ENOUGH * count:
+        return WRONG, f"{read} rows of {count}"
+    worst = np.zeros((read, count))
+    for name, values in got.items():
+        limit = 0.6 * steps[name] * (2.0 if name == "strain" else 1.0)
+        limit += 1e-6 * float(np.abs(true[name]).max()) + (0.01 if name == "time" else 0.0)
+        worst = np.maximum(worst, np.abs(values[:, None] - true[name][None, :]) / limit)
+    if away := int((worst.min(axis=1) > 1.0).sum()):
+        return WRONG, f"{away} rows of {read} are none of the file's"
+    return RIGHT, ""
+
+
+def _joined(parts: Any, name: str) -> Array:
+    return np.concatenate([getattr(part, name) for part in parts])
+
+
+def _line(text: str) -> str:
+    return " ".join(line for line in text.splitlines() if line.strip())[-_MOST_LINE:]
+
 
 ROW = "{:32}{:>7}" + "{:>9}" * len(OUTCOMES)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Write, import, compare; 0 if nothing was silently wrong, 1 if something was."""
-    own = {"imports": (200, "how many"), "seed": (1, "of all")}
-    own |= {"faults": (0, "show so many wrong ones")}
-    options = options_of("tables", __doc__, argv, **own, **IN_PIECES)
-    found = in_blocks(import_block, options, options.imports)
-    shown = [one for one in found if one["outcome"] in (WRONG, RAISED)]
-    for one in shown[: options.faults]:
+    options = options_of("tables", __doc__, argv, imports=(200, "how many"), seed=(1, "of all"),
+                         faults=(0, "show so many wrong ones"), **IN_PIECES)
+    found = in_blocks(imported, options, options.imports)
+    wrong = [one for one in found if one["outcome"] in (WRONG, RAISED)]
+    for one in wrong[: options.faults]:
         print(f"{one['number']} {one['kind']}: {one['why']}\n    {one['odd']}")
-    print(table(found))
-    return 1 if shown else 0
-
-
-def import_block(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
-    """Imports `first` to `stop` of a seed."""
-    return [import_one(seed, number) for number in range(first, stop)]
-
-
-def import_one(seed: int, number: int) -> dict[str, Any]:
-    """One table in one dialect: the habits that are not plain, what came of it and why."""
-    truth = true_table(number % TABLES, seed)
-    rng = np.random.default_rng([41, seed, number])
-    habits = draw_habits(truth, rng)
-    with tempfile.TemporaryDirectory() as folder:
-        sample = write(truth, habits, Path(folder), rng)
-        end, why = outcome(truth, sample)
-        why = why.replace(folder, "")
-    odd = {f: h for f, h in habits.items() if h != HABITS[f][0]}
-    return {"number": number, "kind": truth.kind, "odd": odd, "tells": sample.tells,
-            "outcome": end, "why": why}  # fmt: skip
-
-
-def table(found: list[dict[str, Any]]) -> str:
-    lines = outcome_table(found, OUTCOMES, HABITS, ROW, "written with", "files")
+    print_outcomes(found, OUTCOMES, HABITS, ROW, "written with", "files")
     telling, others = ([o["outcome"] for o in found if o["tells"] is t] for t in (True, False))
     if telling:
         read = telling.count(RIGHT) / len(telling)
-        lines.append(f"of those that tell, read without a question {read:.1%}")
+        print(f"of those that tell, read without a question {read:.1%}")
     if others:
         stopped = sum(end in (ASKED, REFUSED) for end in others) / len(others)
         guessed = others.count(RIGHT) / len(others)
-        said = f"asked or refused {stopped:.1%}, guessed right {guessed:.1%}"
-        lines.append(f"of those that do not, {said}")
-    return "\n".join(lines)
+        print(f"of those that do not, asked or refused {stopped:.1%}, guessed right {guessed:.1%}")
+    return 1 if wrong else 0
+
+
+def imported(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
+    """Imports `first` to `stop` of a seed, each of a table in a dialect: the habits that are not
+    plain, what came of it and why."""
+    found = []
+    for number in range(first, stop):
+        truth = dialects.true_table(number % dialects.TABLES, seed)
+        rng = np.random.default_rng([41, seed, number])
+        habits = dialects.draw_habits(truth, rng)
+        with tempfile.TemporaryDirectory() as folder:
+            sample = dialects.write(truth, habits, Path(folder), rng)
+            end, why = outcome(truth, sample)
+        odd = {f: h for f, h in habits.items() if h != HABITS[f][0]}
+        found.append({"number": number, "kind": truth.kind, "odd": odd, "tells": sample.tells,
+                      "outcome": end, "why": why.replace(folder, "")})
+    return found

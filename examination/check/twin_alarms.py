@@ -15,9 +15,8 @@ from itertools import product
 
 import numpy as np
 from scipy.signal import lfilter
-from scipy.stats import chi2
 
-from examination.pieces import options_of
+from examination.pieces import options_of, poisson_bound
 from sma_bench.arrays import Array
 from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.twin.comparison import BIN, MEMORY, SURPRISING, Bin, SignalBins
@@ -128,8 +127,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             week = residuals(random, round(WEEK / BIN), share * ALLOWED, time)
             largest = list(excursions(week))
             counts += [sum(one >= limit for one in largest) for limit in LIMITS]
-        # Mean of a Poisson distribution that gives so few, or fewer, in 5 % of all cases.
-        bound = float(chi2.ppf(0.95, 2 * (counts[-1] + 1)) / 2.0) / options.weeks
+        bound = poisson_bound(counts[-1]) / options.weeks
         worst = max(worst, bound)
         cells = "  ".join(f"{count / options.weeks:9.3g}" for count in counts)
         print(f"{share:15g}  {time:8g}  {cells}  {bound:14.2f}", flush=True)

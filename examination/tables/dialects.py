@@ -7,6 +7,7 @@ file tells what it means: units, the meaning of every column, and a clock.
 import datetime as dt
 import re
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,14 +15,153 @@ import numpy as np
 import yaml
 
 from examination.pieces import applies, without_exclusions
-from examination.tables.truths import Quantity, Truth
 from sma_bench.arrays import Array
 
+# --- Forty true tables: bench runs, DSC, isobaric and tensile tests. Synthetic data, in SI units.
+TABLES = 40
+_DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encoding="utf-8"))
+RIGS = _DATA["rigs"]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One true column: `signal` of the contract (or of the instrument's record), what it is, its
+    values (n,) in SI, how the file writes it (`offset` added, `sign` before)."""
+
+    signal: str
+    kind: str
+    values: Array
+    offset: float = 0.0
+    sign: float = 1.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A true table: `time` (n,) s, its columns, and of DSC the mass in kg."""
+
+    kind: str
+    time: Array
+    columns: tuple[Quantity, ...]
+    mass: float = 0.0
+
+    @property
+    def is_bench(self) -> bool:
+        """Whether the file is imported; else it is an instrument's, and read as it is."""
+        return self.kind in RIGS
+
+    @property
+    def is_extension(self) -> bool:
+        """Whether a tensile test has an extension and no strain."""
+        return any(column.kind == "extension" for column in self.columns)
+
+
+def true_table(number: int, seed: int) -> Truth:
+    """Table `number` (0 to 39) of a seed."""
+    rng = np.random.default_rng([40, seed, number])
+    turn, place = divmod(number, len(_DATA["kinds"]))
+    kind = _DATA["kinds"][place]
+    if kind == "tensile":
+        return _tensile(kind, rng, is_extension=turn % 2 == 1)
+    return {"dsc": _dsc, "isobaric": _isobaric}.get(kind, _bench)(kind, rng)
+
+
+def _bench(kind: str, rng: np.random.Generator) -> Truth:
+    """A wire that is heated in two or three steps and cools between them."""
+    rows, rate = int(rng.integers(90, 260)), float(rng.choice([4.0, 5.0, 10.0, 20.0]))
+    time = np.arange(rows) / rate
+    drive = np.zeros(rows)
+    steps = int(rng.integers(2, 4))
+    level = rng.uniform(1.0, 4.0)
+    for k in range(steps):
+        begin = rows * (0.1 + 0.9 * k / steps)
+        on = (np.arange(rows) >= begin) & (np.arange(rows) < begin + 0.5 * rows / steps)
+        drive[on] = level * rng.uniform(0.7, 1.0)
+    slow = rows / rate * rng.uniform(0.03, 0.08)
+    room, gain = rng.uniform(291.0, 300.0), rng.uniform(40.0, 75.0) / level**2
+    rise = np.zeros(rows)
+    for k in range(1, rows):
+        rise[k] = rise[k - 1] + (gain * drive[k] ** 2 - rise[k - 1]) / (slow * rate)
+    ohms = rng.uniform(1.5, 6.0)
+    moved = -4e-3 * rng.uniform(0.5, 1.5) / (1.0 + np.exp(-(rise - 35.0) / 5.0))
+    moved -= moved[0]
+    temperature = Quantity("wire.temperature", "temperature", room + rise)
+    volts = Quantity("wire.voltage", "voltage", drive)
+    amperes = Quantity("wire.current", "current", drive / ohms)
+    zero = rng.choice([2e-5, 4e-4, rng.uniform(0.01, 0.04)])
+    position = Quantity("elongation", "length", moved, zero, -1.0 if zero < 1e-3 else 1.0)
+    force = Quantity("force", "force", 5.0 - 200.0 * moved)
+    room_now = Quantity("ambient.temperature", "ambient", room + 0.3 * np.sin(time / time[-1]))
+    columns: list[Quantity] = []
+    if kind == "clamped":
+        columns = [volts, amperes, temperature]
+        columns += [room_now] if rng.random() < 0.4 else []
+    elif kind == "spring":
+        columns = [volts, amperes, position, force]
+        columns += [temperature] if rng.random() < 0.5 else []
+    elif kind == "duty":
+        duty = drive / drive.max() * rng.uniform(0.3, 0.9)
+        columns = [temperature, Quantity("wire.voltage", "duty", duty), position]
+        columns += [Quantity("wire.current", "current", 12.0 * np.sqrt(duty) / ohms)]
+    else:
+        back = np.roll(drive, rows // 6)
+        tip = 3e-3 * (rise - np.roll(rise, rows // 6)) / rise.max()
+        columns = [Quantity("front.voltage", "voltage", drive),
+                   Quantity("back.voltage", "voltage", back),
+                   Quantity("deflection", "length", tip - tip[0])]  # fmt: skip
+    order = rng.permutation(len(columns) - (kind == "duty" and rng.random() < 0.5))
+    return Truth(kind, time, tuple(columns[k] for k in order))
+
+
+def _dsc(kind: str, rng: np.random.Generator) -> Truth:
+    """Heating and cooling at one rate, a peak each way."""
+    rows, rate = int(rng.integers(200, 320)), 10.0 / 60.0
+    turn = int(rows * 0.5)
+    step = rng.choice([1.0, 2.0])
+    temperature = 253.15 + rate * step * np.minimum(np.arange(rows), 2 * turn - np.arange(rows))
+    is_heating = np.arange(rows) < turn
+    height = temperature.max() - 253.15
+    centre = np.where(is_heating, 253.15 + 0.6 * height, 253.15 + 0.4 * height)
+    peak = rng.uniform(0.1, 0.3) * np.exp(-(((temperature - centre) / (0.06 * height)) ** 2))
+    flow = np.where(is_heating, 1.0, -1.0) * (0.05 + peak)  # W/g
+    mass = float(np.round(rng.uniform(5e-6, 20e-6), 9))
+    columns = (Quantity("temperature", "temperature", temperature),
+               Quantity("heat_flow", "heat flow", flow * 1e3 * mass))  # fmt: skip
+    return Truth(kind, np.arange(rows) * step, columns, mass)
+
+
+def _isobaric(kind: str, rng: np.random.Generator) -> Truth:
+    """A cycle of temperature at one stress."""
+    rows = int(rng.integers(160, 300))
+    phase = np.abs(1.0 - np.abs(np.linspace(-1.0, 1.0, rows)))
+    low, high = rng.uniform(290.0, 300.0), rng.uniform(380.0, 400.0)
+    temperature = low + (high - low) * phase
+    centre = np.where(np.arange(rows) < rows // 2, 355.0, 335.0)
+    strain = 0.005 + 0.03 / (1.0 + np.exp((temperature - centre) / 3.0))
+    stress = rng.uniform(50e6, 250e6) * np.ones(rows) * (1.0 + 1e-3 * np.sin(np.arange(rows)))
+    columns = (Quantity("temperature", "temperature", temperature),
+               Quantity("strain", "strain", strain), Quantity("stress", "stress", stress))
+    return Truth(kind, np.arange(rows) * 2.0, columns)
+
+
+def _tensile(kind: str, rng: np.random.Generator, is_extension: bool) -> Truth:
+    """Loading and unloading; half of them as extension and force."""
+    rows = int(rng.integers(120, 260))
+    strain = 0.012 * np.minimum(np.linspace(0.0, 1.6, rows), np.linspace(1.6, 0.0, rows) + 0.4)
+    stress = rng.uniform(30e9, 60e9) * np.minimum(strain, 0.008 + 0.2 * (strain - 0.008))
+    if is_extension:
+        columns = (Quantity("strain", "extension", 0.06 * strain),
+                   Quantity("stress", "force", 1.9635e-7 * stress))  # fmt: skip
+    else:
+        columns = (Quantity("strain", "strain", strain), Quantity("stress", "stress", stress))
+    return Truth(kind, np.arange(rows) * 0.5, columns)
+
+
+# --- What is written of them.
 PLAIN = 0.93  # probability of a feature's first habit: a file has a few oddities, not all
 KNOWN = 0.7  # probability that a file starts from what a user sent (`SEEN`)
 START = dt.datetime(2024, 3, 14, 9, 58, 30)
+EPOCH = START.replace(tzinfo=dt.UTC).timestamp()
 
-_DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encoding="utf-8"))
 HABITS: dict[str, list[str]] = _DATA["habits"]
 _BENCH_SEEN, _MACHINE_SEEN = _DATA["bench_seen"], _DATA["machine_seen"]
 _WORDS: dict[str, list[str]] = _DATA["words"]
@@ -30,7 +170,6 @@ _STYLES = HABITS["titles"]
 _UNITS: dict[str, list[tuple[str, float, float, int]]] = _DATA["units"]
 _UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
 _NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
-_COARSE = ("whole seconds", "whole s", "date and whole s")
 _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "driven is positive": lambda amperes: amperes,
     "battery's sign": lambda amperes: -amperes,
@@ -91,17 +230,11 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
     is_late, rows = order >= len(truth.time), len(order)
     row_of = np.where(is_late, 3 * (order - len(truth.time)), order)  # of the truth
     scale = HABITS["scale"].index(habits["scale"]) % 4
-    columns: list[Written] = []
-    units: list[str] = []
-    cells: list[list[Any]] = []
-    decimals: list[int] = []
+    parts: list[tuple[Written, str, list[Any], int]] = []  # each with its unit, cells, decimals
 
     def put(title: str, unit: str, values: list[Any], places: int, of: Quantity | None = None,
-            step: float = 0.0) -> None:  # fmt: skip
-        columns.append(Written(title, of, step))
-        units.append(unit)
-        cells.append(values)
-        decimals.append(places)
+            step: float = 0.0) -> None:
+        parts.append((Written(title, of, step), unit, values, places))
 
     # The clock, then the quantities, each as numbers rounded to its decimals.
     clock = _clock(time, habits, language)
@@ -134,19 +267,16 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
     if habits["beside"] in beside:
         put(*beside[habits["beside"]], 2)
     # Cells that are not there, and rows of the last column alone.
-    grid = [[column[k] for column in cells] for k in range(rows)]
-    width = len(columns)
-    if habits["cells"] == "gaps":
-        first = len(clock)
-        for row in range(5, rows - 1):
-            if rng.random() < 0.05:
-                grid[row][int(rng.integers(first, width))] = str(rng.choice(["", "NaN", "---"]))
+    columns, units, cells, decimals = zip(*parts, strict=True)
+    grid, width = [list(row) for row in zip(*cells, strict=True)], len(columns)
+    for row in range(5, rows - 1) if habits["cells"] == "gaps" else ():
+        if rng.random() < 0.05:
+            grid[row][int(rng.integers(len(clock), width))] = str(rng.choice(["", "NaN", "---"]))
     if is_sparse:
         last = max(k for k, column in enumerate(columns) if column.quantity)
         for k, row in enumerate(grid):
-            empty = range(len(clock), width) if is_late[k] else (last,)
-            grid[k] = ["" if c in empty and (c != last or not is_late[k]) else v
-                       for c, v in enumerate(row)]  # fmt: skip
+            empty = {*range(len(clock), width)} - {last} if is_late[k] else {last}
+            grid[k] = ["" if c in empty else v for c, v in enumerate(row)]
     # Titles, units and numbers as texts.
     texts = [[_text(cell, decimals[k], units[k], habits) for k, cell in enumerate(row)]
              for row in grid]  # fmt: skip
@@ -163,17 +293,15 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
     if habits["cells"] == "surplus comment":
         texts = [[*row, "here"] if k in (30, 60) else row for k, row in enumerate(texts)]
     path = _write_file(truth, habits, titles, head, texts, grid, folder)
-    tick = 1.0 if habits["time"] in _COARSE else 1e-3
-    last_one = truth.columns[-1]
+    tick = 1.0 if habits["time"] in ("whole seconds", "whole s", "date and whole s") else 1e-3
     times = {c.quantity.signal: truth.time for c in columns if c.quantity}
     if habits["time"] == "a clock each" and len(truth.columns) > 1:
-        times[last_one.signal] = truth.time + _SHIFT
+        times[truth.columns[-1].signal] = truth.time + _SHIFT
     if is_sparse:
-        times[last_one.signal] = late
+        times[truth.columns[-1].signal] = late
     marked = tuple(Written(title, column.quantity, column.step)
                    for title, column in zip(titles[-width:], columns, strict=True))
-    held = _about(truth, habits)
-    tells = not any(applies(rule, held) for rule in _DATA["untold"])
+    tells = not any(applies(rule, _about(truth, habits)) for rule in _DATA["untold"])
     return Sample(path, habits, marked, times, tick, tells)
 
 
@@ -189,8 +317,7 @@ def _clock(time: Array, habits: dict[str, str],
     if how == "whole s":
         return [(title, "s", np.floor(time + 1e-9).tolist(), 0)]
     if how == "epoch":
-        start = START.replace(tzinfo=dt.UTC).timestamp()
-        return [(title, "s", np.round(start + time, 3).tolist(), 3)]
+        return [(title, "s", np.round(EPOCH + time, 3).tolist(), 3)]
     stamps = [START + dt.timedelta(seconds=float(t)) for t in time]
 
     def written(form: str) -> list[Any]:

@@ -9,7 +9,7 @@ from examination import pieces
 from examination.attack_lab.cases import ATTACKS
 from examination.check import attacks, worlds
 from examination.check import identification as campaign
-from examination.simulated_lab import EXPERIMENTS
+from examination.check.identification import EXPERIMENTS
 from sma_bench.identify import whole_model
 
 # Each of another kind: in the errors, warned of, seen in the record, in the statements, refused.

@@ -8,8 +8,8 @@ import pytest
 
 pytest.importorskip("numba", reason="fits of the whole model take minutes uncompiled")
 
+from examination.check.identification import draw_bench, measured
 from examination.check.rigs import FINE, WORK, draw_record, draw_rig, try_rig
-from examination.simulated_lab import draw_bench, measured
 from sma_bench.errors import InputError
 from sma_bench.estimation.load_frame import Hold, find_holds
 from sma_bench.identify import identify

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import Reader
 
-from examination.campaign.drawn_bags import HABITS, LOSS, RAISED, REFUSED, RIGHT, WRONG, outcome
-from examination.campaign.drawn_bags import write_bag as write_drawn
+from examination.check.bags import HABITS, LOSS, RAISED, REFUSED, RIGHT, WRONG, outcome
+from examination.check.bags import write_bag as write_drawn
 from sma_bench.errors import InputError
 from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record

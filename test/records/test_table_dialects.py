@@ -7,9 +7,8 @@ from string import Formatter
 import numpy as np
 import pytest
 
-from examination.tables.dialects import HABITS, write
-from examination.tables.outcome import RIGHT, WRONG, outcome
-from examination.tables.truths import true_table
+from examination.check.tables import RIGHT, WRONG, outcome
+from examination.tables.dialects import HABITS, true_table, write
 from sma_bench.errors import InputError
 from sma_bench.records import cells
 from sma_bench.records.cells import WORDS, moments_of, number_with_unit, parse_unit, split_title

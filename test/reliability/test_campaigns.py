@@ -5,9 +5,8 @@ import random
 import pytest
 
 from examination.campaign.full_disk import full_disk
-from examination.campaign.good_files import parsers
 from examination.campaign.hostile_inputs import FOR_ALL, edited_inputs, hostile_inputs, try_input
-from examination.campaign.mutations import edited
+from examination.campaign.mutations import edited, parsers
 
 
 def failed(outcomes):

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Equilibrium of the bench: the wires of both sides, the silicone or the load, what they remember.
 
 For the wires i of side s, whose deflection towards itself is d_s, against the other side o:
@@ -19,22 +18,19 @@ unknowns are solved together by Newton's method, xi as a linear function of stre
 """
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from examination.blind.reality import forms
-from examination.blind.reality.forms import Array
-from examination.blind.reality.world import Numbers, World
+from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 from sma_bench.parameters.parameters import wire_length
 
 ITERATIONS = 25
 CONVERGED = 1e-9  # of a strain; the error left is of the order of its square
 HARDENING = 0.05  # of the modulus, while martensite detwins
-LEAST_MARTENSITE = 0.05
-LEAST_DAMPING = 0.1
+LEAST_MARTENSITE, LEAST_DAMPING = 0.05, 0.1
 IDLE = 1e12  # Pa/m, of the wires behind a weight or a spring, which are never heated
 CLAMPS = 1e20  # Pa/m
 
@@ -42,47 +38,17 @@ CLAMPS = 1e20  # Pa/m
 STIFF, LOAD, IMBALANCE, SLOPE, GIVE, ERROR, ALONG, BEFORE = 0, 1, 2, 3, 4, 5, 6, 7
 ROWS = 8
 
-
-class Beam(NamedTuple):
-    """Constants: SI units; arrays by wire (w,), side (2,) or Prony term (k,)."""
-
-    side: NDArray[np.int64]
-    stiffness: Array
-    load: Array
-    prestretch: Array
-    lever: Array
-    bow: Array
-    opposing: float
-    relaxation_time: Array
-    relaxation_share: Array
-    austenite_modulus: float
-    modulus_change: float
-    recoverable: float
-    expansion: float
-    rest_temperature: float
-    features: Numbers
-
-
-class Pull(NamedTuple):
-    """State: of the wires (w,) the fraction at the predicted stress and along stress, stresses [Pa]
-    and their change in the last step, largest austenite fraction so far, plastic and detwinned
-    strain; of the sides (2,) the deflection [m] towards itself, its change in the last step, and
-    what the Prony terms still feel of it (2, k); of the wires how far each lies loose in its slack,
-    and what part of the strain that stays does so by now."""
-
-    martensite: Array
-    martensite_slope: Array
-    predicted: Array
-    stress: Array
-    stress_change: Array
-    transformed: Array
-    elongation: Array
-    detwinned: Array
-    deflection: Array
-    change: Array
-    held: Array
-    loose: Array
-    settled: Array
+# Constants: SI units; arrays by wire (w,), side (2,) or Prony term (k,).
+Beam = namedtuple("Beam", "side stiffness load prestretch lever bow opposing relaxation_time "
+                  "relaxation_share austenite_modulus modulus_change recoverable expansion "
+                  "rest_temperature features")
+# State: of the wires (w,) the fraction at the predicted stress and along stress, stresses [Pa] and
+# their change in the last step, largest austenite fraction so far, plastic and detwinned strain; of
+# the sides (2,) the deflection [m] towards itself, its change in the last step, and what the Prony
+# terms still feel of it (2, k); of the wires how far each lies loose in its slack, and what part of
+# the strain that stays does so by now.
+Pull = namedtuple("Pull", "martensite martensite_slope predicted stress stress_change transformed "
+                  "elongation detwinned deflection change held loose settled")
 
 
 def beam(world: World) -> Beam:
@@ -93,23 +59,19 @@ def beam(world: World) -> Beam:
     if world.load == "beam":
         asymmetry, opposing = world.feature("stiffness_asymmetry"), world.feature("opposing")
         front, back = (p[f"composite.stress_per_deflection_{side}"] for side in ("front", "back"))
-        stiffness = np.array([front * (1.0 + asymmetry), back * (1.0 - asymmetry)])
-        load = np.zeros(2)
+        stiffness, load = (front * (1.0 + asymmetry), back * (1.0 - asymmetry)), (0.0, 0.0)
         unequal = world.feature("progressive_asymmetry"), world.feature("lever_asymmetry")
         lever, nearer, bow = forms.unequal_sides(p["composite.deflection_per_strain"], *unequal)
-        stiffness *= nearer
     else:
         section = p["wire.count"] * math.pi * p["wire.diameter"] ** 2 / 4.0
         spring, preload = p["load.stiffness"] / section, p["load.preload"] / section
-        held, lever, opposing = p["load.force"] / section, np.full(2, wire_length(p)), 0.0
-        if world.load == "antagonist":
-            stiffness, load, opposing = np.full(2, spring), np.full(2, preload), 1.0
-        elif world.load == "clamped":
-            stiffness, load = np.array([CLAMPS, IDLE]), np.zeros(2)
-        elif world.load == "spring":
-            stiffness, load = np.array([spring, IDLE]), np.array([preload + held, 0.0])
-        else:
-            stiffness, load = np.array([0.0, IDLE]), np.array([held, 0.0])
+        held, lever, nearer = p["load.force"] / section, np.full(2, wire_length(p)), 1.0
+        stiffness, load, opposing = {
+            "antagonist": ((spring, spring), (preload, preload), 1.0),
+            "clamped": ((CLAMPS, IDLE), (0.0, 0.0), 0.0),
+            "spring": ((spring, IDLE), (preload + held, 0.0), 0.0),
+            "force": ((0.0, IDLE), (held, 0.0), 0.0)}[world.load]
+    stiffness, load = np.array(stiffness) * nearer, np.array(load)
     relaxing = world.feature("relaxation_law"), world.feature("relaxation_time")
     return Beam(sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]),
                 lever, bow, opposing, *forms.prony(*relaxing), p["wire.austenite_modulus"],
@@ -121,13 +83,11 @@ def beam(world: World) -> Beam:
 def pull_at_rest(beam: Beam) -> Pull:
     """At rest, all martensite, bearing what the load is."""
     wires = len(beam.side)
-    rest = np.zeros((7, wires))
-    rest[2] = (beam.load / np.bincount(beam.side))[beam.side]
-    by_wire = (np.ones(wires), rest[0], rest[1], rest[2], rest[3], rest[4], rest[5], rest[6])
+    stress = (beam.load / np.bincount(beam.side))[beam.side]
     settled = np.full(wires, 0.0 if beam.features.residual_ratchet > 0.0 else 1.0)
-    held = np.zeros((2, len(beam.relaxation_time)))
-    return Pull(*by_wire, np.zeros(2), np.zeros(2), held, np.zeros(wires), settled)
-
+    return Pull(np.ones(wires), *np.zeros((2, wires)), stress, *np.zeros((4, wires)),
+                *np.zeros((2, 2)), np.zeros((2, len(beam.relaxation_time))), np.zeros(wires),
+                settled)
 
 @inlined
 def wire_stress(beam, pull, i, xi, temperature, contraction):

@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Other forms of the same effects: short equations, each with its source; settings choose them.
 
 With every setting off each function is today's single form, to the last bit. Sources are of the
@@ -9,6 +8,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from sma_bench.compiled import inlined
 
@@ -268,8 +268,6 @@ SLOWER = 8.0  # time constant of a slow share, of the fast one's
 def lagged(values: Array, period: float, lag: float, slow: float, exposure: float) -> Array:
     """(n, w) readings `period` s apart with a lag from rest: first order, a slow share beside it (a
     glued thermocouple: Moffat, Exp. Therm. Fluid Sci. 1, 1988), or a mean over an exposure."""
-    from scipy.signal import lfilter
-
     def first_order(time: float) -> Array:
         rho = np.exp(-period / time)
         return np.asarray(lfilter([1.0 - rho], [1.0, -rho], values, axis=0, zi=rho * values[:1])[0])
@@ -287,7 +285,6 @@ def offset(shape: Array, time: Array, settling: float, memory: float, power: Arr
     """(n,) of a deflection's slow offset, at most about 1: wandering `shape`, a warm-up 1 - exp(-t/
     tau), or a mount that follows the wires' heat (n,) W (thermal drift of triangulation sensors:
     makers' data sheets)."""
-    from scipy.signal import lfilter
     if settling > 0.0:
         return np.asarray(-np.expm1(-(time - time[0]) / settling))
     if memory > 0.0:

@@ -1,8 +1,7 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """Heat in the reality: what the drive puts in, the silicone between the wires, the air."""
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
 
@@ -16,19 +15,13 @@ from sma_bench.compiled import inlined
 # Free convection from a horizontal cylinder: S. W. Churchill and H. H. S. Chu, Int. J. Heat
 # Mass Transfer 18 (1975) 1049, eq. 12. Radiation to surroundings at the temperature of the air.
 
-GRAVITY = 9.81
-PRANDTL = 0.71
-EMISSIVITY = 0.9  # silicone
-STEFAN_BOLTZMANN = 5.670374e-8
-
+GRAVITY, STEFAN_BOLTZMANN = 9.81, 5.670374e-8
+PRANDTL, EMISSIVITY = 0.71, 0.9  # of air; of silicone
 REFERENCE_EXCESS = 25.0  # K above the air, at which the film is the baseline's
-EXCESS_STEP = 1.0  # K, of the table that the loop reads
-LARGEST_EXCESS = 400.0
+EXCESS_STEP, LARGEST_EXCESS = 1.0, 400.0  # K, of the table that the loop reads
 LEAST_FILM = 0.05
-
 WAVE_PERIOD = 180.0  # s
-GUST_GAP = 12.0  # s, mean of an exponential distribution
-GUST_LENGTH = (2.0, 8.0)  # s
+GUST_GAP, GUST_LENGTH = 12.0, (2.0, 8.0)  # s: mean of an exponential distribution; ends
 
 
 def free_convection(excess: Array, air: float, diameter: float) -> Array:
@@ -42,23 +35,15 @@ def free_convection(excess: Array, air: float, diameter: float) -> Array:
     return np.asarray(nusselt * conductivity / diameter)
 
 
-def radiation(excess: Array, air: float) -> Array:
-    """h [W/(m2 K)] that radiation amounts to; arguments as `free_convection`."""
-    surface = air + excess
-    return EMISSIVITY * STEFAN_BOLTZMANN * (surface**2 + air**2) * (surface + air)
-
-
 def relative_film(world: World) -> Array:
     """(m,) conductance of the film over the baseline's, by excess in steps of EXCESS_STEP."""
     air = world.parameters["environment.ambient_temperature"]
-    surface = "composite.thickness" if world.load == "beam" else "wire.diameter"
-    diameter = world.parameters[surface]
+    diameter = world.parameters["composite.thickness" if world.load == "beam" else "wire.diameter"]
     excess = np.maximum(np.arange(0.0, LARGEST_EXCESS, EXCESS_STEP), 1e-3)
-    both = free_convection(excess, air, diameter) + radiation(excess, air)
-    share = world.feature("convection_by_correlation")
-    relative = both / np.interp(REFERENCE_EXCESS, excess, both)
-    rays = radiation(excess, air)
-    rays = rays / np.interp(REFERENCE_EXCESS, excess, rays)
+    surface, share = air + excess, world.feature("convection_by_correlation")
+    rays = EMISSIVITY * STEFAN_BOLTZMANN * (surface**2 + air**2) * (surface + air)
+    both = free_convection(excess, air, diameter) + rays
+    relative, rays = (h / np.interp(REFERENCE_EXCESS, excess, h) for h in (both, rays))
     other = world.feature("convection_radiant"), world.feature("convection_onset")
     relative = forms.film(*other, relative, rays, excess, REFERENCE_EXCESS)
     return np.asarray(np.maximum(1.0 + share * (relative - 1.0), LEAST_FILM))
@@ -75,8 +60,7 @@ def ambient(world: World, time: Array) -> Array:
 
 def gusts(world: World, time: Array) -> Array:
     """(n,) factor on the film's conductance, 1 in still air: a seeded train of smooth gusts."""
-    factor = np.ones(len(time))
-    strength = world.feature("draught")
+    factor, strength = np.ones(len(time)), world.feature("draught")
     if strength == 0.0:
         return factor
     rng = np.random.default_rng(int(world.feature("draught_seed")))
@@ -125,13 +109,11 @@ def current(rig, voltage, temperature, martensite, driven, sag):
 # heat capacity is the baseline. Time integration: the L-stable, stiffly accurate, second order
 # SDIRK of R. Alexander, SIAM J. Numer. Anal. 14 (1977) 1006; a cell without capacity is an
 # algebraic equation to it. Each of its two stages is one tridiagonal solution.
+
 # Relative thickness of the cells, from a wire outwards and from wire to wire: finer at the wires.
-SKIN_CELLS = (0.1, 0.2, 0.3, 0.4)
-MIDDLE_CELLS = (0.15, 0.35, 0.35, 0.15)
+SKIN_CELLS, MIDDLE_CELLS = (0.1, 0.2, 0.3, 0.4), (0.15, 0.35, 0.35, 0.15)
 SKIN, MIDDLE = len(SKIN_CELLS), len(MIDDLE_CELLS)
-FRONT_WIRE = SKIN
-BACK_WIRE = SKIN + 1 + MIDDLE
-NODES = 2 * SKIN + MIDDLE + 2
+FRONT_WIRE, BACK_WIRE, NODES = SKIN, SKIN + 1 + MIDDLE, 2 * SKIN + MIDDLE + 2
 
 STAGE = 1.0 - math.sqrt(0.5)
 CARRIED = (1.0 - STAGE) / STAGE
@@ -139,17 +121,10 @@ CARRIED = (1.0 - STAGE) / STAGE
 # Rows of the scratch array.
 CAPACITY, UPPER, PIVOT, START, RIGHT = 0, 1, 2, 3, 4
 
-
-class Strip(NamedTuple):
-    """Constants of every strip's chain of nodes: capacity (NODES,) J/K, link (NODES - 1,) W/K to
-    the next node; W/K from the outermost cell's middle to its surface (rim) and from there to air,
-    and the factor on that by the surface's excess in steps of EXCESS_STEP."""
-
-    capacity: Array
-    link: Array
-    rim: float
-    film: float
-    relative_film: Array
+# Constants of every strip's chain of nodes: capacity (NODES,) J/K, link (NODES - 1,) W/K to the
+# next node; W/K from the outermost cell's middle to its surface (rim) and from there to air, and
+# the factor on that by the surface's excess in steps of EXCESS_STEP.
+Strip = namedtuple("Strip", "capacity link rim film relative_film")
 
 
 def strip_of(world: World) -> Strip:

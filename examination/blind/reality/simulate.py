@@ -1,4 +1,3 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """What happens in a world: voltages in, true values out; one step after the other.
 
 Electricity, heat, phase, equilibrium, tip. Within a step each block sees the others as they were,
@@ -8,95 +7,35 @@ no heat is lost.
 """
 
 import math
+from collections import namedtuple
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from examination.blind.reality import forms
-from examination.blind.reality.beam import ROWS, Beam, balance, beam, pull_at_rest
+from examination.blind.reality import forms, heat, transformation
+from examination.blind.reality.beam import ROWS, balance, beam, pull_at_rest
 from examination.blind.reality.forms import Array
-from examination.blind.reality.heat import (
-    BACK_WIRE,
-    FRONT_WIRE,
-    NODES,
-    Strip,
-    ambient,
-    current,
-    gusts,
-    strip_of,
-    surface_temperature,
-    warm,
-)
-from examination.blind.reality.transformation import (
-    SMALLEST_MOVE,
-    Classes,
-    grain_classes,
-    grains_at_rest,
-    ramp_table,
-    transform,
-    turn,
-)
-from examination.blind.reality.world import Numbers, World
+from examination.blind.reality.transformation import SMALLEST_MOVE
+from examination.blind.reality.world import World
 from sma_bench.compiled import borrowing, inlined, warn_if_plain
 
 PAID_BACK = 0.1  # of the owed latent heat, each step
 STEEPEST = 0.5  # 1/K, transformation per kelvin that an apparent capacity may stand for
-
 CURRENT, TEMPERATURE, SURFACE, MARTENSITE, STRESS = 0, 1, 2, 3, 4
 QUANTITIES = 5
 
-
-class Inputs(NamedTuple):
-    """What comes from outside: (n,) s, (n, w) V, (n,) K, (n,) factor, (n - 1,) steps between."""
-
-    time: Array
-    voltage: Array
-    ambient: Array
-    gust: Array
-    steps: NDArray[np.int64]
-
-
-class Wires(NamedTuple):
-    """State of the wires, each (w,): K before and after a step, martensite before it, s driven,
-    full loops so far, K drift of the transition, J of latent heat owed, the transformation per
-    kelvin in the last step [1/K], V by which the supply sags; K of what it warms beside (w, 3)."""
-
-    before: Array
-    after: Array
-    martensite: Array
-    driven: Array
-    loops: Array
-    shift: Array
-    owed: Array
-    apparent: Array
-    sag: Array
-    beside: Array
-
-
-class Scratch(NamedTuple):
-    """Room to reckon in: source (2, w) W and J/K; pair (2, 2); strip (5, NODES); beam (ROWS, w)."""
-
-    source: Array
-    pair: Array
-    strip: Array
-    beam: Array
-
-
-class Rig(NamedTuple):
-    """What a world is made of: ohm and J of latent heat of a wire, K at which another phase may
-    take in some of that; `pairs` (s, 2) are the wires in front and behind of each strip."""
-
-    features: Numbers
-    resistance: float
-    latent: float
-    aside: float
-    strip: Strip
-    pairs: NDArray[np.int64]
-    classes: Classes
-    ramps: Array
-    beam: Beam
+# What comes from outside: (n,) s, (n, w) V, (n,) K, (n,) factor, (n - 1,) steps between.
+Inputs = namedtuple("Inputs", "time voltage ambient gust steps")
+# State of the wires, each (w,): K before and after a step, martensite before it, s driven, full
+# loops so far, K drift of the transition, J of latent heat owed, the transformation per kelvin in
+# the last step [1/K], V by which the supply sags; K of what it warms on its way out (w, 3).
+Wires = namedtuple("Wires", "before after martensite driven loops shift owed apparent sag beside")
+# Room to reckon in: source (2, w) W and J/K; pair (2, 2); strip (5, NODES); beam (ROWS, w).
+Scratch = namedtuple("Scratch", "source pair strip beam")
+# What a world is made of: ohm and J of latent heat of a wire, K at which another phase may take in
+# some of that; `pairs` (s, 2) are the wires in front and behind of each strip.
+Rig = namedtuple("Rig", "features resistance latent aside strip pairs classes ramps beam")
 
 
 @borrowing
@@ -113,8 +52,8 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                 # Heat [W] into every wire: Joule's, and the latent heat that is still owed.
                 for i in range(len(wires.after)):
                     voltage, xi = inputs.voltage[k - 1, i], pull.martensite[i]
-                    amperes, joule = current(rig, voltage, wires.after[i], xi, wires.driven[i],
-                                             wires.sag[i])
+                    amperes, joule = heat.current(rig, voltage, wires.after[i], xi,
+                                                  wires.driven[i], wires.sag[i])
                     wires.sag[i] = forms.sagged(rig.features, wires.sag[i], amperes, step)
                     if voltage != 0.0:
                         wires.driven[i] += step
@@ -127,7 +66,7 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
                     worth = forms.latent_worth(rig.features, xi)
                     aside = forms.latent_aside(rig.features, wires.after[i], rig.aside)
                     scratch.source[1, i] = rig.latent * (worth * wires.apparent[i] + aside)
-                heat(rig, inputs, k - 1, share, field, wires, step, scratch)
+                warm(rig, inputs, k - 1, share, field, wires, step, scratch)
                 phase(rig, grains, pull, wires, step)
                 balance(rig.beam, pull, wires.after, step, scratch.beam)
                 aftermath(rig, grains, pull, wires)
@@ -143,21 +82,20 @@ def run(rig, inputs, field, grains, pull, wires, scratch, values, tip, sides):
 @inlined
 def report(rig, inputs, k, field, wires, pull, values):
     for i in range(len(wires.after)):
-        values[k, CURRENT, i] = current(rig, inputs.voltage[k, i], wires.after[i],
-                                        pull.martensite[i], wires.driven[i], wires.sag[i])[0]
+        values[k, CURRENT, i] = heat.current(rig, inputs.voltage[k, i], wires.after[i],
+                                             pull.martensite[i], wires.driven[i], wires.sag[i])[0]
         values[k, TEMPERATURE, i] = wires.after[i]
         values[k, MARTENSITE, i] = pull.martensite[i]
         values[k, STRESS, i] = pull.stress[i]
     for strip in range(len(rig.pairs)):
         for end in range(2):
-            cell = field[strip, 0 if end == 0 else NODES - 1]
-            values[k, SURFACE, rig.pairs[strip, end]] = surface_temperature(
-                rig.strip, cell, inputs.ambient[k], inputs.gust[k]
-            )[0]
+            cell = field[strip, 0 if end == 0 else heat.NODES - 1]
+            values[k, SURFACE, rig.pairs[strip, end]] = heat.surface_temperature(
+                rig.strip, cell, inputs.ambient[k], inputs.gust[k])[0]
 
 
 @inlined
-def heat(rig, inputs, k, share, field, wires, step, scratch):
+def warm(rig, inputs, k, share, field, wires, step, scratch):
     """Advance every strip, in the air at this share of the way from sample k to the next."""
     air = inputs.ambient[k] * (1.0 - share) + inputs.ambient[k + 1] * share
     gust = inputs.gust[k] * (1.0 - share) + inputs.gust[k + 1] * share
@@ -169,9 +107,9 @@ def heat(rig, inputs, k, share, field, wires, step, scratch):
         # Warm air that rises past the wire behind.
         plume = rig.features.side_conductance * rig.features.coupling_plume
         scratch.pair[0, 1] += plume * (wires.after[rig.pairs[strip, 0]] - air)
-        warm(rig.strip, field, strip, scratch.pair, air, gust, step, scratch.strip)
-        wires.after[rig.pairs[strip, 0]] = field[strip, FRONT_WIRE]
-        wires.after[rig.pairs[strip, 1]] = field[strip, BACK_WIRE]
+        heat.warm(rig.strip, field, strip, scratch.pair, air, gust, step, scratch.strip)
+        wires.after[rig.pairs[strip, 0]] = field[strip, heat.FRONT_WIRE]
+        wires.after[rig.pairs[strip, 1]] = field[strip, heat.BACK_WIRE]
 
 
 @inlined
@@ -183,10 +121,11 @@ def phase(rig, grains, pull, wires, step):
         if moved > 0.0:  # where only the way to martensite drifts
             shift *= 1.0 - rig.features.drift_of_martensite
         if abs(moved) > SMALLEST_MOVE and (moved > 0.0) != grains.rising[i]:
-            turn(rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift, pull.stress[i])
+            transformation.turn(rig.classes, rig.ramps, memory, grains, i, wires.before[i] - shift,
+                                pull.stress[i])
         pull.predicted[i] = pull.stress[i] + pull.stress_change[i]
-        xi, slope = transform(rig.classes, rig.ramps, memory, bow, grains, i,
-                              wires.after[i] - shift, pull.predicted[i])
+        xi, slope = transformation.transform(rig.classes, rig.ramps, memory, bow, grains, i,
+                                             wires.after[i] - shift, pull.predicted[i])
         if rig.features.transformation_lag > 0.0:
             share = -math.expm1(-step / rig.features.transformation_lag)
             xi = wires.martensite[i] + share * (xi - wires.martensite[i])
@@ -222,8 +161,7 @@ def aftermath(rig, grains, pull, wires):
 
 
 # --- Let things happen in a world: voltages in, true values out.
-LONGEST_STEP = 5e-3  # s
-ROUNDING = 1e-9
+LONGEST_STEP, ROUNDING = 5e-3, 1e-9  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,26 +196,25 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     assert voltage.shape == (len(time), driven) and np.isfinite(voltage).all() and (gap > 0.0).all()
     steps = np.ceil(gap * (fine / LONGEST_STEP) - ROUNDING).astype(np.int64)
     volts = np.hstack([voltage, np.zeros((len(time), wires - driven))])
-    inputs = Inputs(time, volts, ambient(world, time), gusts(world, time), np.maximum(steps, 1))
-
-    front, back = ([i for i, s in enumerate(world.sides) if s == side]
-                   for side in ("front", "back"))  # fmt: skip
+    inputs = Inputs(time, volts, heat.ambient(world, time), heat.gusts(world, time),
+                    np.maximum(steps, 1))
+    pairs = [[i for i, s in enumerate(world.sides) if s == side] for side in ("front", "back")]
     p, law = world.parameters, (world.feature("kinetics_smoothness"), world.feature("kinetics_law"))
     rig = Rig(world.numbers, p["wire.resistance"], p["wire.mass"] * world.feature("latent_heat"),
-              p["wire.austenite_start_temperature"] - forms.ASIDE_BELOW, strip_of(world),
-              np.array([front, back], dtype=np.int64).T.copy(), grain_classes(world),
-              ramp_table(*law), beam(world))
+              p["wire.austenite_start_temperature"] - forms.ASIDE_BELOW, heat.strip_of(world),
+              np.array(pairs, dtype=np.int64).T.copy(), transformation.grain_classes(world),
+              transformation.ramp_table(*law), beam(world))
     # Cold, all martensite, never driven.
     still = float(p["environment.ambient_temperature"])
     before, after = np.full((2, wires), still)
-    zeros = (np.zeros(wires) for _ in range(6))
-    at_rest = Wires(before, after, np.ones(wires), *zeros, np.full((wires, 3), still))
-    scratch = Scratch(np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, NODES)),
+    at_rest = Wires(before, after, np.ones(wires), *np.zeros((6, wires)),
+                    np.full((wires, 3), still))
+    scratch = Scratch(np.zeros((2, wires)), np.zeros((2, 2)), np.zeros((5, heat.NODES)),
                       np.zeros((ROWS, wires)))
-    field = np.full((len(rig.pairs), NODES), still)
+    field = np.full((len(rig.pairs), heat.NODES), still)
     values = np.zeros((len(time), QUANTITIES, wires))
     tip, sides = np.zeros(len(time)), np.zeros((len(time), 2))
-    grains = grains_at_rest(wires, len(rig.classes.weight))
+    grains = transformation.grains_at_rest(wires, len(rig.classes.weight))
     run(rig, inputs, field, grains, pull_at_rest(rig.beam), at_rest, scratch, values, tip, sides)
     values = values[:, :, :driven]
     return Outcome(time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE],

@@ -1,11 +1,9 @@
-# mypy: disallow-untyped-defs=False, disallow-incomplete-defs=False
 """How a wire transforms in the reality: grains with temperatures of their own, and loops."""
 
 import math
-from typing import NamedTuple
+from collections import namedtuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from examination.blind.reality import forms
 from examination.blind.reality.forms import Array
@@ -13,39 +11,22 @@ from examination.blind.reality.world import World
 from sma_bench.compiled import inlined
 
 # --- What a wire's grains are: classes with transition temperatures of their own, their ramps.
-
 GRAIN_CLASSES = 7
-
 # A ramp's table reaches so many of its widths beyond either end; the nodes hit 0 and 1.
-BEYOND = 1.0
-PER_WIDTH = 512
-
+BEYOND, PER_WIDTH = 1.0, 512
 # Standard deviation of the cosine ramp, taken as a distribution over its width: 1/4 - 2/pi^2.
 COSINE_DEVIATION = math.sqrt(0.25 - 2.0 / math.pi**2)
-
 # The R-phase: narrow, little hysteresis, little strain per stress (so large C), between the
 # martensite's start and the austenite's (S. Miyazaki and K. Otsuka, Metall. Trans. A 17, 1986).
-R_WIDTH = 8.0  # K
-R_HYSTERESIS = 3.0  # K
+R_WIDTH, R_HYSTERESIS = 8.0, 3.0  # K
 R_STRESS = 0.4  # of the martensite's shift with stress
 
-
-class Classes(NamedTuple):
-    """Grain classes of every wire, each an array (c,): share of the transformation strain, K at the
-    ends of the ranges, one over their widths [1/K], shifts with stress [K/Pa], and those with bent
-    stress; its knee and square [Pa]."""
-
-    weight: Array
-    austenite_finish: Array
-    austenite_rate: Array
-    austenite_shift: Array
-    martensite_finish: Array
-    martensite_rate: Array
-    martensite_shift: Array
-    austenite_bend: Array
-    martensite_bend: Array
-    knee: float
-    square: float
+# Grain classes of every wire, each an array (c,): share of the transformation strain, K at the ends
+# of the ranges, one over their widths [1/K], shifts with stress [K/Pa], and those with bent stress;
+# its knee and square [Pa].
+Classes = namedtuple("Classes", "weight austenite_finish austenite_rate austenite_shift "
+                     "martensite_finish martensite_rate martensite_shift austenite_bend "
+                     "martensite_bend knee square")
 
 
 def grain_classes(world: World) -> Classes:
@@ -61,30 +42,25 @@ def grain_classes(world: World) -> Classes:
     shifts = (1.0 / plain if is_bent else factors / plain).tolist()
     bends = ((factors - 1.0) / plain if is_bent else np.zeros(2)).tolist()
     spread, r_share = world.feature("grain_spread"), world.feature("r_phase")
-    offsets, weights = _normal(spread)
+    # Gauss-Hermite nodes and weights of a normal distribution; one node if it has no width.
+    offsets, weights = np.zeros(1), np.ones(1)
+    if spread != 0.0:
+        nodes, weights = np.polynomial.hermite_e.hermegauss(GRAIN_CLASSES)
+        offsets, weights = spread * nodes, weights / np.sum(weights)
     rates = 1.0 / (finishes[0] - starts[0]), 1.0 / (starts[1] - finishes[1])
     relays = world.feature("relays")
     rows = [((1.0 - relays) * (1.0 - r_share) * weight, finishes[0] + offset, rates[0], shifts[0],
-             finishes[1] + offset, rates[1],
-             shifts[1]) for offset, weight in zip(offsets, weights, strict=True)]
+             finishes[1] + offset, rates[1], shifts[1])
+            for offset, weight in zip(offsets, weights, strict=True)]
     if r_share > 0.0:
         middle = 0.5 * (starts[0] + starts[1])
         hot, cold = middle + 0.5 * (R_WIDTH + R_HYSTERESIS), middle - 0.5 * R_HYSTERESIS
         rows.append((r_share, hot, 1.0 / R_WIDTH, R_STRESS * shifts[0],
-                     cold - 0.5 * R_WIDTH, 1.0 / R_WIDTH, R_STRESS * shifts[1]))  # fmt: skip
+                     cold - 0.5 * R_WIDTH, 1.0 / R_WIDTH, R_STRESS * shifts[1]))
     if relays > 0.0:
         rows += forms.relay_rows(starts, finishes, shifts, (1.0 - r_share) * relays)
     columns = [np.ascontiguousarray(column) for column in np.array(rows).T]
-    columns += [np.full(len(rows), bend) for bend in bends]
-    return Classes(*columns, knee, square)
-
-
-def _normal(deviation: float) -> tuple[Array, Array]:
-    """Gauss-Hermite nodes and weights of a normal distribution; one node if it has no width."""
-    if deviation == 0.0:
-        return np.zeros(1), np.ones(1)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(GRAIN_CLASSES)
-    return deviation * nodes, weights / np.sum(weights)
+    return Classes(*columns, *(np.full(len(rows), bend) for bend in bends), knee, square)
 
 
 def ramp_table(smoothness: float, law: float = 0.0) -> Array:
@@ -137,19 +113,10 @@ NOTHING = 1e-14
 # What a class remembers of its last reversal, columns of `line`: the line, the other ramp, its own.
 SLOPE, AIM_PHASE, AIM_RAMP, TRACED, OTHER_RAMP, OTHER_PLACE, TURNED = 0, 1, 2, 3, 4, 5, 6
 LINE = 7
-
-
-class Grains(NamedTuple):
-    """State of the classes (c) of every wire (w): whether its temperature rose last (w,);
-    martensite (w, c) and its slope along stress [1/Pa] in the present step; the present branch
-    (w, c, LINE); how many reversals are remembered, and their (w, c, LOOPS, 3) martensite, f, g."""
-
-    rising: NDArray[np.bool_]
-    martensite: Array
-    martensite_slope: Array
-    line: Array
-    reversals: NDArray[np.int64]
-    reversal: Array
+# State of the classes (c) of every wire (w): whether its temperature rose last (w,); martensite
+# (w, c) and its slope along stress [1/Pa] in the present step; the present branch (w, c, LINE); how
+# many reversals are remembered, and their (w, c, LOOPS, 3) martensite, f, g.
+Grains = namedtuple("Grains", "rising martensite martensite_slope line reversals reversal")
 
 
 def grains_at_rest(wires: int, classes: int) -> Grains:

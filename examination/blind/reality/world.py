@@ -31,13 +31,9 @@ class Feature:
     setting: bool = False
 
 
-def _read() -> tuple[Feature, ...]:
-    by_stage = yaml.safe_load(Path(__file__).with_name("features.yaml").read_text())
-    return tuple(Feature(name=name, stage=stage, **numbers) for stage,
-                 features in by_stage.items() for name, numbers in features.items())  # fmt: skip
-
-
-FEATURES = _read()
+_BY_STAGE = yaml.safe_load(Path(__file__).with_name("features.yaml").read_text())
+FEATURES = tuple(Feature(name=name, stage=stage, **numbers)
+                 for stage, features in _BY_STAGE.items() for name, numbers in features.items())
 BY_NAME: dict[str, Feature] = {feature.name: feature for feature in FEATURES}
 # Every feature's number, as compiled functions take them.
 Numbers = namedtuple("Numbers", [feature.name for feature in FEATURES])
@@ -60,8 +56,7 @@ class World:
             if not (math.isfinite(value) and feature.low <= value <= feature.high):
                 raise InputError(f"world: {name} is {value!r}, expected {feature.low:g} to "
                                  f"{feature.high:g} {feature.unit}")  # fmt: skip
-        checked = {name: float(value) for name, value in self.features.items()}
-        object.__setattr__(self, "features", checked)
+        object.__setattr__(self, "features", {n: float(v) for n, v in self.features.items()})
         if self.load == "displacement":
             raise InputError("world: load.kind is displacement, expected what the wires pull")
 

@@ -10,7 +10,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,6 @@ import sma_bench
 ROOT = Path(__file__).resolve().parents[3]
 CONFIG = ROOT / "config"
 DATA = ROOT.parent / "shared" / "data"
-FOREIGN = DATA / "foreign"
 sys.path.insert(0, str(ROOT / "examples"))
 
 _MADE = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
@@ -98,13 +97,13 @@ def relative(value: float | None, share: float, reason: str) -> Number:
     return within(value, share * abs(value or 0.0), reason)
 
 
-def estimate(value: float | None, std: float | None) -> Iterator[tuple[str, Number]]:
-    """A value and its stated standard error, by the endings of their names."""
+def estimate(name: str, found: Mapping[str, Any]) -> Numbers:
+    """A value and its stated standard error."""
+    value, std = found["value"], found["std"]
+    own = relative(value, 1e-3, "no error stated")
     if std and math.isfinite(std):
-        yield "", within(value, 0.1 * std, "standard error")
-    else:
-        yield "", relative(value, 1e-3, "no error stated")
-    yield ", std", relative(std, 0.1, "curvature")
+        own = within(value, 0.1 * std, "standard error")
+    return {name: own, f"{name}, std": relative(std, 0.1, "curvature")}
 
 
 def is_number(value: Any) -> bool:
@@ -158,7 +157,7 @@ def measured(pattern: str, experiment: str = "") -> Numbers:
 
 def foreign_spring() -> Numbers:
     """A wire against a spring made elsewhere: identified from two runs, tried on a third."""
-    bench, rig = FOREIGN / "spring", str(FOREIGN / "spring" / "rig.yaml")
+    bench, rig = DATA / "foreign" / "spring", str(DATA / "foreign" / "spring" / "rig.yaml")
     with tempfile.TemporaryDirectory() as made:
         for name in ("run_a.csv", "run_b_european.txt", "run_c.mat"):
             out = f"{made}/{name[:5]}"
@@ -171,39 +170,30 @@ def identified(records: Sequence[Any], parameters: Any = None,
     """Of `identify`: which experiments, their estimates, the details behind them, and how far a
     record is missed that the fit has not seen."""
     found = sma_bench.identify(list(records), parameters, experiments)
-    result = found.to_json()
+    result, numbers = found.to_json(), {}
     tables = {"": result["parameters"]}
     tables |= {f"{one['name']}: ": one.get("details", {}) for one in result["experiments"]}
-    names = " ".join(sorted(one["name"] for one in result["experiments"]))
-    return {
-        "experiments": exact(names),
-        **{
-            f"{table}{name}{ending}": number
-            for table, estimates in tables.items()
-            for name, value in estimates.items()
-            for ending, number in estimate(value["value"], value["std"])
-        },
-        **(unseen_errors(sma_bench.load(unseen), found.parameters) if unseen else {}),
-    }
+    numbers["experiments"] = exact(" ".join(sorted(one["name"] for one in result["experiments"])))
+    for table, estimates in tables.items():
+        for name, value in estimates.items():
+            numbers |= estimate(f"{table}{name}", value)
+    return numbers | (unseen_errors(sma_bench.load(unseen), found.parameters) if unseen else {})
 
 
 def unseen_errors(record: Any, parameters: Any) -> Numbers:
     """Root mean square of simulated less measured, as a share of what each signal spans."""
     run = sma_bench.load(sma_bench.simulate(record, parameters))
-    wanted = ("current", "temperature", "deflection", "elongation")
-    numbers = {}
-    for name in sorted(record.signals):
-        if name.rpartition(".")[2] not in wanted or name not in run.signals:
-            continue
+    wanted, numbers = ("current", "temperature", "deflection", "elongation"), {}
+    for name in sorted(record.signals.keys() & run.signals.keys()):
         told, made = record[name], run[name]
-        if not np.ptp(told.values):
-            continue  # it never moved
+        if name.rpartition(".")[2] not in wanted or not np.ptp(told.values):  # it never moved
+            continue
         gap = np.interp(told.time, made.time, made.values) - told.values
         if name in ("deflection", "elongation"):
             gap -= np.median(gap)  # its zero is anywhere
         error = 100.0 * float(np.sqrt(np.mean(gap**2)) / np.ptp(told.values))
-        key = f"unseen run, {name}: error in % of its span"
-        numbers[key] = within(error, max(0.05 * error, 0.01), "unseen", "+")
+        key, tolerance = f"unseen run, {name}: error in % of its span", max(0.05 * error, 0.01)
+        numbers[key] = within(error, tolerance, "unseen", "+")
     return numbers
 
 
@@ -251,12 +241,9 @@ def diagnosed_demo(hidden: Mapping[str, float]) -> Numbers:
     stated = lab.given_uncertainty
     errors = zip(np.resize(LAB_ERRORS, len(stated)), stated.items(), strict=True)
     truth = lab.replace({name: float(lab[name] + error * std) for error, (name, std) in errors})
-    seen, unseen = (
-        sma_bench.measure(
-            sma_bench.simulate(f"composite_diagnosis_{name}", truth, effects=hidden), seed
-        )
-        for seed, name in enumerate(("triangles", "steps"), 1)
-    )
+    runs = (sma_bench.simulate(f"composite_diagnosis_{name}", truth, effects=hidden)
+            for name in ("triangles", "steps"))
+    seen, unseen = (sma_bench.measure(run, seed) for seed, run in enumerate(runs, 1))
     return diagnosed(seen, lab, unseen)
 
 
@@ -279,15 +266,12 @@ def diagnosed(record: Any, parameters: Any, hold_out: Any) -> Numbers:
         if candidate["probability"] >= 0.01:
             name = f"probability of {candidate['name']}"
             numbers[name] = within(candidate["probability"], 0.02, "evidence")
-    gap = candidates[0]["gap_over_noise"]
-    numbers["gap over noise"] = relative(gap, 0.02, "optimum")
+    numbers["gap over noise"] = relative(candidates[0]["gap_over_noise"], 0.02, "optimum")
     for name, found in result["shrinkage"].items():
         low, high = found["ci90"]
         width = 0.0 if None in (low, high) else high - low
-        gone = within(found["fraction"], max(0.1 * width, 5e-3), "interval")
-        numbers[f"{name}, gap gone"] = gone
-        after = found["rmse_after"]
-        numbers[f"{name}, RMSE after"] = relative(after, 0.02, "optimum")
+        numbers[f"{name}, gap gone"] = within(found["fraction"], max(0.1 * width, 5e-3), "interval")
+        numbers[f"{name}, RMSE after"] = relative(found["rmse_after"], 0.02, "optimum")
     return numbers
 
 
@@ -304,12 +288,8 @@ def paper() -> Numbers:
             name = f"{table}, {row['description']} ({row['quantity']})"
             numbers[f"{name}, printed"] = exact(row["paper"])
             found = row["identified"] or {"value": None, "std": None}
-            for ending, number in estimate(found["value"], found["std"]):
-                numbers[f"{name}, identified{ending}"] = number
+            numbers |= estimate(f"{name}, identified", found)
     return numbers
-
-
-IN_SHARES = ("90 % set, mean size", "probability given to the truth")
 
 
 def blind_measures(cases: str, jobs: str) -> Numbers:
@@ -327,8 +307,10 @@ def blind_measures(cases: str, jobs: str) -> Numbers:
     for side, names in _MADE["measures"].items():
         for name in names:
             value, n = found[name]["value"], found[name]["n"]
-            case, share = (0.5 / max(n, 1), "case"), (0.02 * (value or 0.0), "not worse")
-            numbers[name] = within(value, *(share if name in IN_SHARES else case), side)
+            tolerance = (0.5 / max(n, 1), "case")
+            if name in ("90 % set, mean size", "probability given to the truth"):
+                tolerance = (0.02 * (value or 0.0), "not worse")
+            numbers[name] = within(value, *tolerance, side)
     return numbers
 
 
@@ -389,6 +371,5 @@ def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
             return tuple(map(filled, value))
         return value.format(data=DATA, cases=cases, jobs=jobs) if isinstance(value, str) else value
 
-    return [Task(section, name, row["make"], filled(row.get("of", [])), row.get("named", {}),
-                 row.get("needs", ""),
-                 row.get("cases", 0)) for name, row in _MADE["tasks"][section].items()]
+    return [Task(section, name, **{key: filled(value) for key, value in row.items()})
+            for name, row in _MADE["tasks"][section].items()]
