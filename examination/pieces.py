@@ -5,8 +5,8 @@ import json
 import math
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import nullcontext
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
@@ -117,6 +117,20 @@ def in_blocks(run: Callable[..., list], options: argparse.Namespace, n: int, *mo
     step = min(20, max(n // 2, 1))
     jobs = [(options.seed, k, min(k + step, n), *more) for k in range(0, n, step)]
     return [one for found in in_pieces(run, jobs, options) for one in found]
+
+
+@contextmanager
+def ros_node(name: str, namespace: str, **context: Any) -> Iterator[Any]:
+    """A node of rclpy, for the time of a `with`; in a `context` of its own where one is given."""
+    import rclpy
+
+    rclpy.init(args=[], **context)
+    node = rclpy.create_node(name, namespace=namespace, **context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown(**context)
 
 
 def applies(rule: dict[str, Any], held: dict[str, Any]) -> bool:

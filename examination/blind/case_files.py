@@ -36,8 +36,7 @@ STAGE_OF = {name: stage for stage, names in _EFFECTS_OF.items() for name in name
 
 # --- What a diagnosis says. Any program may be examined: its JSON is checked before it counts.
 PAIR_SIGN = "+"
-# Probabilities are printed with four decimals and may be twenty.
-SUM_TOLERANCE = 2e-3
+SUM_TOLERANCE = 2e-3  # probabilities are printed with four decimals and may be twenty
 
 
 @dataclass(frozen=True)
@@ -113,8 +112,8 @@ def checked_answer(document: Any, where: str = "answer") -> Answer:
     try:
         json.dumps(document, allow_nan=False)
         answer = msgspec.convert(document, Answer)
-        candidates = tuple(sorted(answer.candidates, key=lambda c: -c.probability))
-        answer = replace(answer, candidates=candidates)
+        ranked = sorted(answer.candidates, key=lambda c: -c.probability)
+        answer = replace(answer, candidates=tuple(ranked))
         for broken, holds in _clauses(answer):
             if not holds:
                 raise ValueError(broken)
@@ -134,9 +133,8 @@ def _clauses(answer: Answer) -> Iterator[tuple[str, bool]]:
     yield f"candidates {names}: one is listed twice", len(set(names)) == len(names)
     yield f"candidates {names}: not all of {NO_EFFECT}", set(NO_EFFECT) <= set(names)
     yield f"probabilities sum to {total:.4f}, expected 1", abs(total - 1.0) <= SUM_TOLERANCE
-    yield f"verdict {answer.verdict} with the cause {cause}", bool(cause) == (
-        answer.verdict == "effect"
-    )  # fmt: skip
+    is_effect = answer.verdict == "effect"
+    yield f"verdict {answer.verdict} with the cause {cause}", bool(cause) == is_effect
     yield f"cause {cause}, not among the candidates", set(cause) <= effects
     yield "where is empty", answer.verdict == NO_GAP if place is None else bool(place.signal)
     for c in answer.candidates:

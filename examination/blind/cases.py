@@ -11,10 +11,11 @@ import yaml
 
 from examination.blind import rigs
 from examination.blind.case_files import RECALIBRATION
-from examination.blind.reality import BY_NAME, Outcome
+from examination.blind.reality import BY_NAME
 from examination.blind.rigs import RECORDS, Stage
-from examination.blind.sensors import NOISE_MODELS, Noise, Sensors
+from examination.blind.sensors import NOISE_MODELS, Noise, Sensors, measure
 from sma_bench.parameters import Parameters
+from sma_bench.records import Signal
 
 # --- Every effect as features of the reality: symptoms.yaml.
 MOVING = ("beam", "force", "spring", "antagonist")
@@ -87,12 +88,9 @@ EFFECTS, OUTSIDE = _TABLE["effects"], _TABLE["outside"]
 OF_ALL_RIGS = ("temperature_dependent_convection", "deflection_drift", "temperature_lag")
 _ALWAYS: dict[str, dict[str, dict[str, float]]] = _DEALT["always"]
 
-# The largest amount that a target may ask for, over the largest natural one.
-STRETCH = 1.5
-_SMALLEST = 1e-4  # of the largest
-_TRIALS = 6
-_CLOSE = 0.12  # of the target
-_STALLED = 1e-3
+# The largest amount that a target may ask for, over the largest natural one; the smallest, of it.
+STRETCH, _SMALLEST = 1.5, 1e-4
+_TRIALS, _CLOSE, _STALLED = 6, 0.12, 1e-3  # close: of the target
 
 
 @dataclass(frozen=True)
@@ -255,19 +253,16 @@ def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator, load: str)
 
 # --- A case: what is dealt to it, and everything about it that is drawn without knowing that.
 SPLITS = {range(1000, 2000): "development", range(2000, 3000): "frozen-test",
-          range(3000, 4000): "development"}  # fmt: skip
+          range(3000, 4000): "development"}
 OPEN = "open"
-# Seeds whose effects, and what every rig has, come in forms drawn for every case.
-IN_FORMS = range(2700, 4000)
-# Seeds whose sets of all loads hold clamped wires, and whose forms suit the load.
-WITH_CLAMPED = range(2800, 4000)
-# Seeds whose labels say where the inner loops of spread grains show.
-WITH_LOOPS = range(2900, 4000)
-# Seeds whose labels take no zero for evidence, no bench for a straight line, and every form of a
-# rival for a rival.
-WITH_REFITS = range(2950, 4000)
-# Seeds whose benches are not quite the same in the second record.
-WITH_STATES = range(2960, 4000)
+# Seeds whose effects, and what every rig has, come in forms drawn for every case; whose sets of all
+# loads hold clamped wires, and whose forms suit the load; whose labels say where the inner loops of
+# spread grains show; whose labels take no zero for evidence, no bench for a straight line, and
+# every form of a rival for a rival; whose benches are not quite the same in the second record.
+IN_FORMS, WITH_CLAMPED, WITH_LOOPS, WITH_REFITS, WITH_STATES = (
+    range(first, 4000) for first in (2700, 2800, 2900, 2950, 2960))
+# Of the kinds from seed 2700 on: the benches that are asked about.
+FROZEN_SHARES: dict[str, float] = _DEALT["shares_of_forms"]
 
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.
@@ -275,8 +270,7 @@ _STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag",
             "states")  # fmt: skip
 DECK = 2**31 - 1
 
-# Gap over noise that all nuisances together stay below.
-NUISANCE_LIMIT = 0.3
+NUISANCE_LIMIT = 0.3  # gap over noise that all nuisances together stay below
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -304,19 +298,17 @@ class Case(Stage):
     fixed: Mapping[str, float] = field(default_factory=dict)
     second_run: Mapping[str, float] = field(default_factory=dict)
 
-    def recorded(self, features: Mapping[str, float], record: str) -> Outcome:
-        """As `play`, the bench in the state of that record's run."""
-        if record == RECORDS[0] or not self.second_run:
-            return self.play(features, record)
-        return self.play(features, record, parameters=self.truth.replace(dict(self.second_run)))
+    def signals(self, features: Mapping[str, float], record: str) -> list[Signal]:
+        """What the instruments record, the bench in the state of that record's run."""
+        is_other = self.second_run and record != RECORDS[0]
+        now = self.truth.replace(dict(self.second_run)) if is_other else None
+        outcome = self.play(features, record, parameters=now)
+        return measure(outcome, rigs.world_of(self.truth, features), self.sensors,
+                       self.stream(record), QUANTITIES[self.card.signals])
 
     def stream(self, purpose: str) -> np.random.Generator:
         return _stream(self.seed, self.index, purpose)
 
-
-def frozen_shares() -> dict[str, float]:
-    """Of the kinds from seed 2700 on: the benches that are asked about."""
-    return dict(_DEALT["shares_of_forms"])
 
 
 def split_of(seed: int) -> str:
@@ -374,10 +366,8 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
         std = middle * float(np.exp(rng.uniform(*np.log(_DEALT["noise_factor"]))))
         noise_model = "white" if quantity == "voltage" else card.noise
         noise[quantity] = Noise.of_model(noise_model, std, rng)
-    sensors = Sensors(
-        noise, **{n: float(rng.uniform(*_DEALT[n])) for n in ("jitter", "dropout", "camera_clock")},
-        seed=int(rng.integers(2**31)),
-    )  # fmt: skip
+    clock = {n: float(rng.uniform(*_DEALT[n])) for n in ("jitter", "dropout", "camera_clock")}
+    sensors = Sensors(noise, **clock, seed=int(rng.integers(2**31)))
     random = stream("drives")
     families = random.choice(rigs.FAMILIES, size=2, replace=False).tolist()
     drives = {r: rigs.draw_drive(f, truth, random) for r, f in zip(RECORDS, families, strict=True)}

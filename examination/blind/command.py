@@ -43,12 +43,8 @@ def blind() -> None:
 
 
 @blind.command("make", help="Bags with effects that only a sealed file names.")
-@click.option(
-    "--seed",
-    type=int,
-    required=True,
-    help="1000 to 1999, 3000 to 3999: development, 2000 to 2999: frozen test, others: open",
-)
+@click.option("--seed", type=int, required=True, help="1000 to 1999, 3000 to 3999: development, "
+              "2000 to 2999: frozen test, others: open")
 @click.option("--n", default=200, show_default=True, help="cases")
 @click.option("--out", required=True, metavar="DIR", help="new folder")
 @click.option("--load", type=click.Choice(LOADS), default="beam", help="what the wires pull")

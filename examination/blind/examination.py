@@ -26,15 +26,13 @@ from examination.blind.rigs import BACK, COMMAND_PERIOD, FRONT, Stage, world_of
 from examination.blind.sensors import measure
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
-from sma_bench.protocols import Protocol, parse_protocol
+from sma_bench.protocols import parse_protocol
 from sma_bench.records.bag_writer import write_record
 
 PACKAGE_ROOT = Path(__file__).resolve().parents[2]
 RECORD, HOLD_OUT, NOMINAL, EXPERIMENT = "record", "hold_out", "nominal.yaml", "experiment"
 _RESULT, _IMPROVED = "result.json", "improved.yaml"
 _ONE_THREAD = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
-_NEEDS_IMPROVED = ("effect", "recalibration")
-_LONGEST_LINE = 300
 _LOOK_EVERY = 0.02  # s
 
 
@@ -73,7 +71,7 @@ class Examinee:
                 if (desk / _IMPROVED).is_file():
                     read_parameters(desk / _IMPROVED)
                     improved = (desk / _IMPROVED).read_text(encoding="utf-8")
-                elif answer.verdict in _NEEDS_IMPROVED:
+                elif answer.verdict in ("effect", "recalibration"):
                     raise InputError(f"verdict {answer.verdict} without improved parameters")
                 result = document
             except InputError as error:
@@ -109,8 +107,8 @@ class Examinee:
             errors.seek(0)
             said = [text.strip() for text in errors if text.strip()]
         if process.returncode:
-            said = said or ["nothing said"]
-            raise InputError(f"exit code {process.returncode}: {said[-1]}"[:_LONGEST_LINE])
+            last = said[-1] if said else "nothing said"
+            raise InputError(f"exit code {process.returncode}: {last}"[:300])
 
 
 # --- Every case of a set put to one program; what is answered stays answered.
@@ -151,15 +149,8 @@ def ask_all(examinee: Examinee, ask: Mapping[str, Callable[[], str]], jobs: int)
 # of the paper is not played: its instrument reads what the hidden wire has, off by a draw of the
 # standard deviation that the answer has stated for it.
 LONGEST = 1000.0
-_START_NS = 1_750_000_000 * 10**9
-_HOUR_NS = 3600 * 10**9
-# Apart from the streams that the cases are made of.
-_STREAM = 1_000_003
-
-
-def asks_for_more(kept: files.Kept) -> bool:
-    asked = kept.answer.next_experiment if kept.answer else None
-    return asked is not None and bool(asked.protocol or asked.parameters)
+_START_NS, _HOUR_NS = 1_750_000_000 * 10**9, 3600 * 10**9
+_STREAM = 1_000_003  # apart from the streams that the cases are made of
 
 
 def follow_up(cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], examinee: Examinee,
@@ -170,10 +161,11 @@ def follow_up(cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], exa
         ask = {}
         for case in cases.names:
             history, place = files.answers_of(answers, case), cases.folder.absolute() / case
-            first = history[0].answer if history else None
+            first, last = (history[k].answer if history else None for k in (0, -1))
+            asked = last.next_experiment if last else None
             if ties_only and (first is None or first.verdict != "ambiguous"):
                 continue
-            if len(history) == number + 1 and asks_for_more(history[-1]):
+            if len(history) == number + 1 and asked and (asked.protocol or asked.parameters):
                 given = place, answers / name / case, cases.seed, labels[case], history
                 ask[case] = partial(_do_and_ask, *given, examinee)
         ask_all(examinee, ask, jobs)
@@ -181,6 +173,7 @@ def follow_up(cases: files.CaseSet, labels: Mapping[str, Mapping[str, Any]], exa
 
 def _do_and_ask(case: Path, place: Path, seed: int, label: Mapping[str, Any],
                 history: Sequence[files.Kept], examinee: Examinee) -> str:
+    """As the experiment node would run what is suggested, within the bench's limits."""
     with tempfile.TemporaryDirectory(prefix="bench_") as folder:
         bags: list[Path] = []
         try:
@@ -194,14 +187,17 @@ def _do_and_ask(case: Path, place: Path, seed: int, label: Mapping[str, Any],
                     believed = after_tests(label, asked, believed, random)
                     continue
                 bags.append(Path(folder) / f"{EXPERIMENT}_{number}")
-                protocol = bench_protocol(asked.protocol, believed)
+                protocol = parse_protocol(dict(asked.protocol), believed, "next_experiment")
+                if protocol.duration > LONGEST:
+                    raise InputError(f"next_experiment: lasts {protocol.duration:g} s, expected "
+                                     f"at most {LONGEST:g} s")
                 # Recorded on the case's own bench, with quantities that are measured more.
                 stage, (grid, voltage) = Stage.from_label(label), protocol.sample(COMMAND_PERIOD)
                 world = world_of(stage.truth, label["features"])
                 wanted = {*QUANTITIES[label["signals"]], *asked.quantities}
-                signals = measure(happen(world, grid, voltage), world, stage.sensors,
-                                  protocol.channels, random,
-                                  tuple(q for q in QUANTITIES["all"] if q in wanted))  # fmt: skip
+                shown = tuple(q for q in QUANTITIES["all"] if q in wanted)
+                outcome = happen(world, grid, voltage)
+                signals = measure(outcome, world, stage.sensors, random, shown)
                 write_record(bags[-1], signals, "bench", _START_NS + number * _HOUR_NS)
         except InputError as error:
             files.keep(place.parent, place.name, None, str(error), 0.0)
@@ -228,14 +224,3 @@ def after_tests(label: Mapping[str, Any], asked: files.NextExperiment, believed:
         if name == FRONT:
             values[BACK] = values[name]
     return believed.replace(values, {name: stds.get(name, stds.get(FRONT, 0.0)) for name in values})
-
-
-def bench_protocol(document: Mapping[str, Any], nominal: Parameters) -> Protocol:
-    """The suggested protocol as the experiment node would run it; raises InputError for one beyond
-    the bench's limits, or too long."""
-    protocol = parse_protocol(dict(document), nominal, "next_experiment")
-    if protocol.duration > LONGEST:
-        raise InputError(
-            f"next_experiment: lasts {protocol.duration:g} s, expected at most {LONGEST:g} s"
-        )
-    return protocol

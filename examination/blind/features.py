@@ -18,10 +18,9 @@ import numpy as np
 
 from examination.blind import cases
 from examination.blind.case_files import RECALIBRATION
-from examination.blind.cases import QUANTITIES, Case
+from examination.blind.cases import QUANTITIES
 from examination.blind.make import Sized, make_label, size
-from examination.blind.rigs import RECORDS, world_of
-from examination.blind.sensors import measure
+from examination.blind.rigs import RECORDS
 from sma_bench.diagnose.facts import weighed
 from sma_bench.diagnose.search import search
 from sma_bench.diagnose.utilities import Utilities
@@ -48,11 +47,8 @@ def library_hash() -> str:
     """Of all that a search depends on."""
     paths = sorted(p for room in _LIBRARY for p in (PACKAGE / room).rglob("*.py"))
     paths.append(PACKAGE / "parameters" / "effects.yaml")
-    own = hashlib.sha256()
-    for path in paths:
-        if path.name not in _NOT_ITS:
-            own.update(path.read_bytes())
-    return own.hexdigest()[:16]
+    whole = b"".join(path.read_bytes() for path in paths if path.name not in _NOT_ITS)
+    return hashlib.sha256(whole).hexdigest()[:16]
 
 
 def keep_features(out: Path, seed: int, n: int) -> None:
@@ -64,9 +60,7 @@ def keep_features(out: Path, seed: int, n: int) -> None:
         if (line["library"], line["seed"], line["n"]) != (library, seed, n):
             raise InputError(f"{out}: holds features of another library, or of other cases")
     done = {line["index"] for line in lines}
-    for index in range(n):
-        if index in done:
-            continue
+    for index in (k for k in range(n) if k not in done):
         begun = time.monotonic()
         found = {"library": library, "seed": seed, "n": n, "index": index}
         found |= features_of(seed, n, index)
@@ -84,8 +78,7 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     own = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM, index)))
     if card.signals == cases.ALL and own.random() < _LESS_SIGNALS:
         known = {**cases.EFFECTS, **cases.OUTSIDE}
-        moves = load != cases.CLAMPED
-        shown = moves and all(known[name].in_deflection for name in card.effects)
+        shown = load != cases.CLAMPED and all(known[n].in_deflection for n in card.effects)
         less = "without current", "without temperature"
         card = replace(card, signals=less[int(own.integers(2)) if shown else 0])
     plain = card.kind in (cases.NONE, RECALIBRATION) and bool(own.random() < _PLAIN)
@@ -97,14 +90,17 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     nominal = case.nominal
     if plain and card.kind == cases.NONE and own.random() < _AS_STATED:
         nominal = nominal.replace({n: case.truth[n] for n in nominal.given_uncertainty})
-    if own.random() < _UNSTATED:
-        nominal = half_stated(nominal, own)
+    if own.random() < _UNSTATED:  # of the wire's half is from the table, as far off as wires differ
+        numbers = sorted(n for n in nominal.given if not n.startswith(_STATED_ALWAYS))
+        dropped = set(own.permutation(numbers)[: len(numbers) // 2].tolist())
+        stds = {n: s for n, s in nominal.given_uncertainty.items() if n not in dropped}
+        nominal = Parameters({n: nominal[n] for n in nominal.given if n not in dropped}, stds)
     label = make_label(case, sized, names, nominal)
-
-    records = [mended(record)[0] for record in recorded(case, sized.features, names)]
-    quantities = QUANTITIES[card.signals]
-    found = search(observe_all(records, nominal, quantities), nominal)
-    looked_at = weighed(found)
+    records = []
+    for name in names:
+        signals = {s.name: s for s in case.signals(sized.features, name)}
+        records.append(mended(Record(Path(name), case.starts[name], signals))[0])
+    looked_at = weighed(search(observe_all(records, nominal, QUANTITIES[card.signals]), nominal))
     utilities = Utilities(looked_at)
     today = dict(zip(utilities.names, utilities.probabilities().round(6).tolist(), strict=True))
     wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
@@ -113,22 +109,3 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     return {"label": {name: label[name] for name in wanted}, "today": today, "plain": plain,
             "records": len(names), "stated": len(nominal.given), "facts": asdict(looked_at)}
 
-
-def recorded(case: Case, features: dict[str, float], names: tuple[str, ...]) -> list[Record]:
-    """What the instruments of a case record of its world, without a bag."""
-    world, found = world_of(case.truth, features), []
-    for name in names:
-        outcome, random = case.recorded(features, name), case.stream(name)
-        signals = measure(outcome, world, case.sensors, case.channels, random,
-                          QUANTITIES[case.card.signals])
-        found.append(Record(Path(name), case.starts[name], {s.name: s for s in signals}))
-    return found
-
-
-def half_stated(nominal: Parameters, rng: np.random.Generator) -> Parameters:
-    """Half of the wire's numbers as nobody's: from the table, as far from it as wires differ."""
-    numbers = sorted(n for n in nominal.given if not n.startswith(_STATED_ALWAYS))
-    dropped = set(rng.permutation(numbers)[: len(numbers) // 2].tolist())
-    given = {n: nominal[n] for n in nominal.given if n not in dropped}
-    stds = {n: s for n, s in nominal.given_uncertainty.items() if n not in dropped}
-    return Parameters(given, stds)

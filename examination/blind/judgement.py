@@ -19,9 +19,7 @@ from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters
 from sma_bench.physics.simulate import simulate
 
-SET_MASS = 0.9
-CONFIDENT = 0.8
-MOVED = 2.0
+SET_MASS, CONFIDENT, MOVED = 0.9, 0.8, 2.0
 WORTH_NAMING = 1.0  # gap over noise, of seeds that have forms: of less that there is none is right
 SEEN_FROM = 3.0  # standard deviations beyond other parameters, of less likewise
 _BENIGN = frozenset((NO_GAP, RECALIBRATION))
@@ -212,12 +210,10 @@ class Judged:
 
 
 # --- How far a gap truly shrinks: the case's own world, without noise, on a drive nobody saw.
-UNSEEN = "unseen"
-_DURATION = 110.0
+UNSEEN, _DURATION, _CORNERS = "unseen", 110.0, 17
 # Starts and lengths in s of smooth hills, back and front by turns, and their heights as a share of
 # the highest voltage of the case's records: two that transform fully and two that may not.
 _HILLS = ((5.0, 20.0, 1.0), (31.0, 18.0, 0.98), (56.0, 16.0, 0.9), (79.0, 22.0, 0.94))
-_CORNERS = 17
 
 
 def unseen_drive(drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", "front")) -> Drive:
@@ -225,11 +221,9 @@ def unseen_drive(drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", 
     highest = max(max(pulse.volts) for drive in drives.values() for pulse in drive.pulses)
     phase = np.linspace(0.0, 1.0, _CORNERS)
     shape = np.sqrt((1.0 - np.cos(2.0 * np.pi * phase)) / 2.0)
-    pulses = [
-        Pulse(sides[k % len(sides)], tuple(np.round(start + length * phase, 2).tolist()),
-              tuple((height * highest * shape).tolist()))
-        for k, (start, length, height) in enumerate(_HILLS)
-    ]  # fmt: skip
+    pulses = [Pulse(sides[k % len(sides)], tuple(np.round(start + length * phase, 2).tolist()),
+                    tuple((height * highest * shape).tolist()))
+              for k, (start, length, height) in enumerate(_HILLS)]
     return Drive(UNSEEN, _DURATION, tuple(pulses))
 
 
@@ -239,8 +233,8 @@ class UnseenRecord:
 
     def __init__(self, label: Mapping[str, Any]) -> None:
         seen = Stage.from_label(label)
-        sides = tuple(sorted(set(seen.sides)))
-        self.stage = replace(seen, drives={UNSEEN: unseen_drive(seen.drives, sides)})
+        drive = unseen_drive(seen.drives, tuple(sorted(set(seen.sides))))
+        self.stage = replace(seen, drives={UNSEEN: drive})
         outcome = self.stage.play(label["features"], UNSEEN)
         self.time, self.voltage = outcome.time, outcome.voltage
         self.readings = self.stage.read(label["features"], UNSEEN)
@@ -274,17 +268,14 @@ def parameter_error(truth: Mapping[str, float], nominal: Parameters, lab: Parame
 
 def moved_parameters(nominal: Parameters, improved: Parameters) -> frozenset[str]:
     """Those that were moved by MOVED of their stated standard deviations or more."""
-    stated = nominal.given_uncertainty.items()
-    return frozenset(name
-                     for name, std in stated
-                     if std > 0.0 and abs(improved[name] - nominal[name]) >= MOVED * std)
+    return frozenset(n for n, std in nominal.given_uncertainty.items()
+                     if std > 0.0 and abs(improved[n] - nominal[n]) >= MOVED * std)
 
 
 # --- Measures over judged cases, with their intervals.
 CONFIDENCE = 0.95
 _BOOTSTRAP = {"n_resamples": 2000, "method": "percentile", "confidence_level": CONFIDENCE}
-_SEED = 20240229
-_BINS = 10  # of stated probabilities
+_SEED, _BINS = 20240229, 10  # of stated probabilities
 
 
 @dataclass(frozen=True)
@@ -346,9 +337,8 @@ def _bootstrapped(statistic: Callable[..., float], *data: Sequence[float]) -> Me
     value = float(statistic(*columns))
     if n == 1 or all(np.ptp(column) == 0.0 for column in columns):  # nothing to resample
         return Measured(value, value, value, n)
-    found = stats.bootstrap(
-        columns, statistic, paired=True, random_state=np.random.default_rng(_SEED), **_BOOTSTRAP
-    ).confidence_interval
+    found = stats.bootstrap(columns, statistic, paired=True, **_BOOTSTRAP,
+                            random_state=np.random.default_rng(_SEED)).confidence_interval
     return Measured(value, float(found.low), float(found.high), n)
 
 
@@ -379,17 +369,13 @@ class Measure:
         return self.name + (" (points)" if self.style == "points" else "")
 
     def of(self, cases: Sequence[Judged]) -> Measured:
-        statistic, *fact = self.what
-        values = [c.facts.get(" ".join(fact)) for c in cases if self._counts(c.label)]
+        (statistic, *fact), among = self.what, self.among
+        wanted, kinds = among.get("label", {}).items(), among.get("kinds")
+        own = [c for c in cases if (kinds is None or c.label.kind in kinds)
+               and c.label.severity > among.get("above", -math.inf)
+               and all(getattr(c.label, name) == value for name, value in wanted)]
+        values = [case.facts.get(" ".join(fact)) for case in own]
         return _STATISTICS[statistic]([v for v in values if v is not None and v == v])
-
-    def _counts(self, label: Label) -> bool:
-        wanted = self.among.get("label", {}).items()
-        return (
-            label.kind in self.among.get("kinds", (label.kind,))
-            and label.severity > self.among.get("above", -math.inf)
-            and all(getattr(label, name) == value for name, value in wanted)
-        )
 
     def met(self, measured: Measured) -> str:
         """`aim`, `floor` or `missed` by the value itself; "" without cases or floor."""
@@ -407,10 +393,6 @@ class Measure:
 # Those with a floor and an aim, those that are reported besides, and those of groups.
 _DOCUMENT = yaml.safe_load(Path(__file__).with_name("measures.yaml").read_text("utf-8"))
 TARGETS, OTHERS, OF_GROUPS = (
-    tuple(
-        Measure(name, **{"what" if k == "of" else k: tuple(v) if isinstance(v, list) else v
-                         for k, v in row.items()})
-        for name, row in rows.items()
-    )
-    for rows in _DOCUMENT.values()
-)  # fmt: skip
+    tuple(Measure(name, **{k: tuple(v) if isinstance(v, list) else v for k, v in row.items()})
+          for name, row in rows.items())
+    for rows in _DOCUMENT.values())

@@ -19,8 +19,8 @@ import yaml
 from scipy.optimize import minimize
 from scipy.special import softmax
 
-from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED
-from examination.blind.cases import EFFECTS, frozen_shares
+from examination.blind.case_files import NO_EFFECT, NO_GAP, RECALIBRATION, UNEXPLAINED
+from examination.blind.cases import EFFECTS, FROZEN_SHARES
 from examination.blind.judgement import WORTH_NAMING, unseen
 from examination.blind.score import as_markdown, stated_and_right
 from sma_bench.arrays import Array
@@ -33,11 +33,10 @@ from sma_bench.parameters.yaml_file import write_text_atomically
 # that is as likely as any but for _AS_LIKELY.
 RIDGES, LAPSES = (0.1, 0.3, 1.0, 3.0), (0.0, 0.1, 0.2)
 STATED, _AS_LIKELY = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2), 0.02
-FOLDS = 6
-NO_EFFECT, BENIGN = (NO_GAP, RECALIBRATION, UNEXPLAINED), "benign"
+FOLDS, _SEED = 6, 44
+BENIGN = "benign"
 COVERAGE, NAMED, CONFIDENT = 0.9, 0.6, 0.8
 _LEAST = 1e-6  # of a probability
-_SEED = 44
 _SIDED = [SIGNS[kind][name] for kind, _, name in (n.partition(".") for n in NAMES)]
 _BOUNDS = [((0.0, None), (None, None), (None, 0.0))[1 - sign] for sign in _SIDED]
 
@@ -46,7 +45,7 @@ class Known:
     """One case: explanations and their features (c, k), which are right, today's probabilities."""
 
     def __init__(self, line: dict[str, Any]) -> None:
-        self.label, self.index = line["label"], line["index"]
+        self.label = line["label"]
         found = msgspec.convert(line["facts"], Weighed)
         own = Utilities(found)
         self.names, self.x, self.fixed = own.names, own.features()[0], own.fixed
@@ -56,10 +55,10 @@ class Known:
         self.right = np.array([name in right for name in self.names])
         self.today = np.array([line["today"].get(name, 0.0) for name in self.names])
         # What is hidden does most, number of its form; rigs without an effect go by turns.
-        hidden = [n for n in self.label["effects"] if n in EFFECTS]
         severities = self.label["severities"]
-        self.main = max(hidden, key=lambda n: severities.get(n, 0.0)) if hidden else ""
-        self.form = self.index % 3
+        hidden = [n for n in self.label["effects"] if n in EFFECTS]
+        self.main = max(hidden, key=lambda n: severities.get(n, 0.0), default="")
+        self.form = line["index"] % 3
         if self.main:
             self.form = list(EFFECTS[self.main].forms).index(self.label["forms"][self.main])
         singles = {n: f.gain for n, f in found.candidates.items() if JOIN not in n}
@@ -103,9 +102,11 @@ def next_to_none(label: dict[str, Any]) -> bool:
 def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Array, Array]:
     """The likeliest weights (k,) under a ridge, and their covariance (k, k) by the scores of the
     cases."""
-    scale = scales(cases)
-    edges = np.cumsum([0, *(len(case.names) for case in cases)])
-    x = np.vstack([case.x for case in cases]) / scale
+    edges, x = np.cumsum([0, *(len(case.names) for case in cases)]), np.vstack([c.x for c in cases])
+    # Root mean square of every feature where it is there.
+    there = np.maximum(np.sum(x != 0.0, axis=0), 1)
+    scale = np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
+    x = x / scale
     fixed, right = (np.concatenate([getattr(c, n) for c in cases]) for n in ("fixed", "right"))
     # How often nothing is wrong with a bench that is asked about is not known: the middle, on a
     # logarithmic scale, between these cases and the frozen set.
@@ -135,16 +136,9 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
 
 def weights_of(cases: Sequence[Known]) -> Array:
     """(n,) with which cases count as often as the frozen set deals their kind."""
-    kinds, shares = [case.label["kind"] for case in cases], frozen_shares()
+    kinds, shares = [case.label["kind"] for case in cases], FROZEN_SHARES
     whole = sum(shares[kind] for kind in set(kinds))
     return np.array([shares[kind] / whole * len(cases) / kinds.count(kind) for kind in kinds])
-
-
-def scales(cases: Sequence[Known]) -> Array:
-    """(k,) root mean square of every feature where it is there."""
-    x = np.vstack([case.x for case in cases])
-    there = np.maximum(np.sum(x != 0.0, axis=0), 1)
-    return np.maximum(np.sqrt(np.sum(x**2, axis=0) / there), 1e-3)
 
 
 def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float,
@@ -173,16 +167,9 @@ def log_probability(cases: Sequence[Known], answers: Sequence[Array]) -> Array:
                      for case, p in zip(cases, answers, strict=True)])
 
 
-def of_truth(case: Known, p: Array) -> float:
-    """Probability of the most probable explanation that holds the main effect, or is right."""
-    return max((float(p[k]) for k in range(len(p)) if holds(case, k)), default=0.0)
-
-
 def holds(case: Known, k: int) -> bool:
     """Whether an explanation holds the main effect, or is right otherwise."""
-    if case.right[k]:
-        return True
-    return case.main in case.names[k].split(JOIN)
+    return bool(case.right[k]) or case.main in case.names[k].split(JOIN)
 
 
 def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
@@ -214,14 +201,15 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
     found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
     likely = np.array([share for _, share, _ in found])
     kinds = np.array([case.label["kind"] for case in cases])
-    whole = [truths(case) for case in cases]
-    right = np.array([first in truth for (first, *_), truth in zip(found, whole, strict=True)])
+    right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
     effect = np.array([first not in (BENIGN, UNEXPLAINED) for first, *_ in found])
     both = np.array([set(ranked[: len(c.label["effects"])]) == set(c.label["effects"])
                      for (*_, ranked), c in zip(found, cases, strict=True)])
     plain = (kinds == "single") & np.array([bool(c.label["distinguishable"]) for c in cases])
     named, confident = effect & (likely >= NAMED), likely >= CONFIDENT
-    truth = np.array([of_truth(c, p) for c, p in zip(cases, answers, strict=True)])
+    # Of the most probable explanation that holds the main effect, or is right.
+    truth = np.array([max((float(p[k]) for k in range(len(p)) if holds(c, k)), default=0.0)
+                      for c, p in zip(cases, answers, strict=True)])
     halves, sizes, covered = np.arange(len(cases)) % 2, [], []
     for half in (0, 1):
         least = conformal(truth[halves != half])
@@ -230,12 +218,9 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
             sizes.append(len({n for j in chosen for n in cases[k].names[j].split(JOIN)}))
             covered.append(any(holds(cases[k], j) for j in chosen))
 
-    counts = weights_of(cases)
-
-    def share(of: npt.ArrayLike, among: npt.NDArray[np.bool_] | None = None) -> float:
-        of, own = np.asarray(of), counts
-        of, own = (of, own) if among is None else (of[among], own[among])
-        return float(np.average(of, weights=own)) if len(of) else float("nan")
+    def share(of: npt.ArrayLike, among: Any = slice(None)) -> float:
+        own, counts = np.asarray(of)[among], weights_of(cases)[among]
+        return float(np.average(own, weights=counts)) if len(own) else float("nan")
 
     return {"log probability of the truth": share(log_probability(cases, answers)),
             "first choice right": share(right), "of distinguishable singles": share(right, plain),
@@ -265,18 +250,9 @@ def credible(p: Array, least: float) -> list[int]:
 
 def stored(paths: Sequence[Path]) -> list[dict[str, Any]]:
     """Lines of files of features, packed or not."""
-    texts = [path.read_bytes() for path in paths]
-    packed = [path.suffix == ".gz" for path in paths]
-    texts = [gzip.decompress(t) if p else t for t, p in zip(texts, packed, strict=True)]
+    contents = ((path, path.read_bytes()) for path in paths)
+    texts = (gzip.decompress(held) if path.suffix == ".gz" else held for path, held in contents)
     return [json.loads(line) for text in texts for line in text.splitlines()]
-
-
-def calibration(cases: Sequence[Known], answers: Sequence[Array]) -> list[tuple[str, ...]]:
-    """What is stated of the first choice, and the share that is right."""
-    found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
-    stated = np.array([share for _, share, _ in found])
-    right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
-    return stated_and_right(stated, right, weights_of(cases))
 
 
 def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> None:
@@ -351,20 +327,22 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     # By the number of the form, the first being the one that all seeds before 2700 have.
     rows = []
     for form in np.unique(forms).tolist():
-        own = [k
-               for k, c in enumerate(cases)
+        own = [k for k, c in enumerate(cases)
                if c.form == form and c.label["kind"] == "single" and c.label["distinguishable"]]
         if own:
             most = np.mean([cases[k].gains_most == cases[k].main for k in own])
             firsts = [np.mean([said(cases[k], p[k])[0] == cases[k].main for k in own])
                       for p in answers.values()]  # fmt: skip
             rows.append((f"{form + 1}", f"{len(own)}", *(f"{x:.2f}" for x in (most, *firsts))))
+    found = [said(case, p) for case, p in zip(cases, by_rigs, strict=True)]
+    stated = np.array([share for _, share, _ in found])
+    right = np.array([first in truths(c) for (first, *_), c in zip(found, cases, strict=True)])
     text += ["Distinguishable singles put first, by the number of their form:", "",
              *as_markdown(("form", "cases", "gains most", *answers), rows), "",
              "What is stated of the first choice, rigs left out, and the share that is right, with "
              "intervals that hold together in 95 %:", "",
-             *as_markdown(("stated", "cases", "mean", "right"), calibration(cases, by_rigs)),
-             ""]  # fmt: skip
+             *as_markdown(("stated", "cases", "mean", "right"),
+                          stated_and_right(stated, right, counts)), ""]
     weights, covariance = fit_weights(cases, ridge, lapse)
     table = {n: [round(float(w), 4), round(float(e), 4)] for n, w, e in
              zip(NAMES, weights, np.sqrt(np.diag(covariance)), strict=True)}  # fmt: skip

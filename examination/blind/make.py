@@ -19,7 +19,6 @@ from examination.blind.cases import EFFECTS, NONE, OUTSIDE, QUANTITIES, Case, Dr
 from examination.blind.judgement import WORTH_NAMING
 from examination.blind.reality import BY_NAME
 from examination.blind.rigs import COARSE, RECORDS, Stage, gaps, quantity_of
-from examination.blind.sensors import measure
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.installation import VERSION
@@ -388,10 +387,8 @@ def make_case(case: Case, folder: Path) -> dict[str, Any]:
     label, place = make_label(case, sized), folder / case.name
     shutil.rmtree(place, ignore_errors=True)  # a process that was killed may have left half of it
     place.mkdir()
-    world, quantities = rigs.world_of(case.truth, sized.features), QUANTITIES[case.card.signals]
     for record in RECORDS:
-        outcome, random = case.recorded(sized.features, record), case.stream(record)
-        signals = measure(outcome, world, case.sensors, case.channels, random, quantities)
+        signals = case.signals(sized.features, record)
         write_record(place / record, signals, case.namespace, case.starts[record])
         if case.storage == "sqlite3":
             in_sqlite3(place / record)

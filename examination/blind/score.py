@@ -56,19 +56,17 @@ def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
     """The complete papers of some folders, or of all that lie in the set; raises InputError where
     nobody has answered, an answer is missing, or it is to another set."""
     there = sorted(cases.answers.glob(f"*/{files.EXAMINATION}"))
-    found = list(folders) or [path.parent for path in there]
+    papers, found = [], list(folders) or [path.parent for path in there]
     if not found:
         raise InputError(f"{cases.answers}: no answers: run ./bench blind run first")
-    papers = []
     for folder in found:
         examination = files.read_examination(folder)
         if examination.sealed != cases.sealed_sha256:
             raise InputError(f"{folder}: holds answers to another set than {cases.root}")
         if missing := open_cases(cases.names, folder):
-            raise InputError(
-                f"{folder}: {len(missing)} of {len(cases.names)} cases have no answer yet, the "
-                f"first is {missing[0]}: the labels stay sealed until all are asked"
-            )
+            raise InputError(f"{folder}: {len(missing)} of {len(cases.names)} cases have no answer "
+                             f"yet, the first is {missing[0]}: the labels stay sealed until all "
+                             "are asked")
         kept = tuple(files.read_kept(folder, name) for name in cases.names)
         papers.append(Paper(folder, examination, kept))
     return papers
@@ -100,10 +98,9 @@ def score(cases: CaseSet, papers: Sequence[Paper], labels: Labels) -> list[Score
                                judgement.moved_parameters(nominal, improved),
                                history[-1].answer if len(history) > 1 else None,
                                tied and len(history) > 1, before, after, kept.seconds, kept.line))
-    return [
-        Score(paper.examination.name, tuple(of), {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
-        for paper, of in zip(papers, judged, strict=True)
-    ]
+    return [Score(paper.examination.name, tuple(of),
+                  {m.name: m.of(of) for m in (*TARGETS, *OTHERS)})
+            for paper, of in zip(papers, judged, strict=True)]
 
 
 def followed_up(papers: Sequence[Paper]) -> list[Paper]:
@@ -151,19 +148,15 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
         above = "above " * (k == len(_EDGES) - 2)
         return f"{k + 1}: {above}{_EDGES[k]:g}" + f" to {_EDGES[k + 1]:g}" * (not above)
 
-    def distinguishable(case: Judged) -> str:
-        return "distinguishable" if case.label.distinguishable else "not by 5 sigma"
-
-    def kind(case: Judged) -> str:
-        return truth_of(case) if case.label.kind == "none" else case.label.kind
-
     singles = [c for c in cases if c.label.kind == "single"]
     titles: dict[str, tuple[Sequence[Judged], Callable[[Judged], str]]] = {
         "single effects by severity (gap over noise)": (singles, severity),
         "single effects by signals": (singles, lambda c: c.label.signals),
-        "single effects by distinguishability": (singles, distinguishable),
+        "single effects by distinguishability": (singles, lambda c: (
+            "distinguishable" if c.label.distinguishable else "not by 5 sigma")),
         "single effects by name": (singles, truth_of),
-        "all cases by kind": (cases, kind),
+        "all cases by kind": (cases, lambda c: (
+            truth_of(c) if c.label.kind == "none" else c.label.kind)),
         "all cases by noise": (cases, lambda c: c.label.noise),
     }
     found = {}
@@ -177,9 +170,8 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
 
 
 # --- The result as a page: on the terminal, and as a repository keeps it.
-_MOST_SHOWN = 4
+_MOST_SHOWN, _DASH = 4, "–"
 _RANGES = (0.0, 0.4, 0.6, 0.7, 0.8, 0.9, 1.01)  # of a probability
-_DASH = "–"
 # By style of a measure: factor, digits, unit behind the number.
 _STYLES = {"share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
            "seconds": (1.0, 1, " s")}  # fmt: skip
@@ -222,14 +214,16 @@ def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[t
 def tables(one: Score) -> list[str]:
     """Everything that is known of one examinee: measures, groups of cases, and what was chosen
     instead of the truth."""
-    rows = {}
-    for m in (*TARGETS, *OTHERS):
-        found, ends = one.measured[m.name], (bound(m, m.floor), bound(m, m.aim))
-        cells = (m.title, str(found.n), number(m, found.value), interval(m, found))
-        rows[m] = cells + ((*ends, m.met(found)) if m in TARGETS else ())
     header = ("measure", "cases", "value", "95 % interval")
-    lines = as_markdown((*header, "floor", "aim", "met"), [rows[m] for m in TARGETS])
-    lines += ["", "Besides:", "", *as_markdown(header, [rows[m] for m in OTHERS])]
+
+    def row(m: Measure) -> tuple[str, ...]:
+        found = one.measured[m.name]
+        return m.title, str(found.n), number(m, found.value), interval(m, found)
+
+    targets = [(*row(m), bound(m, m.floor), bound(m, m.aim), m.met(one.measured[m.name]))
+               for m in TARGETS]
+    lines = as_markdown((*header, "floor", "aim", "met"), targets)
+    lines += ["", "Besides:", "", *as_markdown(header, [row(m) for m in OTHERS])]
     for name, by_group in groups(one.cases).items():
         body = []
         for group, row in by_group.items():

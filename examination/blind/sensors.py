@@ -96,8 +96,7 @@ _CELSIUS_ZERO = 273.15
 # The signal of a camera at 8 to 14 um grows like this power of the temperature around 330 K.
 RADIANCE_EXPONENT = 4.5
 # From the stamp to the recorder, s: serial line, image processing, serial line.
-_DELAY = {"power": 0.002, "temperature": 0.006, "joint_states": 0.003}
-_DELAY_SPREAD = 0.0003
+_DELAY, _DELAY_SPREAD = {"power": 0.002, "temperature": 0.006, "joint_states": 0.003}, 0.0003
 _LARGEST_JITTER = 0.4  # of the period: stamps stay in order
 _DRIFT_TERMS = 3
 _SHUTTER_PERIOD = (12.0, 40.0)  # s between two flags of the camera
@@ -155,8 +154,7 @@ def readings(outcome: Outcome, world: World, sensors: Sensors) -> dict[str, Arra
     seen_of_wires = {"voltage": outcome.voltage, "current": outcome.current, "temperature": seen}
     if world.load == "clamped":  # nothing moves
         return seen_of_wires
-    true = outcome.deflection
-    read = true + world.feature("sensor_nonlinearity") * true**2
+    read = outcome.deflection + world.feature("sensor_nonlinearity") * outcome.deflection**2
     read = read + world.feature("pickup") * outcome.current.sum(axis=1)
     if drift := world.feature("deflection_drift"):
         heat = (outcome.voltage * outcome.current).sum(axis=1)
@@ -185,11 +183,11 @@ def shutter_offset(time: Array, seed: int) -> Array:
     return np.asarray(levels[np.searchsorted(instants, time - time[0], side="right")])
 
 
-def measure(outcome: Outcome, world: World, sensors: Sensors, channels: tuple[str, ...],
-            rng: np.random.Generator, quantities: tuple[str, ...] = QUANTITIES) -> list[Signal]:
+def measure(outcome: Outcome, world: World, sensors: Sensors, rng: np.random.Generator,
+            quantities: tuple[str, ...] = QUANTITIES) -> list[Signal]:
     """Signals of the contract as these instruments would record an outcome on a uniform grid from
     0, whose voltage and current hold until the next time; voltages are recorded always."""
-    clean = readings(outcome, world, sensors)
+    clean, channels = readings(outcome, world, sensors), world.parameters["bench.channels"]
     # The clock of every topic: stamps of every tick, times by the recorder's clock, what arrived.
     topics = {f"{channel}/power": sensors.power_rate for channel in channels}
     topics |= {f"{channel}/temperature": sensors.camera_rate for channel in channels}
@@ -207,22 +205,20 @@ def measure(outcome: Outcome, world: World, sensors: Sensors, channels: tuple[st
         received = time - late + _DELAY[kind] + rng.exponential(_DELAY_SPREAD, n)
         ticks[topic] = time, received, arrived, period
 
-    motion = "deflection" if world.load in ("beam", "antagonist") else "elongation"
-    moves = [(motion, "deflection", "joint_states", clean.get("deflection"))]
+    of_wires = [
+        (f"{channel}.{quantity}", quantity, f"{channel}/{topic}", clean[quantity][:, wire])
+        for wire, channel in enumerate(channels)
+        for quantity, topic in (("voltage", "power"), ("current", "power"),
+                                ("temperature", "temperature"))]
+    if "deflection" in clean:
+        motion = "deflection" if world.load in ("beam", "antagonist") else "elongation"
+        of_wires.append((motion, "deflection", "joint_states", clean["deflection"]))
     signals = []
-    for name, quantity, topic, values in (
-        *((f"{channel}.{quantity}", quantity,
-           f"{channel}/{'temperature' if quantity == 'temperature' else 'power'}",
-           clean[quantity][:, wire])
-          for wire, channel in enumerate(channels)
-          for quantity in ("voltage", "current", "temperature")),
-        *(moves if "deflection" in clean else []),
-    ):  # fmt: skip
+    for name, quantity, topic, values in of_wires:
         time, received, arrived, period = ticks[topic]
+        true = np.interp(time, outcome.time, values)
         if topic.endswith("/power"):  # held
             true = values[np.searchsorted(outcome.time, time, side="right") - 1]
-        else:
-            true = np.interp(time, outcome.time, values)
         noise_form = world.feature("noise_tails"), world.feature("noise_slow")
         noisy = true + sensors.noise[quantity].draw(len(true), period, rng, *noise_form)
         step, zero = RESOLUTION[quantity], _CELSIUS_ZERO if quantity == "temperature" else 0.0
@@ -230,6 +226,6 @@ def measure(outcome: Outcome, world: World, sensors: Sensors, channels: tuple[st
         if quantity == "voltage":  # a converter reads no less than 0, and 0 when off
             read = np.where(true > 0.0, np.maximum(read, 0.0), 0.0)
         if quantity in ("voltage", *quantities):
-            signals.append(Signal(name, UNITS[quantity], time[arrived], read[arrived],
-                                  received[arrived]))  # fmt: skip
+            arrivals = time[arrived], read[arrived], received[arrived]
+            signals.append(Signal(name, UNITS[quantity], *arrivals))
     return signals

@@ -26,6 +26,7 @@ from sensor_msgs.msg import BatteryState, Image, Temperature
 from std_msgs.msg import Float64, Float64MultiArray, Header, String
 
 from examination.campaign.outcome import Outcome
+from examination.pieces import ros_node
 from sma_bench.errors import InputError
 from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.live.virtual_bench import VirtualBench
@@ -39,8 +40,7 @@ from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 
 NAMESPACE = "/campaign"
 NODES = ("simulator", "experiment", "recorder")
-# s. The machine may be busy with much else: what is judged is never how soon a node is up.
-PATIENCE = 120.0
+PATIENCE = 120.0  # s. The machine may be busy: what is judged is never how soon a node is up.
 RELIABLE = QoSProfile(depth=2000)
 
 
@@ -104,19 +104,10 @@ def bench_nodes(logs: Path) -> Iterator[Talker]:
     settings = {parameter.name: parameter.default for parameter in NODE_TABLES["simulator"]}
     list(VirtualBench(Parameters.defaults(), settings).advance((1.0,), 10**8))
     logs.mkdir(parents=True, exist_ok=True)
-    elsewhere = rclpy.Context()
-    rclpy.init(args=[])
-    rclpy.init(args=[], context=elsewhere)
-    node = rclpy.create_node("campaign", namespace=NAMESPACE)
-    stranger = rclpy.create_node("stranger", namespace=NAMESPACE, context=elsewhere)
-    try:
-        with NodeProcesses(NAMESPACE, logs) as nodes:
-            yield Talker(node, stranger, nodes)
-    finally:
-        node.destroy_node()
-        stranger.destroy_node()
-        elsewhere.try_shutdown()
-        rclpy.try_shutdown()
+    with (ros_node("campaign", NAMESPACE) as node,
+          ros_node("stranger", NAMESPACE, context=rclpy.Context()) as stranger,
+          NodeProcesses(NAMESPACE, logs) as nodes):
+        yield Talker(node, stranger, nodes)
 
 
 # --- Recorders killed at random times: nothing older than a second is lost, and the bag is read.
@@ -152,16 +143,13 @@ def killed_recorder(size: int, seed: int, folder: Path) -> list[Outcome]:
             talker.node.destroy_publisher(publisher)
             lost.append(lost_seconds(bag, killed, began))
     found = f"lost at most {max(lost):.2f} s, {np.median(lost):.2f} s in the median"
-    what, limit = "recorder node killed with -9", f"{ALLOWED:g} s"
-    return [Outcome("killed", what, size, found, limit, max(lost) <= ALLOWED)]
+    return [Outcome("killed", "recorder node killed with -9", size, found, f"{ALLOWED:g} s",
+                    max(lost) <= ALLOWED)]
 
 
 def lost_seconds(bag: Path, killed: float, began: float) -> float:
-    """s from the last message in the bag to the kill (times in s since the epoch).
-
-    A bag that cannot be read has lost all since it `began`; one that lacks a number in between,
-    infinity.
-    """
+    """s from the last message in the bag to the kill (times in s since the epoch). A bag that
+    cannot be read has lost all since it `began`; one that lacks a number in between, infinity."""
     try:
         record = read_record(bag)
         temperature = record["wire.temperature"]
@@ -178,15 +166,13 @@ def lost_seconds(bag: Path, killed: float, began: float) -> float:
 _TIMEOUT, _SLACK, _TO_DISK = 0.5, 1.0, 1.5
 _VOLTS = 1.0
 _HOLD = f"name: hold\nsteps:\n- {{kind: hold, name: warm, level: {_VOLTS}, duration: 600.0}}\n"
-
-
 # Every order of killing with every order of starting again.
 ORDERS = list(product(permutations(NODES), repeat=2))
 
 
 def restarted_nodes(size: int, seed: int, folder: Path) -> list[Outcome]:
     """`size` of the 36 pairs of orders, spread evenly."""
-    wrong = []
+    wrong, what = [], "kill -9 and start again, all orders of three nodes"
     for k in range(size):
         end, begin = ORDERS[(seed + k * len(ORDERS) // size) % len(ORDERS)]
         try:
@@ -195,7 +181,6 @@ def restarted_nodes(size: int, seed: int, folder: Path) -> list[Outcome]:
         except Exception as error:  # that is what is looked for
             wrong.append(f"killed {end}, started {begin}: {type(error).__name__}: {error}")
     limit = "0 V while driven by nobody, works again, both bags read"
-    what = "kill -9 and start again, all orders of three nodes"
     return [Outcome.of("restarts", what, size, wrong, limit)]
 
 
@@ -253,11 +238,8 @@ def _restart(talker: Talker, end: tuple[str, ...], begin: tuple[str, ...], folde
 LISTENERS: dict[str, dict[str, type]] = {
     "simulator": {"voltage_command": Float64MultiArray},
     "experiment": {"wire/power": BatteryState, "wire/temperature": Temperature},
-    "temperature_controller": {
-        "wire/power": BatteryState,
-        "wire/temperature": Temperature,
-        "temperature_controller/reference": Float64MultiArray,
-    },
+    "temperature_controller": {"wire/power": BatteryState, "wire/temperature": Temperature,
+                               "temperature_controller/reference": Float64MultiArray},
     "ir_camera": {"thermal_image": Image},
 }
 _CAMERA = {"image_width": 64, "image_height": 48, "regions": list(regions_side_by_side(1, 64, 48))}
@@ -275,8 +257,7 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
             found, met = "alive, parameters answered", True
             try:
                 for topic, kind in topics.items():
-                    # Of another type, and of the right one a CDR header, or not even that, and
-                    # bytes.
+                    # Of another type, and of the right one a CDR header, or not that, and bytes.
                     own = talker.node.create_publisher(kind, topic, RELIABLE)
                     foreign = rng.choice([other for other in _FOREIGN if other is not kind])
                     other = talker.stranger.create_publisher(foreign, topic, RELIABLE)
@@ -305,6 +286,7 @@ def foreign_traffic(size: int, seed: int, folder: Path) -> list[Outcome]:
 # writing all that is published. What grows with the computer's time and not with the bench's shows
 # less here than in life: of that there is the index of the recorder's chunks, 0.7 to 0.9 kB for
 # each of two chunks a second.
+#
 # MB/h: a day adds 0.2 GB and a week 1.3 GB, which a small computer of 2 GB bears beside the bench.
 # The index of a bag, which has to grow, takes 5 to 7 of it.
 LIMIT = 8.0
@@ -336,8 +318,7 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
     with bench_nodes(folder / "logs") as talker:
         qos = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
         talker.node.create_subscription(
-            Clock, "/clock", lambda t: clock.append(t.clock.sec + t.clock.nanosec / 1e9), qos
-        )
+            Clock, "/clock", lambda t: clock.append(t.clock.sec + t.clock.nanosec / 1e9), qos)
         states = talker.heard("experiment/state", String, latched=True)
         for node, own in zip(NODES, settings, strict=True):
             talker.nodes.start(node, own)
@@ -363,12 +344,9 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
                     held[node].append(sum(kilobytes) * 1.024e-3)
             del states[:-5]
     shutil.rmtree(folder / "bag", ignore_errors=True)
-    outcomes = []
-    for node in NODES:
-        found, met = judge(np.array(hours), np.array(held[node]))
-        outcomes.append(Outcome("soak", f"memory of {node}", len(hours), found, f"{LIMIT:g} MB/h",
-                                met))
-    return outcomes
+    judged = {node: judge(np.array(hours), np.array(held[node])) for node in NODES}
+    return [Outcome("soak", f"memory of {node}", len(hours), found, f"{LIMIT:g} MB/h", met)
+            for node, (found, met) in judged.items()]
 
 
 def judge(hours: np.ndarray, megabytes: np.ndarray) -> tuple[str, bool]:
@@ -387,5 +365,4 @@ def judge(hours: np.ndarray, megabytes: np.ndarray) -> tuple[str, bool]:
         fit = stats.linregress(*np.transpose(means))
         slope, doubt = fit.slope, stats.t.ppf(0.975, len(parts) - 2) * fit.stderr
     slow = f"slope {slope:+.2f} +- {doubt:.2f} MB/h"
-    found = f"{megabytes[-1]:.0f} MB after {hours[-1]:.2f} h, {slow}"
-    return found, bool(slope + doubt < LIMIT)
+    return f"{megabytes[-1]:.0f} MB after {hours[-1]:.2f} h, {slow}", bool(slope + doubt < LIMIT)

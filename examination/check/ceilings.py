@@ -158,7 +158,7 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
                           found.deflection_reading, found.bending, np.full(len(time), 293.0))
         random = np.random.default_rng([_STREAM, int(label["id"]), number])
         shown = QUANTITIES[label["signals"]]
-        signals = measure(outcome, world, stage.sensors, stage.channels, random, shown)
+        signals = measure(outcome, world, stage.sensors, random, shown)
         write_record(case / record, signals, "bench", _START_NS, replace=True)
 
 

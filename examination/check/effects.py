@@ -64,7 +64,7 @@ def claims_of(case: Case) -> list[Claim]:
         random = case.stream(name) if name in RECORDS else np.random.default_rng(case.seed)
         outcome, quantities = stage.play(features, name), QUANTITIES[case.card.signals]
         world = World(case.truth, features)
-        signals = measure(outcome, world, sensors, stage.channels, random, quantities)
+        signals = measure(outcome, world, sensors, random, quantities)
         return Record(Path(name), 0, {signal.name: signal for signal in signals})
 
     # The candidate of this effect, and its gain over recalibration.

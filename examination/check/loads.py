@@ -35,10 +35,10 @@ BENCHES = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    own = {"benches": (20, "of each load"), "seed": (0, "of the first bench")}
-    own |= {"load": (LOADS, "which loads"), "hard": (False, "and worse")}
-    own["rich"] = (False, "with latent heat, convection, R(xi)")
-    options = options_of("loads", __doc__, argv, **own, **IN_PIECES)
+    options = options_of("loads", __doc__, argv, benches=(20, "of each load"),
+                         seed=(0, "of the first bench"), load=(LOADS, "which loads"),
+                         hard=(False, "and worse"), **IN_PIECES,
+                         rich=(False, "with latent heat, convection, R(xi)"))
     kind = "hard" if options.hard else "rich" if options.rich else "mild"
     jobs = [(load, options.seed + k, kind) for load in options.load for k in range(options.benches)]
     return 0 if report(in_pieces(try_bench, jobs, options)) else 1
@@ -49,17 +49,15 @@ def try_bench(load: str, seed: int, kind: str) -> dict[str, Any]:
     rng = np.random.default_rng([LOADS.index(load), seed])
     truth = rigs.draw_truth(rng, load)
     nominal = rigs.draw_nominal(truth, rng)
-    ranges = BENCHES[kind]
-    world = rigs.world_of(truth, {n: float(rng.uniform(*r)) for n, r in ranges.items()})
+    world = rigs.world_of(truth, {n: float(rng.uniform(*r)) for n, r in BENCHES[kind].items()})
     families = rng.permutation(rigs.FAMILIES).tolist()
     seen = [rigs.draw_drive(family, truth, rng) for family in families[:2]]
     unseen = [rigs.draw_drive(families[2 + k % 2], truth, rng) for k in range(UNSEEN)]
     # Voltage and motion, as instruments of the withheld-effect check read them.
     sensors = Sensors({quantity: Noise(std) for quantity, std in NOISE.items()})
-    channels = tuple(world.parameters["bench.channels"])
     records = []
     for k, drive in enumerate(seen):
-        signals = measure(_played(world, drive), world, sensors, channels, rng, ("deflection",))
+        signals = measure(_played(world, drive), world, sensors, rng, ("deflection",))
         records.append(Record(Path(f"run_{k}"), 0, {signal.name: signal for signal in signals}))
     found = identify(records, nominal)
     deviations = {name: (e.value - float(truth[name])) / e.std

@@ -19,22 +19,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rclpy
 
-from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
+from examination.pieces import IN_PIECES, in_pieces, options_of, print_table, ros_node
 from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.installation import share_directory
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.nodes.start import NODES
 from sma_bench.ros.processes import private_ros_environment
 
-GROUP = 8
+GROUP, NAMESPACE = 8, "/stops"
 LIMIT = 3.0  # s
-NAMESPACE = "/stops"
-_SLOWEST_START, _LONGEST_RUN, _PATIENCE = 8.0, 3.0, 180.0  # s
+_SLOWEST_START, _LONGEST_RUN, _PATIENCE, _FOR_EVER = 8.0, 3.0, 180.0, 30.0  # s
 _DISCOVERY = 0.5  # s that another program may take to hear of an end
 _LOOK = 0.005  # s
-_FOR_EVER = 30.0  # s
 # As the executables of an installation begin (setup.py): what comes while the interpreter starts is
 # heard at its first line.
 _HELD = ("/usr/bin/env", "--block-signal=INT")
@@ -72,9 +69,9 @@ _OWN = {"experiment": {"protocol": "composite_triangle", "autostart": "true"},
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when all of them ended in time, left no ghost and said no more than lines."""
-    own = {"groups": (250, f"of {GROUP} nodes"), "seed": (1, "of all")}
-    own["only"] = tuple(NODES), "of these nodes"
-    options = options_of("stops", __doc__, argv, **own, **IN_PIECES | {"processes": (1, "at once")})
+    options = options_of("stops", __doc__, argv, groups=(250, f"of {GROUP} nodes"),
+                         seed=(1, "of all"), only=(tuple(NODES), "of these nodes"),
+                         **IN_PIECES | {"processes": (1, "at once")})
     jobs = [(options.seed, number, GROUP, tuple(options.only)) for number in range(options.groups)]
     stops = [one for group in in_pieces(stopped, jobs, options) for one in group]
     rows = []
@@ -99,20 +96,15 @@ def stopped(seed: int, number: int, size: int,
     names = rng.sample(sorted(only), min(size - 2, len(only)))
     names += BARE[: size - len(names)]
     private_ros_environment()
-    rclpy.init(args=[])
-    node = rclpy.create_node("watcher", namespace="/elsewhere")
-    try:
-        with tempfile.TemporaryDirectory(prefix="sma_bench_stops_") as folder:
-            processes = {name: _started(name, Path(folder)) for name in names}
-            try:
-                found = _stopped(rng, number % 2 == 0, processes, Path(folder), node)
-            finally:
-                for process in processes.values():
-                    process.kill()
-                    process.wait()
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with (ros_node("watcher", "/elsewhere") as node,
+          tempfile.TemporaryDirectory(prefix="sma_bench_stops_") as folder):
+        processes = {name: _started(name, Path(folder)) for name in names}
+        try:
+            found = _stopped(rng, number % 2 == 0, processes, Path(folder), node)
+        finally:
+            for process in processes.values():
+                process.kill()
+                process.wait()
     return [{"group": number, "node": name, **one} for name, one in found.items()]
 
 

@@ -19,6 +19,7 @@ from sensor_msgs.msg import BatteryState, Temperature
 from std_msgs.msg import Float64MultiArray
 
 from examination.perf.measuring import COMPOSITE, Figure, processor_of
+from examination.pieces import ros_node
 from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.nodes import bench_plan
@@ -28,20 +29,16 @@ from sma_bench.ros.processes import NodeProcesses, parameter_arguments, private_
 
 RIGS = {"one wire": COMPOSITE.with_name("wire_rig.yaml"), "four wires": COMPOSITE}
 NAMESPACE = "/perf"
-_STARTING = 120.0  # s
-RATES = (100.0, 500.0, 1000.0)
-CAMERA_RATE = 80.0
+_STARTING, COMMAND_PERIOD = 120.0, 0.05  # s
+RATES, CAMERA_RATE, TWIN_RATE = (100.0, 500.0, 1000.0), 80.0, 500.0  # Hz
 PICTURE = (382, 288)
-COMMAND_PERIOD = 0.05
-TWIN_RATE = 500.0  # Hz
 
 
 def nodes(tiny: bool = False) -> Iterator[Figure]:
     for rate in RATES[:1] if tiny else RATES:
         yield from _simulator(rate, 1.0 if tiny else 6.0)
-    if not tiny:
-        for name in RIGS:
-            yield from _camera_nodes(name)
+    for name in () if tiny else RIGS:
+        yield from _camera_nodes(name)
 
 
 def twin(tiny: bool = False) -> Iterator[Figure]:
@@ -79,16 +76,11 @@ class Running(NamedTuple):
 def running(nodes: Mapping[str, dict], rig: Path = RIGS["one wire"]) -> Iterator[Running]:
     """Start nodes with these settings, away from every other bench."""
     private_ros_environment()
-    rclpy.init(args=[])
-    node = rclpy.create_node("perf", namespace=NAMESPACE)
-    try:
-        with TemporaryDirectory() as folder, NodeProcesses(NAMESPACE, Path(folder)) as processes:
-            for name, settings in nodes.items():
-                processes.start(name, settings, (rig,))
-            yield Running(node, processes, {name: processes.pid(name) for name in nodes})
-    finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
+    with (ros_node("perf", NAMESPACE) as node, TemporaryDirectory() as folder,
+          NodeProcesses(NAMESPACE, Path(folder)) as processes):
+        for name, settings in nodes.items():
+            processes.start(name, settings, (rig,))
+        yield Running(node, processes, {name: processes.pid(name) for name in nodes})
 
 
 # What any two nodes of rclpy take: one publishes what it has heard.
@@ -133,14 +125,12 @@ class _Asked:
 def _simulator(rate: float, seconds: float) -> Iterator[Figure]:
     """Alternating voltages, and when readings arrive and show them; beside a bare pair of nodes."""
     late: list[float] = []
-
     rates = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), rate)
     with running({"simulator": rates}) as bench:
         pair = subprocess.Popen([sys.executable, "-c", BARE, NAMESPACE], env=tied_to_this_process())
         try:
-            simulated = _Asked(bench, "voltage_command", "wire/power")
-            bare = _Asked(bench, "bare/command", "bare/power")
-            both = simulated, bare
+            both = simulated, bare = (_Asked(bench, "voltage_command", "wire/power"),
+                                      _Asked(bench, "bare/command", "bare/power"))
             bench.node.create_subscription(BatteryState, "wire/power",
                                            lambda m: late.append(time.time() - seconds_of(m)), 1000)
 
@@ -183,41 +173,39 @@ def bench(tiny: bool = False) -> Iterator[Figure]:
         with TemporaryDirectory() as name:
             given = {**SIX, "container": container, "output": str(Path(name, "bag"))}
             plan = bench_plan.plan_bench(bench_plan.COMPOSITE, given)
-            how = (1.0, 1) if tiny else (6.0, 5)
-            yield from _whole_bench(case, plan, Path(name), *how)
+            yield from _whole_bench(case, plan, Path(name), *((1.0, 1) if tiny else (6.0, 5)))
 
 
 def _whole_bench(case: str, plan: list[bench_plan.PlannedNode], folder: Path, seconds: float,
                  times: int) -> Iterator[Figure]:
     heard, starts = list[float](), list[tuple[float, float]]()
     processes: list[subprocess.Popen[bytes]] = []
-    rclpy.init(args=[])
-    node = rclpy.create_node("perf", namespace=NAMESPACE)
-    try:
-        topic, qos = f"{NAMESPACE}/front_1/power", QoSProfile(depth=1000)
-        node.create_subscription(BatteryState, topic, lambda _: heard.append(time.monotonic()), qos)
-        for k in range(times):
+    with ros_node("perf", NAMESPACE) as node:
+        try:
+            topic, qos = f"{NAMESPACE}/front_1/power", QoSProfile(depth=1000)
+            node.create_subscription(BatteryState, topic, lambda _: heard.append(time.monotonic()),
+                                     qos)
+            for k in range(times):
+                _stop(processes)
+                shutil.rmtree(folder / "bag", ignore_errors=True)
+                starts.append(_start(processes, plan, folder / f"{k}.log"))
+            end = time.monotonic() + 1.0
+            while time.monotonic() < end or not heard:  # until they know of each other
+                rclpy.spin_once(node, timeout_sec=0.01)
+            heard.clear()
+            before, begin = sum(processor_of(p.pid) for p in processes), time.monotonic()
+            while (elapsed := time.monotonic() - begin) < seconds:
+                rclpy.spin_once(node, timeout_sec=0.01)
+            used = sum(processor_of(process.pid) for process in processes) - before
+            # MB: all that each has, and of shared pages its part.
+            resident, own = (sum(_memory(process.pid, kind) for process in processes)
+                             for kind in ("Rss", "Pss"))
+        finally:
             _stop(processes)
-            shutil.rmtree(folder / "bag", ignore_errors=True)
-            starts.append(_start(processes, plan, folder / f"{k}.log"))
-        end = time.monotonic() + 1.0
-        while time.monotonic() < end or not heard:  # until they know of each other
-            rclpy.spin_once(node, timeout_sec=0.01)
-        heard.clear()
-        before, begin = sum(processor_of(process.pid) for process in processes), time.monotonic()
-        while (elapsed := time.monotonic() - begin) < seconds:
-            rclpy.spin_once(node, timeout_sec=0.01)
-        used = sum(processor_of(process.pid) for process in processes) - before
-        resident, own = (sum(_memory(process.pid, kind) for process in processes)
-                         for kind in ("Rss", "Pss"))  # fmt: skip
-    finally:
-        _stop(processes)
-        node.destroy_node()
-        rclpy.try_shutdown()
     whole = case == "one process"
     start, spent = np.median(starts, axis=0).tolist()
-    what = f"start, until all are ready, median of {times}"
-    yield Figure(case, what, start, "s", most=START if whole else np.inf)
+    yield Figure(case, f"start, until all are ready, median of {times}", start, "s",
+                 most=START if whole else np.inf)
     yield Figure(case, "processor until then", spent, "s")
     yield Figure(case, "memory, of each its own and shared pages", resident, "MB")
     yield Figure(case, "memory, shared pages once", own, "MB", most=MEMORY if whole else np.inf)
@@ -235,13 +223,12 @@ def _start(processes: list[subprocess.Popen[bytes]], plan: list[bench_plan.Plann
         words += ["--params-file", planned.file, *parameter_arguments(planned.parameters)]
         with log.open("ab") as out:
             processes.append(subprocess.Popen(words, stdout=out, stderr=subprocess.STDOUT,
-                                              env=tied_to_this_process()))  # fmt: skip
+                                              env=tied_to_this_process()))
     while log.read_text().count("]: ready") < 6:
         if time.monotonic() - begin > _STARTING or any(p.poll() is not None for p in processes):
             raise RuntimeError(f"the bench did not start: {log.read_text()[-400:]}")
         time.sleep(0.01)
-    took = time.monotonic() - begin
-    return took, sum(processor_of(process.pid) for process in processes)
+    return time.monotonic() - begin, sum(processor_of(process.pid) for process in processes)
 
 
 def _stop(processes: list[subprocess.Popen[bytes]]) -> None:
@@ -252,7 +239,6 @@ def _stop(processes: list[subprocess.Popen[bytes]]) -> None:
 
 
 def _memory(pid: int, kind: str) -> float:
-    """MB of a process; `kind`: Rss, all that it has, Pss, of shared pages its part."""
     lines = Path(f"/proc/{pid}/smaps_rollup").read_text().splitlines()
     return next(int(line.split()[1]) / 1e3 for line in lines if line.startswith(f"{kind}:"))
 
@@ -263,12 +249,11 @@ def _camera_nodes(name: str, seconds: float = 8.0) -> Iterator[Figure]:
     nodes = {"synthetic_camera": {"rate": CAMERA_RATE}, "ir_camera": {"regions": regions}}
     ages: list[float] = []
     with running(nodes, RIGS[name]) as bench:
-        topics = [f"{channel}/true_temperature" for channel in channels]
-        warmth = [bench.node.create_publisher(Temperature, topic, 10) for topic in topics]
+        warmth = [bench.node.create_publisher(Temperature, f"{channel}/true_temperature", 10)
+                  for channel in channels]
 
         def take(message: Any) -> None:
-            now = bench.node.get_clock().now().nanoseconds
-            ages.append(1e-9 * (now - stamp_of(message)))
+            ages.append(1e-9 * (bench.node.get_clock().now().nanoseconds - stamp_of(message)))
 
         def heat() -> None:
             for publisher in warmth:

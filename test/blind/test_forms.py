@@ -96,8 +96,8 @@ def test_clamped_wires_are_dealt_with_what_their_current_and_temperature_show():
     label = make_label(case, sized)
     assert label["severity"] == pytest.approx(case.card.targets[0], rel=0.3)
     assert set(label["gap"]["record"]) <= {"wire.current", "wire.temperature"}
-    signals = features.recorded(case, sized.features, ("record",))[0].signals
-    assert set(signals) <= {"wire.voltage", "wire.current", "wire.temperature"}
+    seen = {signal.name for signal in case.signals(sized.features, "record")}
+    assert seen <= {"wire.voltage", "wire.current", "wire.temperature"}
 
 
 def test_off_every_setting_does_nothing():
