@@ -11,20 +11,9 @@ from typing import Any
 import numpy as np
 
 from examination.attack_lab import instruments
-from examination.attack_lab.instruments import (
-    FAULTS,
-    LOADS,
-    ZERO,
-    Alloy,
-    Beam,
-    bend,
-    named,
-    relaxed,
-)
+from examination.attack_lab.instruments import FAULTS, LOADS, ZERO, Alloy, Beam, bend, named
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal
-
-STEPS_PER_TAU = 30.0
 
 
 @dataclass(frozen=True)
@@ -50,12 +39,11 @@ class Wire:
 
     def run(self, voltage: Callable[[np.ndarray], np.ndarray], duration: float):
         """Times, volts, amperes, kelvin, kelvin of the room, on a fine grid."""
-        step = self.tau / STEPS_PER_TAU
+        step = self.tau / 30.0
         time = np.arange(0.0, duration + step, step)
-        volts = voltage(time)
-        room = self.room + self.room_drift * (time / duration - 0.5)
+        volts, room = voltage(time), self.room + self.room_drift * (time / duration - 0.5)
         kelvin, amperes = np.empty_like(time), np.empty_like(time)
-        hot, around = room[0], room[0]
+        hot = around = room[0]
         capacity, mantle, link = self.mass * self.specific_heat, *self.sheath
         rise = self.change[1] - self.change[0]
         for k, (t, v, air) in enumerate(zip(*np.stack([time, volts, room]).tolist(), strict=True)):
@@ -121,7 +109,8 @@ def read(wire: Wire, sensors: Sensors, voltage, duration: float, random) -> Reco
     after = np.clip(np.searchsorted(time, power, side="right") - 1, 0, None)
     v, i = sensors.volts.of(volts[after], random), sensors.amperes.of(amperes[after], random)
     if sensors.camera_lag:
-        kelvin = relaxed(kelvin, 1.0 - math.exp(-(time[1] - time[0]) / sensors.camera_lag))
+        share = 1.0 - math.exp(-(time[1] - time[0]) / sensors.camera_lag)
+        kelvin = instruments.relaxed(kelvin, share)
     t, air = np.interp(camera, time, kelvin), np.interp(camera, time, room)
     t = air + sensors.emissivity * (t - air) + sensors.drift * camera / duration
     t = ZERO + sensors.camera.of(t - ZERO, random)
@@ -182,14 +171,10 @@ class Bench:
 
     def but(self, wire: Mapping[str, Any], sensors: Mapping[str, Any], **own: Any) -> "Bench":
         """The same with some numbers changed; a mapping changes some of a reading."""
-        of = {
-            name: replace(getattr(self.sensors, name), **value)
-            if isinstance(value, dict)
-            else value
-            for name, value in sensors.items()
-        }
-        wires = replace(self.wire, **wire)
-        return replace(self, wire=wires, sensors=replace(self.sensors, **of), **own)
+        of = {name: replace(getattr(self.sensors, name), **x) if isinstance(x, dict) else x
+              for name, x in sensors.items()}
+        return replace(self, wire=replace(self.wire, **wire),
+                       sensors=replace(self.sensors, **of), **own)
 
 
 def paper_bench(random) -> Bench:
@@ -213,8 +198,7 @@ def bare_bench(random) -> Bench:
     return Bench(wire, Sensors(25.0, 25.0), 1.6, 11, 30.0, 1.1, 10.0, 15.0, known, unsure)
 
 
-PHASES = ("martensite", "austenite")
-TEMPERATURES = ("a_s", "a_f", "m_s", "m_f")
+PHASES, TEMPERATURES = ("martensite", "austenite"), ("a_s", "a_f", "m_s", "m_f")
 OF_LOADS = (*TEMPERATURES, "c_a", "c_m", "eps_l")
 
 
@@ -245,9 +229,8 @@ def clean_bag(random, seed: int, change: Callable[[Bench], Bench] = lambda b: b,
     """`change` what the bench is, or `records` how it is recorded."""
     believed = paper_bench(random) if seed % 2 == 0 else bare_bench(random)
     bench = change(believed)
-    made = records(bench, random)
     stated = believed if bench.known == believed.known else bench
-    return Case(made, stated.parameters(), bench.truth())
+    return Case(records(bench, random), stated.parameters(), bench.truth())
 
 
 def _bench(wire: Mapping = {}, sensors: Mapping = {}, known: Mapping = {}, **own):  # noqa: B006
@@ -291,10 +274,6 @@ def _as(name: str):
 
 def _later(seconds: float, at: float):
     return lambda s, _: replace(s, time=s.time + seconds * (s.time > at * s.time[-1]))
-
-
-def _fast(s: Signal, _: Any) -> Signal:
-    return replace(s, time=1.02 * s.time)
 
 
 def _hum(size: float, hertz: float):
@@ -346,8 +325,7 @@ _WIDER = {"wire.diameter": lambda b: 1.05 * b.known.get("wire.diameter", 0.3e-3)
           "wire.surface_area": lambda b: 1.05 * b.wire.area}  # fmt: skip
 WIRES = {
     "air flow +20 % from one staircase to the next": _records(
-        lambda b, r: (b.staircase(r), b.staircase(r, _windy(b)), b.ramps(r))
-    ),
+        lambda b, r: (b.staircase(r), b.staircase(r, _windy(b)), b.ramps(r))),
     "air flow +20 % half-way": _bench({"wind": lambda b: (b.dwell * (b.levels - 0.5), 0.2)}),
     "air flow +20 % at the ramps": _records(lambda b, r: (b.staircase(r), b.ramps(r, _windy(b)))),
     "slow triangles": _bench(ramp_top=lambda b: 1.3 * b.ramp_top, rise=25.0),
@@ -367,12 +345,12 @@ WIRES = {
     "two wires in one staircase": _records(_two_wires),
     "clock of the camera jumps 0.5 s": _each(temperature=_later(0.5, 0.5)),
     "clock of the camera jumps 30 s": _each(temperature=_later(30.0, 0.3)),
-    "all clocks 2 % fast": _each(voltage=_fast, current=_fast, temperature=_fast),
+    "all clocks 2 % fast": _each(**dict.fromkeys(
+        ("voltage", "current", "temperature"), lambda s, _: replace(s, time=1.02 * s.time))),
     "resistance rises 6 % with heat": _bench(_R_CHANGES),
     "loss rises 15 % with heat": _bench({"loss_growth": lambda b: 0.15 / b.warming}),
     "a sheath that follows slowly": _bench({"sheath": lambda b: (
-        2.0 * b.wire.mass * b.wire.specific_heat, 0.5 * b.wire.loss * b.wire.area
-    )}),  # fmt: skip
+        2.0 * b.wire.mass * b.wire.specific_heat, 0.5 * b.wire.loss * b.wire.area)}),
     "latent heat in the ramps": _bench(_ALLOY_CHANGES, ramp_top=lambda b: 2.2 * b.ramp_top),
     "staircase too short to settle": _bench(dwell=lambda b: max(2.1, b.wire.tau)),
     "stored runs swapped": _records(_crossed),
@@ -471,8 +449,6 @@ _MAKERS |= {"E9": partial(frame, experiments=("E9",)), "E10": beam}
 ATTACKS = (
     *(Attack("E1 to E3", name, _bench(**own)) for name, own in FAULTS["E1 to E3"].items()),
     *(Attack("E1 to E3", name, make) for name, make in WIRES.items()),
-    *(
-        Attack(experiment, name, partial(make, **own))
-        for experiment, make in _MAKERS.items() for name, own in FAULTS[experiment].items()
-    ),
-)  # fmt: skip
+    *(Attack(experiment, name, partial(make, **own))
+      for experiment, make in _MAKERS.items() for name, own in FAULTS[experiment].items()),
+)

@@ -6,20 +6,16 @@ machine hardly touch; what runs on several threads or processes by the clock on 
 
 import gc
 import os
-import resource
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 import sma_bench
-from examination.pieces import print_table
 from sma_bench.arrays import Array
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
-from sma_bench.protocols import load_protocol
-from sma_bench.records import Record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import protocol_record
 
@@ -47,28 +43,6 @@ class Figure(NamedTuple):
         return ("met" if self.least <= self.value <= self.most else "missed") if self.aim else ""
 
 
-def print_section(name: str, figures: Iterable[Figure], seconds: float, missing: str) -> None:
-    """The figures of a section as a table, and why it is not complete."""
-    rows = [(f.case, f.measure, f"{f.value:.3g}", f.unit, f.aim, f.verdict) for f in figures]
-    print(f"{name} ({seconds:.0f} s)")
-    print_table(("case", "measure", ">value", "unit", "aim", ""), rows)
-    print(f"not measured: {missing}\n" if missing else "")
-
-
-def as_json(figures: Iterable[Figure], missing: str) -> dict[str, Any]:
-    """A section; a value that is not finite is null."""
-    rows = [{"case": f.case, "measure": f.measure, "unit": f.unit, "aim": f.aim,
-             "verdict": f.verdict,
-             "value": float(f.value) if np.isfinite(f.value) else None} for f in figures]
-    return {"figures": rows, "missing": missing}
-
-
-def processor() -> float:
-    """Seconds of the processor that this process and those that it has waited for have had."""
-    had = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
-    return sum(one.ru_utime + one.ru_stime for one in had)
-
-
 def processor_of(pid: int) -> float:
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
@@ -76,10 +50,8 @@ def processor_of(pid: int) -> float:
 
 def interleaved(calls: Mapping[str, Callable[[], object]], rounds: int,
                 budget: float = np.inf) -> dict[str, Array]:
-    """Seconds of every call, (r,) each: `rounds` rounds, fewer (two at least) beyond `budget` s.
-
-    A first round is not counted: it compiles, fills caches, touches memory.
-    """
+    """Seconds of every call, (r,) each: `rounds` rounds, fewer (two at least) beyond `budget` s. A
+    first round is not counted: it compiles, fills caches, touches memory."""
     for call in calls.values():
         call()
     seconds: dict[str, list[float]] = {name: [] for name in calls}
@@ -114,7 +86,7 @@ ROOT = Path(__file__).resolve().parents[2]
 COMPOSITE = ROOT / "config" / "composite_rig.yaml"
 RATE = 100.0  # Hz
 TRIANGLES, STEPS = "composite_diagnosis_triangles", "composite_diagnosis_steps"
-_HIDDEN = {"effect.side_heat_coupling.conductance": 0.03}
+HIDDEN = {"effect.side_heat_coupling.conductance": 0.03}
 # 1 to 5.5 V and back, then 0.
 _LEVELS = np.array([1.0, 1.9, 2.8, 3.7, 4.6, 5.5, 5.5, 4.6, 3.7, 2.8, 1.9, 1.0, 0.0])
 
@@ -131,17 +103,8 @@ def staircase_bag(bag: Path, duration: float) -> Path:
 def diagnosis_case(folder: Path) -> tuple[Path, Path]:
     """A composite bag with an effect that its parameter file does not know."""
     paper = read_parameters(COMPOSITE)
-    record = protocol_record(STEPS, paper.replace(_HIDDEN))
+    record = protocol_record(STEPS, paper.replace(HIDDEN))
     bag, file = folder / "gap", folder / "paper.yaml"
     write_record(bag, list(record.signals.values()))
     write_parameters(file, paper)
     return bag, file
-
-
-def long_record(protocol: str, length: float) -> Record:
-    """A protocol of the composite again and again, in memory."""
-    paper = read_parameters(COMPOSITE)
-    once = load_protocol(protocol, paper).sample(1.0 / RATE)[1]
-    time = np.arange(int(length * RATE)) / RATE
-    voltage = np.take(once, np.arange(time.size), axis=0, mode="wrap")
-    return sma_bench.measure(sma_bench.simulate((time, voltage), paper.replace(_HIDDEN)))

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import math
 import sys
 import time
 from importlib import import_module
@@ -9,7 +10,8 @@ from pathlib import Path
 
 import yaml
 
-from examination.perf.measuring import Figure, as_json, print_section
+from examination.perf.measuring import Figure
+from examination.pieces import print_table
 
 SECTIONS: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 MODULES = {"simulation": "solvers", **dict.fromkeys(("nodes", "bench", "twin"), "nodes")}
@@ -36,8 +38,14 @@ def main(argv: list[str]) -> int:
                 figures.append(figure)
         except (ImportError, RuntimeError, OSError) as error:  # the others go on
             missing = f"{type(error).__name__}: {error}"
-        print_section(name, figures, time.monotonic() - begin, missing)
-        found[name] = as_json(figures, missing)
+        rows = [(f.case, f.measure, f"{f.value:.3g}", f.unit, f.aim, f.verdict) for f in figures]
+        print(f"{name} ({time.monotonic() - begin:.0f} s)")
+        print_table(("case", "measure", ">value", "unit", "aim", ""), rows)
+        print(f"not measured: {missing}\n" if missing else "")
+        kept = [{"case": f.case, "measure": f.measure, "unit": f.unit, "aim": f.aim,
+                 "verdict": f.verdict, "value": float(f.value) if math.isfinite(f.value) else None}
+                for f in figures]
+        found[name] = {"figures": kept, "missing": missing}
     if arguments.json:
         arguments.json.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     return 0
