@@ -27,11 +27,9 @@ IN_PIECES = {
 
 def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
                **own: tuple[Any, str]) -> argparse.Namespace:
-    """Options of `./bench check NAME`, of which `in_pieces` needs IN_PIECES.
-
-    `own`: default and help of each; False for a flag, several for a list, of texts the only ones
-    that there are; a type where there is no default; ... for what must be given.
-    """
+    """Options of `./bench check NAME`, of which `in_pieces` needs IN_PIECES. `own`: default and
+    help of each; False for a flag, several for a list, of texts the only ones that there are; a
+    type where there is no default; ... for what must be given."""
     parser = argparse.ArgumentParser(prog=f"./bench check {name}", description=doc)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     for option, (default, text) in own.items():
@@ -54,8 +52,7 @@ def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
 
 def in_pieces(run: Callable[..., Any], jobs: Sequence[tuple],
               options: argparse.Namespace) -> list[Any]:
-    """The result of every job, the arguments of `run`, in the order of the jobs: a function of a
-    module whose results are plain JSON; the options have IN_PIECES."""
+    """The result (plain JSON) of every job, arguments of a module's `run`, in their order."""
     kept: dict[str, Any] = {}
     if options.json and options.json.is_file():
         kept = json.loads(options.json.read_text())
@@ -97,8 +94,7 @@ def print_table(head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
 
 
 def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> float:
-    """A row a number, then of all: deviations from the truth in stated errors, the share of them
-    within `limit`; that share of all."""
+    """A row a number and of all: deviations, the share within `limit`; that of all."""
     found: dict[str, list[float]] = {}
     for name, z in deviations:
         found.setdefault(name, []).append(z)
@@ -112,8 +108,7 @@ def print_coverage(deviations: Iterable[tuple[str, float]], limit: float) -> flo
 
 
 def in_blocks(run: Callable[..., list], options: argparse.Namespace, n: int, *more: Any) -> list:
-    """What `run` finds of `n` draws: it is given seed, first, stop and more of twenty at most, of
-    half of them at least."""
+    """What `run` finds, given seed, first, stop, more of twenty draws at most or half."""
     step = min(20, max(n // 2, 1))
     jobs = [(options.seed, k, min(k + step, n), *more) for k in range(0, n, step)]
     return [one for found in in_pieces(run, jobs, options) for one in found]
@@ -151,8 +146,7 @@ def without_exclusions(drawn: dict, habits: dict[str, list], rules: Iterable[dic
 
 def print_outcomes(found: list[dict], outcomes: Sequence[str], habits: dict[str, list], row: str,
                    *head: str) -> None:
-    """Lines of the format `row`: outcomes by habit, by kind, of all, of those that tell what they
-    mean; then how many are wrong: the last two outcomes."""
+    """Outcomes by habit and kind, of all, of those that tell; wrong: the last two."""
     kinds = sorted({one["kind"] for one in found if "kind" in one})
     groups = {
         **{f"{kind}: {habit}": [o for o in found if o["odd"].get(kind) == habit]

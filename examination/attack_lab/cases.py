@@ -379,8 +379,7 @@ def dsc(random, seed: int, **own) -> Case:
 
 def frame(random, seed: int, one=None, other=False, experiments=None, calorimeter=None,
           **own) -> Case:
-    """`one`: what is wrong with the third load only; `other`: that is another alloy; with the
-    `calorimeter` whose faults are given."""
+    """`one`: faults of the third load; `other`: it is another alloy; `calorimeter`: its faults."""
     alloy = Alloy.drawn(random)
     warmer = {name: getattr(alloy, name) + 8 for name in TEMPERATURES}
     strange = replace(alloy, **warmer, eps_l=0.8 * alloy.eps_l)

@@ -77,8 +77,7 @@ def every_fit(problem: Problem, nominal: Parameters) -> Mapping[str, Fit]:
 
 def bic_answer(records: Sequence[Record], hold_out: Sequence[Record],
                nominal: Parameters) -> tuple[dict[str, Any], Parameters]:
-    """What the rival says, to the contract, and its improved parameters; `hold_out` measures the
-    shrinkage."""
+    """The rival's answer and improved parameters; `hold_out` measures the shrinkage."""
     problem = Problem.of([observe(record, nominal).coarse for record in records])
     fits = every_fit(problem, nominal)
     n = len(problem.measured)

@@ -63,8 +63,7 @@ class Where:
 
 @dataclass(frozen=True)
 class Claim:
-    """By which share a signal's reducible gap is said to shrink, with its 90 % interval; None where
-    there was no gap to shrink."""
+    """By which share a signal's gap is said to shrink, with its 90 % interval; None: had no gap."""
 
     fraction: float | None
     ci90: tuple[float | None, float | None] | None
@@ -95,8 +94,7 @@ class Answer:
 
 
 def by_effect(answer: Answer) -> dict[frozenset[str], float]:
-    """The probability of each effect, summed over candidates that hold it, that nothing is missing
-    in the model, and that something is that no library has."""
+    """The probability of each effect in any candidate, of none missing, of one unknown."""
     whole = {frozenset((RECALIBRATION, NO_GAP)): 0.0, frozenset((UNEXPLAINED,)): 0.0}
     for candidate in answer.candidates:
         for part in candidate.parts:
@@ -106,8 +104,7 @@ def by_effect(answer: Answer) -> dict[frozenset[str], float]:
 
 
 def checked_answer(document: Any, where: str = "answer") -> Answer:
-    """An Answer from the plain document of a diagnosis; raises InputError where something is
-    missing, of another type or against the contract, in one line."""
+    """An Answer from a plain document; raises InputError where it breaks the contract."""
     import msgspec  # robots that examine nobody do without
     try:
         json.dumps(document, allow_nan=False)
@@ -210,8 +207,7 @@ def seal(path: Path, labels: Sequence[dict[str, Any]]) -> str:
 
 
 def unseal(path: Path, sha256: str) -> list[dict[str, Any]]:
-    """The labels of a sealed file; raises InputError where it is unreadable, no sealed labels, or
-    has not this sha256."""
+    """The labels of a sealed file; raises InputError unless it is whole and has this sha256."""
     with _read(path, bytes) as content:
         if hashlib.sha256(content).hexdigest() != sha256 or not content.startswith(_HEAD):
             raise ValueError("not the labels that the manifest names (sha256 differs)")

@@ -24,8 +24,7 @@ CLAMPED, LOADS, ALL_LOADS = "clamped", ("clamped", *MOVING), "all"
 
 @dataclass(frozen=True)
 class Move:
-    """How a feature goes with the effect's amount a: by a times a number of the range `weight`, or
-    by the factor exp of that."""
+    """A feature goes with an effect's amount a by a times a `weight`, or the factor exp of that."""
 
     weight: tuple[float, float] = (1.0, 1.0)
     factor: bool = False
@@ -133,11 +132,8 @@ def draw_settings(settings: Mapping[str, Setting], rng: np.random.Generator) -> 
 
 
 def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start: float) -> float:
-    """Amount whose gap is `target`, or the nearest that the effect's bounds allow.
-
-    Gaps grow about as amounts do: steps in proportion from `start` until the target is bracketed,
-    then interpolation on logarithms.
-    """
+    """Amount whose gap is `target`, or the nearest that the effect's bounds allow: steps in
+    proportion from `start` until the target is bracketed, then interpolation on logarithms."""
     high = drawn.symptom.natural[1]
     smallest, largest = np.log(high * _SMALLEST), np.log(high * STRETCH)
     at = float(np.log(start))
@@ -186,10 +182,8 @@ def possible(symptoms: Mapping[str, Symptom], load: str) -> tuple[str, ...]:
 
 def deal(n: int, rng: np.random.Generator, load: str = "beam",
          shares: str = "shares") -> list[Card]:
-    """n cards in random order, every share kept as nearly as n allows.
-
-    Signals and noise models are dealt within each kind, so that neither reveals the kind.
-    """
+    """n cards in random order, every share kept as nearly as n allows. Signals and noise models are
+    dealt within each kind, so that neither reveals the kind."""
     # Largest remainders; which kinds get the last cases is drawn where they are equal.
     exact = {kind: share * n for kind, share in _DEALT[shares].items()}
     counts = {kind: int(value) for kind, value in exact.items()}
@@ -235,8 +229,7 @@ def _hidden(kind: str, n: int, rng: np.random.Generator,
 
 
 def _signals(hidden: list[tuple[str, ...]], rng: np.random.Generator, load: str) -> list[str]:
-    """Half of each kind shows all signals, those that show in no other way among them; of a
-    clamped wire, which does not move, the others show its temperature."""
+    """Half of each kind shows all, those that show in no other way among them; others less."""
     symptoms = {**EFFECTS, **OUTSIDE}
     less = "without current" if load == CLAMPED else PAPER
     free = [k for k, names in enumerate(hidden)

@@ -125,8 +125,7 @@ def examine(examinee: Examinee, cases: Sequence[str], folder: Path, answers: Pat
 
 
 def ask_all(examinee: Examinee, ask: Mapping[str, Callable[[], str]], jobs: int) -> int:
-    """Do every call of `ask`, `jobs` at a time; how many failed. Interrupted, it ends what runs
-    and leaves it open."""
+    """Do every call of `ask`, `jobs` at a time; how many failed. Interrupted, it ends what runs."""
     failed = 0
     with ThreadPoolExecutor(jobs) as pool:
         running = {pool.submit(call): name for name, call in ask.items()}
@@ -209,8 +208,7 @@ def _do_and_ask(case: Path, place: Path, seed: int, label: Mapping[str, Any],
 
 def after_tests(label: Mapping[str, Any], asked: files.NextExperiment, believed: Parameters,
                 rng: np.random.Generator) -> Parameters:
-    """What is believed after a test of some parameters; raises InputError for one that no test
-    gives."""
+    """What is believed after a test of parameters; raises InputError for one that no test gives."""
     stds, truth = asked.parameters, label["truth"]
     values, world = {}, world_of(Stage.from_label(label).truth, label["features"])
     for name, std in stds.items():

@@ -58,8 +58,7 @@ class Label:
 
     @property
     def main(self) -> frozenset[str]:
-        """The one of what was hidden that does most; one of those where nothing of the library
-        was."""
+        """What was hidden that does most, or what is right where nothing was."""
         if not self.effects or self.kind in _RIGHT_NAMES:
             return self.names
         return frozenset([max(self.effects, key=lambda name: self.severities.get(name, 0.0))])
@@ -100,10 +99,8 @@ class Judged:
     """A case: its label, the answer (None: failed, `failure` says why), true shrinkage by signal,
     parameters that the improved file has `moved`, the `second` (last) answer after suggested
     experiments, whether an ambiguous answer got what it asked for (`followed`), root mean square
-    errors of the parameters in stated deviations, and the seconds that the answer took.
-
-    `facts` are what measures.yaml counts and defines; None is not counted.
-    """
+    errors of the parameters in stated deviations, and the seconds that the answer took. `facts` are
+    what measures.yaml counts and defines; None is not counted."""
 
     label: Label
     answer: files.Answer | None
@@ -228,8 +225,7 @@ def unseen_drive(drives: Mapping[str, Drive], sides: tuple[str, ...] = ("back", 
 
 
 class UnseenRecord:
-    """What the world of a sealed label does on the unseen drive, as perfect instruments would read
-    it."""
+    """What a sealed label's world does on the unseen drive, as perfect instruments read it."""
 
     def __init__(self, label: Mapping[str, Any]) -> None:
         seen = Stage.from_label(label)
@@ -317,10 +313,8 @@ def quantile(values: Sequence[float], level: float) -> Measured:
 
 def calibration_error(stated: Sequence[float], right: Sequence[bool]) -> Measured:
     """Expected calibration error: mean distance of stated probability and frequency over bins.
-
     sum_b n_b/n |mean stated in b - share right in b| (Naeini et al., AAAI 2015), with a bootstrap
-    interval over cases.
-    """
+    interval over cases."""
 
     def error(probability: Array, hit: Array) -> float:
         bins = np.minimum((probability * _BINS).astype(np.intp), _BINS - 1)

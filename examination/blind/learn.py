@@ -100,8 +100,7 @@ def next_to_none(label: dict[str, Any]) -> bool:
 
 
 def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Array, Array]:
-    """The likeliest weights (k,) under a ridge, and their covariance (k, k) by the scores of the
-    cases."""
+    """The likeliest weights (k,) under a ridge, their covariance (k, k) by scores of cases."""
     edges, x = np.cumsum([0, *(len(case.names) for case in cases)]), np.vstack([c.x for c in cases])
     # Root mean square of every feature where it is there.
     there = np.maximum(np.sum(x != 0.0, axis=0), 1)
@@ -143,8 +142,7 @@ def weights_of(cases: Sequence[Known]) -> Array:
 
 def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float,
              share: float = 1.0) -> list[Array]:
-    """(c,) shares that weights which have not seen its fold give the explanations of every case;
-    learnt from a share of the others, drawn."""
+    """(c,) shares by weights that have not seen a case's fold, of a share of the others."""
     found: list[Array] = [np.zeros(0)] * len(cases)
     chosen = np.random.default_rng(_SEED).permutation(len(cases)) < share * len(cases)
     for fold in np.unique(folds):
@@ -173,8 +171,7 @@ def holds(case: Known, k: int) -> bool:
 
 
 def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
-    """What an answer comes to: the effect at work, "benign" or unexplained, whichever is the most
-    probable, that probability, and the effects by theirs."""
+    """What is most probable (effect, benign, unexplained), how probable, effects in order."""
     shares = dict(zip(case.names, p.tolist(), strict=True))
     effects: dict[str, float] = {}
     for name, share in shares.items():
@@ -196,8 +193,7 @@ def truths(case: Known) -> set[str]:
 
 
 def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, float]:
-    """Everything that is compared. Sets: all that reach the conformal threshold, which the other
-    half of the cases gives."""
+    """All that is compared; sets reach the threshold that the other half of cases gives."""
     found = [said(case, p) for case, p in zip(cases, answers, strict=True)]
     likely = np.array([share for _, share, _ in found])
     kinds = np.array([case.label["kind"] for case in cases])
@@ -237,8 +233,7 @@ def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, floa
 
 
 def conformal(truth: Array) -> float:
-    """Probability that the truth had at least in 90 % of the cases, one more reckoned as having
-    none."""
+    """Probability that the truth had at least in 90 % of the cases, one more counted as 0."""
     place = int(np.floor((1.0 - COVERAGE) * (len(truth) + 1))) - 1
     return float(np.sort(truth)[place]) if place >= 0 else 0.0
 
@@ -256,8 +251,7 @@ def stored(paths: Sequence[Path]) -> list[dict[str, Any]]:
 
 
 def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> None:
-    """Weights from stored features, cross-validated; everything that is found is printed, and
-    written to `markdown`, the table of weights to `out`."""
+    """Weights from stored features, cross-validated: printed, written to `markdown`, `out`."""
     lines = stored(paths)
     cases = [Known(line) for line in lines]
     before = [case.today for case in cases]

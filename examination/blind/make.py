@@ -39,9 +39,8 @@ LAW_SHOWS = 2.0  # gap over noise from which another law is a cause of its own
 
 @dataclass(frozen=True)
 class Sized:
-    """What a case's world holds: features without what is hidden (`base`: nuisances and mild
-    kinetics) and with it, draws and amounts by effect, measured gaps, the larger of both records.
-    """
+    """A world's features without what is hidden (`base`: nuisances, mild kinetics) and with it,
+    draws and amounts by effect, measured gaps, the larger of both records."""
 
     base: dict[str, float]
     features: dict[str, float]
@@ -238,8 +237,7 @@ def separation(stage: Stage, base: Features, truth: Readings, without: Readings,
 
 
 def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
-    """Worlds with one feature of the effect, in each of its shapes, at the small end of its natural
-    size."""
+    """Worlds with one feature of the effect in each of its shapes, at its least natural size."""
     amount = symptom.signs[0] * symptom.natural[0]
     shapes: list[dict[str, float]] = [
         {name: s.low * (s.high / s.low) ** share for name, s in symptom.settings.items()}
@@ -307,8 +305,7 @@ _LAYOUT = 1
 
 def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,
                nominal: Parameters | None = None) -> dict[str, Any]:
-    """All that is hidden, and what can be told of it from the given records: severities, and what
-    is as near to it with the owners' numbers, or with others."""
+    """All that is hidden, and what can be told of it from these records with these numbers."""
     card, load, quantities = case.card, load_kind(case.truth), QUANTITIES[case.card.signals]
     # Noise-free readings, and those without what is hidden: the effect, or the owners' mistakes.
     believed = None

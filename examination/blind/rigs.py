@@ -78,8 +78,7 @@ def draw_nominal(truth: Parameters, rng: np.random.Generator,
 
 
 def recalibrated(load: str) -> tuple[str, ...]:
-    """Numbers of a rig that may hide a wrong one; of a clamped wire those that its current and its
-    temperature depend on."""
+    """Numbers that may be wrong: of a clamped wire those that show in its signals."""
     shown = ("electrical", "thermal") if load == "clamped" else STAGES
     known = numbers(load).items()
     return tuple(name for name, n in known if not n.weighed and n.stage in shown)
@@ -110,8 +109,7 @@ FAMILIES = ("triangle", "step", "staircase", "trapezoid")
 
 
 class Pulse(NamedTuple):
-    """Voltage of one side's wires by corners [s since the start of the record, V], piecewise
-    linear, zero before and after."""
+    """Voltage of a side's wires by corners [s since the start, V], linear between, zero outside."""
 
     side: str
     times: tuple[float, ...]
@@ -199,8 +197,7 @@ def _draw_pulse(family: str, reach: str, side: str, start: float, truth: Paramet
 
 
 def hottest(truth: Parameters) -> float:
-    """K at which the last martensite is gone, at full contraction of one side; of a clamped wire,
-    under _CLAMPED_STRESS."""
+    """K at which the last martensite is gone at full contraction, or _CLAMPED_STRESS."""
     modulus, strain = truth["wire.austenite_modulus"], truth["wire.maximum_recoverable_strain"]
     # Wires of a side; load [Pa] and stiffness [Pa] by contraction that they pull against.
     wires, load = 1, 0.0
@@ -261,8 +258,7 @@ class Stage:
 
     @classmethod
     def from_label(cls, label: Mapping[str, Any]) -> Self:
-        """The stage of a case; its features are label["features"], without the effect
-        label["base"]."""
+        """The stage of a case, whose features are label["features"], or label["base"]."""
         return cls(_rig(dict(label["truth"]), {}, label.get("load", "beam")),
                    msgspec.convert(label["sensors"], Sensors),
                    msgspec.convert(label["drives"], dict[str, Drive]))  # fmt: skip

@@ -212,8 +212,7 @@ def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[t
 
 
 def tables(one: Score) -> list[str]:
-    """Everything that is known of one examinee: measures, groups of cases, and what was chosen
-    instead of the truth."""
+    """Everything known of one examinee: measures, groups, what was chosen instead of the truth."""
     header = ("measure", "cases", "value", "95 % interval")
 
     def row(m: Measure) -> tuple[str, ...]:

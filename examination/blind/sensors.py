@@ -60,13 +60,10 @@ class Noise:
         return np.asarray(self.std * mixed)
 
     def whiten_means(self, means: Array, width: float, samples: float) -> Array:
-        """Means over windows side by side, filtered so that their noise is white with std 1.
-
-        Means of white noise plus an AR(1) process are an ARMA(1,1) process: its innovations are
-        what this returns, for a process that was quiet before the first window.
-
-        Args: means (n,) of the windows; width [s] of one, and samples in it.
-        """
+        """Means over windows side by side, filtered so that their noise is white with std 1. Means
+        of white noise plus an AR(1) process are an ARMA(1,1) process: its innovations are what this
+        returns, for a process that was quiet before the first window. Args: means (n,) of the
+        windows; width [s] of one, and samples in it."""
         ratio = width / self.correlation_time
         rho = float(np.exp(-ratio))
         # Variance of the means, and covariance of neighbours: the correlation integrated twice.

@@ -25,8 +25,7 @@ _MANY, _PER_FLUSH = 200_000, 40  # messages
 
 @contextlib.contextmanager
 def small_disk(folder: Path, size: int) -> Iterator[str]:
-    """`folder` with room for about `size` bytes, and what it is: a file system where this process
-    may mount one, else a limit on the size of a file."""
+    """`folder` with room for `size` bytes; whether a file system or a limit on files."""
     folder.mkdir(parents=True)
     command = ["mount", "-t", "tmpfs", "-o", f"size={size}", "sma_bench_full_disk", str(folder)]
     root = os.geteuid() == 0 and shutil.which("mount") is not None

@@ -68,8 +68,7 @@ def named_joints(count: int) -> bytes:
 
 
 def journal_naming(db3: Path, victim: Path) -> Path:
-    """A journal as of a writer that died, which says that `victim` goes with it: SQLite deletes the
-    file of that name once it has rolled back."""
+    """A dead writer's journal with `victim`: SQLite deletes that file once it has rolled back."""
     pages = db3.stat().st_size // _PAGE
     head = struct.pack(">8sIIIII", _SUPER_JOURNAL, 0, 1, pages, _SECTOR, _PAGE)
     name = str(victim).encode()

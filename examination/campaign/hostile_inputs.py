@@ -42,8 +42,7 @@ _STAMPS = (0, 1, 10**9, 2**31 * 10**9 - 1)
 
 @dataclass(frozen=True)
 class Case:
-    """What the commands get: a record, result or table, and options; `tabled` are import's, None
-    where there is nothing to import."""
+    """What commands get: record, result or table, options; of import None where nothing is."""
 
     path: Path
     options: tuple[str, ...] = ()

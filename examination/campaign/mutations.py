@@ -61,8 +61,7 @@ def _node_arguments(file: Path) -> None:
 
 
 def _serial(file: Path) -> None:
-    """The stream in pieces, as lines and as frames; then what comes with a right checksum, which is
-    not thereby right. A wrong message is a ProtocolError."""
+    """The stream in pieces, as lines and frames, then bodies; wrong is a ProtocolError."""
     received = file.read_bytes()
     bodies = received.split(b"\n")
     for binary in (False, True):
@@ -132,8 +131,7 @@ EDITS = ("cut", "drop", "twice", "insert", "replace", "replace")
 
 
 def edited(content: bytes, edits: list[tuple[str, float, int, bytes]]) -> bytes:
-    """Apply edits of a kind at a place (0 to 1): cut off, drop, repeat, insert, or replace `n`
-    bytes, or the whole token that starts there."""
+    """Edits at places (0 to 1): cut, drop, twice, insert `n` bytes, replace a whole token."""
     for kind, place, n, payload in edits:
         at = int(place * (len(content) + 1))
         end = at + n

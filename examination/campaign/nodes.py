@@ -45,10 +45,8 @@ RELIABLE = QoSProfile(depth=2000)
 
 
 class Talker(NodeCalls):
-    """The campaign's own node, another of another program, and the processes beside them.
-
-    DDS lets no program have two types on a topic: that is for the `stranger`.
-    """
+    """The campaign's own node, another of another program, and the processes beside them. DDS lets
+    no program have two types on a topic: that is for the `stranger`."""
 
     def __init__(self, node: Node, stranger: Node, nodes: NodeProcesses) -> None:
         super().__init__(node, self._look)
@@ -351,11 +349,9 @@ def soak(size: int, _: int, folder: Path) -> list[Outcome]:
 
 def judge(hours: np.ndarray, megabytes: np.ndarray) -> tuple[str, bool]:
     """What was found, and whether it shows that MB an hour after the warm-up are below the limit,
-    with half of their interval of 95 %.
-
-    The line goes through the means of parts of equal time: memory is a staircase, in which a look
-    says what the one before it said, and the looks are not evenly spread over the bench's time.
-    """
+    with half of their interval of 95 %. The line goes through the means of parts of equal time:
+    memory is a staircase, in which a look says what the one before it said, and the looks are not
+    evenly spread over the bench's time."""
     edges = np.linspace(min(_WARM_UP, 0.5 * hours[-1]), hours[-1], _PARTS + 1)
     part = np.minimum(np.searchsorted(edges, hours, side="right") - 1, _PARTS - 1)
     parts = [part == k for k in range(_PARTS) if k in part]

@@ -37,11 +37,9 @@ class TooLong(Exception):
 @contextmanager
 def allowance(memory: int, seconds: float) -> Iterator[None]:
     """MemoryError beyond `memory` bytes more than now, TooLong beyond `seconds` of CPU time, the
-    system's for it included, or beyond _PATIENCE times as long on the wall.
-
-    Of the main thread only, for the signals; CPU time, for a busy machine is no fault; the wall's
-    too, for what waits on a pipe takes none.
-    """
+    system's for it included, or beyond _PATIENCE times as long on the wall. Of the main thread
+    only, for the signals; CPU time, for a busy machine is no fault; the wall's too, for what waits
+    on a pipe takes none."""
 
     def too_long(number: int, _: object) -> None:
         waits = number == signal.SIGALRM

@@ -25,8 +25,7 @@ CLEAN = (clean_bag, clean_tables)
 
 
 def judge(case: Case) -> dict[str, Any]:
-    """Of every number that is true or false: how many standard errors it is off, and what was
-    said; or the line that the records were refused with."""
+    """By how many standard errors each number is off and what was said; or the refusal."""
     try:
         found = identify(case.records, case.parameters, case.experiments)
     except InputError as error:
@@ -51,8 +50,7 @@ def run_attack(attack: Attack, seeds: Sequence[int]) -> list[dict[str, Any]]:
 
 
 def run_numbered(what: str, number: int, seed: int) -> Any:
-    """An attack by its place in ATTACKS, with so many seeds, or a clean set by its place in CLEAN,
-    of this seed: what an attack does to records cannot be sent to a process."""
+    """An attack with so many seeds, or a clean set of a seed, each by its place."""
     if what == "attack":
         return run_attack(ATTACKS[number], range(seed))
     return judge(CLEAN[number](np.random.default_rng(9000 + seed), seed))

@@ -385,8 +385,7 @@ def outcome(bag: Bag) -> tuple[str, str]:
 
 
 def _fault(bag: Bag, number: int, true: Array, time: Array, values: Array) -> str:
-    """What is wrong with a signal of stream `number`, (n,) as the messages have it, read as (m,)
-    values at (m,) s of its clock; "" for nothing."""
+    """What is wrong with (m,) values read at (m,) s of a stream's signal (n,); "": nothing."""
     s = bag.streams[number]
     limit = _SAME_TIME + (0.0 if s.is_stamped else bag.apart)
     near = np.abs(time[:, None] - (s.stamp - s.order[0]) * 1e-9) <= limit
@@ -425,8 +424,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def try_bags(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
-    """Bags `first` to `stop` of a seed: of each its habits that are not plain, whether it tells,
-    what came of it and why."""
+    """Bags `first` to `stop` of a seed: odd habits, whether it tells, what came of it and why."""
     found = []
     for number in range(first, stop):
         rng = np.random.default_rng([50, seed, number])

@@ -42,8 +42,7 @@ _SLOPE = "effect.stress_dependent_transition."
 
 
 class Claim(NamedTuple):
-    """One number of an effect: as stated, with the error of the noise alone beside it, and true;
-    `gain` of its effect over recalibration [nats]."""
+    """A number of an effect as stated, the noise's own error, true; `gain` of the effect [nats]."""
 
     case: str
     number: str

@@ -31,8 +31,7 @@ Results = Mapping[str, Result]
 
 
 def compare(kept: Results, now: Results) -> Iterator[tuple[bool, str]]:
-    """Everything that moved, is gone or is new of the results that were made now: whether it is
-    outside its tolerance, and a line."""
+    """All that moved, is gone or is new: whether it is outside its tolerance, and a line."""
     for result, made in now.items():
         old = kept[result].numbers if result in kept else {}
         for name in dict.fromkeys([*old, *made.numbers]) if not made.skipped else ():

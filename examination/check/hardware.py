@@ -65,8 +65,7 @@ def show(estimates: Mapping[str, Any], truth: Parameters) -> None:
 
 
 def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
-    """The identification service's answer of a bench that is made of `truth`; InputError where the
-    Uno cannot be built here, a node ended, or the experiment aborted."""
+    """The service's answer of such a bench; InputError without an Uno or where it aborts."""
     from sma_bench.ros.bench_client import BenchClient
     from sma_bench.ros.processes import NodeProcesses, private_ros_environment
 

@@ -179,8 +179,7 @@ def mutations_of(file: str) -> list[Mutation]:
 
 
 def drawn(number: int, seed: int) -> list[Mutation]:
-    """The first of a row that the seed makes, of those that compile without a warning; a change
-    elsewhere in a file changes nothing in their order."""
+    """The first of a row that seed and names make, of those that compile without a warning."""
     every = [mutation for file in FILES for mutation in mutations_of(file)]
     every.sort(key=lambda one: hashlib.sha256(f"{seed} {one.name}".encode()).hexdigest())
     return list(itertools.islice(filter(compiles, every), number))

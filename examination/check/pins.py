@@ -69,8 +69,7 @@ def read_lock(path: Path) -> dict[str, Locked]:
 
 
 def problems() -> list[str]:
-    """A line for everything in which a lock is not its requirement file with hashes, and for every
-    package that two of them have in different versions."""
+    """A line for all in which a lock is not its requirement file, or two locks differ."""
 
     def pinned(text: str) -> set[tuple[str, str, str]]:
         """(name, version, marker) of every line, names and quotes in one form."""

@@ -126,8 +126,7 @@ def draw_rig(load: str, rng: np.random.Generator) -> Parameters:
 
 
 def draw_record(truth: Parameters, rng: np.random.Generator) -> Record:
-    """Three strokes, sides in turn, that heat to about A_f and back, a staircase between clamps;
-    some sensors are not there."""
+    """Three strokes to about A_f and back, a staircase between clamps; some sensors are missing."""
     rise = truth[TEMPERATURES[1]] + 15.0 - truth["environment.ambient_temperature"]
     loss = truth["wire.heat_transfer_coefficient"] * truth["wire.surface_area"]
     volts = math.sqrt(rise * loss * truth["wire.resistance"])
@@ -152,8 +151,7 @@ def draw_record(truth: Parameters, rng: np.random.Generator) -> Record:
 
 
 def draw_statements(truth: Parameters, rng: np.random.Generator) -> Parameters:
-    """What its lab states: some numbers not at all, others exactly, tightly or absurdly widely,
-    some of them at an end of what they may be."""
+    """What its lab states: some numbers not, others exactly, absurdly widely, or at an end."""
     load = truth["load.kind"]
     exact = {n for n, p in BY_NAME.items() if p.uncertainty is None or n == "wire.length"}
     rig = {n: truth[n] for n in truth.given if n not in BY_NAME or n in exact}

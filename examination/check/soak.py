@@ -140,8 +140,7 @@ def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tu
 
 
 def programme(rng: np.random.Generator, most: float) -> Array:
-    """(N,) V, a command each: rest, a hold, a staircase, a triangle, or pulses, after a second of
-    nothing."""
+    """(N,) V by command: a second of nothing; rest, hold, staircase, triangle or pulses."""
     found = _shape(rng, most, np.arange(N))
     found[: round(1.0 / COMMANDS)] = 0.0
     return found

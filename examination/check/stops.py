@@ -90,8 +90,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def stopped(seed: int, number: int, size: int,
             only: Sequence[str] = tuple(NODES)) -> list[dict[str, Any]]:
-    """Start a group, stop it, and say of each of its nodes how long that took and what was wrong.
-    Every other group is stopped while it starts."""
+    """How long each of a group took to stop and what was wrong; every other as it starts."""
     rng = random.Random(f"{seed}/{number}")
     names = rng.sample(sorted(only), min(size - 2, len(only)))
     names += BARE[: size - len(names)]

@@ -200,8 +200,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def imported(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
-    """Imports `first` to `stop` of a seed, each of a table in a dialect: the habits that are not
-    plain, what came of it and why."""
+    """Imports `first` to `stop` of a seed: odd habits of the dialect, what came of it and why."""
     found = []
     for number in range(first, stop):
         truth = dialects.true_table(number % dialects.TABLES, seed)

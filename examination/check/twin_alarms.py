@@ -37,8 +37,7 @@ TRIALS = 40
 
 
 def residuals(random: np.random.Generator, bins: int, drift: float, time: float) -> Array:
-    """(bins,) K of a sensor that drifts with a standard deviation `drift` K, correlated for
-    `time` s."""
+    """(bins,) K of a sensor whose drift has a deviation of `drift` K, correlated for `time` s."""
     phi = math.exp(-BIN / time)
     driven = random.standard_normal(bins) * drift * math.sqrt(1.0 - phi**2)
     driven[0] = random.standard_normal() * drift
@@ -82,8 +81,7 @@ def add(signal: SignalBins, residual: Array, start: int, stop: int) -> None:
 
 
 def delay_of_gap(residual: Array, known: int) -> float:
-    """s from bin `known` of a residual (n,) K to the first verdict that names a gap, inf for
-    none."""
+    """s from bin `known` of a residual (n,) K to the first verdict of a gap, inf for none."""
     signal, width = signal_of(residual[:known]), round(WINDOW / BIN)
     squares = (residual / math.hypot(SCATTER, ALLOWED)) ** 2
     for end in range(known, len(residual), EVERY):

@@ -103,8 +103,7 @@ def run_of(name: str, law: str, wire: Sequence[float], rng: np.random.Generator)
 
 @compiled
 def elongation(duty: Array, law: int, numbers: Array) -> Array:
-    """m, of austenite a, martensite s that has a strain and t that has none; as long as a branch
-    goes on, what vanishes loses its share of what is left."""
+    """m, of austenite a, martensite s with a strain and t without; branches lose in proportion."""
     (ohms, change, h, n, emissivity, c, latent, room, a_s, a_f, m_s, m_f, strain, e_m, e_a, c_a,
      c_m, expands, spring, preload, start, wide) = numbers  # fmt: skip
     length, section, area, mass = 1.0, 1.963e-7, 1.571e-3, 1.27e-3

@@ -36,11 +36,9 @@ _MOST_STEPS = 100_000
 @numba.njit(cache=True, error_model="numpy")
 def rate(y, dy, of_wires, volts, turned, numbers, sides, stiffness, loads):
     """Write d(T, xi)/dt (2 w,) at held voltages (w,), and each wire's heating [K/s], f, g (3, w).
-
-    `turned` (2, w) is 1 or -1 for a wire that heats or cools, and what its last reversal makes of
-    f or g; `sides` (w,) the side of each wire, `stiffness` that of each side, infinite in clamps;
-    `loads` (w,) what each wire bears at rest [Pa], from where strains count.
-    """
+    `turned` (2, w) is 1 or -1 for a wire that heats or cools, and what its last reversal makes of f
+    or g; `sides` (w,) the side of each wire, `stiffness` that of each side, infinite in clamps;
+    `loads` (w,) what each wire bears at rest [Pa], from where strains count."""
     n, w = numbers, sides.size
     modulus, own, matrix, slopes = np.empty(w), np.empty(w), np.eye(w), np.empty((2, w))
     pull, total = np.zeros(w), stiffness.copy()
@@ -184,11 +182,9 @@ RIVALS: dict[str, Callable[[float], Solver]] = {"scipy LSODA": lsoda, "scikit-su
 
 
 def drive(n: int, wires: int) -> tuple[Array, Array]:
-    """Time [s] and voltages [V] at random levels, each held for HOLD samples.
-
-    The wires of a side are driven alike, as in the paper: where the stress of one moves the range
-    of another, the solvers' differential form lacks the contract's rule for that.
-    """
+    """Time [s] and voltages [V] at random levels, each held for HOLD samples. The wires of a side
+    are driven alike, as in the paper: where the stress of one moves the range of another, the
+    solvers' differential form lacks the contract's rule for that."""
     levels = np.random.default_rng(0).uniform(0.0, 6.5, (n // HOLD + 1, min(wires, 2)))
     sides = np.repeat(levels, max(wires // 2, 1), axis=1)
     return np.arange(n) * STEP, np.repeat(sides, HOLD, axis=0)[:n]

@@ -70,8 +70,7 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
 
 
 def run(words: Sequence[str], environment: Mapping[str, str] | None = None) -> tuple[float, float]:
-    """Seconds on the wall and of the processor for `sma-bench words`, children included. Raises
-    RuntimeError if it fails."""
+    """s on the wall and of the processor for `sma-bench words`; raises RuntimeError if it fails."""
     command = [sys.executable, "-P", "-m", "sma_bench.cli", *words]
     variables = {**os.environ, **(environment or {})}
 
@@ -83,8 +82,7 @@ def run(words: Sequence[str], environment: Mapping[str, str] | None = None) -> t
 
 
 def spent(work: Callable[[], str]) -> tuple[float, float]:
-    """Seconds on the wall, and of the processors of the processes that work has begun. Raises
-    RuntimeError with what it says."""
+    """s on the wall and of processes begun; RuntimeError with what `work` says went wrong."""
     begin, before = time.perf_counter(), os.times()
     if failed := work():
         raise RuntimeError(failed)

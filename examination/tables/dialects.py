@@ -180,8 +180,7 @@ _SHIFT = 12.0  # s, between two clocks of a table
 
 
 class Written(NamedTuple):
-    """A column as the file has it: its title, the truth behind it (None: nothing to read), SI in
-    one unit of its last decimal."""
+    """A column of the file: title, the truth in it (None: none), SI of its last decimal."""
 
     title: str
     quantity: Quantity | None
@@ -189,8 +188,7 @@ class Written(NamedTuple):
 
 
 class Sample(NamedTuple):
-    """One file: where, the habits that made it, its columns, the true times of each
-    signal and the finest step of its clock in s, and whether it tells what it means."""
+    """A file: path, habits, columns, true times by signal, s of its clock, if it tells all."""
 
     path: Path
     habits: dict[str, str]

@@ -91,8 +91,7 @@ def pull_at_rest(beam: Beam) -> Pull:
 
 @inlined
 def wire_stress(beam, pull, i, xi, temperature, contraction):
-    """Stress of wire i, its slopes along xi and contraction, its detwinned strain, and how far it
-    lies loose."""
+    """Stress of wire i, slopes along xi and contraction, detwinned strain, how loose it lies."""
     austenite, straight = 1.0 - xi, 1.0
     share, share_slope = austenite, -1.0
     if austenite < pull.transformed[i]:
@@ -132,10 +131,8 @@ def wire_stress(beam, pull, i, xi, temperature, contraction):
 @inlined
 def detwinning(yielding, modulus, stress, detwinned, contraction):
     """Strain by which martensite beyond its length at rest yields, with kinematic hardening, the
-    factor on the slope of stress along xi, the slope along contraction.
-
-    Up to the length at rest its stretching back is already in the transformation strain.
-    """
+    factor on the slope of stress along xi, the slope along contraction. Up to the length at rest
+    its stretching back is already in the transformation strain."""
     flow, soft, along = 0.0, 1.0, -modulus
     beyond = max(-contraction, 0.0)
     back = HARDENING * modulus * detwinned

@@ -20,12 +20,10 @@ SLOW_SHARE = 0.8  # of a battery's drop that comes and goes
 
 @inlined
 def phase_change(has, martensite, rise):
-    """Relative change of a wire's resistance by phase, `rise` K above the start.
-
-    a [(1 - w)(1 - xi) + 4 w xi (1 - xi)] + |a| b xi (T - T_0): an intermediate phase of higher
-    resistivity (R-phase: Otsuka and Ren, Prog. Mater. Sci. 50, 2005), martensite whose resistance
-    rises with temperature (Furst and Seelecke, J. Intell. Mater. Syst. Struct. 23, 2012).
-    """
+    """Relative change of a wire's resistance by phase, `rise` K above the start. a [(1 - w)(1 - xi)
+    + 4 w xi (1 - xi)] + |a| b xi (T - T_0): an intermediate phase of higher resistivity (R-phase:
+    Otsuka and Ren, Prog. Mater. Sci. 50, 2005), martensite whose resistance rises with temperature
+    (Furst and Seelecke, J. Intell. Mater. Syst. Struct. 23, 2012)."""
     change, hump, austenite = has.resistance_austenite_change, has.resistance_hump, 1.0 - martensite
     mixed = change * ((1.0 - hump) * austenite + 4.0 * hump * austenite * martensite)
     return mixed + abs(change) * has.resistance_martensite_slope * rise * martensite
@@ -33,11 +31,9 @@ def phase_change(has, martensite, rise):
 
 @inlined
 def drawn(has, voltage, sag, ohm):
-    """Current [A] that a supply drives through `ohm` behind its leads.
-
-    V - R_s I; V - R_s max(I - I_k, 0), an overloaded supply; V - (1 - m) R_s I - u with tau du/dt =
-    m R_s I - u, a battery (Thevenin's model: Plett, Battery Management Systems 1, 2015).
-    """
+    """Current [A] that a supply drives through `ohm` behind its leads. V - R_s I; V - R_s max(I -
+    I_k, 0), an overloaded supply; V - (1 - m) R_s I - u with tau du/dt = m R_s I - u, a battery
+    (Thevenin's model: Plett, Battery Management Systems 1, 2015)."""
     leads = has.supply_resistance
     if has.supply_memory > 0.0:
         leads *= 1.0 - SLOW_SHARE
@@ -98,11 +94,9 @@ LAYERS = (0.1, 1.0, 10.0)  # of the time
 
 @inlined
 def from_reservoir(has, warmed, i, temperature, step):
-    """W into wire i from what it warms beside its way to the air; `warmed` (w, 3) K is advanced.
-
-    G (E - T) with tau dE/dt = T - E, a clamp; the mean of three of them, times a decade apart, a
-    block (lumped capacities: Incropera, Fundamentals of Heat and Mass Transfer, ch. 5).
-    """
+    """W into wire i from what it warms beside its way to the air; `warmed` (w, 3) K is advanced. G
+    (E - T) with tau dE/dt = T - E, a clamp; the mean of three of them, times a decade apart, a
+    block (lumped capacities: Incropera, Fundamentals of Heat and Mass Transfer, ch. 5)."""
     watts = 0.0
     for k in range(3):
         part = 1.0 / 3.0 if has.reservoir_spread > 0.0 else (1.0 if k == 1 else 0.0)

@@ -84,8 +84,7 @@ SECONDS_PER_MINUTE = 60.0
 
 @inlined
 def current(rig, voltage, temperature, martensite, driven, sag):
-    """Current [A] of one wire that was driven so long [s], its supply sagging by so many V, and the
-    power [W] that heats it."""
+    """A and heating W of a wire driven so long [s], its supply sagging by so many V."""
     has = rig.features
     rise = temperature - rig.beam.rest_temperature
     warm = 1.0 + has.resistance_temperature_coefficient * rise
@@ -150,10 +149,8 @@ def strip_of(world: World) -> Strip:
 
 @inlined
 def surface_temperature(strip, cell, air, gust):
-    """K of the silicone's surface, and W/K from the outermost cell to the air.
-
-    The film is taken at the excess that the surface would have over the baseline's film.
-    """
+    """K of the silicone's surface, and W/K from the outermost cell to the air. The film is taken at
+    the excess that the surface would have over the baseline's film."""
     film = strip.film * gust
     excess = abs(cell - air) * strip.rim / (strip.rim + film)
     place = min(excess / EXCESS_STEP, len(strip.relative_film) - 1.001)
@@ -166,10 +163,8 @@ def surface_temperature(strip, cell, air, gust):
 
 @inlined
 def warm(strip, field, row, sources, air, gust, step, scratch):
-    """Advance the nodes of one strip, a row of field (s, NODES), by a step.
-
-    sources (2, 2) by front and back wire: W into it; J/K that it has beyond its own capacity.
-    """
+    """Advance the nodes of one strip, a row of field (s, NODES), by a step. sources (2, 2) by front
+    and back wire: W into it; J/K that it has beyond its own capacity."""
     front_air = surface_temperature(strip, field[row, 0], air, gust)[1]
     back_air = surface_temperature(strip, field[row, NODES - 1], air, gust)[1]
     part = STAGE * step

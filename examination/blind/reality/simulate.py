@@ -186,9 +186,7 @@ class Outcome:
 def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0) -> Outcome:
     """What a world does under voltages (n, w) V, held from each of the increasing times (n,) s to
     the next, from rest at ambient temperature; what its sensors do wrong does nothing here.
-
-    Internal steps are at most 5 ms/fine long (0.25: 20 ms, for cheap sensitivities).
-    """
+    Internal steps are at most 5 ms/fine long (0.25: 20 ms, for cheap sensitivities)."""
     warn_if_plain()
     time, voltage = np.array(time, dtype=float), np.array(voltage, dtype=float)
     driven, wires = len(world.parameters["bench.channels"]), len(world.sides)

@@ -64,11 +64,9 @@ def grain_classes(world: World) -> Classes:
 
 
 def ramp_table(smoothness: float, law: float = 0.0) -> Array:
-    """(m, 2) ramp from 0 to 1 over positions 0 to 1, and its slope per table step.
-
-    From (1 - cos(pi x))/2 of the contract, smoothness 0, to the normal distribution function of
-    the same mean and deviation, 1, or to that of another law.
-    """
+    """(m, 2) ramp from 0 to 1 over positions 0 to 1, and its slope per table step. From (1 - cos(pi
+    x))/2 of the contract, smoothness 0, to the normal distribution function of the same mean and
+    deviation, 1, or to that of another law."""
     steps = round((1.0 + 2.0 * BEYOND) * PER_WIDTH)
     position = np.arange(steps + 1) / PER_WIDTH - BEYOND
     angle = 0.5 * np.pi * np.clip(position, 0.0, 1.0)
@@ -215,10 +213,8 @@ def draw(memory, grains, i, c, phase, own):
 
 @inlined
 def transform(classes, table, memory, bow, grains, i, temperature, stress):
-    """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa].
-
-    The temperature is less the drift of the transition, in the direction of `grains.rising`.
-    """
+    """Move wire i to a state: its martensite fraction there, and the slope along stress [1/Pa]. The
+    temperature is less the drift of the transition, in the direction of `grains.rising`."""
     rising, line = grains.rising[i], grains.line
     total, total_slope = 0.0, 0.0
     for c in range(len(classes.weight)):

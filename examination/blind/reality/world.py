@@ -66,8 +66,7 @@ class World:
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Of all wires; those of neither a beam nor antagonists have others behind them that do
-        nothing."""
+        """Of all wires; unless of a beam or antagonists, idle ones lie behind."""
         sides = tuple(self.parameters["bench.channel_sides"])
         return sides if self.load in ("beam", "antagonist") else sides + ("back",) * len(sides)
 

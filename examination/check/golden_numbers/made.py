@@ -37,9 +37,7 @@ BLIND = "examination.blind.command"
 @dataclass(frozen=True)
 class Number:
     """What is compared: a number within a tolerance, or a text or count that must be the same.
-
-    `side`: "" if either direction counts, "+" if only more, "-" if only less is outside.
-    """
+    `side`: "" if either direction counts, "+" if only more, "-" if only less is outside."""
 
     value: float | int | str | None
     tolerance: float
@@ -70,9 +68,7 @@ Numbers = dict[str, Number]
 @dataclass(frozen=True)
 class Result:
     """One record identified, one case diagnosed, ...: its numbers, or why there are none.
-
-    `seconds`: of the processor; `skipped`: the data is not here; `failed`: how it ended.
-    """
+    `seconds`: of the processor; `skipped`: the data is not here; `failed`: how it ended."""
 
     numbers: Numbers
     seconds: float = 0.0
@@ -167,8 +163,7 @@ def foreign_spring() -> Numbers:
 
 def identified(records: Sequence[Any], parameters: Any = None,
                experiments: Sequence[str] | None = None, unseen: Any = None) -> Numbers:
-    """Of `identify`: which experiments, their estimates, the details behind them, and how far a
-    record is missed that the fit has not seen."""
+    """Experiments, estimates and details of `identify`, errors on an unseen record."""
     found = sma_bench.identify(list(records), parameters, experiments)
     result, numbers = found.to_json(), {}
     tables = {"": result["parameters"]}
@@ -363,8 +358,7 @@ def _processor_time() -> float:
 
 
 def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
-    """All results of a section; `cases`: folder of the sets of development cases, by their number;
-    `jobs`: processes that blind60 may use."""
+    """Results of a section; `cases`: folder of sets by size; `jobs`: processes of blind60."""
 
     def filled(value: Any) -> Any:
         if isinstance(value, list):
