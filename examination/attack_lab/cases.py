@@ -2,6 +2,7 @@
 heat equation stepped here, nothing of `sma_bench.physics`."""
 
 import math
+from collections import namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -202,21 +203,8 @@ PHASES, TEMPERATURES = ("martensite", "austenite"), ("a_s", "a_f", "m_s", "m_f")
 OF_LOADS = (*TEMPERATURES, "c_a", "c_m", "eps_l")
 
 
-@dataclass(frozen=True)
-class Case:
-    records: Sequence[Any]
-    parameters: Parameters
-    truth: dict[str, float]
-    experiments: tuple[str, ...] | None = None
-
-
-@dataclass(frozen=True)
-class Attack:
-    """`make` takes a generator and the seed."""
-
-    experiment: str
-    name: str
-    make: Callable[[Any, int], Case]
+Case = namedtuple("Case", "records parameters truth experiments", defaults=(None,))
+Attack = namedtuple("Attack", "experiment name make")  # `make` takes a generator and the seed
 
 
 # --- E1 to E3: a staircase and ramps of one wire, near Table I and bare in air by turns.

@@ -10,9 +10,10 @@ exp(-BIC/2). Neither the lab's uncertainties nor the noise's correlation enter. 
 how far it shrinks is measured as the diagnosis does.
 """
 
+from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -31,12 +32,8 @@ _ENOUGH = 1e-4  # relative gain below which a fit is done
 _STAGES = {"current": "electrical", "temperature": "thermal"}
 
 
-class Fit(NamedTuple):
-    """Fitted parameters, the numbers that were fitted, the sum of squares over noise."""
-
-    parameters: Parameters
-    x: Array
-    square: float
+# Fitted parameters, the numbers that were fitted, the sum of squares over noise.
+Fit = namedtuple("Fit", "parameters x square")
 
 
 def every_fit(problem: Problem, nominal: Parameters) -> Mapping[str, Fit]:

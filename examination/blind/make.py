@@ -3,8 +3,9 @@ bags, what the owners believe, and labels under seal."""
 
 import json
 import shutil
+from collections import namedtuple
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -37,17 +38,9 @@ _SHRINK, _TRIALS = 0.8, 8
 LAW_SHOWS = 2.0  # gap over noise from which another law is a cause of its own
 
 
-@dataclass(frozen=True)
-class Sized:
-    """A world's features without what is hidden (`base`: nuisances, mild kinetics) and with it,
-    draws and amounts by effect, measured gaps, the larger of both records."""
-
-    base: dict[str, float]
-    features: dict[str, float]
-    draws: dict[str, Draw]
-    amounts: dict[str, float]
-    nuisance_gap: float
-    kinetics_gap: float
+# What a case's world holds: features without what is hidden (`base`: nuisances and mild kinetics)
+# and with it, draws and amounts by effect, measured gaps, the larger of both records.
+Sized = namedtuple("Sized", "base features draws amounts nuisance_gap kinetics_gap")
 
 
 def size(case: Case) -> Sized:

@@ -1,7 +1,7 @@
 """Answers and labels brought together once every answer is there, and the result as a page."""
 
 import math
-from collections import Counter
+from collections import Counter, namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -14,7 +14,7 @@ from scipy import stats
 
 from examination.blind import case_files as files
 from examination.blind import judgement
-from examination.blind.case_files import STAGE_OF, CaseSet, Kept
+from examination.blind.case_files import STAGE_OF, CaseSet
 from examination.blind.examination import NOMINAL, open_cases
 from examination.blind.judgement import OF_GROUPS, OTHERS, TARGETS, Bound, Judged, Measure, Measured
 from sma_bench.arrays import Array
@@ -26,13 +26,7 @@ Labels = Mapping[str, Mapping[str, Any]]
 FOLLOWED_UP = ", followed up"
 
 
-@dataclass(frozen=True)
-class Paper:
-    """All answers of one examinee, as handed in."""
-
-    folder: Path
-    examination: files.Examination
-    kept: tuple[Kept, ...]
+Paper = namedtuple("Paper", "folder examination kept")  # all answers of one examinee, as handed in
 
 
 @dataclass(frozen=True)

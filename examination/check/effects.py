@@ -9,10 +9,10 @@ Counted are effects that gain more than a verdict asks for. Some ten seconds a c
 """
 
 import sys
+from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -41,17 +41,8 @@ SAME: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_t
 _SLOPE = "effect.stress_dependent_transition."
 
 
-class Claim(NamedTuple):
-    """A number of an effect as stated, the noise's own error, true; `gain` of the effect [nats]."""
-
-    case: str
-    number: str
-    value: float
-    std: float
-    noise_std: float
-    true: float
-    same_meaning: bool
-    gain: float
+# A number of an effect as stated, the error of the noise alone, true; gain of its effect [nats].
+Claim = namedtuple("Claim", "case number value std noise_std true same_meaning gain")
 
 
 def claims_of(case: Case) -> list[Claim]:

@@ -9,10 +9,11 @@ simulated in this process (the physics that the simulator node steps), not over 
 
 import math
 import tempfile
+from collections import namedtuple
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
@@ -35,22 +36,17 @@ RIG = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
 _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 IDENTIFIED = tuple(_DATA["errors"])
 EXACT = ("wire.mass", "wire.surface_area", "wire.diameter")
-_FARTHEST = 2.5  # stated errors
+_FARTHEST, PRETENSION = 2.5, 0.002  # stated errors; strain
 STEP = 0.0025  # s
-LOADS = (10e6, 50e6, 100e6, 150e6, 200e6)
-PRETENSION = 0.002
-SIDES = ("front", "back")
+LOADS, SIDES = (10e6, 50e6, 100e6, 150e6, 200e6), ("front", "back")
 JITTER, LOST = 0.2, 0.02  # of a period, of the samples
 _HEATED, _REST = 25.0, 15.0  # s
 
 Steps = Iterable[dict[str, Any]]
 
 
-class DrawnBench(NamedTuple):
-    """`truth` simulates the bench, `known` is the parameter file of its lab."""
-
-    truth: Parameters
-    known: Parameters
+# `truth` simulates the bench, `known` is the parameter file of its lab.
+DrawnBench = namedtuple("DrawnBench", "truth known")
 
 
 def draw_bench(random: np.random.Generator) -> DrawnBench:
@@ -59,12 +55,10 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
     diameter, length = drawn.pop("diameter"), drawn.pop("length")
     section = math.pi * diameter**2 / 4.0
     drawn |= {
-        "wire.diameter": diameter,
-        "wire.mass": NITI_DENSITY * section * length,
+        "wire.diameter": diameter, "wire.mass": NITI_DENSITY * section * length,
         "wire.surface_area": math.pi * diameter * length,
         "wire.resistance": drawn.pop("resistivity") * length / section,
-        "wire.thermal_expansion_factor": -drawn.pop("expansion") * drawn["wire.martensite_modulus"],
-    }
+        "wire.thermal_expansion_factor": -drawn.pop("expansion") * drawn["wire.martensite_modulus"]}
     # Every order of the ranges that is seen on NiTi, M_s above A_s as in the paper included.
     while True:
         a_s = random.uniform(322.0, 345.0)
@@ -146,14 +140,6 @@ EXPERIMENTS: dict[str, tuple[Callable[[Parameters], Simulation], float]] = {
 }  # fmt: skip
 
 
-def record_everything(bench: DrawnBench, folder: Path, seed: int) -> list[Path]:
-    """Run every experiment once and write its bag; the paths."""
-    paths = [folder / name for name in EXPERIMENTS]
-    for number, path in enumerate(paths):
-        write_record(path, measured(path.name, bench.truth, 100 * seed + number))
-    return paths
-
-
 def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:
     """What the lab's instruments read in one of EXPERIMENTS, a topic's signals at one time."""
     run, rate = EXPERIMENTS[experiment]
@@ -221,8 +207,8 @@ identification of {draws} benches drawn at random (seed {seed})
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    own = {"draws": (50, "benches"), "seed": (0, "of the first bench")}
-    options = options_of("identification", __doc__, argv, **own, **IN_PIECES)
+    options = options_of("identification", __doc__, argv, draws=(50, "benches"),
+                         seed=(0, "of the first bench"), **IN_PIECES)
     bags, exact = ", ".join(EXPERIMENTS), ", ".join(EXACT)
     print(HEADER.format(draws=options.draws, seed=options.seed, bags=bags, exact=exact))
     jobs = [(options.seed + k,) for k in range(options.draws)]
@@ -241,8 +227,10 @@ def main(argv: Sequence[str] | None = None) -> int:
 def run_draw(seed: int) -> dict[str, Any]:
     bench = draw_bench(np.random.default_rng(seed))
     with tempfile.TemporaryDirectory(prefix="sma_bench_check_") as folder:
-        records = [read_record(path) for path in record_everything(bench, Path(folder), seed)]
-        found = identify(records, bench.known)
+        bags = [Path(folder, name) for name in EXPERIMENTS]
+        for number, bag in enumerate(bags):
+            write_record(bag, measured(bag.name, bench.truth, 100 * seed + number))
+        found = identify([read_record(bag) for bag in bags], bench.known)
     parameters = {}
     for name in IDENTIFIED:
         if e := found.estimates.get(name):

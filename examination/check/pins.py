@@ -15,10 +15,9 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections import defaultdict
+from collections import defaultdict, namedtuple
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 from packaging.markers import Marker
 from packaging.requirements import Requirement
@@ -47,13 +46,8 @@ _BLOCKS = re.compile(r"\n(?=[\w.-]+==)")
 _REQUIRES = "    # requires "
 
 
-class Locked(NamedTuple):
-    """A line of a lock: what it pins, on which Pythons, and what that version requires."""
-
-    name: str
-    version: str
-    marker: Marker | None
-    requires: tuple[Requirement, ...]
+# A line of a lock: what it pins, on which Pythons, and what that version requires.
+Locked = namedtuple("Locked", "name version marker requires")
 
 
 def read_lock(path: Path) -> dict[str, Locked]:

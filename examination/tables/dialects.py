@@ -6,10 +6,11 @@ file tells what it means: units, the meaning of every column, and a clock.
 
 import datetime as dt
 import re
+from collections import namedtuple
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
@@ -23,16 +24,9 @@ _DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encod
 RIGS = _DATA["rigs"]
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """One true column: `signal` of the contract (or of the instrument's record), what it is, its
-    values (n,) in SI, how the file writes it (`offset` added, `sign` before)."""
-
-    signal: str
-    kind: str
-    values: Array
-    offset: float = 0.0
-    sign: float = 1.0
+# A true column: `signal` of the contract (or of the instrument's record), what it is, its values
+# (n,) in SI, how the file writes it (`offset` added, `sign` before).
+Quantity = namedtuple("Quantity", "signal kind values offset sign", defaults=(0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -179,23 +173,12 @@ _LATE = 0.013  # s, of a sparse last column
 _SHIFT = 12.0  # s, between two clocks of a table
 
 
-class Written(NamedTuple):
-    """A column of the file: title, the truth in it (None: none), SI of its last decimal."""
-
-    title: str
-    quantity: Quantity | None
-    step: float = 0.0
-
-
-class Sample(NamedTuple):
-    """A file: path, habits, columns, true times by signal, s of its clock, if it tells all."""
-
-    path: Path
-    habits: dict[str, str]
-    columns: tuple[Written, ...]
-    times: dict[str, Array]
-    tick: float
-    tells: bool
+# A column as the file has it: its title, the truth behind it (None: nothing to read), SI in one
+# unit of its last decimal.
+Written = namedtuple("Written", "title quantity step")
+# One file: where, the habits that made it, its columns, the true times of each signal, the finest
+# step of its clock in s, and whether it tells what it means.
+Sample = namedtuple("Sample", "path habits columns times tick tells")
 
 
 def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
