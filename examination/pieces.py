@@ -21,8 +21,7 @@ PROCESSES = 2
 Z_95 = 1.959964
 IN_PIECES = {
     "processes": (PROCESSES, "at once"),
-    "json": (Path, "keep every result in this file as it comes; what is in it is not done again"),
-}
+    "json": (Path, "keep every result in this file as it comes; what is in it is not done again")}
 
 
 def options_of(name: str, doc: str | None, argv: Sequence[str] | None,
@@ -148,14 +147,12 @@ def print_outcomes(found: list[dict], outcomes: Sequence[str], habits: dict[str,
                    *head: str) -> None:
     """Outcomes by habit and kind, of all, of those that tell; wrong: the last two."""
     kinds = sorted({one["kind"] for one in found if "kind" in one})
-    groups = {
-        **{f"{kind}: {habit}": [o for o in found if o["odd"].get(kind) == habit]
-           for kind, each in habits.items() for habit in each[1:]},
-        **{f"a table of: {kind}": [o for o in found if o["kind"] == kind] for kind in kinds},
-        "all": found,
-        "that tell what they mean": [one for one in found if one["tells"]],
-        "that do not": [one for one in found if not one["tells"]],
-    }  # fmt: skip
+    groups = {**{f"{kind}: {habit}": [o for o in found if o["odd"].get(kind) == habit]
+                 for kind, each in habits.items() for habit in each[1:]},
+              **{f"a table of: {kind}": [o for o in found if o["kind"] == kind] for kind in kinds},
+              "all": found,
+              "that tell what they mean": [one for one in found if one["tells"]],
+              "that do not": [one for one in found if not one["tells"]]}
     print(row.format(*head, *outcomes))
     for name, group in groups.items():
         if ends := [one["outcome"] for one in group]:

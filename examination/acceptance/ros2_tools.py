@@ -175,15 +175,11 @@ def stage(built):
     built.clear()
 
 
-@pytest.mark.parametrize(
-    ("file", "mode", "camera", "container", "said"),
-    [
-        ("wire_bench", "simulated", "false", "false", "simulating"),
-        ("composite_bench", "simulated", "true", "false", "simulating"),
-        ("composite_bench", "simulated", "true", "true", "simulating"),
-        ("wire_bench", "hardware", "false", "false", "not connected"),
-    ],
-)
+@pytest.mark.parametrize(("file", "mode", "camera", "container", "said"), [
+    ("wire_bench", "simulated", "false", "false", "simulating"),
+    ("composite_bench", "simulated", "true", "false", "simulating"),
+    ("composite_bench", "simulated", "true", "true", "simulating"),
+    ("wire_bench", "hardware", "false", "false", "not connected")])
 def test_every_launch_file_in_every_mode_comes_up_and_ends_with_ctrl_c(stage, file, mode, camera,
                                                                        container, said):
     given = {"mode": mode, "camera": camera, "container": container}

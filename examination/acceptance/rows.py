@@ -310,8 +310,7 @@ ROWS: dict[str, tuple[str, Callable[[Stage], str]]] = {
     "12": ("a parameter file is obeyed or refused", a_parameter_file_is_obeyed_or_refused),
     "13": ("no power cut leaves a wrong reason", checked("power_cuts", "--cuts", "60")),
     "14": ("no false cut", checked("soak", "--only", "host", "firmware", "--hours", "4")),
-    "15": ("the safety tests can fail", checked("mutations", "--number", "6", "--tests-only")),
-}
+    "15": ("the safety tests can fail", checked("mutations", "--number", "6", "--tests-only"))}
 
 
 def main(wanted: list[str]) -> int:

@@ -202,7 +202,6 @@ def bare_bench(random) -> Bench:
 PHASES, TEMPERATURES = ("martensite", "austenite"), ("a_s", "a_f", "m_s", "m_f")
 OF_LOADS = (*TEMPERATURES, "c_a", "c_m", "eps_l")
 
-
 Case = namedtuple("Case", "records parameters truth experiments", defaults=(None,))
 Attack = namedtuple("Attack", "experiment name make")  # `make` takes a generator and the seed
 
@@ -341,8 +340,8 @@ WIRES = {
         2.0 * b.wire.mass * b.wire.specific_heat, 0.5 * b.wire.loss * b.wire.area)}),
     "latent heat in the ramps": _bench(_ALLOY_CHANGES, ramp_top=lambda b: 2.2 * b.ramp_top),
     "staircase too short to settle": _bench(dwell=lambda b: max(2.1, b.wire.tau)),
-    "stored runs swapped": _records(_crossed),
-}
+    "stored runs swapped": _records(_crossed)}
+
 
 # --- E5 to E8: an alloy in a calorimeter, a load frame, a tensile machine, between clamps.
 def _unknown_alloy() -> Parameters:
@@ -433,9 +432,7 @@ def beam(random, seed: int, **own) -> Case:
 
 _MAKERS = {"E5": dsc, "E6": frame, "E5, E6": frame, "E7": machine, "E8": clamps}
 _MAKERS |= {"E9": partial(frame, experiments=("E9",)), "E10": beam}
-ATTACKS = (
-    *(Attack("E1 to E3", name, _bench(**own)) for name, own in FAULTS["E1 to E3"].items()),
-    *(Attack("E1 to E3", name, make) for name, make in WIRES.items()),
-    *(Attack(experiment, name, partial(make, **own))
-      for experiment, make in _MAKERS.items() for name, own in FAULTS[experiment].items()),
-)
+ATTACKS = (*(Attack("E1 to E3", name, _bench(**own)) for name, own in FAULTS["E1 to E3"].items()),
+           *(Attack("E1 to E3", name, make) for name, make in WIRES.items()),
+           *(Attack(experiment, name, partial(make, **own))
+             for experiment, make in _MAKERS.items() for name, own in FAULTS[experiment].items()))

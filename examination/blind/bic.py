@@ -31,7 +31,6 @@ from sma_bench.records import Record
 _ENOUGH = 1e-4  # relative gain below which a fit is done
 _STAGES = {"current": "electrical", "temperature": "thermal"}
 
-
 # Fitted parameters, the numbers that were fitted, the sum of squares over noise.
 Fit = namedtuple("Fit", "parameters x square")
 
@@ -87,8 +86,7 @@ def bic_answer(records: Sequence[Record], hold_out: Sequence[Record],
     improved = fits[best].parameters
     candidates: list[dict[str, Any]] = [
         {"name": name, "stage": STAGE_OF.get(name, ""), "probability": shares[name]}
-        for name in sorted(shares, key=lambda name: -shares[name])
-    ]
+        for name in sorted(shares, key=lambda name: -shares[name])]
     if named:
         values = {p.name: {"value": float(improved[p.name])} for p in EFFECTS[best].parameters}
         candidates[0]["parameters"] = values
@@ -97,19 +95,11 @@ def bic_answer(records: Sequence[Record], hold_out: Sequence[Record],
     unseen = Problem.of([observe(record, nominal) for record in hold_out or records])
     refitted = fits[RECALIBRATION].parameters
     claims = shrinkage(unseen.observations, nominal, refitted, improved, unseen.noise)
-    answer = {
-        "verdict": "effect" if named else best,
-        "cause": [best] if named else [],
-        "candidates": candidates,
-        "where": {
-            "signal": quantity, "phase": cell.phase, "side": cell.side,
-            "stage": STAGE_OF.get(best) or _STAGES.get(quantity, "mechanical"),
-        },
-        "shrinkage": {
-            quantity: {"fraction": None, "ci90": None} if one.at_noise
-            else {"fraction": one.fraction, "ci90": list(one.ci90)}
-            for quantity, one in claims.items()
-        },
-        "next_experiment": None,
-    }  # fmt: skip
+    answer = {"verdict": "effect" if named else best, "cause": [best] if named else [],
+              "candidates": candidates, "next_experiment": None,
+              "where": {"signal": quantity, "phase": cell.phase, "side": cell.side,
+                        "stage": STAGE_OF.get(best) or _STAGES.get(quantity, "mechanical")},
+              "shrinkage": {quantity: {"fraction": None, "ci90": None} if one.at_noise
+                            else {"fraction": one.fraction, "ci90": list(one.ci90)}
+                            for quantity, one in claims.items()}}
     return answer, improved

@@ -20,7 +20,6 @@ VERDICTS = ("effect", "recalibration", "no_gap", "ambiguous", "unexplained")
 NO_GAP, RECALIBRATION, UNEXPLAINED = "no_gap", "recalibration", "unexplained"
 # Candidates that are no effect and so have no stage.
 NO_EFFECT = (RECALIBRATION, NO_GAP, UNEXPLAINED)
-
 # Every effect name of the contract and the stage in which it acts.
 _EFFECTS_OF = {
     "electrical": "phase_dependent_resistance supply_drop",
@@ -29,8 +28,7 @@ _EFFECTS_OF = {
     "transformation": "partial_transformation transformation_law transition_drift "
     "stress_dependent_transition",
     "mechanical": "residual_strain viscoelastic_matrix opposing_wires side_asymmetry slack",
-    "sensor": "temperature_underfill temperature_lag deflection_drift",
-}
+    "sensor": "temperature_underfill temperature_lag deflection_drift"}
 STAGE_OF = {name: stage for stage, names in _EFFECTS_OF.items() for name in names.split()}
 
 

@@ -86,7 +86,6 @@ EFFECTS, OUTSIDE = _TABLE["effects"], _TABLE["outside"]
 # Effects of which every rig has a little; forms of what every rig has, with their features.
 OF_ALL_RIGS = ("temperature_dependent_convection", "deflection_drift", "temperature_lag")
 _ALWAYS: dict[str, dict[str, dict[str, float]]] = _DEALT["always"]
-
 # The largest amount that a target may ask for, over the largest natural one; the smallest, of it.
 STRETCH, _SMALLEST = 1.5, 1e-4
 _TRIALS, _CLOSE, _STALLED = 6, 0.12, 1e-3  # close: of the target
@@ -124,11 +123,9 @@ def draw(symptom: Symptom, rng: np.random.Generator, peak_current: float) -> Dra
 
 
 def draw_settings(settings: Mapping[str, Setting], rng: np.random.Generator) -> dict[str, float]:
-    return {
-        name: float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))) if s.spread == "log"
-                    else rng.uniform(s.low, s.high))
-        for name, s in settings.items()
-    }  # fmt: skip
+    return {name: float(np.exp(rng.uniform(np.log(s.low), np.log(s.high))) if s.spread == "log"
+                        else rng.uniform(s.low, s.high))
+            for name, s in settings.items()}
 
 
 def amount_for(drawn: Draw, target: float, gap: Callable[[float], float], start: float) -> float:
@@ -256,13 +253,11 @@ IN_FORMS, WITH_CLAMPED, WITH_LOOPS, WITH_REFITS, WITH_STATES = (
     range(first, 4000) for first in (2700, 2800, 2900, 2950, 2960))
 # Of the kinds from seed 2700 on: the benches that are asked about.
 FROZEN_SHARES: dict[str, float] = _DEALT["shares_of_forms"]
-
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.
 _STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS, "forms",
             "states")  # fmt: skip
 DECK = 2**31 - 1
-
 NUISANCE_LIMIT = 0.3  # gap over noise that all nuisances together stay below
 
 
@@ -301,7 +296,6 @@ class Case(Stage):
 
     def stream(self, purpose: str) -> np.random.Generator:
         return _stream(self.seed, self.index, purpose)
-
 
 
 def split_of(seed: int) -> str:
@@ -347,8 +341,7 @@ def draw_case(seed: int, index: int, card: Card, name: str, load: str = "beam") 
     second_run = {
         n: truth[n] + std * z if n.endswith("temperature") else truth[n] * float(np.exp(std * z))
         for (n, std), z in zip(_DEALT["states"].items(), away.tolist(), strict=True)
-        if seed in WITH_STATES
-    } if state.random() < _DEALT["states_share"] else {}
+        if seed in WITH_STATES} if state.random() < _DEALT["states_share"] else {}
     storage, namespace = (str(bag.choice(_DEALT[k])) for k in ("storages", "namespaces"))
     # Some working day, the second record after the first.
     day = _DEALT["first_day"] + 86400 * int(bag.integers(_DEALT["days"]))

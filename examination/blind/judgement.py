@@ -173,8 +173,7 @@ class Judged:
             "settled": settled,
             "stated": (belief, first_right) if first else None,
             "error_before": self.error_before, "error_after": self.error_after,
-            "seconds": self.seconds,
-        }  # fmt: skip
+            "seconds": self.seconds}
         # Where the gap is, if the label has a place: signals are the same when their quantity is,
         # front_1.temperature and temperature. The stage is that of the effect that does most, or of
         # any wrong parameter.
@@ -191,11 +190,9 @@ class Judged:
                 facts[f"place_right {key}"] = place is not None and quantity_of(place) in wanted
         # Of the claimed and the true fraction of one signal: the deflection where it has a gap
         # above the noise, else the signal with the largest.
-        usable = {
-            name: claim.fraction for name, claim in said.shrinkage.items()
-            if claim.fraction is not None and name in self.shrunk
-            and math.isfinite(self.shrunk[name].fraction)
-        }  # fmt: skip
+        usable = {name: claim.fraction for name, claim in said.shrinkage.items()
+                  if claim.fraction is not None and name in self.shrunk
+                  and math.isfinite(self.shrunk[name].fraction)}
         if usable:
             largest = max(usable, key=lambda n: self.shrunk[n].before / self.shrunk[n].noise)
             name = "deflection" if "deflection" in usable else largest
@@ -341,8 +338,7 @@ Bound = float | tuple[float, float] | None
 _STATISTICS: dict[str, Callable[[list], Measured]] = {
     "share": proportion, "mean": mean, "median": lambda values: quantile(values, 0.5),
     "90th percentile": lambda values: quantile(values, 0.9),
-    "calibration": lambda pairs: calibration_error([p for p, _ in pairs], [r for _, r in pairs]),
-}  # fmt: skip
+    "calibration": lambda pairs: calibration_error([p for p, _ in pairs], [r for _, r in pairs])}
 
 
 @dataclass(frozen=True)

@@ -294,10 +294,8 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         "that. `when stored`: what the "
         "package answered when the features were stored; the others: weights that have not seen "
         "the form, or the rig, of the case. `confident`: 0.8 or more.", "",
-        *as_markdown(("measure", *answers),
-                     [(name, *(f"{c[name]:.3f}" for c in columns)) for name in columns[0]]),
-        "",
-    ]  # fmt: skip
+        *as_markdown(("measure", *answers), [(name, *(f"{c[name]:.3f}" for c in columns))
+                                             for name in columns[0]]), ""]
     for name, own in list(answers.items())[1:]:
         gain = counts * (log_probability(cases, own) - log_probability(cases, before))
         error = np.std(gain) / np.sqrt(len(cases))
@@ -313,8 +311,7 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         curve.append((f"{len(cases) // part}", *(
             f"{np.average(here, weights=counts):.3f} ({np.mean(counts * gain):+.3f} +- "
             f"{np.std(counts * gain) / np.sqrt(len(cases)):.3f})"
-            for here, gain in zip(found, more, strict=True)
-        )))  # fmt: skip
+            for here, gain in zip(found, more, strict=True))))
     text += ["Learning curve, log probability of the truth of all cases, learnt from so many; what "
              "all of them add to it:", "",
              *as_markdown(("cases", "forms left out", "rigs left out"), curve), ""]  # fmt: skip

@@ -37,7 +37,6 @@ MILD_KINETICS = {"grain_spread": 1.2, "kinetics_smoothness": 0.5}
 _SHRINK, _TRIALS = 0.8, 8
 LAW_SHOWS = 2.0  # gap over noise from which another law is a cause of its own
 
-
 # What a case's world holds: features without what is hidden (`base`: nuisances and mild kinetics)
 # and with it, draws and amounts by effect, measured gaps, the larger of both records.
 Sized = namedtuple("Sized", "base features draws amounts nuisance_gap kinetics_gap")
@@ -234,8 +233,7 @@ def _varieties(symptom: Symptom, base: Features) -> Iterator[dict[str, float]]:
     amount = symptom.signs[0] * symptom.natural[0]
     shapes: list[dict[str, float]] = [
         {name: s.low * (s.high / s.low) ** share for name, s in symptom.settings.items()}
-        for share in (_SHAPES if symptom.settings else _SHAPES[:1])
-    ]
+        for share in (_SHAPES if symptom.settings else _SHAPES[:1])]
     for k, (name, move) in enumerate(symptom.moves.items()):
         moved = move.moved(name, base, amount * max(move.weight, key=abs))
         for shape in shapes if k == 0 else shapes[:1]:
@@ -337,12 +335,10 @@ def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,
         table = rigs.where(truth[first], without[first], case, first, quantities)
         signal = max(gap[first], key=lambda name: gap[first][name])
         most = next(row for row in table if row["signal"] == signal)
-        place = {
-            "signal": quantity_of(signal), "channel": signal.rpartition(".")[0],
-            "phase": most["phase"], "side": most["side"], "stage": stages[0],
-            "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
-                      for row in table[:12]],
-        }  # fmt: skip
+        place = {"signal": quantity_of(signal), "channel": signal.rpartition(".")[0],
+                 "phase": most["phase"], "side": most["side"], "stage": stages[0],
+                 "table": [{**row, "gap": round(row["gap"], 4), "share": round(row["share"], 4)}
+                           for row in table[:12]]}
     of_forms: dict[str, Any] = {}
     if case.forms:
         shown = (*card.effects, "kinetics", "noise", *cases.OF_ALL_RIGS)

@@ -217,10 +217,8 @@ def hottest(truth: Parameters) -> float:
     drawn = load / (wires * truth["wire.martensite_modulus"])
     contraction = (own * (strain + drawn) - load) / (own + stiffness)
     stress = (load + stiffness * contraction) / wires
-    return float(
-        truth["wire.austenite_finish_temperature"]
-        + stress / truth["wire.stress_influence_austenite"]
-    )
+    return float(truth["wire.austenite_finish_temperature"]
+                 + stress / truth["wire.stress_influence_austenite"])
 
 
 def _volts_for(truth: Parameters, temperature: float) -> float:

@@ -25,7 +25,6 @@ from sma_bench.parameters import read_parameters
 Labels = Mapping[str, Mapping[str, Any]]
 FOLLOWED_UP = ", followed up"
 
-
 Paper = namedtuple("Paper", "folder examination kept")  # all answers of one examinee, as handed in
 
 
@@ -151,8 +150,7 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
         "single effects by name": (singles, truth_of),
         "all cases by kind": (cases, lambda c: (
             truth_of(c) if c.label.kind == "none" else c.label.kind)),
-        "all cases by noise": (cases, lambda c: c.label.noise),
-    }
+        "all cases by noise": (cases, lambda c: c.label.noise)}
     found = {}
     for title, (among, group_of) in titles.items():
         split: dict[str, list[Judged]] = {}
@@ -243,12 +241,10 @@ def tables(one: Score) -> list[str]:
 
 def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name: str) -> str:
     """The result page, which a repository keeps as the file `name`."""
-    lines = [
-        "# The withheld-effect check", "",
-        f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {VERSION}, "
-        f"sealed labels {cases.sealed_sha256[:16]}.", "", "```",
-        f"./bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases",
-    ]  # fmt: skip
+    lines = ["# The withheld-effect check", "",
+             f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {VERSION}, "
+             f"sealed labels {cases.sealed_sha256[:16]}.", "", "```",
+             f"./bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases"]
     for paper in papers:
         if not paper.examination.name.endswith(FOLLOWED_UP):
             is_rival = "rival" in paper.examination.program

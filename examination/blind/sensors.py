@@ -18,8 +18,7 @@ from sma_bench.records import Signal
 NOISE_MODELS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
     "white": ((0.0, 0.0), (1.0, 1.0)),
     "coloured": ((0.4, 0.95), (0.1, 1.5)),
-    "drift": ((0.08, 0.3), (8.0, 40.0)),
-}
+    "drift": ((0.08, 0.3), (8.0, 40.0))}
 
 
 @dataclass(frozen=True)

@@ -224,8 +224,7 @@ MAKERS: dict[str, tuple[int, Maker]] = {
     "mcap": (4, hostile_mcap), "sqlite3": (4, hostile_sqlite), "drive": (1, hostile_drive),
     "metadata, parameters": (6, hostile_yaml), "result": (5, hostile_result),
     "instrument file": (5, hostile_instrument), "table of a logger": (6, hostile_import),
-    "place": (1, hostile_place),
-}  # fmt: skip
+    "place": (1, hostile_place)}
 
 
 # --- the commands -------------------------------------------------------------------------------
@@ -234,8 +233,7 @@ COMMANDS: dict[str, Callable[[Case, Path], list[str]]] = {
     "identify": lambda case, out: [*case.options, "--out", str(out / "identified.yaml")],
     "diagnose": lambda case, out: [*case.options, "--out", str(out / "improved.yaml")],
     "report": lambda case, out: [*case.options, "--out", str(out / "report")],
-    "import": lambda case, out: [*(case.tabled or ()), "--out", str(out / "imported")],
-}
+    "import": lambda case, out: [*(case.tabled or ()), "--out", str(out / "imported")]}
 FOR_ALL = tuple(command for command in COMMANDS if command != "import")
 
 

@@ -34,8 +34,7 @@ _TELEMETRY = b"T 57 3210000 1 0 12003 -102 0 15002 14990 2844 0 0 65535 1"
 _SERIAL = (
     b"".join(line(text.decode()) for text in (_TELEMETRY, b"K A 13841", b"N V 6", b"P 3 9 5"))
     + bytes.fromhex("0342390410fb30020105e32e9aff01079a3a8e3a1c0b01010104ffff0103615a00")  # COBS
-    + _TELEMETRY
-)
+    + _TELEMETRY)
 
 
 class Parser(NamedTuple):
@@ -93,8 +92,7 @@ def parsers() -> tuple[Parser, ...]:
         Parser("metadata of a bag", GOOD["metadata.yaml"], lambda p: read_record(p.parent),
                "metadata.yaml"),
         Parser("result", GOOD["result.json"], read_result, "input.json"),
-        Parser("serial bytes", _SERIAL, _serial),
-    )  # fmt: skip
+        Parser("serial bytes", _SERIAL, _serial))
 
 
 # --- Hostile ones.
@@ -102,12 +100,10 @@ NUMBERS = (0.0, -0.0, 1.0, 5.0, 25.0, 300.0, -1.0, 1e-300, 5e-324, 1e9, 1e38, 1e
            math.inf, -math.inf, math.nan)  # fmt: skip
 # YAML documents that are a kilobyte as a file and gigabytes when every alias is followed.
 _BOMB = b"a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + b"".join(
-    b"a%d: &a%d [%s]\n" % (k, k, b", ".join([b"*a%d" % (k - 1)] * 9)) for k in range(1, 12)
-)
+    b"a%d: &a%d [%s]\n" % (k, k, b", ".join([b"*a%d" % (k - 1)] * 9)) for k in range(1, 12))
 _MAP_BOMB = b"b0: &b0 {x: 1, y: 2}\n" + b"".join(
     b"b%d: &b%d {%s}\n" % (k, k, b", ".join(b"k%d: *b%d" % (n, k - 1) for n in range(9)))
-    for k in range(1, 12)
-)
+    for k in range(1, 12))
 
 
 def _told(entry: str | list) -> str:
@@ -148,11 +144,9 @@ def edited(content: bytes, edits: list[tuple[str, float, int, bytes]]) -> bytes:
 
 def mutated(rng: random.Random, content: bytes, most: int = 5) -> bytes:
     """Bytes with one to `most` edits."""
-    return edited(content, [
-        (rng.choice(EDITS), rng.random(), rng.choice((1, 2, 4, 8, 40, 512)),
-         rng.choice((*TRIPWIRES, rng.randbytes(4))))
-        for _ in range(rng.randint(1, most))
-    ])  # fmt: skip
+    return edited(content, [(rng.choice(EDITS), rng.random(), rng.choice((1, 2, 4, 8, 40, 512)),
+                             rng.choice((*TRIPWIRES, rng.randbytes(4))))
+                            for _ in range(rng.randint(1, most))])
 
 
 # --- documents ----------------------------------------------------------------------------------

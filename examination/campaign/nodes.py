@@ -238,8 +238,7 @@ LISTENERS: dict[str, dict[str, type]] = {
     "experiment": {"wire/power": BatteryState, "wire/temperature": Temperature},
     "temperature_controller": {"wire/power": BatteryState, "wire/temperature": Temperature,
                                "temperature_controller/reference": Float64MultiArray},
-    "ir_camera": {"thermal_image": Image},
-}
+    "ir_camera": {"thermal_image": Image}}
 _CAMERA = {"image_width": 64, "image_height": 48, "regions": list(regions_side_by_side(1, 64, 48))}
 _FOREIGN = (String, Float64, Image, Temperature)
 _HEADS, _LENGTHS = (b"\0\1\0\0", b"\0\1\0\0", b"\xff\1", b""), (0, 1, 7, 40, 300)

@@ -264,8 +264,7 @@ def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int
             compression=codec.get(habits["compression"], CompressionType.NONE),
             index_types=IndexType.ALL if inside == "chunks and index" else IndexType.NONE,
             use_statistics=inside != "chunks, no index",
-            enable_crcs=inside not in ("no checksums", "no chunks"),
-        )  # fmt: skip
+            enable_crcs=inside not in ("no checksums", "no chunks"))
         writer.start("ros2")
         if habits["beside"] == "attachment":
             writer.add_attachment(0, 0, "notes.txt", "text/plain", b"a wire")
@@ -318,8 +317,7 @@ def _damage(path: Path, how: str, rng: np.random.Generator) -> int:
     path.write_bytes(raw[:at] + {
         "not closed": b"", "cut": b"", "zeros": bytes(len(raw) - at), "bit": bit + raw[at + 1 :],
         "garbage": rng.bytes(min(size, len(raw) - at)) + raw[at + size :],
-        "block gone": raw[at + size :], "block twice": raw[at : at + size] + raw[at:],
-    }[how])  # fmt: skip
+        "block gone": raw[at + size :], "block twice": raw[at : at + size] + raw[at:]}[how])
     return at
 
 
@@ -339,11 +337,9 @@ def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[s
             {"message_count": count, "topic_metadata": {
                 "name": topic, "type": kind, "serialization_format": _encoding(topic, habits),
                 "offered_qos_profiles": _PROFILES * (habits["qos"] == "profiles")}}
-            for (topic, kind), count in counts.items()
-        ],
+            for (topic, kind), count in counts.items()],
         "compression_format": "zstd" if habits["compression"] in modes else "",
-        "compression_mode": modes.get(habits["compression"], ""),
-    }  # fmt: skip
+        "compression_mode": modes.get(habits["compression"], "")}
     text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
     (bag / "metadata.yaml").write_text(text[: len(text) // 2] if how == "cut off" else text)
 

@@ -23,7 +23,6 @@ ROOT = Path(__file__).resolve().parents[2]
 # Runs the tests side by side, and some again; what no test may rely on.
 RUNNERS = ("pytest-xdist", "pytest-rerunfailures")
 SIDE_BY_SIDE = ("-n", "auto", "--maxprocesses", "8", "--dist", "loadfile", "--no-loadscope-reorder")
-
 # What importing launch.logging does to Python's own; launch_testing is a plugin of pytest.
 LAUNCH = """\
 import logging

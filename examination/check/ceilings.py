@@ -49,7 +49,6 @@ _SHARE = 0.1  # of the stated standard deviations
 _FAILURE = 5.0  # nats
 _STREAM = 2_000_003
 _START_NS = 1_750_000_000 * 10**9
-
 Label = Mapping[str, Any]
 # Nats that an effect must gain to be named, by kind of case; of recalibration there is none.
 # Nats without which nothing is worth naming: of a single over recalibration, of a pair over it.
@@ -87,8 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(*as_markdown(("measure", *COLUMNS), side_by_side(scores, TARGETS)), sep="\n")
     print(
         f"\nIn no record: the truth gains less than {THRESHOLD} nats over recalibration, of a pair "
-        f"less than {PAIR_THRESHOLD} over its better effect alone.\n"
-    )
+        f"less than {PAIR_THRESHOLD} over its better effect alone.\n")
     found, rows = defaultdict(list), []
     for name in names:
         label = labels[name]

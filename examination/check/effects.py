@@ -36,10 +36,8 @@ WANTED = (0.80, 0.95)
 _QUIET = 1e-3  # of the sensors' noise
 _WORTH_NAMING = 5.5  # nats over recalibration
 _STARTS = (0.3, 3.0)  # prior deviations of the kinetics' spread, as a diagnosis begins
-
 SAME: dict[str, str] = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 _SLOPE = "effect.stress_dependent_transition."
-
 
 # A number of an effect as stated, the error of the noise alone, true; gain of its effect [nats].
 Claim = namedtuple("Claim", "case number value std noise_std true same_meaning gain")
@@ -110,18 +108,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         for c in claims_of(case) if case.card.kind == "single" else ():
             counts = c.gain > _WORTH_NAMING
             counted += [c] * counts
-            print(
-                f"{c.case} {c.number.removeprefix('effect.'):55s} {c.value:11.4g}"
-                f" +- {c.std:8.2g} (noise alone {c.noise_std:8.2g})"
-                f" true {c.true:11.4g}{'' if c.same_meaning else ' (best)':7s}"
-                f" {(c.value - c.true) / c.std:+5.1f}{'' if counts else '  not counted'}",
-                flush=True,
-            )
+            print(f"{c.case} {c.number.removeprefix('effect.'):55s} {c.value:11.4g}"
+                  f" +- {c.std:8.2g} (noise alone {c.noise_std:8.2g})"
+                  f" true {c.true:11.4g}{'' if c.same_meaning else ' (best)':7s}"
+                  f" {(c.value - c.true) / c.std:+5.1f}{'' if counts else '  not counted'}",
+                  flush=True)
     for title, error in (("noise alone", "noise_std"), ("as stated", "std")):
         held = [abs(c.value - c.true) < INTERVAL * getattr(c, error) for c in counted]
         share = proportion(held)
-        print(
-            f"{title}: {share.hits} of {share.n} intervals of 90 % hold the truth,"
-            f" {100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)"
-        )
+        print(f"{title}: {share.hits} of {share.n} intervals of 90 % hold the truth,"
+              f" {100 * share.value:.0f} % ({100 * share.low:.0f} to {100 * share.high:.0f} %)")
     return 0 if WANTED[0] <= share.value <= WANTED[1] else 1

@@ -43,11 +43,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         outcomes = list(workers.map(lambda part: fuzzed(program, *part), parts))
     problems = [problem for _, problem in outcomes if problem]
     tried, drove_on, stopped = map(sum, zip(*(counts for counts, _ in outcomes), strict=True))
-    print(
-        f"{tried:,} inputs, {drove_on:,} of them heard while driving and driven on as they may, "
-        f"{stopped:,} ended stopped; {len(problems)} of {len(parts)} parts failed; "
-        f"{time.monotonic() - started:.0f} s"
-    )
+    print(f"{tried:,} inputs, {drove_on:,} of them heard while driving and driven on as they may, "
+          f"{stopped:,} ended stopped; {len(problems)} of {len(parts)} parts failed; "
+          f"{time.monotonic() - started:.0f} s")
     for problem in problems:
         print(problem)
     return 1 if problems else 0

@@ -26,7 +26,6 @@ from examination.check.golden_numbers.made import REASONS, SECTIONS, Number, Res
 KEPT = Path(__file__).resolve().parent / "golden_numbers"
 UNKNOWN_SECONDS = 10.0  # of a result that was never timed
 SHOWN = 0.01  # of its tolerance that a number must have moved to be listed
-
 Results = Mapping[str, Result]
 
 

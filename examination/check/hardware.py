@@ -43,12 +43,10 @@ PATIENCE = 60.0
 
 def right(estimates: Mapping[str, Any], truth: Parameters) -> bool:
     """Whether R, h and c_p are all there, right within their stated errors, and these small."""
-    return all(
-        (found := estimates.get(name)) is not None
-        and abs(found["value"] - truth[name]) <= SIGMAS * found["std"]
-        and found["statistical"] <= LARGEST_ERROR * found["value"]
-        for name in TABLE_ONE
-    )
+    return all((found := estimates.get(name)) is not None
+               and abs(found["value"] - truth[name]) <= SIGMAS * found["std"]
+               and found["statistical"] <= LARGEST_ERROR * found["value"]
+               for name in TABLE_ONE)
 
 
 def show(estimates: Mapping[str, Any], truth: Parameters) -> None:

@@ -41,9 +41,7 @@ STEP = 0.0025  # s
 LOADS, SIDES = (10e6, 50e6, 100e6, 150e6, 200e6), ("front", "back")
 JITTER, LOST = 0.2, 0.02  # of a period, of the samples
 _HEATED, _REST = 25.0, 15.0  # s
-
 Steps = Iterable[dict[str, Any]]
-
 
 # `truth` simulates the bench, `known` is the parameter file of its lab.
 DrawnBench = namedtuple("DrawnBench", "truth known")
@@ -136,8 +134,7 @@ def composite_step(truth: Parameters) -> Simulation:
 EXPERIMENTS: dict[str, tuple[Callable[[Parameters], Simulation], float]] = {
     "staircase": (staircase, 20.0), "ramp": (ramp, 100.0), "isobaric": (isobaric, 50.0),
     "clamped": (clamped, 50.0), "composite_triangle": (composite_triangle, 50.0),
-    "composite_step": (composite_step, 50.0),
-}  # fmt: skip
+    "composite_step": (composite_step, 50.0)}
 
 
 def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:

@@ -131,8 +131,7 @@ _C_EDITS = (
                           r"(?:MS|MA|MV|US|Q16|S|MOHM|SHIFT)\b|\bDIFFERENCES\b")),
     (KINDS[2], re.compile(
         r"(?m)(?<=    )(?:\*?[a-z_][\w.\[\]>\-]* (?:[-+*/&|^]|<<|>>)?= [^;]*"
-        r"|[+-]{2}?\*?[a-z_][\w.\[\]]*|\*?[a-z_][\w.\[\]]*(?:\+\+|--)|[a-z_]\w*\([^;{}]*\));$")),
-)  # fmt: skip
+        r"|[+-]{2}?\*?[a-z_][\w.\[\]]*|\*?[a-z_][\w.\[\]]*(?:\+\+|--)|[a-z_]\w*\([^;{}]*\));$")))
 
 
 def c_edits(source: str) -> Iterator[tuple[str, str, int, str, str]]:

@@ -32,15 +32,11 @@ from sma_bench.parameters.node_tables import SIMULATOR  # noqa: E402
 from sma_bench.physics.effects import with_effect  # noqa: E402
 from sma_bench.protocols import load_protocol  # noqa: E402
 
-FOLDER = ROOT / "docs" / "pictures"
-NOTEBOOK = ROOT / "docs" / "tutorials" / "notebook.ipynb"
-KNOWN = FOLDER / "pictures.json"
-LARGEST = 1_000_000  # bytes of all of them
-RIG = ROOT / "config" / "composite_rig.yaml"
+FOLDER, NOTEBOOK = ROOT / "docs" / "pictures", ROOT / "docs" / "tutorials" / "notebook.ipynb"
+KNOWN, RIG = FOLDER / "pictures.json", ROOT / "config" / "composite_rig.yaml"
+LARGEST, COLOURS = 1_000_000, 128  # bytes of all of them
 EFFECT = ("side_heat_coupling", 0.004)
-COLOURS = 128
 SHOWN_AT, PERIOD = 58.0, 0.02  # s of the protocol
-
 # Picture: page, window, scheme, element (the window where none), and the code that draws it.
 _DASHBOARD = ("sma_bench/dashboard/*",)
 _REPORT = ("sma_bench/report/*", "sma_bench/results.py", "sma_bench/templates/*")
@@ -48,22 +44,13 @@ PICTURES: dict[str, tuple[str, tuple[int, int], str, str, tuple[str, ...]]] = {
     "dashboard.png": ("dashboard", DESKTOP, "light", "", _DASHBOARD),
     "dashboard_phone.png": ("dashboard", PHONE, "dark", "", _DASHBOARD),
     "twin.png": ("dashboard", DESKTOP, "light", "#plots", _DASHBOARD),
-    "diagnosis.png": ("gap", DESKTOP, "light", "", _REPORT),
-}
-
+    "diagnosis.png": ("gap", DESKTOP, "light", "", _REPORT)}
 # The tutorial's commands, with what they write.
-_COMMANDS = (
-    f"parameters --params {RIG} --set wire.resistance=2.72 --out lab.yaml",
-    f"simulate --protocol composite_triangle --params {RIG} --rate 50 "
-    f"--effect {EFFECT[0]}={EFFECT[1]} --noise 1 --out monday",
-    "identify monday --params lab.yaml --json identified.json",
-    "diagnose monday --params lab.yaml --report gap --json gap.json",
-)
-
-
-def source_hash(patterns: Sequence[str]) -> str:
-    files = sorted({file for pattern in patterns for file in ROOT.glob(pattern) if file.is_file()})
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+_COMMANDS = (f"parameters --params {RIG} --set wire.resistance=2.72 --out lab.yaml",
+             f"simulate --protocol composite_triangle --params {RIG} --rate 50 "
+             f"--effect {EFFECT[0]}={EFFECT[1]} --noise 1 --out monday",
+             "identify monday --params lab.yaml --json identified.json",
+             "diagnose monday --params lab.yaml --report gap --json gap.json")
 
 
 def live_bench(folder: Path) -> StandIn:
@@ -107,11 +94,8 @@ def live_bench(folder: Path) -> StandIn:
         "progress": {"protocol": protocol.name, "step": protocol.step_at(SHOWN_AT),
                      "elapsed": SHOWN_AT, "duration": protocol.duration, "node": "experiment",
                      "heard": now[0]},
-        **{
-            node: live.result_summary(node, (folder / file).read_text())
-            for node, file in (("identification", "identified.json"), ("diagnosis", "gap.json"))
-        },
-    }.items():  # fmt: skip
+        **{node: live.result_summary(node, (folder / file).read_text()) for node, file in
+           (("identification", "identified.json"), ("diagnosis", "gap.json"))}}.items():
         state.show(panel, content)
     return bench
 
@@ -126,14 +110,17 @@ def small(picture: bytes) -> bytes:
 def main(arguments: Sequence[str]) -> int:
     """0 when no picture is older than what it shows."""
     options = options_of("pictures", __doc__, arguments, write=(False, "take them anew"))
-    hashes = {name: source_hash(patterns) for name, (*_, patterns) in PICTURES.items()}
+    hashes = {}
+    for name, (*_, patterns) in PICTURES.items():
+        files = sorted({file for one in patterns for file in ROOT.glob(one) if file.is_file()})
+        content = b"".join(file.read_bytes() for file in files)
+        hashes[name] = hashlib.sha256(content).hexdigest()[:16]
     if not options.write:
         known = json.loads(KNOWN.read_text()) if KNOWN.is_file() else {}
         lines = [
             f"{name}: {'older than ' + ', '.join(patterns) if name in known else 'not taken yet'}"
             for name, (*_, patterns) in PICTURES.items()
-            if known.get(name) != hashes[name] or not (FOLDER / name).is_file()
-        ]
+            if known.get(name) != hashes[name] or not (FOLDER / name).is_file()]
         print("\n".join(lines) or f"{len(PICTURES)} pictures, none is old")
         return 1 if lines else 0
 

@@ -29,7 +29,6 @@ ROOT = Path(__file__).resolve().parents[2]
 LOCKS = ROOT / "locks"
 UV, PIP, PIP_AUDIT = "uv==0.13.9", "pip==26.3", "pip-audit==2.10.1"
 OLDEST_PYTHON = "3.11"
-
 BUILD, RUNTIME, TEST = "requirements-build.txt", "requirements.txt", "requirements-test.txt"
 ROBOT, NOBLE = "requirements-robot.txt", "requirements-noble.txt"
 # What is installed before each, whose packages it need not name again.
@@ -39,12 +38,10 @@ BELOW = {BUILD: (), RUNTIME: (BUILD,), TEST: (BUILD, RUNTIME),
          "requirements-notebook.txt": (BUILD, RUNTIME), ROBOT: (), NOBLE: (BUILD, ROBOT)}
 # These two have Ubuntu 24.04's Python and versions, and never meet the others.
 UBUNTU = (ROBOT, NOBLE)
-
 _PIN = re.compile(r"^([\w.-]+)==([^\s;\\]+)([^\\\n#]*)", re.MULTILINE)
 _HASHED = re.compile(r"^[\w.-]+==.*\\\n(?:    --hash=sha256:[0-9a-f]{64}(?: \\)?\n)+", re.MULTILINE)
 _BLOCKS = re.compile(r"\n(?=[\w.-]+==)")
 _REQUIRES = "    # requires "
-
 
 # A line of a lock: what it pins, on which Pythons, and what that version requires.
 Locked = namedtuple("Locked", "name version marker requires")
@@ -67,11 +64,9 @@ def problems() -> list[str]:
 
     def pinned(text: str) -> set[tuple[str, str, str]]:
         """(name, version, marker) of every line, names and quotes in one form."""
-        return {
-            (canonical(name), version,
-             re.sub(r"[\s;'\"]", "", marker).replace("python_full_version", "python_version"))
-            for name, version, marker in _PIN.findall(text)
-        }  # fmt: skip
+        return {(canonical(name), version,
+                 re.sub(r"[\s;'\"]", "", marker).replace("python_full_version", "python_version"))
+                for name, version, marker in _PIN.findall(text)}
 
     found = []
     for path in requirement_files():
@@ -123,8 +118,7 @@ def write_locks(folder: Path) -> int:
         for command in (
             "uv pip compile --quiet --no-deps --generate-hashes --universal --no-config "
             "--no-header --no-annotate --python-version {python} {path} -o {made}",
-            "pip install --quiet --dry-run --ignore-installed --no-deps --report - -r {made}",
-        ):
+            "pip install --quiet --dry-run --ignore-installed --no-deps --report - -r {made}"):
             tool, *words = (word.format(python=OLDEST_PYTHON, path=path, made=made)
                             for word in command.split())  # fmt: skip
             process = subprocess.run([str(tools / tool), *words], capture_output=True, text=True,
@@ -169,8 +163,7 @@ def audit(folder: Path) -> int:
         process = subprocess.run(
             [str(tool), "--disable-pip", "--no-deps", "--progress-spinner", "off", "--timeout",
              "15", "--format", "json", "-r", str(LOCKS / path.name)],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
+            capture_output=True, text=True, check=False)
         if not process.stdout.strip():
             last = process.stderr.strip().splitlines()[-1:] or ["no answer"]
             print(f"pins: not audited: the vulnerability service cannot be asked: {last[0][:120]}")

@@ -28,15 +28,12 @@ POLICY = ROOT / "config" / "sros2" / "policy.xml"
 NAMESPACE = "/bench"
 RIGS = ("wire_rig.yaml", "composite_rig.yaml")
 DASHBOARD = "dashboard"
-
 # Attribute of sros2's policy, by what a node has.
 KINDS = {"publish": ("topics", "topic"), "subscribe": ("topics", "topic"),
          "reply": ("services", "service"), "request": ("services", "service")}  # fmt: skip
 _ADDED = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text())
 CONTRACT, LISTENERS = _ADDED["contract"], _ADDED["listeners"]
-_CLOCK = "/clock"
-_PICTURE = (382, 288)
-
+_CLOCK, _PICTURE = "/clock", (382, 288)
 # Node -> kind of KINDS -> names, relative to the namespace or absolute.
 Rules = dict[str, dict[str, set[str]]]
 
@@ -51,14 +48,11 @@ def nodes_rules() -> Rules:
         channels = read_parameters(file)["bench.channels"]
         with tempfile.TemporaryDirectory() as folder:
             # What a node cannot do without.
-            needed = {
-                "recorder": {"output": Path(folder, "bag")},
-                "serial_bridge": {"port": "/dev/no_such_port"},
-                "ir_camera": {
-                    "image_width": _PICTURE[0], "image_height": _PICTURE[1],
-                    "regions": list(regions_side_by_side(len(channels), *_PICTURE)),
-                },
-            }.get(name, {})  # fmt: skip
+            needed = {"recorder": {"output": Path(folder, "bag")},
+                      "serial_bridge": {"port": "/dev/no_such_port"},
+                      "ir_camera": {"image_width": _PICTURE[0], "image_height": _PICTURE[1],
+                                    "regions": list(regions_side_by_side(len(channels), *_PICTURE))}
+                      }.get(name, {})
             words = [word for key, value in needed.items() for word in ("-p", f"{key}:={value}")]
             rclpy.init(args=["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", str(file),
                              *words])  # fmt: skip
@@ -78,9 +72,8 @@ def nodes_rules() -> Rules:
             for absolute in names:
                 parts = absolute.removeprefix(f"{NAMESPACE}/").split("/")
                 shared = "/".join("*" if part in channels else part for part in parts)
-                rules[name][kind].add(
-                    "~" + absolute.removeprefix(own) if absolute.startswith(own) else shared
-                )
+                is_own = absolute.startswith(own)
+                rules[name][kind].add("~" + absolute.removeprefix(own) if is_own else shared)
     for name in LISTENERS:
         rules[name]["subscribe"] |= set(CONTRACT)
     for kind, names in _ADDED[DASHBOARD].items():
@@ -116,8 +109,7 @@ def missing_rules(wanted: Rules, given: Rules) -> Rules:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when the policy allows all that the nodes have, and nothing else."""
-    write = (False, "write the policy from the nodes")
-    options = options_of("policy", __doc__, argv, write=write)
+    options = options_of("policy", __doc__, argv, write=(False, "write the policy from the nodes"))
     found = nodes_rules()
     if options.write:
         policy = ElementTree.Element("policy", version="0.2.0")
@@ -132,10 +124,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                     for name in names:
                         ElementTree.SubElement(allowed, item).text = name
         ElementTree.indent(policy)
-        head = (
-            '<?xml version="1.0" encoding="UTF-8"?>\n<!-- Who may say what: docs/threats.md. '
-            "Written from the nodes by ./bench check policy with its option write. -->\n"
-        )
+        head = ('<?xml version="1.0" encoding="UTF-8"?>\n<!-- Who may say what: docs/threats.md. '
+                "Written from the nodes by ./bench check policy with its option write. -->\n")
         POLICY.write_text(head + ElementTree.tostring(policy, encoding="unicode") + "\n")
     policy = read_policy()
     absent, unused = missing_rules(found, policy), missing_rules(policy, found)

@@ -84,8 +84,7 @@ TRIPS = {
     "loop hung": Trip(lambda host: host.uno.hang(interrupts=True), ("main loop hung",), 0.03, 0.08),
     "all hung": Trip(lambda host: host.uno.hang(interrupts=False), ("restarted while armed",),
                      0.05, 0.08),
-    "clock frozen": Trip(poke(TIMSK1), ("restarted while armed",), 0.05, 0.08),
-}  # fmt: skip
+    "clock frozen": Trip(poke(TIMSK1), ("restarted while armed",), 0.05, 0.08)}
 
 
 def verdict(said: Report, before: Report, now: Report, causes: Collection[int], may: bool,

@@ -124,8 +124,7 @@ def try_runs(folder: str, names: Sequence[str]) -> dict[str, Any]:
         "alike": _share(one_set, alike.problem),
         "with states": _share(fit.left, fit.problem),
         "repeats": repeatability(fit),
-        "laws": {model.law.name: model.law.probability, **model.law.others} if model.law else {},
-    }
+        "laws": {model.law.name: model.law.probability, **model.law.others} if model.law else {}}
 
 
 def _share(left: Array, problem: Problem) -> float:
@@ -231,6 +230,5 @@ def fit_rival(runs: Sequence[Record]) -> Array:
     tries = [
         least_squares(missed, [mm, np.log(tau), *branches], x_scale=scale, max_nfev=60)
         for tau in (5.0, 10.0)
-        for branches in ((h, kelvin, c, kelvin) for h, c in ((40.0, 25.0), (30, 15), (60, 35)))
-    ]
+        for branches in ((h, kelvin, c, kelvin) for h, c in ((40.0, 25.0), (30, 15), (60, 35)))]
     return np.asarray(min(tries, key=lambda one: float(one.cost)).x)

@@ -26,8 +26,7 @@ CAMPAIGNS = {
     "traffic": ("messages a topic of foreign types and broken bytes", 500, nodes.foreign_traffic),
     "restarts": ("orders in which nodes are killed and started again", 36, nodes.restarted_nodes),
     "soak": ("minutes of the bench's time, 60 or more", 180, nodes.soak),
-    "parsers": ("edited inputs a parser", 2000, edited_inputs),
-}
+    "parsers": ("edited inputs a parser", 2000, edited_inputs)}
 ROW = "{:9} {:58.58} {:>7}  {:4} {}"
 
 

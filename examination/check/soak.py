@@ -110,8 +110,7 @@ class World:
             "wire.heat_transfer_coefficient": believed["wire.heat_transfer_coefficient"] * loss,
             "environment.ambient_temperature": self.room + warmer,
             "effect.phase_dependent_resistance.austenite_change": self.austenite,
-            "effect.temperature_lag.time_constant": 0.4 if self.slow else 0.03,
-        })  # fmt: skip
+            "effect.temperature_lag.time_constant": 0.4 if self.slow else 0.03})
 
     def highest(self, limits: Limits) -> float:
         """V that its owner drives at most."""
@@ -218,8 +217,7 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
         kelvins = chain["temperature"].read_all(
             world.room
             + kelvin_gain * (made.temperature_reading[kelvin_every::kelvin_every, 0] - world.room)
-            + world.errors[4] - CELSIUS_ZERO
-        ) + CELSIUS_ZERO  # fmt: skip
+            + world.errors[4] - CELSIUS_ZERO) + CELSIUS_ZERO
         silent = silences(rng, world, len(kelvins))
         powers = list(zip(volts.tolist(), amperes.tolist(), strict=True))
         temperatures, asked = kelvins.tolist(), commands.tolist()
@@ -447,7 +445,6 @@ def some_played(kind: str, seed: int, first: int, stop: int, seconds: float) -> 
         found.append({"kind": kind, "seed": number, "seconds": lasted, "stresses": world.stresses,
                       "cuts": cuts, "took": time.monotonic() - started})
     return found
-
 
 
 def report(found: Sequence[dict[str, Any]]) -> int:

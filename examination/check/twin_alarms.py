@@ -111,8 +111,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     options = options_of(
         "twin_alarms", __doc__, argv, weeks=(8, "of a bench, of every kind of drift"),
         seed=(1, "of all"), time=(TIMES, "s, of the drift"),
-        drift=((0.5, 1.0), "share of what is allowed; with --time one row, for more weeks of it"),
-    )  # fmt: skip
+        drift=((0.5, 1.0), "share of what is allowed; with --time one row, for more weeks of it"))
     random = np.random.default_rng(options.seed)
     print(f"alarms a week, of {options.weeks} weeks of a bench with {SIGNALS} signals; the twin's "
           f"limit is {SURPRISING:g}")  # fmt: skip

@@ -80,8 +80,7 @@ def try_world(world: str, seed: int, *fitted: str) -> dict[str, Any]:
     laws = models[0].experiments[0].laws
     found = {
         **dict(zip(WAYS, (100.0 * np.mean(missed, axis=0)).tolist(), strict=True)),
-        "laws": ", ".join(f"{x.law} {x.probability:.0%}" for x in laws if x.probability > 0.01),
-    }
+        "laws": ", ".join(f"{x.law} {x.probability:.0%}" for x in laws if x.probability > 0.01)}
     if own["law"] in (fits := {one.law: float(np.std(one.fit.left)) for one in laws}):
         best = min(left for law, left in fits.items() if law != own["law"])
         found["chosen"] = laws[0].law == own["law"]

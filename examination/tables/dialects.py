@@ -23,7 +23,6 @@ TABLES = 40
 _DATA = yaml.safe_load(Path(__file__).with_name("dialects.yaml").read_text(encoding="utf-8"))
 RIGS = _DATA["rigs"]
 
-
 # A true column: `signal` of the contract (or of the instrument's record), what it is, its values
 # (n,) in SI, how the file writes it (`offset` added, `sign` before).
 Quantity = namedtuple("Quantity", "signal kind values offset sign", defaults=(0.0, 1.0))
@@ -155,23 +154,19 @@ PLAIN = 0.93  # probability of a feature's first habit: a file has a few odditie
 KNOWN = 0.7  # probability that a file starts from what a user sent (`SEEN`)
 START = dt.datetime(2024, 3, 14, 9, 58, 30)
 EPOCH = START.replace(tzinfo=dt.UTC).timestamp()
-
 HABITS: dict[str, list[str]] = _DATA["habits"]
 _BENCH_SEEN, _MACHINE_SEEN = _DATA["bench_seen"], _DATA["machine_seen"]
 _WORDS: dict[str, list[str]] = _DATA["words"]
 _STYLES = HABITS["titles"]
-
 _UNITS: dict[str, list[tuple[str, float, float, int]]] = _DATA["units"]
 _UNITS["ambient"], _UNITS["extension"] = _UNITS["temperature"], _UNITS["length"]
 _NUMBERED = {"s": (1.0, 4), "ms": (1e-3, 0), "min": (60.0, 6), "d": (86400.0, 10)}
 _CONVENTIONS: dict[str, Callable[[Array], Array]] = {
     "driven is positive": lambda amperes: amperes,
     "battery's sign": lambda amperes: -amperes,
-    "mean of a switched supply": lambda amperes: amperes**2 / max(amperes.max(), 1e-9),
-}
+    "mean of a switched supply": lambda amperes: amperes**2 / max(amperes.max(), 1e-9)}
 _LATE = 0.013  # s, of a sparse last column
 _SHIFT = 12.0  # s, between two clocks of a table
-
 
 # A column as the file has it: its title, the truth behind it (None: nothing to read), SI in one
 # unit of its last decimal.
@@ -243,8 +238,7 @@ def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Gen
         "comment": ("Comment", "", ["" if k % 40 else f"note {k // 40 + 1}" for k in range(rows)]),
         "status": ("Status", "", [float(k > rows // 2) for k in range(rows)]),
         "setpoint": ("Setpoint", "V", [float(k // 50) for k in range(rows)]),
-        "second thermometer": ("T2", "°C", [21.0 + 0.01 * (k % 7) for k in range(rows)]),
-    }
+        "second thermometer": ("T2", "°C", [21.0 + 0.01 * (k % 7) for k in range(rows)])}
     if habits["beside"] in beside:
         put(*beside[habits["beside"]], 2)
     # Cells that are not there, and rows of the last column alone.

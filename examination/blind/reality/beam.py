@@ -33,11 +33,9 @@ HARDENING = 0.05  # of the modulus, while martensite detwins
 LEAST_MARTENSITE, LEAST_DAMPING = 0.05, 0.1
 IDLE = 1e12  # Pa/m, of the wires behind a weight or a spring, which are never heated
 CLAMPS = 1e20  # Pa/m
-
 # Rows of the scratch array: of the sides, then of the wires.
 STIFF, LOAD, IMBALANCE, SLOPE, GIVE, ERROR, ALONG, BEFORE = 0, 1, 2, 3, 4, 5, 6, 7
 ROWS = 8
-
 # Constants: SI units; arrays by wire (w,), side (2,) or Prony term (k,).
 Beam = namedtuple("Beam", "side stiffness load prestretch lever bow opposing relaxation_time "
                   "relaxation_share austenite_modulus modulus_change recoverable expansion "
@@ -66,11 +64,10 @@ def beam(world: World) -> Beam:
         section = p["wire.count"] * math.pi * p["wire.diameter"] ** 2 / 4.0
         spring, preload = p["load.stiffness"] / section, p["load.preload"] / section
         held, lever, nearer = p["load.force"] / section, np.full(2, wire_length(p)), 1.0
-        stiffness, load, opposing = {
-            "antagonist": ((spring, spring), (preload, preload), 1.0),
-            "clamped": ((CLAMPS, IDLE), (0.0, 0.0), 0.0),
-            "spring": ((spring, IDLE), (preload + held, 0.0), 0.0),
-            "force": ((0.0, IDLE), (held, 0.0), 0.0)}[world.load]
+        stiffness, load, opposing = {"antagonist": ((spring, spring), (preload, preload), 1.0),
+                                     "clamped": ((CLAMPS, IDLE), (0.0, 0.0), 0.0),
+                                     "spring": ((spring, IDLE), (preload + held, 0.0), 0.0),
+                                     "force": ((0.0, IDLE), (held, 0.0), 0.0)}[world.load]
     stiffness, load = np.array(stiffness) * nearer, np.array(load)
     relaxing = world.feature("relaxation_law"), world.feature("relaxation_time")
     return Beam(sides, stiffness, load, load / (np.bincount(sides) * p["wire.martensite_modulus"]),
@@ -88,6 +85,7 @@ def pull_at_rest(beam: Beam) -> Pull:
     return Pull(np.ones(wires), *np.zeros((2, wires)), stress, *np.zeros((4, wires)),
                 *np.zeros((2, 2)), np.zeros((2, len(beam.relaxation_time))), np.zeros(wires),
                 settled)
+
 
 @inlined
 def wire_stress(beam, pull, i, xi, temperature, contraction):

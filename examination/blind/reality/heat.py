@@ -113,13 +113,10 @@ def current(rig, voltage, temperature, martensite, driven, sag):
 SKIN_CELLS, MIDDLE_CELLS = (0.1, 0.2, 0.3, 0.4), (0.15, 0.35, 0.35, 0.15)
 SKIN, MIDDLE = len(SKIN_CELLS), len(MIDDLE_CELLS)
 FRONT_WIRE, BACK_WIRE, NODES = SKIN, SKIN + 1 + MIDDLE, 2 * SKIN + MIDDLE + 2
-
 STAGE = 1.0 - math.sqrt(0.5)
 CARRIED = (1.0 - STAGE) / STAGE
-
 # Rows of the scratch array.
 CAPACITY, UPPER, PIVOT, START, RIGHT = 0, 1, 2, 3, 4
-
 # Constants of every strip's chain of nodes: capacity (NODES,) J/K, link (NODES - 1,) W/K to the
 # next node; W/K from the outermost cell's middle to its surface (rim) and from there to air, and
 # the factor on that by the surface's excess in steps of EXCESS_STEP.

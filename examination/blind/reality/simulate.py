@@ -24,7 +24,6 @@ PAID_BACK = 0.1  # of the owed latent heat, each step
 STEEPEST = 0.5  # 1/K, transformation per kelvin that an apparent capacity may stand for
 CURRENT, TEMPERATURE, SURFACE, MARTENSITE, STRESS = 0, 1, 2, 3, 4
 QUANTITIES = 5
-
 # What comes from outside: (n,) s, (n, w) V, (n,) K, (n,) factor, (n - 1,) steps between.
 Inputs = namedtuple("Inputs", "time voltage ambient gust steps")
 # State of the wires, each (w,): K before and after a step, martensite before it, s driven, full

@@ -20,7 +20,6 @@ COSINE_DEVIATION = math.sqrt(0.25 - 2.0 / math.pi**2)
 # martensite's start and the austenite's (S. Miyazaki and K. Otsuka, Metall. Trans. A 17, 1986).
 R_WIDTH, R_HYSTERESIS = 8.0, 3.0  # K
 R_STRESS = 0.4  # of the martensite's shift with stress
-
 # Grain classes of every wire, each an array (c,): share of the transformation strain, K at the ends
 # of the ranges, one over their widths [1/K], shifts with stress [K/Pa], and those with bent stress;
 # its knee and square [Pa].
@@ -107,7 +106,6 @@ def ramp_table(smoothness: float, law: float = 0.0) -> Array:
 LOOPS = 16  # reversals that a class remembers
 SMALLEST_MOVE = 1e-9  # K, below which the temperature counts as held
 NOTHING = 1e-14
-
 # What a class remembers of its last reversal, columns of `line`: the line, the other ramp, its own.
 SLOPE, AIM_PHASE, AIM_RAMP, TRACED, OTHER_RAMP, OTHER_PLACE, TURNED = 0, 1, 2, 3, 4, 5, 6
 LINE = 7

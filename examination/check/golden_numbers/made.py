@@ -255,8 +255,7 @@ def diagnosed(record: Any, parameters: Any, hold_out: Any) -> Numbers:
         "verdict": exact(result["verdict"]),
         "cause": exact(" + ".join(sorted(result["cause"]))),
         "first choice": exact(candidates[0]["name"]),
-        **{f"where, {key}": exact(result["where"][key]) for key in ("signal", "phase", "side")},
-    }
+        **{f"where, {key}": exact(result["where"][key]) for key in ("signal", "phase", "side")}}
     for candidate in candidates:
         if candidate["probability"] >= 0.01:
             name = f"probability of {candidate['name']}"
