@@ -17,8 +17,7 @@ from scipy.stats import chi2
 
 from sma_bench.parameters.yaml_file import write_text_atomically
 
-PROCESSES = 2
-Z_95 = 1.959964
+PROCESSES, Z_95 = 2, 1.959964
 IN_PIECES = {
     "processes": (PROCESSES, "at once"),
     "json": (Path, "keep every result in this file as it comes; what is in it is not done again")}

@@ -245,8 +245,7 @@ class Beam:
 def bend(beam: Beam, random, *, gains=None, swapped=False, stuck=None, **faults: float) -> Record:
     """Triangles of the front, then of the back wire; readings with `gains` by quantity."""
     f = faulty("bend", faults)
-    time = np.arange(0.0, DURATION, STEP)
-    stamps = np.arange(0.0, DURATION - STEP, 1.0 / RATE)
+    time, stamps = np.arange(0.0, DURATION, STEP), np.arange(0.0, DURATION - STEP, 1.0 / RATE)
     signals: dict[str, Signal] = {}
 
     def read(name, unit, truth, noise, zero=0.0):

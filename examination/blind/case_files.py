@@ -286,8 +286,7 @@ def write_examination(folder: Path, examination: Examination) -> None:
         if (there.name, there.program[1:]) != (examination.name, examination.program[1:]):
             raise InputError(f"{folder}: holds the answers of {' '.join(there.program)}")
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(vars(examination), indent=1) + "\n"
-    write_text_atomically(folder / EXAMINATION, text)
+    write_text_atomically(folder / EXAMINATION, json.dumps(vars(examination), indent=1) + "\n")
 
 
 def read_examination(folder: Path) -> Examination:

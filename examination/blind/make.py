@@ -28,8 +28,7 @@ from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records.bag_writer import write_record
 
-Features = Mapping[str, float]
-Readings = Mapping[str, Mapping[str, Array]]
+Features, Readings = Mapping[str, float], Mapping[str, Mapping[str, Array]]
 
 # --- How large a case's effects are.
 # Features that a mildly different kinetics moves together, at amount 1.
@@ -290,8 +289,7 @@ def law_distances(stage: Stage, base: Features, quantities: tuple[str, ...]) -> 
 
 # --- A case's label, its bags, and a set of them in a new folder.
 NOMINAL = "nominal.yaml"
-LARGEST_SET = 9999
-_LAYOUT = 1
+LARGEST_SET, _LAYOUT = 9999, 1
 
 
 def make_label(case: Case, sized: Sized, records: Sequence[str] = RECORDS,

@@ -75,8 +75,7 @@ class Noise:
         next_one = neighbours - rho * variance
         moving = 2.0 * next_one / (own + np.sqrt(max(own**2 - 4.0 * next_one**2, 0.0)))
         innovation = np.sqrt(own / (1.0 + moving**2))
-        filtered = lfilter([1.0, -rho], [1.0, moving], means)
-        return np.asarray(filtered / (self.std * innovation))
+        return np.asarray(lfilter([1.0, -rho], [1.0, moving], means) / (self.std * innovation))
 
 
 # --- The bench's instruments: an Arduino's 10-bit converters, an infrared camera, a range sensor.

@@ -21,8 +21,7 @@ TRICKS = yaml.safe_load(Path(__file__).with_name("hostile.yaml").read_text())["t
 
 
 def small_bag(path: Path, storage: str) -> Path:
-    time = np.arange(20) * 0.1
-    write_record(path, [Signal("wire.voltage", "V", time, np.ones(20))])
+    write_record(path, [Signal("wire.voltage", "V", np.arange(20) * 0.1, np.ones(20))])
     if storage == "sqlite3":
         in_sqlite3(path)
     return path

@@ -7,8 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
-_PATIENCE = 30.0
-_SHOWN = 5
+_PATIENCE, _SHOWN = 30.0, 5
 
 
 class Outcome(NamedTuple):

@@ -18,8 +18,7 @@ from examination.pieces import IN_PIECES, in_pieces, options_of, print_table
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 
-LIMIT = 3.0
-FALSE_ALARMS = 0.02
+LIMIT, FALSE_ALARMS = 3.0, 0.02
 KINDS = ("right", "warned", "silent")
 CLEAN = (clean_bag, clean_tables)
 

@@ -155,8 +155,7 @@ def make_by_model(case: Path, label: Label, whole: files.CaseSet) -> None:
                           found.temperature_reading, found.martensite_fraction, found.stress,
                           found.deflection_reading, found.bending, np.full(len(time), 293.0))
         random = np.random.default_rng([_STREAM, int(label["id"]), number])
-        shown = QUANTITIES[label["signals"]]
-        signals = measure(outcome, world, stage.sensors, random, shown)
+        signals = measure(outcome, world, stage.sensors, random, QUANTITIES[label["signals"]])
         write_record(case / record, signals, "bench", _START_NS, replace=True)
 
 
@@ -179,8 +178,7 @@ def from_the_truth(case: Path, label: Label) -> tuple[float, float]:
         without, both = alone.evidence, found.pairs.get((min(effects), max(effects)))
         if both is None:
             unknowns = found.recalibrated.unknowns.with_effects([first, second])
-            start = find_start(Remainder(alone), unknowns)
-            both = fit(found.problem, unknowns, start.x)
+            both = fit(found.problem, unknowns, find_start(Remainder(alone), unknowns).x)
         best = both
     # The bench's true parameters, a product's as a whole.
     unknowns = best.unknowns

@@ -51,8 +51,7 @@ def claims_of(case: Case) -> list[Claim]:
     def recorded(stage: Stage, name: str, sensors: Sensors) -> Record:
         random = case.stream(name) if name in RECORDS else np.random.default_rng(case.seed)
         outcome, quantities = stage.play(features, name), QUANTITIES[case.card.signals]
-        world = World(case.truth, features)
-        signals = measure(outcome, world, sensors, random, quantities)
+        signals = measure(outcome, World(case.truth, features), sensors, random, quantities)
         return Record(Path(name), 0, {signal.name: signal for signal in signals})
 
     # The candidate of this effect, and its gain over recalibration.
@@ -65,8 +64,7 @@ def claims_of(case: Case) -> list[Claim]:
     unknowns = baseline.with_effects([effect])
     start = find_start(Remainder(recalibrated), unknowns)
     first = fit(recalibrated.problem, unknowns, start.x, rounds=2, frozen=recalibrated.derivatives)
-    about = first.problem.with_nuisances(first.parameters)
-    found = fit(about, unknowns, first.x, rounds=2)
+    found = fit(first.problem.with_nuisances(first.parameters), unknowns, first.x, rounds=2)
     gain = found.evidence - recalibrated.evidence
     # Numbers of the effect that fit best where there is no noise.
     drives = {**case.drives, UNSEEN: unseen_drive(case.drives)}

@@ -48,8 +48,7 @@ def residuals(random: np.random.Generator, bins: int, drift: float, time: float)
 def excursions(residual: Array) -> Iterator[float]:
     """Largest surprise of each time that the gap was beyond the threshold, by the twin's code."""
     width = round(WINDOW / BIN)
-    tolerance = math.hypot(SCATTER, ALLOWED)
-    sums = np.cumsum(np.insert((residual / tolerance) ** 2, 0, 0.0))
+    sums = np.cumsum(np.insert((residual / math.hypot(SCATTER, ALLOWED)) ** 2, 0, 0.0))
     ends = np.arange(width, len(residual) + 1, EVERY)
     gaps = np.sqrt((sums[ends] - sums[ends - width]) / width)
     largest, known, signal = 0.0, 0, signal_of(residual[:0])

@@ -57,8 +57,7 @@ def commands(tiny: bool = False) -> Iterator[Figure]:
             commands["identify a 30-minute bag"] = ["identify", str(long)]
             commands["diagnose a composite bag"] = ["diagnose", gap, "--params", paper]
         for case, words in commands.items():
-            runs = [run(words) for _ in range(1 if tiny else 4)][-3:]
-            wall, warm = np.median(runs, axis=0)
+            wall, warm = np.median([run(words) for _ in range(1 if tiny else 4)][-3:], axis=0)
             yield Figure(case, "warm: processor", warm, "s", most=most.get(case, np.inf))
             yield Figure(case, "warm: on the wall", wall, "s")
             if not tiny and "--help" not in words:

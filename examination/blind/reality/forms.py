@@ -130,8 +130,7 @@ def relay_rows(starts, finishes, shifts, share: float) -> list[tuple]:
     (Krasnosel'skii and Pokrovskii, Systems with Hysteresis, 1989)."""
     # Places that have, with the narrow ranges, the mean and deviation of the cosine.
     places = np.arccos(1.0 - 2.0 * (np.arange(RELAYS) + 0.5) / RELAYS) / np.pi - 0.5
-    wanted = math.sqrt((0.25 - 2.0 / math.pi**2) * (1.0 - NARROW**2))
-    places *= wanted / np.std(places)
+    places *= math.sqrt((0.25 - 2.0 / math.pi**2) * (1.0 - NARROW**2)) / np.std(places)
     hot, cold = finishes[0] - starts[0], starts[1] - finishes[1]
     return [(share / RELAYS, 0.5 * (starts[0] + finishes[0]) + (place + 0.5 * NARROW) * hot,
              1.0 / (NARROW * hot), shifts[0],

@@ -66,8 +66,7 @@ def ramp_table(smoothness: float, law: float = 0.0) -> Array:
     """(m, 2) ramp from 0 to 1 over positions 0 to 1, and its slope per table step. From (1 - cos(pi
     x))/2 of the contract, smoothness 0, to the normal distribution function of the same mean and
     deviation, 1, or to that of another law."""
-    steps = round((1.0 + 2.0 * BEYOND) * PER_WIDTH)
-    position = np.arange(steps + 1) / PER_WIDTH - BEYOND
+    position = np.arange(round((1.0 + 2.0 * BEYOND) * PER_WIDTH) + 1) / PER_WIDTH - BEYOND
     angle = 0.5 * np.pi * np.clip(position, 0.0, 1.0)
     cosine, cosine_slope = np.sin(angle) ** 2, np.pi * np.sin(angle) * np.cos(angle)
     scaled = (position - 0.5) / COSINE_DEVIATION

@@ -209,8 +209,7 @@ def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
     names = [f"{wire}.{signal}" for wire in wires for signal in ("current", "temperature")]
     signals = {name: record[name].values
                for name in [*names, "deflection"] if name in record.signals}
-    columns = range(0, run.martensite_fraction.shape[1], 2)
-    for wire, k in zip(wires, columns, strict=True):
+    for wire, k in zip(wires, range(0, run.martensite_fraction.shape[1], 2), strict=True):
         signals[f"{wire}, martensite fraction"] = run.martensite_fraction[:, k]
     numbers = {}
     for name, values in signals.items():
