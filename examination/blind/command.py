@@ -121,7 +121,7 @@ def score_cases(folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: 
 @click.option("--n", type=click.IntRange(1), default=800, show_default=True, help="cases")
 @click.option("--out", required=True, metavar="FILE", help="a line a case; goes on where it ended")
 def keep_features(seed: int, n: int, out: str) -> None:
-    from examination.blind.features import keep_features
+    from examination.blind.learn import keep_features
     keep_features(Path(out), seed, n)
 
 
@@ -130,8 +130,7 @@ def keep_features(seed: int, n: int, out: str) -> None:
 @click.option("--out", metavar="FILE", help="write the table of weights")
 @click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
 def learn_weights(features: tuple[str, ...], out: str | None, markdown: str | None) -> None:
-    from examination.blind.features import STORED
-    from examination.blind.learn import learn
+    from examination.blind.learn import STORED, learn
     paths = [Path(path) for path in features] or [STORED]
     learn(paths, Path(out) if out else None, Path(markdown) if markdown else None)
 

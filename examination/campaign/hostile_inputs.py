@@ -22,7 +22,7 @@ import yaml
 
 import sma_bench
 from examination.bags import in_sqlite3
-from examination.campaign import hostile_bags, mutations
+from examination.campaign import mutations
 from examination.campaign.outcome import Outcome, allowance
 from examination.check.bags import HABITS, Stream, write_bag
 from sma_bench.cli import LONGEST_LINE, main
@@ -109,21 +109,21 @@ def _altered_bag(rng: random.Random, folder: Path, **habits: str) -> Path:
 def hostile_mcap(rng: random.Random, folder: Path) -> Case:
     """Messages in chunks that are nested, lie about their size, repeat, or unfold to a lot."""
     path = _altered_bag(rng, folder, inside="no chunks", end="not closed")
-    content = path.read_bytes()[len(hostile_bags.MAGIC) :]
+    content = path.read_bytes()[len(mutations.MAGIC) :]
     shape = rng.choice(("plain", "edited", "chunk", "chunk", "twice", "nested", "size", "bomb"))
     if shape == "edited":
         content = mutations.mutated(rng, content)
     elif shape == "nested":
         for _ in range(rng.choice((1, 30, 1200))):
-            content = hostile_bags.chunk(content, compressed=False)
+            content = mutations.chunk(content, compressed=False)
     elif shape == "bomb":
-        run = hostile_bags.message(rng.randrange(1, 8), 1, rng.choice((b"", bytes(4), bytes(60))))
-        content += b"".join([hostile_bags.chunk(run * 20_000)] * rng.choice((60, *[1] * 30)))
+        run = mutations.message(rng.randrange(1, 8), 1, rng.choice((b"", bytes(4), bytes(60))))
+        content += b"".join([mutations.chunk(run * 20_000)] * rng.choice((60, *[1] * 30)))
     elif shape != "plain":
         size = rng.choice((0, 1, 2**40, 2**64 - 1)) if shape == "size" else None
-        content = hostile_bags.chunk(content, rng.random() < 0.7, size)
+        content = mutations.chunk(content, rng.random() < 0.7, size)
         content *= 2 if shape == "twice" else 1
-    path.write_bytes(hostile_bags.MAGIC + content)
+    path.write_bytes(mutations.MAGIC + content)
     return Case(path)
 
 
@@ -131,10 +131,10 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
     """Tables with anything in them, views and virtual tables in their place, journals beside."""
     path = _altered_bag(rng, folder, storage="sqlite3")
     with contextlib.closing(sqlite3.connect(path)) as database:
-        trick = rng.randrange(3 * len(hostile_bags.TRICKS))
-        if trick < len(hostile_bags.TRICKS):
+        trick = rng.randrange(3 * len(mutations.TRICKS))
+        if trick < len(mutations.TRICKS):
             database.execute("DROP TABLE messages")
-            database.execute(hostile_bags.TRICKS[trick])
+            database.execute(mutations.TRICKS[trick])
         for _ in range(rng.choice((0, 0, 2))):
             value = rng.choice(("x" * 100_000, -1, None, 1e308, b"", 2**63 - 1))
             column = rng.choice(("topic_id", "timestamp", "data"))
@@ -143,7 +143,7 @@ def hostile_sqlite(rng: random.Random, folder: Path) -> Case:
         database.commit()
     beside = rng.choice(("", "", "journal", "wal"))
     if beside == "journal":
-        hostile_bags.journal_naming(path, folder / VICTIM)
+        mutations.journal_naming(path, folder / VICTIM)
     elif beside:
         Path(f"{path}-wal").write_bytes(rng.randbytes(rng.choice((32, 5000))))
     return Case(path)
@@ -154,7 +154,7 @@ def hostile_yaml(rng: random.Random, folder: Path) -> Case:
     """Twenty readings or the drive, whose metadata or parameters are altered."""
     bag, storage = folder / "bag", rng.choice(("mcap", "sqlite3"))
     if rng.random() < 0.8:
-        hostile_bags.small_bag(bag, storage)
+        mutations.small_bag(bag, storage)
     else:
         write_record(bag, list(drive().signals.values()))
         if storage == "sqlite3":
@@ -198,7 +198,7 @@ def hostile_import(rng: random.Random, folder: Path) -> Case:
 def hostile_place(rng: random.Random, folder: Path) -> Case:
     """A good bag of a hostile name; links, pipes and folders where files should be."""
     name = os.fsdecode(rng.choice(mutations.PLACES).encode("latin-1"))
-    bag = hostile_bags.small_bag(folder / name, rng.choice(("mcap", "sqlite3")))
+    bag = mutations.small_bag(folder / name, rng.choice(("mcap", "sqlite3")))
     storage = next(file for file in bag.iterdir() if file.name != "metadata.yaml")
     trick = rng.choice(("", "link in", "link out", "pipe", "folder", "circle", "pipe alone"))
     if trick == "link in":

@@ -12,18 +12,370 @@ checkout is skipped where they are not, and named.
 
 import argparse
 import json
+import math
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import joblib
+import numpy as np
+import yaml
 
-from examination.check.golden_numbers import made as making
-from examination.check.golden_numbers.made import REASONS, SECTIONS, Number, Result, Task, tasks
+import sma_bench
 
-KEPT = Path(__file__).resolve().parent / "golden_numbers"
+# --- What is computed: numbers with tolerances. Whatever is rebuilt behind the public interface,
+# these functions stay.
+ROOT = Path(__file__).resolve().parents[2]
+KEPT = Path(__file__).with_name("golden_numbers")
+CONFIG = ROOT / "config"
+DATA = ROOT.parent / "shared" / "data"
+sys.path.insert(0, str(ROOT / "examples"))
+_MADE = yaml.safe_load((KEPT / "made.yaml").read_text(encoding="utf-8"))
+REASONS: dict[str, str] = _MADE["reasons"]
+SECTIONS = tuple(_MADE["tasks"])
+DAILY = SECTIONS[:4]
+DEVELOPMENT_SEED, BLIND = 1000, "examination.blind.command"
+
+
+# --- numbers -----------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class Number:
+    """What is compared: a number within a tolerance, or a text or count that must be the same.
+    `side`: "" if either direction counts, "+" if only more, "-" if only less is outside."""
+
+    value: float | int | str | None
+    tolerance: float
+    reason: str
+    side: str = ""
+
+    def moved(self, now: "Number") -> float:
+        """By how many of this number's tolerances `now` is off; infinite if not comparable."""
+        if self.value == now.value:
+            return 0.0
+        if not (self.tolerance and is_number(self.value) and is_number(now.value)):
+            return math.inf
+        moved = (now.value - self.value) / self.tolerance
+        return moved if math.isfinite(moved) else math.inf
+
+    def is_outside(self, now: "Number") -> bool:
+        """Whether `now` is farther off than this number allows."""
+        moved = self.moved(now)
+        return {"": abs(moved), "+": moved, "-": -moved}[self.side] > 1.0
+
+    def __str__(self) -> str:
+        return f"{self.value:.7g}" if is_number(self.value) else str(self.value)
+
+
+Numbers = dict[str, Number]
+
+
+@dataclass(frozen=True)
+class Result:
+    """One record identified, one case diagnosed, ...: its numbers, or why there are none.
+    `seconds`: of the processor; `skipped`: the data is not here; `failed`: how it ended."""
+
+    numbers: Numbers
+    seconds: float = 0.0
+    skipped: str = ""
+    failed: str = ""
+
+
+def exact(value: float | str | None) -> Number:
+    """A verdict, a name, a count: the same or wrong."""
+    return Number(value, 0.0, "exact")
+
+
+def within(value: float | None, tolerance: float, reason: str, side: str = "") -> Number:
+    """A number with its tolerance, both as they will be kept."""
+    if not is_number(value) or not math.isfinite(float(value or 0.0)):
+        return exact(None if value is None else str(value))
+    return Number(float(f"{float(value or 0.0):.9g}"), float(f"{tolerance:.3g}"), reason, side)
+
+
+def relative(value: float | None, share: float, reason: str) -> Number:
+    """A number with a share of itself as its tolerance."""
+    return within(value, share * abs(value or 0.0), reason)
+
+
+def estimate(name: str, found: Mapping[str, Any]) -> Numbers:
+    """A value and its stated standard error."""
+    value, std = found["value"], found["std"]
+    own = relative(value, 1e-3, "no error stated")
+    if std and math.isfinite(std):
+        own = within(value, 0.1 * std, "standard error")
+    return {name: own, f"{name}, std": relative(std, 0.1, "curvature")}
+
+
+def is_number(value: Any) -> bool:
+    return isinstance(value, float | int) and not isinstance(value, bool)
+
+
+# --- what is computed: identify -----------------------------------------------------------------
+WIRE, DEMO, COMPOSITE = (CONFIG / f"{rig}_rig.yaml" for rig in ("wire", "demo", "composite"))
+
+
+def simulated_wire(*protocols: str, changed: Mapping[str, float] | None = None) -> Numbers:
+    """A simulated wire rig recorded through instruments, identified from the table's defaults."""
+    truth = sma_bench.load_parameters(WIRE).replace(dict(changed or {}))
+    return identified([_recorded(name, truth, 50.0, k) for k, name in enumerate(protocols, 1)])
+
+
+def thermal_validation() -> Numbers:
+    """E4: what a staircase and a ramp tell, tried on a triangle that the fit has not seen."""
+    truth = sma_bench.load_parameters(WIRE)
+    seen = [_recorded(name, truth, 50.0, 1) for name in ("quick_staircase", "quick_ramp")]
+    found = sma_bench.identify(seen, WIRE)
+    return unseen_errors(_recorded("triangle", truth, 50.0, 2), found.parameters)
+
+
+def clamped_wire() -> Numbers:
+    """E8: the force of a clamped wire, and what a staircase told before."""
+    truth = sma_bench.load_parameters(WIRE)
+    before = sma_bench.identify(_recorded("quick_staircase", truth, 50.0, 1), WIRE).parameters
+    return identified([_recorded("thermal_expansion", truth, 20.0, 1)], before)
+
+
+def simulated_composite() -> Numbers:
+    truth = sma_bench.load_parameters(COMPOSITE)
+    records = [_recorded(n, truth, 50.0, 1) for n in ("composite_step", "composite_triangle")]
+    return identified(records, COMPOSITE)
+
+
+def instrument_files(experiment: str, *names: str) -> Numbers:
+    """E5, E6, E7, E9: files as the instruments export them, synthetic."""
+    from make import instrument_text
+    with tempfile.TemporaryDirectory() as folder:
+        for name in names:
+            Path(folder, name).write_text(instrument_text(name))
+        return identified([Path(folder, name) for name in names], None, [experiment])
+
+
+def measured(pattern: str, experiment: str = "") -> Numbers:
+    records = sorted(str(path) for path in DATA.glob(f"sma_react/input/{pattern}"))
+    return identified(records, None, [experiment] if experiment else None)
+
+
+def foreign_spring() -> Numbers:
+    """A wire against a spring made elsewhere: identified from two runs, tried on a third."""
+    bench, rig = DATA / "foreign" / "spring", str(DATA / "foreign" / "spring" / "rig.yaml")
+    with tempfile.TemporaryDirectory() as made:
+        for name in ("run_a.csv", "run_b_european.txt", "run_c.mat"):
+            out = f"{made}/{name[:5]}"
+            sma_bench_command("import", str(bench / name), "--params", rig, "--out", out)
+        return identified([f"{made}/run_a", f"{made}/run_b"], rig, None, f"{made}/run_c")
+
+
+def identified(records: Sequence[Any], parameters: Any = None,
+               experiments: Sequence[str] | None = None, unseen: Any = None) -> Numbers:
+    """Experiments, estimates and details of `identify`, errors on an unseen record."""
+    found = sma_bench.identify(list(records), parameters, experiments)
+    result, numbers = found.to_json(), {}
+    tables = {"": result["parameters"]}
+    tables |= {f"{one['name']}: ": one.get("details", {}) for one in result["experiments"]}
+    numbers["experiments"] = exact(" ".join(sorted(one["name"] for one in result["experiments"])))
+    for table, estimates in tables.items():
+        for name, value in estimates.items():
+            numbers |= estimate(f"{table}{name}", value)
+    return numbers | (unseen_errors(sma_bench.load(unseen), found.parameters) if unseen else {})
+
+
+def unseen_errors(record: Any, parameters: Any) -> Numbers:
+    """Root mean square of simulated less measured, as a share of what each signal spans."""
+    run = sma_bench.load(sma_bench.simulate(record, parameters))
+    wanted, numbers = ("current", "temperature", "deflection", "elongation"), {}
+    for name in sorted(record.signals.keys() & run.signals.keys()):
+        told, made = record[name], run[name]
+        if name.rpartition(".")[2] not in wanted or not np.ptp(told.values):  # it never moved
+            continue
+        gap = np.interp(told.time, made.time, made.values) - told.values
+        if name in ("deflection", "elongation"):
+            gap -= np.median(gap)  # its zero is anywhere
+        error = 100.0 * float(np.sqrt(np.mean(gap**2)) / np.ptp(told.values))
+        key, tolerance = f"unseen run, {name}: error in % of its span", max(0.05 * error, 0.01)
+        numbers[key] = within(error, tolerance, "unseen", "+")
+    return numbers
+
+
+def _recorded(protocol: str, truth: Any, rate: float, seed: int) -> Any:
+    return sma_bench.measure(sma_bench.simulate(protocol, truth, rate=rate), seed)
+
+
+# --- what is computed: simulate -----------------------------------------------------------------
+SPAN = 1e-5
+INSTANTS = (29, 62, 83)  # %
+
+
+def simulated(rig: str, protocol: str, **effects: float) -> Numbers:
+    """A wire of each side and the deflection: least, largest, mean and instants."""
+    run = sma_bench.simulate(protocol, CONFIG / f"{rig}_rig.yaml", effects=effects, rate=50.0)
+    record = sma_bench.load(run)
+    wires = ["wire"] if rig == "wire" else ["front_1", "back_1"]
+    names = [f"{wire}.{signal}" for wire in wires for signal in ("current", "temperature")]
+    signals = {name: record[name].values
+               for name in [*names, "deflection"] if name in record.signals}
+    for wire, k in zip(wires, range(0, run.martensite_fraction.shape[1], 2), strict=True):
+        signals[f"{wire}, martensite fraction"] = run.martensite_fraction[:, k]
+    numbers = {}
+    for name, values in signals.items():
+        # Instants in the middle of a heating and of a cooling, of either side.
+        at = {f"at {k} %": values[k * len(values) // 100] for k in INSTANTS}
+        shown = {"least": values.min(), "largest": values.max(), "mean": values.mean(), **at}
+        tolerance = max(SPAN * float(np.ptp(values)), 1e-12)
+        for what, value in shown.items():
+            numbers[f"{name}, {what}"] = within(float(value), tolerance, "span")
+    return numbers
+
+
+# --- what is computed: diagnose -----------------------------------------------------------------
+# The demo's bench is off by these many of the lab's standard errors.
+LAB_ERRORS = (0.8, -1.1, 0.3, 1.4, -0.6, -0.2, 1.0, -1.3, 0.5)
+SCORED_CASES = 60
+PATIENCE = "600"  # s a case: on a loaded machine none is to fail for time
+
+
+def diagnosed_demo(hidden: Mapping[str, float]) -> Numbers:
+    """The demo's second act without nodes: a bench that is not quite the lab's, and hides this."""
+    lab = sma_bench.load_parameters(DEMO)
+    stated = lab.given_uncertainty
+    errors = zip(np.resize(LAB_ERRORS, len(stated)), stated.items(), strict=True)
+    truth = lab.replace({name: float(lab[name] + error * std) for error, (name, std) in errors})
+    runs = (sma_bench.simulate(f"composite_diagnosis_{name}", truth, effects=hidden)
+            for name in ("triangles", "steps"))
+    seen, unseen = (sma_bench.measure(run, seed) for seed, run in enumerate(runs, 1))
+    return diagnosed(seen, lab, unseen)
+
+
+def development_case(folder: str, number: int) -> Numbers:
+    case = sorted(path.parent for path in Path(folder).glob("**/nominal.yaml"))[number]
+    return diagnosed(case / "record", case / "nominal.yaml", case / "hold_out")
+
+
+def diagnosed(record: Any, parameters: Any, hold_out: Any) -> Numbers:
+    """Verdict, cause, place and probabilities, and how far the gap shrinks."""
+    result = sma_bench.diagnose(record, parameters, hold_out).to_json()
+    candidates = sorted(result["candidates"], key=lambda found: -found["probability"])
+    numbers = {
+        "verdict": exact(result["verdict"]),
+        "cause": exact(" + ".join(sorted(result["cause"]))),
+        "first choice": exact(candidates[0]["name"]),
+        **{f"where, {key}": exact(result["where"][key]) for key in ("signal", "phase", "side")}}
+    for candidate in candidates:
+        if candidate["probability"] >= 0.01:
+            name = f"probability of {candidate['name']}"
+            numbers[name] = within(candidate["probability"], 0.02, "evidence")
+    numbers["gap over noise"] = relative(candidates[0]["gap_over_noise"], 0.02, "optimum")
+    for name, found in result["shrinkage"].items():
+        low, high = found["ci90"]
+        width = 0.0 if None in (low, high) else high - low
+        numbers[f"{name}, gap gone"] = within(found["fraction"], max(0.1 * width, 5e-3), "interval")
+        numbers[f"{name}, RMSE after"] = relative(found["rmse_after"], 0.02, "optimum")
+    return numbers
+
+
+# --- what is computed: paper, blind60 -----------------------------------------------------------
+def paper() -> Numbers:
+    """Every row of the paper's tables, and the errata."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "paper.json"
+        sma_bench_command("paper", "--out", f"{folder}/page", "--json", str(file))
+        page = json.loads(file.read_text())
+    numbers = {"errata": exact(len(page["errata"])), "figures": exact(len(page["figures"]))}
+    for table, rows in page["tables"].items():
+        for row in rows:
+            name = f"{table}, {row['description']} ({row['quantity']})"
+            numbers[f"{name}, printed"] = exact(row["paper"])
+            found = row["identified"] or {"value": None, "std": None}
+            numbers |= estimate(f"{name}, identified", found)
+    return numbers
+
+
+def blind_measures(cases: str, jobs: str) -> Numbers:
+    """The scorer's measures of the development cases, without the follow-up experiments."""
+    with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as made:
+        answers, score = f"{made}/diagnosis", f"{made}/score.json"
+        asked = ("--answers", answers, "--jobs", jobs, "--time-limit", PATIENCE)
+        before = _processor_time()
+        sma_bench_command("run", cases, *asked, module=BLIND)
+        each = (_processor_time() - before) / SCORED_CASES
+        scored = ("--answers", answers, "--no-follow-up", "--json", score)
+        sma_bench_command("score", cases, *scored, module=BLIND)
+        found = json.loads(Path(score).read_text())["scores"]["diagnosis"]["measures"]
+    numbers = {"processor time of a case, s": within(each, 0.5 * each, "time", "+")}
+    for side, names in _MADE["measures"].items():
+        for name in names:
+            value, n = found[name]["value"], found[name]["n"]
+            tolerance = (0.5 / max(n, 1), "case")
+            if name in ("90 % set, mean size", "probability given to the truth"):
+                tolerance = (0.02 * (value or 0.0), "not worse")
+            numbers[name] = within(value, *tolerance, side)
+    return numbers
+
+
+def make_cases(folder: str, number: int, jobs: int) -> None:
+    what = ("--seed", str(DEVELOPMENT_SEED), "--n", str(number), "--out", folder)
+    sma_bench_command("make", *what, "--jobs", str(jobs), module=BLIND)
+
+
+def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
+    """Run a command quietly; RuntimeError with the last line that it said where it fails."""
+    command = [sys.executable, "-P", "-m", module, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        said = done.stderr.strip().splitlines() or ["nothing said"]
+        raise RuntimeError(f"{module} {' '.join(arguments)}: {said[-1]}")
+
+
+# --- the tasks ----------------------------------------------------------------------------------
+@dataclass(frozen=True, eq=False)
+class Task:
+    """A result to be made: see made.yaml."""
+
+    section: str
+    name: str
+    function: str
+    arguments: tuple[Any, ...] = ()
+    named: Mapping[str, Any] = field(default_factory=dict)
+    needs: str = ""
+    cases: int = 0
+
+    @property
+    def missing(self) -> str:
+        """The data that is not here, in words, or an empty text."""
+        folder = DATA / self.needs
+        return "" if not self.needs or folder.is_dir() else f"no measured data in {folder}"
+
+    def make(self) -> Result:
+        begin = _processor_time()
+        try:
+            numbers = globals()[self.function](*self.arguments, **self.named)
+        except Exception as error:  # one result that ends badly leaves the others theirs
+            line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
+            return Result({}, _processor_time() - begin, failed=line)
+        return Result(numbers, _processor_time() - begin)
+
+
+def _processor_time() -> float:
+    """s, of this process and of those that it has waited for."""
+    return sum(os.times()[:4])
+
+
+def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
+    """Results of a section; `cases`: folder of sets by size; `jobs`: processes of blind60."""
+
+    def filled(value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(map(filled, value))
+        return value.format(data=DATA, cases=cases, jobs=jobs) if isinstance(value, str) else value
+
+    return [Task(section, name, **{key: filled(value) for key, value in row.items()})
+            for name, row in _MADE["tasks"][section].items()]
+
+
 UNKNOWN_SECONDS = 10.0  # of a result that was never timed
 SHOWN = 0.01  # of its tolerance that a number must have moved to be listed
 Results = Mapping[str, Result]
@@ -55,7 +407,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("--kept", type=Path, default=KEPT, metavar="DIR", help="where they are")
     add("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     options = parser.parse_args(argv)
-    sections = list(dict.fromkeys(options.sections or making.DAILY))
+    sections = list(dict.fromkeys(options.sections or DAILY))
     if unknown := [section for section in sections if section not in SECTIONS]:
         parser.error(f"no section {unknown[0]!r}, expected some of {', '.join(SECTIONS)}")
     if options.jobs < 1:
@@ -70,7 +422,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             return 2
         for number in sorted({task.cases for task in due if task.cases}):
             _say(f"making {number} development cases")
-            making.make_cases(f"{cases}/{number}", number, options.jobs)
+            make_cases(f"{cases}/{number}", number, options.jobs)
         now = _made(due, kept, options.jobs)
     failures = 0
     for section, before in kept.items():
@@ -125,7 +477,7 @@ def _say(text: str) -> None:
 def read(path: Path) -> dict[str, Result]:
     results = {}
     for name, result in json.loads(path.read_text())["results"].items() if path.is_file() else ():
-        numbers = {key: Number(*entry) if isinstance(entry, list) else making.exact(entry)
+        numbers = {key: Number(*entry) if isinstance(entry, list) else exact(entry)
                    for key, entry in result["numbers"].items()}  # fmt: skip
         results[name] = Result(numbers, result["seconds"])
     return results

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 
-from examination.blind import features, learn
+from examination.blind import learn
 from examination.blind.cases import EFFECTS, IN_FORMS, QUANTITIES, draw_cases
 from examination.blind.make import law_distances, make_label, size
 from examination.blind.reality import happen
@@ -157,13 +157,13 @@ def test_weights_are_learnt_with_their_signs_and_predict_left_out_forms(tmp_path
 
 def test_features_go_on_where_they_ended_and_refuse_another_library(tmp_path, capsys):
     path = tmp_path / "features.jsonl"
-    features.keep_features(path, 3002, 1)
+    learn.keep_features(path, 3002, 1)
     kept = path.read_text()
-    features.keep_features(path, 3002, 1)
+    learn.keep_features(path, 3002, 1)
     assert path.read_text() == kept and kept.count("\n") == 1
     known = json.loads(kept)
     assert abs(sum(known["today"].values()) - 1.0) < 1e-3
     assert learn.Known(known).right.any()
     path.write_text(kept.replace(known["library"], "0" * 16))
     with pytest.raises(InputError, match="another library"):
-        features.keep_features(path, 3002, 1)
+        learn.keep_features(path, 3002, 1)

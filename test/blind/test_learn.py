@@ -6,8 +6,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from examination.blind.features import STORED
 from examination.blind.learn import (
+    STORED,
     Known,
     conformal,
     credible,

@@ -10,7 +10,7 @@ import pytest
 import zstandard
 from hostile_texts import MERGED
 
-from examination.campaign import hostile_bags as harm
+from examination.campaign import mutations as harm
 from examination.campaign.outcome import allowance
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
