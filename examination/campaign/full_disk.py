@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from examination.campaign.outcome import Outcome
+from examination.pieces import Outcome
 from sma_bench.cli import main as sma_bench
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters, write_parameters

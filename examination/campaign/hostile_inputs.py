@@ -23,8 +23,8 @@ import yaml
 import sma_bench
 from examination.bags import in_sqlite3
 from examination.campaign import mutations
-from examination.campaign.outcome import Outcome, allowance
 from examination.check.bags import HABITS, Stream, write_bag
+from examination.pieces import Outcome, allowance
 from sma_bench.cli import LONGEST_LINE, main
 from sma_bench.commands import terminal
 from sma_bench.commands.answers import MISFIT

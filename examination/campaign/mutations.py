@@ -10,7 +10,7 @@ import random
 import re
 import struct
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,7 +25,7 @@ from sma_bench.hardware.serial_messages import ProtocolError, Splitter, decode, 
 from sma_bench.nodes.start import check_arguments
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.protocols import TEMPERATURE, load_protocol
-from sma_bench.records import Signal, contract, open_record, read_record
+from sma_bench.records import Signal, open_record, read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.report.reports import read_result
 
@@ -310,8 +310,6 @@ _WRITERS = {"csv": _csv, "xlsx": _workbook}
 
 
 # --- Hostile bags.
-BENCH_TOPICS = (("/bench/wire/power", contract.BATTERY_STATE),
-                ("/bench/joint_states", contract.JOINT_STATE))
 MAGIC = b"\x89MCAP0\r\n"
 _SUPER_JOURNAL = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
 _PAGE, _SECTOR = 4096, 512
@@ -341,27 +339,6 @@ def chunk(content: bytes, compressed: bool = True, size: int | None = None) -> b
     codec = b"zstd" if compressed else b""
     head = struct.pack("<QQQII", 0, 0, len(content) if size is None else size, 0, len(codec))
     return record(6, head + codec + struct.pack("<Q", len(stored)) + stored)
-
-
-def mcap_of(*parts: bytes, topics: Sequence[tuple[str, str]] = BENCH_TOPICS) -> bytes:
-    """A file with these topics, never finished."""
-    file = [MAGIC, record(1, _text(b"ros2") + _text(b""))]
-    for number, (name, msgtype) in enumerate(topics, 1):
-        topic = _text(name.encode("utf-8", "surrogateescape"))
-        schema = struct.pack("<H", number) + _text(msgtype.encode()) + _text(b"ros2msg")
-        channel = struct.pack("<HH", number, number) + topic + _text(b"cdr")
-        file += [record(3, schema + _text(b"")), record(4, channel + _text(b""))]
-    return b"".join([*file, *parts])
-
-
-def _text(content: bytes) -> bytes:
-    return struct.pack("<I", len(content)) + content
-
-
-def named_joints(count: int) -> bytes:
-    """A JointState of so many joints without a name."""
-    head = b"\0\1\0\0" + struct.pack("<iII4sI", 0, 0, 2, b"f", count)
-    return head + bytes(4 * count) + bytes(12)
 
 
 def journal_naming(db3: Path, victim: Path) -> Path:

@@ -25,8 +25,7 @@ from scipy import stats
 from sensor_msgs.msg import BatteryState, Image, Temperature
 from std_msgs.msg import Float64, Float64MultiArray, Header, String
 
-from examination.campaign.outcome import Outcome
-from examination.pieces import ros_node
+from examination.pieces import Outcome, ros_node
 from sma_bench.errors import InputError
 from sma_bench.hardware.thermal_image import regions_side_by_side
 from sma_bench.live.virtual_bench import VirtualBench

@@ -21,8 +21,7 @@ import yaml
 import zstandard
 from mcap.writer import CompressionType, IndexType, Writer
 
-from examination.campaign.outcome import allowance
-from examination.pieces import IN_PIECES, in_blocks, options_of, print_outcomes, without_exclusions
+from examination import pieces
 from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.records import contract, describe, read_record
@@ -81,7 +80,7 @@ def draw_habits(rng: np.random.Generator) -> dict[str, str]:
     """One habit of each kind, most of them plain."""
     drawn = {kind: str(rng.choice(habits[1:])) if rng.random() > _PLAIN_SHARE else habits[0]
              for kind, habits in HABITS.items()}
-    return without_exclusions(drawn, HABITS, _DATA["exclusions"])
+    return pieces.without_exclusions(drawn, HABITS, _DATA["exclusions"])
 
 
 # --- what is true -------------------------------------------------------------------------------
@@ -348,7 +347,7 @@ def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[s
 def outcome(bag: Bag) -> tuple[str, str]:
     """One of OUTCOMES, and why."""
     try:
-        with allowance(MEMORY, SECONDS):
+        with pieces.allowance(MEMORY, SECONDS):
             record = read_record(bag.path)
             describe(record)
     except InputError as error:
@@ -406,13 +405,13 @@ ROW = "{:44}{:>6}" + "{:>10}" * len(OUTCOMES)
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Draw, read, compare; 0 if nothing was silently wrong, 1 if something was."""
-    options = options_of("bags", __doc__, argv, bags=(200, "how many"), seed=(1, "of all"),
-                         **IN_PIECES)
-    found = in_blocks(try_bags, options, options.bags)
+    options = pieces.options_of("bags", __doc__, argv, bags=(200, "how many"), seed=(1, "of all"),
+                         **pieces.IN_PIECES)
+    found = pieces.in_blocks(try_bags, options, options.bags)
     wrong = [one for one in found if one["outcome"] in (WRONG, RAISED)]
     for one in wrong[:20]:
         print(f"{one['number']}: {one['why'][-300:]}\n    {one['odd']}")
-    print_outcomes(found, OUTCOMES, HABITS, ROW, "bags with", "bags")
+    pieces.print_outcomes(found, OUTCOMES, HABITS, ROW, "bags with", "bags")
     if telling := [one["outcome"] for one in found if one["tells"]]:
         read = sum(end in (RIGHT, LOSS) for end in telling)
         print(f"of those that tell, read {read / len(telling):.1%}")

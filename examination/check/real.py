@@ -41,10 +41,9 @@ WITHIN, MEDIAN = 0.15, 6.05
 
 def main(argv: Sequence[str] | None = None) -> int:
     """1 if the rival is not the one that is meant, or is not beaten."""
-    own = {"folder": (..., "of clones"), "pairs": (False, "fit every pair of runs"),
-           "causes": (False, "diagnose the stated pairs, judged on the other runs")}  # fmt: skip
-    own |= IN_PIECES
-    options = options_of("real", __doc__, argv, **own)
+    options = options_of(
+        "real", __doc__, argv, folder=(..., "of clones"), pairs=(False, "fit every pair of runs"),
+        causes=(False, "diagnose the stated pairs, judged on the other runs"), **IN_PIECES)
     if not (folder := Path(options.folder) / BENCH["repository"].partition("/")[2]).is_dir():
         print(f"skipped: {folder} is not there, see docs/real_benches.md")
         return 0
@@ -55,7 +54,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     print_table(("fitted to", ">eight numbers", ">this model", ">band holds", ">its width", "law"),
                 [_row(names, found[names]) for names in STATED])
     pairwise = [found[pair]["repeats"] for pair in itertools.combinations(SAME_INPUT, 2)]
-    same, seen = (np.round(np.multiply(100.0, x), 1).tolist() for x in (pairwise, _repeats(folder)))
+    moved = [motion(run_of(folder, name))[1] for name in SAME_INPUT]
+    # Measured: by how much one run misses another of the same input, in strokes.
+    seen = [_rms(a - b) / float(np.ptp(b)) for a, b in itertools.combinations(moved, 2)]
+    same, seen = (np.round(np.multiply(100.0, x), 1).tolist() for x in (pairwise, seen))
     print(f"one run predicts another of its input to {same} % by pairs; measured {seen} %")
     rival = [found[names]["rival"] for names in STATED]
     good = all(abs(a - b) <= WITHIN for a, b in zip(rival, EXPECTED, strict=True))
@@ -131,12 +133,6 @@ def _share(left: Array, problem: Problem) -> float:
     """Root mean square of what is left, % of each run's stroke, mean over the runs."""
     shares = [_rms(left[b.rows]) / np.ptp(b.signal.value) for b in problem.blocks]
     return 100.0 * float(np.mean(shares))
-
-
-def _repeats(folder: Path) -> list[float]:
-    """Measured: by how much one run misses another of the same input, in strokes."""
-    moved = [motion(run_of(folder, name))[1] for name in SAME_INPUT]
-    return [_rms(a - b) / float(np.ptp(b)) for a, b in itertools.combinations(moved, 2)]
 
 
 def _rms(left: Array) -> float:

@@ -4,6 +4,8 @@ import contextlib
 import os
 import re
 import sqlite3
+import struct
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -11,11 +13,11 @@ import zstandard
 from hostile_texts import MERGED
 
 from examination.campaign import mutations as harm
-from examination.campaign.outcome import allowance
+from examination.pieces import allowance
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
 from sma_bench.parameters import Parameters
-from sma_bench.records import Record, Signal, read_record
+from sma_bench.records import Record, Signal, contract, read_record
 from sma_bench.records.storage import METADATA
 
 
@@ -78,22 +80,47 @@ def test_messages_that_a_program_makes_are_refused_and_stamps_are_integers(
     assert re.match(said, found) and count == readings
 
 
+BENCH_TOPICS = (("/bench/wire/power", contract.BATTERY_STATE),
+                ("/bench/joint_states", contract.JOINT_STATE))
+
+
+def mcap_of(*parts: bytes, topics: Sequence[tuple[str, str]] = BENCH_TOPICS) -> bytes:
+    """A file with these topics, never finished."""
+    file = [harm.MAGIC, harm.record(1, text_of(b"ros2") + text_of(b""))]
+    for number, (name, msgtype) in enumerate(topics, 1):
+        topic = text_of(name.encode("utf-8", "surrogateescape"))
+        schema = struct.pack("<H", number) + text_of(msgtype.encode()) + text_of(b"ros2msg")
+        channel = struct.pack("<HH", number, number) + topic + text_of(b"cdr")
+        file += [harm.record(3, schema + text_of(b"")), harm.record(4, channel + text_of(b""))]
+    return b"".join([*file, *parts])
+
+
+def text_of(content: bytes) -> bytes:
+    return struct.pack("<I", len(content)) + content
+
+
+def named_joints(count: int) -> bytes:
+    """A JointState of so many joints without a name."""
+    head = b"\0\1\0\0" + struct.pack("<iII4sI", 0, 0, 2, b"f", count)
+    return head + bytes(4 * count) + bytes(12)
+
+
 def chunks_in_chunks(content: bytes) -> bytes:
     for _ in range(1500):
         content = harm.chunk(content, compressed=False)
-    return harm.mcap_of(content)
+    return mcap_of(content)
 
 
 HARMFUL_FILES = {
     # 183 kB took 3.8 GB: a million messages in compressed chunks.
-    "bag.mcap: unfolds to more than": lambda: harm.mcap_of(
+    "bag.mcap: unfolds to more than": lambda: mcap_of(
         *[harm.chunk(harm.message(1, 0, b"\0\1\0\0" + bytes(200)) * 80_000)] * 30
     ),
     "a chunk inside a chunk": lambda: chunks_in_chunks(harm.message(1, 0, b"\0\1\0\0")),
-    "1 of 1 messages cannot be decoded": lambda: harm.mcap_of(
-        harm.chunk(harm.message(2, 0, harm.named_joints(10**6)))
+    "1 of 1 messages cannot be decoded": lambda: mcap_of(
+        harm.chunk(harm.message(2, 0, named_joints(10**6)))
     ),
-    "more than 4096 topics": lambda: harm.mcap_of(
+    "more than 4096 topics": lambda: mcap_of(
         topics=[(f"/t{k}", "a/msg/B") for k in range(5000)]
     ),
     "zstd: unfolds to more than": lambda: zstandard.compress(bytes(1 << 28), 19),
