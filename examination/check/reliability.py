@@ -14,8 +14,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from examination.campaign import nodes
-from examination.campaign.full_disk import full_disk
-from examination.campaign.hostile_inputs import edited_inputs, hostile_inputs
+from examination.campaign.hostile_inputs import edited_inputs, full_disk, hostile_inputs
 from examination.pieces import options_of
 
 # Section: what, how often unless said otherwise, and what does it (size, seed, folder).

@@ -4,8 +4,13 @@ import random
 
 import pytest
 
-from examination.campaign.full_disk import full_disk
-from examination.campaign.hostile_inputs import FOR_ALL, edited_inputs, hostile_inputs, try_input
+from examination.campaign.hostile_inputs import (
+    FOR_ALL,
+    edited_inputs,
+    full_disk,
+    hostile_inputs,
+    try_input,
+)
 from examination.campaign.mutations import edited, parsers
 
 
