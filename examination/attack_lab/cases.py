@@ -369,7 +369,7 @@ def frame(random, seed: int, one=None, other=False, experiments=None, calorimete
     """`one`: faults of the third load; `other`: it is another alloy; `calorimeter`: its faults."""
     alloy = Alloy.drawn(random)
     warmer = {name: getattr(alloy, name) + 8 for name in TEMPERATURES}
-    strange = replace(alloy, **warmer, eps_l=0.8 * alloy.eps_l)
+    strange = alloy._replace(**warmer, eps_l=0.8 * alloy.eps_l)
     tests: list[Any] = []
     for k, load in enumerate(LOADS):
         faults = own | (one or {}) if k == 2 else own

@@ -2,6 +2,7 @@
 `sma_bench.physics`."""
 
 import math
+from collections import namedtuple
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
@@ -27,20 +28,8 @@ def named(**own: float) -> dict[str, float]:
     return {NAMES[symbol]: value for symbol, value in own.items()}
 
 
-@dataclass(frozen=True)
-class Alloy:
+class Alloy(namedtuple("Alloy", "a_s a_f m_s m_f c_a c_m e_a e_m eps_l theta")):
     """Stress-free temperatures in K, moduli and slopes in Pa and Pa/K."""
-
-    a_s: float
-    a_f: float
-    m_s: float
-    m_f: float
-    c_a: float
-    c_m: float
-    e_a: float
-    e_m: float
-    eps_l: float
-    theta: float
 
     @classmethod
     def drawn(cls, random) -> "Alloy":

@@ -5,6 +5,7 @@ import json
 import math
 import re
 import zlib
+from collections import namedtuple
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -222,15 +223,8 @@ ANSWER, IMPROVED, EXAMINATION = "answer.json", "improved.yaml", "examination.jso
 FOLLOW_UPS = ("after_1", "after_2", "after_3")
 
 
-@dataclass(frozen=True)
-class Kept:
-    """One answer as it was given; `answer` is None where `line` says why it failed."""
-
-    case: str
-    answer: Answer | None
-    line: str
-    seconds: float
-    improved: Path | None
+# One answer as it was given; `answer` is None where `line` says why it failed.
+Kept = namedtuple("Kept", "case answer line seconds improved")
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,9 @@ import stat
 import subprocess
 import sys
 import warnings
+from collections import namedtuple
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from unittest import mock
@@ -43,15 +44,8 @@ VICTIM = "victim of a journal.txt"
 _STAMPS = (0, 1, 10**9, 2**31 * 10**9 - 1)
 
 
-@dataclass(frozen=True)
-class Case:
-    """What commands get: record, result or table, options; of import None where nothing is."""
-
-    path: Path
-    options: tuple[str, ...] = ()
-    tabled: tuple[str, ...] | None = None
-
-
+# What commands get: record, result or table, options; of import None where nothing is.
+Case = namedtuple("Case", "path options tabled", defaults=((), None))
 Maker = Callable[[random.Random, Path], Case]
 
 

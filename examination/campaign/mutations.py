@@ -10,10 +10,10 @@ import random
 import re
 import struct
 import zipfile
-from collections.abc import Callable
+from collections import namedtuple
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import openpyxl
@@ -42,13 +42,8 @@ _SERIAL = (
     + _TELEMETRY)
 
 
-class Parser(NamedTuple):
-    """A parser, a good input, and the file name that it goes by."""
-
-    name: str
-    good: bytes
-    read: Callable[[Path], object]
-    file: str = "input.txt"
+# A parser, a good input, what reads it, and the file name that it goes by.
+Parser = namedtuple("Parser", "name good read file", defaults=("input.txt",))
 
 
 def _rows(*columns: np.ndarray) -> bytes:

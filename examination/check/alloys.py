@@ -14,7 +14,6 @@ those far from the paper's.
 import sys
 import tempfile
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -121,7 +120,7 @@ def draw_tests(alloy: Alloy, random: np.random.Generator, folder: Path) -> dict[
     for phase in ("martensite", "austenite"):
         for k in range(count):
             other = 1.0 + differ * random.standard_normal()
-            specimen = replace(alloy, e_a=alloy.e_a * other, e_m=alloy.e_m * other)
+            specimen = alloy._replace(e_a=alloy.e_a * other, e_m=alloy.e_m * other)
             records["E7"].append(instruments.tensile(specimen, phase, k, random, **faults))
     faults = {"noise": draw_noise(random, 0.02, 10.0), "preload": 120e6, "area": _section(random)}
     faults["camera"] = 1.0 / (1.0 + CAMERA * random.standard_normal())

@@ -11,9 +11,10 @@ something was lost; and what is now if the power lasted for 40 ms. Three minutes
 
 import random
 import sys
+from collections import namedtuple
 from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
@@ -35,21 +36,10 @@ OUTCOMES = ("before", "now", "lost", "WRONG")
 WAYS = ("while it works", "at a trip", "at what acknowledges it", "behind a reset at a trip")
 
 
-class Report(NamedTuple):
-    """What the Uno says of its last trip: cause, s after a start, acknowledged by nobody."""
-
-    cause: int
-    time: float
-    open: bool
-
-
-class Trip(NamedTuple):
-    """How one is made, the causes that it may have, s until it has come, at least and at most."""
-
-    make: Callable[[VirtualHost], object]
-    causes: tuple[str, ...]
-    soonest: float
-    latest: float
+# What the Uno says of its last trip: cause, s after a start, acknowledged by nobody.
+Report = namedtuple("Report", "cause time open")
+# How one is made, the causes that it may have, s until it has come, at least and at most.
+Trip = namedtuple("Trip", "make causes soonest latest")
 
 
 def electrics(**values: float) -> Callable[[VirtualHost], object]:

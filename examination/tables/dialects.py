@@ -42,11 +42,6 @@ class Truth:
         """Whether the file is imported; else it is an instrument's, and read as it is."""
         return self.kind in RIGS
 
-    @property
-    def is_extension(self) -> bool:
-        """Whether a tensile test has an extension and no strain."""
-        return any(column.kind == "extension" for column in self.columns)
-
 
 def true_table(number: int, seed: int) -> Truth:
     """Table `number` (0 to 39) of a seed."""
@@ -191,9 +186,9 @@ def draw_habits(truth: Truth, rng: np.random.Generator) -> dict[str, str]:
 
 def _about(truth: Truth, habits: dict[str, str]) -> dict[str, Any]:
     """What the rules of dialects.yaml speak of."""
-    has_current = any(column.kind == "current" for column in truth.columns)
-    of_table = {"kind": truth.kind, "is_bench": truth.is_bench, "has_current": has_current}
-    return {**habits, **of_table, "is_extension": truth.is_extension}
+    kinds = {column.kind for column in truth.columns}
+    of_table = {"has_current": "current" in kinds, "is_extension": "extension" in kinds}
+    return {**habits, "kind": truth.kind, "is_bench": truth.is_bench, **of_table}
 
 
 def write(truth: Truth, habits: dict[str, str], folder: Path, rng: np.random.Generator) -> Sample:
