@@ -7,18 +7,9 @@ from functools import cache
 from typing import Any
 
 from sma_bench.findings import Finding, Severity
+from sma_bench.parameters import parameters as law
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS, read_declarations
-from sma_bench.parameters.parameters import (
-    CONVECTION_FACTOR,
-    NITI_EXPANSION,
-    Parameters,
-    load_kind,
-    natural_convection,
-    radiation,
-    wire_length,
-    wire_length_from_mass,
-    wire_section,
-)
+from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION, Parameters
 
 NITI_RESISTIVITY = (70e-8, 110e-8)  # ohm m, martensite 76 to 80, austenite 82 to 100 microohm cm
 WIRE_EMISSIVITY = (0.2, 0.9)  # bright to oxidised
@@ -31,12 +22,10 @@ LENGTH_TOLERANCE = 0.10
 
 
 def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
-    """Check a lab's own numbers against each other and against correlations.
-
-    `papers_own`: whether findings on numbers that are all the paper's stand one by one; else they
-    are one line. Findings are "warning" where numbers clash (the text says which and by how much),
-    "info" where a check passed. Warnings on the paper's numbers: PAPER_NOTES, 7 to 10 and 16.
-    """
+    """Check a lab's own numbers against each other and against correlations: a "warning" where
+    numbers clash (the text says which and by how much), "info" where a check passed. `papers_own`:
+    whether findings on numbers that are all the paper's stand one by one; else they are one line.
+    Warnings on the paper's numbers: PAPER_NOTES, 7 to 10 and 16."""
     thermal = _thermal(parameters)
     checked = [
         *_wire(parameters), *thermal[:2], _explanations(parameters, thermal), *thermal[2:],
@@ -48,13 +37,11 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
             finding for finding in found
             if all(parameters[n] == BY_NAME[n].default for n in _texts()[finding.subject]["of"])
         ]
-        clashes = [f.subject for f in papers if f.severity != "info"]
+        clashes = _clashing(papers)
         found = [finding for finding in found if finding not in papers]
         if papers:
-            text = (
-                f"{len(papers)} checks rest on the paper's own numbers, {len(clashes)} of them "
-                "clash"
-            )
+            count = f"{len(papers)} checks rest on the paper's own numbers"
+            text = f"{count}, {len(clashes)} of them clash"
             if clashes:
                 text += f" ({', '.join(clashes)}); sma-bench audit --paper lists them"
             number = {"clashes": float(len(clashes))}
@@ -62,17 +49,8 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
     return [replace(finding, audit=True) for finding in found]
 
 
-def still_air_range(parameters: Parameters) -> tuple[float, float]:
-    """Lowest and highest plausible h [W/(m2 K)] of the bare wire in still air: from 15 K above
-    ambient to A_f, convection plus radiation of a bright or an oxidised wire."""
-    ambient, diameter = parameters["environment.ambient_temperature"], parameters["wire.diameter"]
-    warm = ambient + 15.0
-    hot = max(parameters["wire.austenite_finish_temperature"], warm + 1.0)
-    low, high = (
-        natural_convection(diameter, kelvin, ambient) + radiation(emissivity, kelvin, ambient)
-        for emissivity, kelvin in zip(WIRE_EMISSIVITY, (warm, hot), strict=True)
-    )
-    return low, high
+def _clashing(findings: Sequence[Finding]) -> list[str]:
+    return [finding.subject for finding in findings if finding.severity != "info"]
 
 
 @cache
@@ -96,29 +74,31 @@ def _length_from_area(parameters: Parameters) -> float:
     return float(parameters["wire.surface_area"]) / (math.pi * parameters["wire.diameter"])
 
 
+def _area_from_mass(parameters: Parameters) -> float:
+    """Lateral area [m2] of a cylinder of the given mass and diameter."""
+    return math.pi * float(parameters["wire.diameter"]) * law.wire_length_from_mass(parameters)
+
+
 def _wire(p: Parameters) -> list[Finding]:
     """Length of the wire by its mass and by its area, and its resistivity over either."""
-    by_mass, by_area = wire_length_from_mass(p), _length_from_area(p)
+    by_mass, by_area = law.wire_length_from_mass(p), _length_from_area(p)
     ratio = by_area / by_mass
     numbers = {"length_from_mass": by_mass, "length_from_area": by_area, "ratio": ratio}
     if apart := abs(ratio - 1.0) > LENGTH_TOLERANCE:
-        h = p["wire.heat_transfer_coefficient"] * ratio
-        numbers["heat_transfer_coefficient_for_length_from_mass"] = h
+        name = "heat_transfer_coefficient"
+        numbers[f"{name}_for_length_from_mass"] = p[f"wire.{name}"] * ratio
     facts = {"grams": p["wire.mass"] * 1e3, "square": p["wire.surface_area"] * 1e6}
     lengths = _judged(p, "wire length", "apart" * apart, numbers, **facts)
-
     ohm, (low, high) = p["wire.resistance"], NITI_RESISTIVITY
     numbers, verdicts = {}, []
     for name, length in (("mass", by_mass), ("area", by_area)):
-        implied = ohm * wire_section(p) / length
+        implied = ohm * law.wire_section(p) / length
         numbers[f"resistivity_from_{name}_length"] = implied
+        over = f"over the {length:.3f} m of wire.{name}"
         fits = "fits" if low <= implied <= high else "does not fit"
-        verdicts.append(
-            f"{implied * 1e8:.0f} microohm cm over the {length:.3f} m of wire.{name} ({fits})"
-        )
-    clash = "unlike" if any("does not" in verdict for verdict in verdicts) else ""
-    facts = {"ohm": ohm, "low": low * 1e8, "high": high * 1e8}
-    said = " and ".join(verdicts)
+        verdicts.append(f"{implied * 1e8:.0f} microohm cm {over} ({fits})")
+    said, facts = " and ".join(verdicts), {"ohm": ohm, "low": low * 1e8, "high": high * 1e8}
+    clash = "unlike" if "does not" in said else ""
     return [lengths, _judged(p, "resistivity", clash, numbers, verdicts=said, **facts)]
 
 
@@ -138,9 +118,17 @@ def _against(
 
 def _thermal(p: Parameters) -> list[Finding]:
     """Heat transfer and time constant against still air, specific heat against calorimetry."""
-    h, (low, high) = p["wire.heat_transfer_coefficient"], still_air_range(p)
+    # Plausible h [W/(m2 K)] of the bare wire in still air: from 15 K above ambient to A_f,
+    # convection plus radiation of a bright or an oxidised wire.
+    h, ambient = p["wire.heat_transfer_coefficient"], p["environment.ambient_temperature"]
+    warm, diameter = ambient + 15.0, p["wire.diameter"]
+    hot = max(p["wire.austenite_finish_temperature"], warm + 1.0)
+    low, high = (
+        law.natural_convection(diameter, kelvin, ambient) + law.radiation(grey, kelvin, ambient)
+        for grey, kelvin in zip(WIRE_EMISSIVITY, (warm, hot), strict=True)
+    )
     heat, capacity = p["wire.specific_heat"], p["wire.mass"] * p["wire.specific_heat"]
-    area = math.pi * p["wire.diameter"] * wire_length_from_mass(p)
+    area = _area_from_mass(p)
     slow, fast = capacity / (low * area), capacity / (high * area)
     return [
         _against(p, "heat transfer", "heat_transfer_coefficient", h, low, high, CONVECTION_FACTOR),
@@ -154,21 +142,16 @@ def _explanations(p: Parameters, thermal: Sequence[Finding]) -> Finding | None:
     """What would explain a heat transfer coefficient that still air does not give: each error is
     undone in the numbers and all are checked again."""
 
-    def clashing(findings: Sequence[Finding]) -> list[str]:
-        return [finding.subject for finding in findings if finding.severity != "info"]
-
     def listed(names: Sequence[str]) -> str:
         return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
-    before = clashing(thermal)
+    before = _clashing(thermal)
     if "heat transfer" not in before:
         return None
-    h, heat, factor = (
-        p["wire.heat_transfer_coefficient"], p["wire.specific_heat"], thermal[0].numbers["factor"]
-    )
-    area = math.pi * p["wire.diameter"] * wire_length_from_mass(p)
+    h, heat = p["wire.heat_transfer_coefficient"], p["wire.specific_heat"]
+    factor, area = thermal[0].numbers["factor"], _area_from_mass(p)
     grown = p["wire.surface_area"] / area
-    mass = _length_from_area(p) / wire_length_from_mass(p)
+    mass = _length_from_area(p) / law.wire_length_from_mass(p)
     # What is measured stays: h A_c by E2, c_p m by E3, both per kelvin that the sensor says.
     undone = {
         f"a temperature read {'low' if factor > 1.0 else 'high'} by a factor {factor:.1f}": {
@@ -180,21 +163,16 @@ def _explanations(p: Parameters, thermal: Sequence[Finding]) -> Finding | None:
     }
     texts, numbers = [], {"factor": factor}
     for what, changed in undone.items():
-        values = {
-            name: min(max(value, BY_NAME[name].low or 0.0), BY_NAME[name].high or math.inf)
-            for name, value in changed.items()
-        }
-        then = clashing(_thermal(p.replace(values)))
+        limits = {name: (BY_NAME[name].low, BY_NAME[name].high) for name in changed}
+        values = {name: min(max(changed[name], low), high) for name, (low, high) in limits.items()}
+        then = _clashing(_thermal(p.replace(values)))
         mended = listed([name for name in before if name not in then]) or "none of it"
-        c_p = values.get("wire.specific_heat", heat)
-        left = listed(then) or "nothing"
+        c_p, left = values.get("wire.specific_heat", heat), listed(then) or "nothing"
         texts.append(f"{what} mends {mended} and leaves {left} (c_p {c_p:.0f})")
         numbers[f"left by {what.partition(' by ')[0]}"] = float(len(then))
     rest = [name for name in before if name not in ("heat transfer", "time constant")]
-    texts.append(
-        "moving air or a wire in contact explain heat transfer and time constant"
-        + (f" and leave {listed(rest)}" if rest else "")
-    )
+    left = f" and leave {listed(rest)}" if rest else ""
+    texts.append(f"moving air or a wire in contact explain heat transfer and time constant{left}")
     return Finding("info", "heat transfer explained", "; ".join(texts), numbers)
 
 
@@ -206,11 +184,9 @@ def _material(p: Parameters) -> list[Finding]:
         for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
         if kelvin[upper] >= kelvin[lower]
     ]
-    order = _judged(
-        p, "transition order", "overlap" if clashes else "",
-        {"overlap": kelvin["M_s"] - kelvin["A_s"]}, clashes=", ".join(clashes), **kelvin,
-    )
-
+    numbers, said = {"overlap": kelvin["M_s"] - kelvin["A_s"]}, ", ".join(clashes)
+    clash = "overlap" if clashes else ""
+    order = _judged(p, "transition order", clash, numbers, clashes=said, **kelvin)
     theta = p["wire.thermal_expansion_factor"]
     soft = NITI_EXPANSION[0] * p["wire.martensite_modulus"]
     stiff = NITI_EXPANSION[1] * p["wire.austenite_modulus"]
@@ -239,10 +215,10 @@ def _drive_and_load(p: Parameters) -> list[Finding]:
         numbers = {"current": volts / ohm, "limit": limit, "largest_voltage": limit * ohm}
         clash = "above" if volts / ohm > limit else ""
         found.append(_judged(p, "current", clash, numbers, name=name, volts=volts, ohm=ohm))
-    if load_kind(p) in ("force", "spring", "antagonist"):
+    if law.load_kind(p) in ("force", "spring", "antagonist"):
         force = abs(p["load.force"]) + abs(p["load.preload"])
-        section = wire_section(p) * p["wire.count"]
-        stroke = p["wire.maximum_recoverable_strain"] * wire_length(p)
+        section = law.wire_section(p) * p["wire.count"]
+        stroke = p["wire.maximum_recoverable_strain"] * law.wire_length(p)
         growth = p["load.stiffening"] * stroke
         grown = math.expm1(growth) / growth if growth else 1.0
         stress, most = force / section, (force + p["load.stiffness"] * grown * stroke) / section

@@ -6,15 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from sma_bench.errors import InputError
-from sma_bench.parameters.parameter import (
-    BY_NAME,
-    EFFECTS,
-    LOAD_KINDS,
-    TABLE,
-    Parameter,
-    declared,
-    read_declarations,
-)
+from sma_bench.parameters import parameter
+from sma_bench.parameters.parameter import BY_NAME, TABLE, Parameter, declared, read_declarations
 from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX, unknown_parameter_message
 
 _TREE = read_declarations("nodes.yaml")
@@ -31,15 +24,12 @@ def refuse_unknown(names: Iterable[str], where: str, known: Collection[str] = OF
     """InputError for the first name of a source that is not the contract's, known, or ROS's own."""
     for name in names:
         contracts = name.removeprefix(UNCERTAINTY_PREFIX) in BY_NAME
-        if contracts or name in known or name.split(".")[0] in _ROS_GROUPS:
-            continue
-        raise InputError(f"{where}: {unknown_parameter_message(name, (*BY_NAME, *known))}")
-
-
-# --- Pages, of the template pages.md.j2.
+        if not contracts and name not in known and name.split(".")[0] not in _ROS_GROUPS:
+            raise InputError(f"{where}: {unknown_parameter_message(name, (*BY_NAME, *known))}")
 
 
 def _pages() -> Any:
+    """The template pages.md.j2."""
     import jinja2  # which nodes do without
 
     environment = jinja2.Environment(  # noqa: S701 (no HTML)
@@ -62,10 +52,9 @@ def parameter_table(table: tuple[Parameter, ...]) -> list[str]:
 
 def effects_page() -> str:
     """Markdown page: one line an effect, then every effect's equation, source and numbers."""
-    return str(_pages().effects(EFFECTS, LOAD_KINDS))
+    return str(_pages().effects(parameter.EFFECTS, parameter.LOAD_KINDS))
 
 
-def range_of(parameter: Parameter) -> str:
+def range_of(p: Parameter) -> str:
     """Range of a number with its unit; pure numbers without."""
-    unit = "" if parameter.unit == "1" else f" {parameter.unit}"
-    return f"{parameter.low:g} to {parameter.high:g}{unit}"
+    return f"{p.low:g} to {p.high:g}{'' if p.unit == '1' else f' {p.unit}'}"

@@ -1,6 +1,7 @@
 """What each test of the paper leaves open of the numbers that it measures."""
 
 from collections.abc import Mapping
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,9 +12,8 @@ from sma_bench.parameters.parameters import Parameters
 
 
 class Test(NamedTuple):
-    """Minutes of a test, and the standard deviations that it leaves, of temperatures in
-    K, of all others as a share. An effect that its `readings_hold` is read as the parameter's own.
-    """
+    """Minutes of a test, and the standard deviations that it leaves, of temperatures in K, of all
+    others as a share. An effect that its `readings_hold` is read as the parameter's own."""
 
     minutes: float
     title: str
@@ -28,25 +28,17 @@ class Test(NamedTuple):
         }
 
 
-TESTS = {
-    name: Test(**row) for name, row in read_yaml(Path(__file__).with_suffix(".yaml")).items()
-}
+TESTS = {name: Test(**row) for name, row in read_yaml(Path(__file__).with_suffix(".yaml")).items()}
 _ROUNDING = 1.1  # of deviations in a file, and of values that have changed since
 
 
 def least_stds(parameters: Parameters) -> dict[str, float]:
     """The smallest deviation that any test of the paper leaves, of each parameter."""
-    least: dict[str, float] = {}
-    for test in TESTS.values():
-        for name, std in test.stds(parameters).items():
-            least[name] = min(std, least.get(name, np.inf))
-    return least
+    left = [test.stds(parameters) for test in TESTS.values()]
+    return {name: min(stds.get(name, np.inf) for stds in left) for name in chain(*left)}
 
 
 def measured(parameters: Parameters) -> frozenset[str]:
     """Parameters stated as well as the best test of the paper leaves them: they were measured."""
-    stated = parameters.given_uncertainty
-    return frozenset(
-        name for name, std in least_stds(parameters).items()
-        if stated.get(name, np.inf) <= _ROUNDING * std
-    )
+    stated, least = parameters.given_uncertainty, least_stds(parameters)
+    return frozenset(n for n in least if stated.get(n, np.inf) <= _ROUNDING * least[n])

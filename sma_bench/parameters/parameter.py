@@ -10,7 +10,7 @@ parameter file is read without loading the compiler.
 import inspect
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -42,8 +42,8 @@ class Parameter:
     default: Value
     description: str
     provenance: str  # paper table or equation, or "assumed: why"
-    low: float | None = None  # inclusive range of a number, in its unit
-    high: float | None = None
+    low: Any = None  # inclusive range of a number, in its unit; None of a text
+    high: Any = None
     # standard deviation, in its unit, of a value that a file states without one: what a careful lab
     # knows such a number to
     uncertainty: float | None = None
@@ -73,31 +73,22 @@ class Parameter:
         number: float | int = float(value) if self.kind == "double" else value
         if not math.isfinite(number):
             raise InputError(f"{prefix}{self.name} is {number}, expected a finite number")
-        if not self._inside(number):
-            low = "-inf" if self.low is None else f"{self.low:g}"
-            high = "inf" if self.high is None else f"{self.high:g}"
-            unit = f" {self.unit}" if self.unit else ""
-            hint = ""
-            if self.unit == "K" and _CELSIUS_RANGE[0] <= number <= _CELSIUS_RANGE[1]:
-                hint = " (is it in degrees Celsius?)" if self._inside(number + 273.15) else ""
-            elif self.low != 0.0:
-                factors = [factor for factor in _UNIT_SLIPS if self._inside(number * factor)]
-                for factor in factors[:1]:
-                    hint = f" (times {factor:g} it would fit: wrong unit prefix?)"
-            raise InputError(
-                f"{prefix}{self.name} is {number:g}{unit}, expected {low} to {high}{unit}{hint}"
-            )
-        return number
-
-    def _inside(self, value: float) -> bool:
-        above = self.low is None or value >= self.low
-        return above and (self.high is None or value <= self.high)
+        if self.low <= number <= self.high:
+            return number
+        hints = {}
+        if self.unit == "K" and _CELSIUS_RANGE[0] <= number <= _CELSIUS_RANGE[1]:
+            hints = {number + 273.15: "is it in degrees Celsius?"}
+        elif self.low != 0.0:
+            slip = "times {:g} it would fit: wrong unit prefix?"
+            hints = {number * factor: slip.format(factor) for factor in _UNIT_SLIPS}
+        hint = next((f" ({hints[x]})" for x in hints if self.low <= x <= self.high), "")
+        unit = f" {self.unit}" if self.unit else ""
+        expected = f"expected {self.low:g} to {self.high:g}{unit}"
+        raise InputError(f"{prefix}{self.name} is {number:g}{unit}, {expected}{hint}")
 
 
-_KINDS: Mapping[str, Kind] = {
-    "double": "double", "int": "integer", "bool": "bool", "string": "string",
-    "string_array": "strings",
-}  # fmt: skip
+_KINDS: Mapping[str, Kind] = {"double": "double", "int": "integer", "bool": "bool",
+                              "string": "string", "string_array": "strings"}  # fmt: skip
 
 
 def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]:
@@ -109,13 +100,13 @@ def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]
         if "type" not in node:
             found += declared(node, f"{prefix}{name}.")
             continue
-        field = dict(node)
-        kind, default = _KINDS[field.pop("type")], field.pop("default_value")
-        low, high = field.pop("validation", {}).get("bounds<>", (None, None))
-        found.append(Parameter(
-            prefix + name, field.pop("unit", ""), default, field.pop("description"),
-            field.pop("source"), low, high, kind=kind, **field,
-        ))  # fmt: skip
+        own = {"unit": "", **node}
+        kind, default = _KINDS[own.pop("type")], own.pop("default_value")
+        low, high = own.pop("validation", {}).get("bounds<>", (None, None))
+        unit, said, source = (own.pop(key) for key in ("unit", "description", "source"))
+        found.append(
+            Parameter(prefix + name, unit, default, said, source, low, high, kind=kind, **own)
+        )
     return tuple(found)
 
 
@@ -131,8 +122,7 @@ _Loader.add_constructor(
 def read_declarations(name: str) -> dict[str, Any]:
     """The tree in a YAML file of this folder, its lists as tuples."""
     text = Path(__file__).with_name(name).read_text(encoding="utf-8")
-    tree: dict[str, Any] = yaml.load(text, Loader=_Loader)  # noqa: S506 (a safe loader)
-    return tree
+    return yaml.load(text, Loader=_Loader)  # type: ignore[no-any-return]  # noqa: S506 (is safe)
 
 
 # --- effects
@@ -168,7 +158,7 @@ class Effect:
     # equations that it may have, each with the numbers that it takes; the first is the usual one
     forms: Mapping[str, tuple[str, ...]] | None = None
     # number to the column that holds it, where the core reads it as it is
-    columns: Mapping[str, str] | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
     # Further columns of that row: what a bench is; what one step hands to the next, 0 at the start;
     # what is noted within a step. A name that stands n times is the first of n columns.
     constants: tuple[str, ...] = ()
@@ -197,8 +187,7 @@ class Effect:
         """Those of one of its forms, by default the usual one. KeyError: it has no such form."""
         if not self.forms:
             return self.parameters
-        own = self.forms[form or next(iter(self.forms))]
-        return tuple(map(self.named, own))
+        return tuple(map(self.named, self.forms[form or next(iter(self.forms))]))
 
     def is_on(self, parameters: Mapping[str, object]) -> bool:
         """Whether these parameters switch it on."""
@@ -206,17 +195,11 @@ class Effect:
 
     def named(self, number: str) -> Parameter:
         """The table's entry of one of its numbers. Raises InputError: it has no such number."""
-        for parameter in self.parameters:
-            if parameter.name == f"{EFFECT_PREFIX}{self.name}.{number}":
-                return parameter
-        known = ", ".join(p.name.rsplit(".", 1)[1] for p in self.parameters)
-        raise InputError(f"effect {self.name}: no number {number!r}, expected {known}")
-
-    @cached_property
-    def column_names(self) -> dict[str, str]:
-        """Full name of a number to its column."""
-        prefix = f"{EFFECT_PREFIX}{self.name}."
-        return {prefix + number: column for number, column in (self.columns or {}).items()}
+        own = {p.name.rpartition(".")[2]: p for p in self.parameters}
+        if number not in own:
+            expected = ", ".join(own)
+            raise InputError(f"effect {self.name}: no number {number!r}, expected {expected}")
+        return own[number]
 
 
 def declared_effects(tree: Mapping[str, Any], folder: Path = EFFECT_FILES) -> dict[str, Effect]:

@@ -20,13 +20,12 @@ REFERENCE_EXCESS = 60.0  # K above ambient, of the coefficient that results name
 OXIDISED = 0.4  # emissivity of a drawn wire with its oxide
 _EXCESSES = (30.0, 120.0)  # K, between which the exponent of free convection is taken
 _LONGEST_LIST = 800  # characters of what stands for a set of parameters
+_SPREAD = "wire.hysteresis_spread"
+_DEFAULTS: dict[str, Any] = {p.name: p.default for p in TABLE}
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
 # What must hold between numbers, beside the range of each in the table: the first below the second,
 # and what a load cannot be without, above 0.
-ORDERED = (
-    ("wire.austenite_start_temperature", "wire.austenite_finish_temperature"),
-    ("wire.martensite_finish_temperature", "wire.martensite_start_temperature"),
-)
+ORDERED = ((TRANSITIONS["A_s"], TRANSITIONS["A_f"]), (TRANSITIONS["M_f"], TRANSITIONS["M_s"]))
 # Laws of which the load decides the strain: from which stress on, or how much without; how fast.
 ORIENTING = {
     "brinson": ("wire.detwinning_start_stress", "wire.detwinning_stress_range"),
@@ -59,8 +58,7 @@ def idle_effects(parameters: Mapping[str, Any]) -> dict[str, str]:
 
 
 def hysteresis(parameters: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Deviations [K] of the heating and of the cooling branch of wire.law normal, and the mean half
-    width [K] of its hysteresis."""
+    """Of wire.law normal: deviations [K] of heating and of cooling, mean half width [K]."""
     a_s, a_f, m_s, m_f = (parameters[name] for name in TRANSITIONS.values())
     return (a_f - a_s) / BRANCH, (m_s - m_f) / BRANCH, (a_s + a_f - m_s - m_f) / 4.0
 
@@ -76,16 +74,13 @@ def nearest_spread(parameters: Mapping[str, Any], wanted: float) -> float:
     """The possible spread of hysteresis widths nearest to what is wanted, a little within."""
     low, high = possible_spread(parameters)
     keep = _WITHIN * (high - low)
-    widest = float(BY_NAME["wire.hysteresis_spread"].high or math.inf)
-    return max(min(max(wanted, low + keep), high - keep, widest), 0.0)
+    return max(min(max(wanted, low + keep), high - keep, BY_NAME[_SPREAD].high), 0.0)
 
 
 class Parameters(Mapping[str, Value]):
-    """Values of all contract parameters in SI units, each with a standard deviation.
-
-    `given` holds the names whose value or uncertainty someone stated: what is not in it is a
-    default, which fills gaps and is no knowledge of this bench.
-    """
+    """Values of all contract parameters in SI units, each with a standard deviation. `given` holds
+    the names whose value or uncertainty someone stated: what is not in it is a default, which fills
+    gaps and is no knowledge of this bench."""
 
     def __init__(
         self, values: Mapping[str, Any] | None = None,
@@ -94,7 +89,7 @@ class Parameters(Mapping[str, Value]):
         """Defaults of the table, overridden by `values` (names with `uncertainty.` among them) and
         `uncertainty`. Raises InputError: unknown name, wrong type, out of range or contradicting
         values; `where` (a file, say) leads the line."""
-        self._values: dict[str, Value] = {p.name: p.default for p in TABLE}
+        self._values: dict[str, Value] = dict(_DEFAULTS)
         self._std: dict[str, float] = {}
         self.given: frozenset[str] = frozenset()
         self._put(values or {}, uncertainty or {}, where)
@@ -114,28 +109,24 @@ class Parameters(Mapping[str, Value]):
             if BY_NAME[name].uncertainty is None:
                 raise InputError(f"{lead}{full}: has no uncertainty")
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
-            if not number or not 0.0 <= value < float("inf"):
-                raise InputError(
-                    f"{lead}{full} is {value!r}, "
-                    f"expected a standard deviation >= 0 in {BY_NAME[name].unit}"
-                )
+            if not number or not 0.0 <= value < math.inf:
+                expected = f"expected a standard deviation >= 0 in {BY_NAME[name].unit}"
+                raise InputError(f"{lead}{full} is {value!r}, {expected}")
             self._std[name] = float(value)
         self.given |= given
-
         # A default that nobody stated keeps its distance from what was stated beyond it.
         for lower, upper in ORDERED:
             if self[lower] >= self[upper] and not {lower, upper} <= self.given:
-                width = float(str(BY_NAME[upper].default)) - float(str(BY_NAME[lower].default))
+                width = _DEFAULTS[upper] - _DEFAULTS[lower]
                 if upper in self.given:
                     self._values[lower] = self[upper] - width
                 else:
                     self._values[upper] = self[lower] + width
-        unstated = "wire.hysteresis_spread" not in self.given
+        unstated = _SPREAD not in self.given
         if self["wire.law"] == "normal" and unstated and hysteresis(self)[2] > 0.0:
-            usual = float(str(BY_NAME["wire.hysteresis_spread"].default))
-            self._values["wire.hysteresis_spread"] = nearest_spread(self, usual)
+            self._values[_SPREAD] = nearest_spread(self, _DEFAULTS[_SPREAD])
         if "wire.heat_transfer_coefficient" not in self.given:
-            h = BY_NAME["wire.heat_transfer_coefficient"].default
+            h = _DEFAULTS["wire.heat_transfer_coefficient"]
             if self["wire.convection"] == "free":
                 h = free_coefficient(self["wire.diameter"], self["environment.ambient_temperature"])
             self._values["wire.heat_transfer_coefficient"] = h
@@ -152,15 +143,13 @@ class Parameters(Mapping[str, Value]):
             return "bench.channels is empty, expected one name or more"
         for channel in channels:
             if not _CHANNEL_NAME.match(channel):
-                return (
-                    f"bench.channels: {channel!r} is not a ROS name "
-                    "(a letter, then letters, digits, underscores)"
-                )
+                rule = "(a letter, then letters, digits, underscores)"
+                return f"bench.channels: {channel!r} is not a ROS name {rule}"
         if len(set(channels)) != len(channels):
             return f"bench.channels: {list(channels)} has a name twice"
         if len(sides) != len(channels):
-            expected = f"expected {len(channels)} as bench.channels"
-            return f"bench.channel_sides has {len(sides)} entries, {expected}"
+            entries = f"{len(sides)} entries, expected {len(channels)} as bench.channels"
+            return f"bench.channel_sides has {entries}"
         for side in sides:
             if side not in SIDES:
                 return f"bench.channel_sides: {side!r}, expected front or back"
@@ -180,28 +169,23 @@ class Parameters(Mapping[str, Value]):
                 return f"{name} is {value}, expected above 0 with load.kind {kind}"
         wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
         if used != wanted:
-            expected = "front and back" if wanted == 2 else "one side"
-            return (
-                f"bench.channel_sides: {list(sides)} with load.kind {kind}, expected {expected}"
-            )
-        if self["load.friction"] > 0.0:
-            value = f"load.friction is {self['load.friction']:g} N"
-            if kind in ("beam", "displacement"):
-                return f"{value} with load.kind {kind}, expected 0"
-            if EFFECTS["slack"].is_on(self):  # the load rubs, not wires that hang
-                return f"{value} with effect slack, expected one of them at 0"
-        if self["load.stiffening"] != 0.0:
-            value = f"load.stiffening is {self['load.stiffening']:g} 1/m"
-            if kind not in ("spring", "clamped"):  # which moves nothing
-                return f"{value} with load.kind {kind}, expected 0"
-            if EFFECTS["slack"].is_on(self):
-                return f"{value} with effect slack, expected one of them at 0"
+            wants = f"{kind}, expected {'front and back' if wanted == 2 else 'one side'}"
+            return f"bench.channel_sides: {list(sides)} with load.kind {wants}"
+        # Where a load can rub or stiffen: its ends move, and no wire hangs.
+        for name, loads in (
+            ("load.friction", ("clamped", "force", "spring", "antagonist")),
+            ("load.stiffening", ("clamped", "spring")),
+        ):
+            if self[name] != 0.0 and (kind not in loads or EFFECTS["slack"].is_on(self)):
+                against = "effect slack, expected one of them at 0"
+                against = against if kind in loads else f"load.kind {kind}, expected 0"
+                return f"{name} is {self[name]:g} {BY_NAME[name].unit} with {against}"
         # What is imposed neither drifts nor hangs.
         return next(iter(idle_effects(self).values()), "") if kind == "displacement" else ""
 
     def _fault_of_law(self) -> str:
         """What cannot be beside `wire.law`, or ""."""
-        law, name = self["wire.law"], "wire.hysteresis_spread"
+        law = self["wire.law"]
         for effect in EFFECTS.values():
             if law not in effect.laws and effect.is_on(self):
                 others = ", ".join(effect.laws)
@@ -212,18 +196,18 @@ class Parameters(Mapping[str, Value]):
         if law != "normal":
             return ""
         heating, cooling, mean = hysteresis(self)
+        width = f"{2.0 * mean:.4g} K"
         if mean <= 0.0:
-            width = f"the mean hysteresis is {2.0 * mean:.4g} K wide"
-            return f"wire.law normal: {width}, expected above 0 K"
+            return f"wire.law normal: the mean hysteresis is {width} wide, expected above 0 K"
         low, high = possible_spread(self)
-        spread, high = self[name], min(high, BY_NAME[name].high or high)
-        if not low - 1e-9 <= spread <= high + 1e-9:
-            ranges = f"ranges of {heating * BRANCH:.4g} and {cooling * BRANCH:.4g} K"
-            return (
-                f"{name} is {spread:.3g}, expected {low:.3g} to {high:.3g}: {ranges} about a "
-                f"hysteresis of {2.0 * mean:.4g} K leave no covariance of grains beyond that"
-            )
-        return ""
+        spread, high = self[_SPREAD], min(high, BY_NAME[_SPREAD].high)
+        if low - 1e-9 <= spread <= high + 1e-9:
+            return ""
+        ranges = f"ranges of {heating * BRANCH:.4g} and {cooling * BRANCH:.4g} K"
+        return (
+            f"{_SPREAD} is {spread:.3g}, expected {low:.3g} to {high:.3g}: {ranges} about a "
+            f"hysteresis of {width} leave no covariance of grains beyond that"
+        )
 
     @classmethod
     def defaults(cls) -> "Parameters":
@@ -249,16 +233,16 @@ class Parameters(Mapping[str, Value]):
 
     def __repr__(self) -> str:
         stated = ", ".join(f"{name}={self[name]!r}" for name in sorted(self.given))
-        end = "" if len(stated) <= _LONGEST_LIST else "..."
-        return f"<Parameters: {len(self.given)} stated: {stated[:_LONGEST_LIST]}{end}>"
+        if len(stated) > _LONGEST_LIST:
+            stated = f"{stated[:_LONGEST_LIST]}..."
+        return f"<Parameters: {len(self.given)} stated: {stated}>"
 
     def std(self, name: str) -> float:
         """One standard deviation of `name`, absolute, in its unit: the stated one, else the table's
         uncertainty of a stated value, else the table's spread. Raises InputError: the parameter is
         unknown or has no uncertainty (a name, a limit)."""
         self[name]
-        parameter = BY_NAME[name]
-        std = parameter.uncertainty if name in self.given else parameter.default_std
+        std = BY_NAME[name].uncertainty if name in self.given else BY_NAME[name].default_std
         if std is None:
             raise InputError(f"{name} has no uncertainty")
         return self._std.get(name, std)
@@ -322,15 +306,13 @@ def natural_convection(diameter: float, surface: float, ambient: float) -> float
     """Heat transfer coefficient [W/(m2 K)] of a horizontal cylinder in still air by Churchill and
     Chu (1975), at film temperature and 1 atm. `diameter` [m]; `surface` above `ambient` [K]."""
     film = 0.5 * (surface + ambient)
-    conductivity = 0.0241 * (film / 273.15) ** 0.81
+    conductivity, heat_capacity = 0.0241 * (film / 273.15) ** 0.81, 1007.0
     viscosity = 1.716e-5 * (film / 273.15) ** 1.5 * (273.15 + 110.4) / (film + 110.4)
     density = 101325.0 / (287.05 * film)
-    heat_capacity = 1007.0
     prandtl = viscosity * heat_capacity / conductivity
     diffusivity = conductivity / (density * heat_capacity)
-    rayleigh = (
-        GRAVITY * (surface - ambient) * diameter**3 / (film * (viscosity / density) * diffusivity)
-    )
+    resisted = film * (viscosity / density) * diffusivity
+    rayleigh = GRAVITY * (surface - ambient) * diameter**3 / resisted
     shape = (1.0 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)
     nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / shape) ** 2
     return nusselt * conductivity / diameter

@@ -24,32 +24,27 @@ def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str,
     document = read_yaml(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected a ROS parameter file ('{WILDCARD}: ros__parameters:')")
-    merged: dict[str, Any] = {}
-    origin: dict[str, str] = {}
     sections = list(_sections(document, "", path))
     fitting = [(key, values) for key, values in sections if _fits(key, node)]
     if not fitting:
         found = ", ".join(key for key, _ in sections) or "none"
-        wanted = f"{WILDCARD} or {node}" if node else WILDCARD
-        raise InputError(
-            f"{path}: no section for {node or 'every node'}, found {found}, expected {wanted}"
-        )
+        wanted = f"found {found}, expected {f'{WILDCARD} or {node}' if node else WILDCARD}"
+        raise InputError(f"{path}: no section for {node or 'every node'}, {wanted}")
+    merged: dict[str, Any] = {}
+    origin: dict[str, str] = {}
     for key, values in fitting:
         with errors_in(f"{path}: {key}"):
             flat = flatten(values)
         for name, value in flat.items():
             if name in merged and merged[name] != value:
-                raise InputError(
-                    f"{path}: {name} is {merged[name]!r} in {origin[name]} and {value!r} in {key}"
-                )
+                there = f"{merged[name]!r} in {origin[name]}"
+                raise InputError(f"{path}: {name} is {there} and {value!r} in {key}")
             merged[name], origin[name] = value, key
     return merged
 
 
-def _sections(
-    document: Mapping[Any, Any], above: str, path: str | Path
-) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Every `ros__parameters` with the name, or pattern, of the nodes that load it."""
+def _sections(document: Mapping[Any, Any], above: str, path: str | Path) -> Iterator[Any]:
+    """Every `ros__parameters` behind the name, or pattern, of the nodes that load it."""
     for key, value in document.items():
         name = f"{above}/{str(key).strip('/')}"
         if isinstance(value, dict) and isinstance(value.get("ros__parameters"), dict):
@@ -105,21 +100,14 @@ def write_parameters(
     """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.
 
     The file appears whole or not at all. What nobody stated stands in it as a comment, but the
-    channels, without which no rig is one. Raises InputError: the folder cannot be written.
-
-    Args:
-        path: file to write.
-        parameters: values and uncertainties.
-        comment: lines for the head of the file.
-        names: parameters to write, in any order; when None all but effects that nobody stated.
-        sources: where values are from, by name; these and their standard deviations are rounded to
-            what the error deserves.
-        template: a file whose comments a person wrote and that are kept.
-        explain: each parameter's description above it.
-    """
+    channels, without which no rig is one. `comment`: lines for the head of the file; `names`:
+    parameters to write, in any order, when None all but effects that nobody stated; `sources`:
+    where values are from, by name: these and their standard deviations are rounded to what the
+    error deserves; `template`: a file whose comments a person wrote and that are kept; `explain`:
+    each parameter's description above it. Raises InputError: the folder cannot be written."""
     given, stds, sources = parameters.given, parameters.given_uncertainty, sources or {}
-    chosen = {n for n in parameters if n in given or not n.startswith(EFFECT_PREFIX)}
-    chosen = chosen if names is None else set(names)
+    usual = (n for n in parameters if n in given or not n.startswith(EFFECT_PREFIX))
+    chosen = set(usual if names is None else names)
 
     def rounded(name: str, value: Any) -> Any:
         """To the place of the second digit of its error."""
@@ -133,12 +121,10 @@ def write_parameters(
     for p in (p for p in TABLE if p.name in chosen):
         value = rounded(p.name, parameters[p.name])
         by_default = "given" if value != p.default else p.provenance
-        values[p.name] = _plain(value)
-        notes[p.name] = _note(p, sources.get(p.name, by_default))
+        values[p.name], notes[p.name] = _plain(value), _note(p, sources.get(p.name, by_default))
     for name in sorted(stds.keys() & chosen):
         own = UNCERTAINTY_PREFIX + name
-        values[own] = rounded(name, float(stds[name]))
-        notes[own] = f"[{BY_NAME[name].unit or '1'}]"
+        values[own], notes[own] = rounded(name, float(stds[name])), _unit(BY_NAME[name])
     above = {p.name: p.description for p in TABLE} if explain else {}
     unstated = chosen - given - {"bench.channels", "bench.channel_sides"}
     _write(path, values, comment, template, notes, above, unstated)
@@ -150,18 +136,19 @@ def write_named_values(path: str | Path, values: Mapping[str, Any], comment: str
     _write(path, values, comment, template=path)
 
 
-def _note(parameter: Parameter, source: str) -> str:
-    limits = [x for x in (parameter.low, parameter.high) if x is not None]
-    unit = f"[{parameter.unit or '1'}] " if parameter.kind in ("double", "integer") else ""
-    between = f"{limits[0]:g} to {limits[1]:g}; " if len(limits) == 2 else ""
-    return f"{unit}{between}{source}"
+def _unit(p: Parameter) -> str:
+    return f"[{p.unit or '1'}]"
+
+
+def _note(p: Parameter, source: str) -> str:
+    number = p.kind in ("double", "integer")
+    return f"{_unit(p)} {p.low:g} to {p.high:g}; {source}" if number else source
 
 
 _UNSTATED = "Behind a # stands what nobody stated: uncomment, with its group, what you know."
 _NOTES_OF_DEFAULTS = {_note(p, p.provenance) for p in TABLE}
-_OWN_LINES = {
-    _UNSTATED, *(p.description for p in TABLE), *(f"{p.name.split('.')[0]}:" for p in TABLE)
-}  # fmt: skip
+_GROUPS = {f"{p.name.split('.')[0]}:" for p in TABLE}
+_OWN_LINES = {_UNSTATED, *(p.description for p in TABLE), *_GROUPS}
 _KEY = re.compile(r"( *)([\w.]+|/\*\*):(?: |$)")
 _OWN = " | "  # between a person's comment and what is written beside it anew
 
@@ -174,9 +161,8 @@ def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str
     beside: dict[str, str] = {}
     groups: list[tuple[int, str]] = []
     waiting: list[str] = []
-    text = ""
-    if path is not None and Path(path).is_file():
-        text = Path(path).read_text(encoding="utf-8", errors="replace")
+    there = path is not None and Path(path).is_file()
+    text = Path(str(path)).read_text(encoding="utf-8", errors="replace") if there else ""
     for line in text.splitlines():
         if line.lstrip().startswith("#"):
             text = line.strip().lstrip("#").strip()
@@ -191,15 +177,13 @@ def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str
             elif waiting:
                 above[name] = waiting
             waiting = []
-
             # Beside a value: what is not this module's own note on it.
             remark = re.search(r"\s#\s?(.*)", line[key.end() - 1 :].split('"')[-1].split("'")[-1])
             theirs = (remark[1] if remark else "").partition(_OWN)[0].strip()
-            known = BY_NAME.get(name.removeprefix(UNCERTAINTY_PREFIX))
-            own = known is not None and (
-                theirs.startswith(f"[{known.unit or '1'}]") or theirs in (known.provenance, "given")
-            )
-            if theirs and not own:
+            if p := BY_NAME.get(name.removeprefix(UNCERTAINTY_PREFIX)):
+                own = theirs.startswith(_unit(p)) or theirs in (p.provenance, "given")
+                theirs = "" if own else theirs
+            if theirs:
                 beside[name] = theirs
     return head, above, beside
 
@@ -220,9 +204,9 @@ def _write(
             inner = inner.setdefault(group, {})
         inner[leaf] = value
     own = [printable(line) for line in comment.splitlines()]
-    lines = [f"# {line}" for line in [*own, *(t for t in head if t not in own)]]
-    lines += [f"# {_UNSTATED}"] if unstated else []
-    lines += [f"{WILDCARD}:", "  ros__parameters:"]
+    own += [line for line in head if line not in own]
+    own += [_UNSTATED] if unstated else []
+    lines = [*(f"# {line}" for line in own), f"{WILDCARD}:", "  ros__parameters:"]
 
     def write(values: Mapping[str, Any], prefix: str, indent: str) -> None:
         for key, value in values.items():

@@ -5,13 +5,5 @@ from sma_bench.physics.boundary import Boundary, side_names
 from sma_bench.physics.kernel import State, initial_state
 from sma_bench.physics.simulate import Bench, Simulation, simulate
 
-__all__ = [
-    "Bench",
-    "Boundary",
-    "Simulation",
-    "State",
-    "bending_coefficients",
-    "initial_state",
-    "side_names",
-    "simulate",
-]
+__all__ = ["Bench", "Boundary", "Simulation", "State", "bending_coefficients", "initial_state",
+           "side_names", "simulate"]  # fmt: skip

@@ -25,15 +25,13 @@ class Beam:
     wire_section: float  # A [m2], cross-section of the wires of one channel
 
     @classmethod
-    def of(cls, parameters: Parameters) -> "Beam":
+    def of(cls, p: Parameters) -> "Beam":
         """The beam of a parameter set, martensite in its active layer."""
         return cls(
-            length=parameters["composite.length"], width=parameters["composite.width"],
-            thickness=parameters["composite.thickness"], modulus=parameters["composite.modulus"],
-            layer_thickness=parameters["composite.wire_layer_thickness"],
-            layer_modulus=parameters["wire.martensite_modulus"],
-            layer_width=wire_layer_width(parameters), offset=parameters["composite.wire_offset"],
-            wire_section=channel_section(parameters),
+            p["composite.length"], p["composite.width"], p["composite.thickness"],
+            p["composite.modulus"], p["composite.wire_layer_thickness"],
+            p["wire.martensite_modulus"], wire_layer_width(p), p["composite.wire_offset"],
+            channel_section(p),
         )
 
 
@@ -86,9 +84,8 @@ def stress_per_deflection(beam: Beam) -> float:
 
 def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
     """alpha [m], beta of the front and of the back [Pa/m]: as given, where 0 from the geometry."""
-    alpha = parameters["composite.deflection_per_strain"]
-    front = parameters["composite.stress_per_deflection_front"]
-    back = parameters["composite.stress_per_deflection_back"]
+    names = ("deflection_per_strain", "stress_per_deflection_front", "stress_per_deflection_back")
+    alpha, front, back = (parameters[f"composite.{name}"] for name in names)
     if alpha and front and back:
         return alpha, front, back
     beam = Beam.of(parameters)
@@ -105,8 +102,6 @@ def stiffness_terms(beam: Beam, factor: float) -> float:
     """The bracket of eq. (14), its first term times `factor` [Pa2 m4]."""
     passive, active = beam.thickness, beam.layer_thickness
     mixed = 4.0 * passive**2 + 6.0 * passive * active + 4.0 * active**2
-    return (
-        factor * beam.modulus**2 * passive**4
-        + beam.modulus * beam.thickness * (beam.layer_modulus * beam.layer_thickness) * mixed
-        + beam.layer_modulus**2 * active**4
-    )
+    both = beam.modulus * passive * (beam.layer_modulus * active) * mixed
+    alone = factor * beam.modulus**2 * passive**4
+    return alone + both + beam.layer_modulus**2 * active**4

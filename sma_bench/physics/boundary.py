@@ -20,11 +20,9 @@ PerSide = float | tuple[float, ...]
 
 @dataclass(frozen=True)
 class Boundary:
-    """sum sigma_i = load + stiffness e over the wires of a side, or e prescribed.
-
-    e = -(eps - eps_0) is the contraction shared by the wires of a side. Each field is one number
-    for all sides, or one a side in the order of `side_names`.
-    """
+    """sum sigma_i = load + stiffness e over the wires of a side, or e = -(eps - eps_0), which they
+    share, prescribed. Each field is one number for all sides, or one a side in the order of
+    `side_names`."""
 
     stiffness: PerSide = 0.0  # Pa, sum of stresses per contraction
     load: PerSide = 0.0  # Pa, sum of stresses at zero contraction
@@ -71,34 +69,31 @@ class Boundary:
             names, betas = side_names(parameters), {"front": front, "back": back}
             longer = {name: 1.0 + SIDE_SIGNS[name] * lever for name in names}
             stiffer = {name: (1.0 + SIDE_SIGNS[name] * ratio) * longer[name] for name in names}
-            return cls(
-                stiffness=tuple(betas[n] * stiffer[n] * (alpha * longer[n]) for n in names),
-                lever=tuple(SIDE_SIGNS[n] * alpha * longer[n] for n in names),
-            )
+            pulls = tuple(betas[n] * stiffer[n] * (alpha * longer[n]) for n in names)
+            return cls(pulls, lever=tuple(SIDE_SIGNS[n] * alpha * longer[n] for n in names))
         section, length = channel_section(parameters), wire_length(parameters)
         preload, held = parameters["load.preload"], parameters["load.force"]
         stiffness = parameters["load.stiffness"] * length / section
         modulus, rubs = parameters["wire.martensite_modulus"], parameters["load.friction"] / section
-
         # Two sides on a slider: A (sum_front sigma_i - sum_back sigma_i) = F + k x, x = l e_front.
         # Mounted so that in the middle, at rest, each pulls with the preload; the slider's own
         # spring and force draw it to the back.
         if kind == "antagonist":
             wires = np.bincount(side_of_channels(parameters))
-            pulled = preload / (section * wires * modulus)
+            pulled = tuple((preload / (section * wires * modulus)).tolist())
             return cls(
                 stiffness, held / section, lever=(0.5 * length, -0.5 * length), coupled=True,
-                prestretch=tuple(pulled.tolist()), friction=rubs,
+                prestretch=pulled, friction=rubs,
             )
-
         # A weight, or a frame that holds a force; with a spring A sum sigma_i = F_0 + F + k l e, or
         # F_0 + F + k (exp(b l e) - 1)/b of one that stiffens by b. Elongation is counted from the
         # bench at rest, where martensite already bears the load.
         held, stiffness = (preload + held, stiffness) if kind == "spring" else (held, 0.0)
         stretch = held / section / (len(parameters["bench.channels"]) * modulus)
+        stiffening = parameters["load.stiffening"] * length if stiffness else 0.0
         return cls(
             stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs,
-            stiffening=parameters["load.stiffening"] * length if stiffness else 0.0,
+            stiffening=stiffening,
         )
 
     def levers(self, parameters: Parameters) -> Array:
@@ -126,9 +121,8 @@ def side_of_channels(parameters: Parameters) -> IntArray:
     return _sides(tuple(parameters["bench.channel_sides"]))[1]
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64)  # a fit asks some times a simulation
 def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
-    """A fit asks some times a simulation."""
     names = tuple(name for name in SIDE_SIGNS if name in of_channels)
     numbers = np.array([names.index(side) for side in of_channels], np.int64)
     numbers.flags.writeable = False
@@ -141,9 +135,8 @@ def per_side(name: str, value: PerSide, sides: int) -> Array:
         return np.full(sides, value)
     array = np.array(value, dtype=np.float64)
     if array.shape not in ((), (sides,)):
-        raise InputError(
-            f"boundary: {name} has shape {array.shape}, expected one or {sides} values"
-        )
+        shapes = f"{array.shape}, expected one or {sides} values"
+        raise InputError(f"boundary: {name} has shape {shapes}")
     if not all(map(math.isfinite, array.flat)):
         raise InputError(f"boundary: {name} is {value}, expected finite numbers")
     return array if array.shape else np.full(sides, array)

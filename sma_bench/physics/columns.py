@@ -63,7 +63,7 @@ def _numbered(row: str, own: dict[str, tuple[str, ...]]) -> tuple[dict[str, int]
         names += of_core
         for effect in effects:
             if part == "constants":
-                names += effect.column_names.values()
+                names += effect.columns.values()
             names += getattr(effect, part)
     return {name: names.index(name) for name in names}, state, len(names)
 

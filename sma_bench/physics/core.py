@@ -33,6 +33,7 @@ from sma_bench.compiled import borrowing, inlined
 from sma_bench.parameters.parameter import EFFECTS
 from sma_bench.physics import columns as at
 from sma_bench.physics import orientation
+from sma_bench.physics.effects import slack
 from sma_bench.physics.effects.ambient_drift import air_temperature
 from sma_bench.physics.effects.latent_heat import latent_rise
 from sma_bench.physics.effects.matrix_thermal_mass import look_beside, warm_together
@@ -40,15 +41,6 @@ from sma_bench.physics.effects.opposing_wires import give_way, look_at_passive, 
 from sma_bench.physics.effects.phase_dependent_resistance import resistance
 from sma_bench.physics.effects.residual_strain import passes_most
 from sma_bench.physics.effects.side_heat_coupling import in_plume, look_across
-from sma_bench.physics.effects.slack import (
-    contact,
-    gone_astray,
-    hanging_bending,
-    hangs,
-    pulls,
-    slide,
-    straight_on,
-)
 from sma_bench.physics.effects.supply_drop import power
 from sma_bench.physics.effects.temperature_dependent_convection import loss
 from sma_bench.physics.effects.temperature_lag import read
@@ -66,6 +58,7 @@ REGIME_LIMIT = 12
 LARGEST_STRAIN = 1e6
 MOST_STIFFENED = 100.0  # e-folds of a spring's stiffness; no wire pulls so far
 MOVED = 2.0  # of PRESCRIBED, where ends are not only held
+RECORDED = (at.TEMPERATURE, at.FRACTION, at.STRESS, at.READING, at.MOUNT, at.SAG)
 TURN = 0.3  # K, by which what drives the phase goes back before it is no error of an encoder
 
 
@@ -73,8 +66,7 @@ TURN = 0.3  # K, by which what drives the phase goes back before it is no error 
 
 
 def of_effects(place, both):
-    """The functions called `place` of all effects as one, two by two: a compiled one cannot go
-    through a list of others."""
+    """The functions called `place` of all effects as one: what is compiled goes through no list."""
     modules = [import_module(f"sma_bench.physics.effects.{name}") for name in sorted(EFFECTS)]
     return reduce(both, [getattr(module, place) for module in modules if hasattr(module, place)])
 
@@ -138,10 +130,10 @@ def set_regime(sides, side):
         stiffness += passive_stiffness
         load -= passive_load
     sides[side, at.BEAM_STIFFNESS], sides[side, at.BEAM_LOAD] = stiffness, load
-    if hangs(sides, side):
+    if slack.hangs(sides, side):
         stiffness, load = 0.0, sides[side, at.SLIDES] * sides[side, at.RUBBING]
     elif sides[side, at.SLACK] + sides[side, at.SOFT_SLACK] > 0.0:
-        straight_on(sides, side)
+        slack.straight_on(sides, side)
         slope = sides[side, at.PULLED_SLOPE]
         load += stiffness * (sides[side, at.PULLED_TO] - slope * sides[side, at.PULLED_FROM])
         stiffness *= slope
@@ -151,9 +143,9 @@ def set_regime(sides, side):
 @borrowing
 def bending(sides, side):
     """Bending of a side's beam at its present contraction and regime."""
-    if hangs(sides, side):
-        return hanging_bending(sides, side)
-    return pulls(sides, side, sides[side, at.CONTRACTION])[0]
+    if slack.hangs(sides, side):
+        return slack.hanging_bending(sides, side)
+    return slack.pulls(sides, side, sides[side, at.CONTRACTION])[0]
 
 
 @borrowing
@@ -168,22 +160,18 @@ def change_regime(wires, sides, side):
         return changed
     if sides[side, at.ENGAGEMENT] > 0.0:
         sign = yield_sign(sides, side, bending(sides, side))
-        if sign != sides[side, at.YIELDING]:
-            sides[side, at.YIELDING] = sign
-            set_regime(sides, side)
-            return True
-    if sides[side, at.SLACK] > 0.0:
+        changed = sign != sides[side, at.YIELDING]
+        sides[side, at.YIELDING] = sign
+    if not changed and sides[side, at.SLACK] > 0.0:
         rubs = sides[side, at.RUBBING] > 0.0
         column = at.SLIDES if rubs else at.TAUT
-        regime = slide(sides, side) if rubs else contact(sides, side)
-        if regime != sides[side, column]:
-            sides[side, column] = regime
-            set_regime(sides, side)
-            return True
-    if gone_astray(sides, side):
+        regime = slack.slide(sides, side) if rubs else slack.contact(sides, side)
+        changed = regime != sides[side, column]
+        sides[side, column] = regime
+    changed = changed or slack.gone_astray(sides, side)
+    if changed:
         set_regime(sides, side)
-        return True
-    return False
+    return changed
 
 
 @borrowing
@@ -301,9 +289,8 @@ def solve_jointly(wires, sides, side, contraction):
             sign = pull_sign(wires, sides, i, side)
             if sign == 0.0:
                 continue
-            error, slope, coupling, stress, stress_slope, modulus = residual(
-                wires, i, sign * contraction, wires[i, at.GUESS]
-            )
+            found = residual(wires, i, sign * contraction, wires[i, at.GUESS])
+            error, slope, coupling, stress, stress_slope, modulus = found
             if slope <= 0.0:
                 return False, contraction
             wires[i, at.STEP], wires[i, at.COUPLING] = error / slope, coupling / slope
@@ -462,10 +449,9 @@ def settle(wires, sides, step):
     for i in range(wires.shape[0]):
         xi, contraction = wires[i, at.GUESS], sides[int(wires[i, at.SIDE]), at.CONTRACTION]
         temperature, stress, _, _ = constitutive(wires, i, contraction, xi)
-        before = wires[i, at.FRACTION]
         wires[i, at.TEMPERATURE], wires[i, at.STRESS] = temperature, stress
-        wires[i, at.CHANGE], wires[i, at.STEP] = xi - before, before
-        wires[i, at.FRACTION] = xi
+        wires[i, at.STEP] = wires[i, at.FRACTION]  # that before
+        wires[i, at.CHANGE], wires[i, at.FRACTION] = xi - wires[i, at.FRACTION], xi
         wires[i, at.CLOCK] += step
         if wires[i, at.LAW] == NORMAL:
             push(wires, i)
@@ -488,15 +474,10 @@ def impose(wires, sides, strain, k):
 
 @borrowing
 def run(time, voltage, wires, sides, history, strain):
-    """Advance a bench over all samples of one drive, recording it at each.
-
-    Args:
-        time: (n,) s; voltage: (n, w) V held from each sample to the next.
-        wires, sides: of the bench, advanced in place; a TREND of 0 starts a history.
-        history: (6, n, w) temperature, fraction, stress, reading, warmth of the mount, sag;
-        strain: (2, n, s) contraction, and the part that bends; written, but for a MOVED
-            contraction, which is read.
-    """
+    """Advance a bench over all samples of one drive, recording it at each. `time`: (n,) s;
+    `voltage`: (n, w) V held from each sample to the next; `wires`, `sides`: of the bench, advanced
+    in place, a TREND of 0 starts a history; `history`: (6, n, w) of RECORDED, and `strain`: (2, n,
+    s) contraction, and the part that bends: written, but for a MOVED contraction, which is read."""
     effects = False
     for i in range(wires.shape[0]):
         effects = effects or wires[i, at.HEATED_OTHERWISE] > 0.0
@@ -524,12 +505,8 @@ def run(time, voltage, wires, sides, history, strain):
             solve(wires, sides)
             settle(wires, sides, step)
         for i in range(wires.shape[0]):
-            history[0, k, i] = wires[i, at.TEMPERATURE]
-            history[1, k, i] = wires[i, at.FRACTION]
-            history[2, k, i] = wires[i, at.STRESS]
-            history[3, k, i] = wires[i, at.READING]
-            history[4, k, i] = wires[i, at.MOUNT]
-            history[5, k, i] = wires[i, at.SAG]
+            for row, column in enumerate(RECORDED):
+                history[row, k, i] = wires[i, column]
         for side in range(sides.shape[0]):
             strain[0, k, side] = sides[side, at.CONTRACTION]
             strain[1, k, side] = sides[side, at.BENDING]

@@ -10,12 +10,12 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import warn_if_plain
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import EFFECTS, SOURCES
+from sma_bench.parameters.parameter import EFFECTS, LAWS, SOURCES
 from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
 from sma_bench.physics import core, material, orientation
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
-from sma_bench.physics.laws import extended, law_of, normal, number_of
+from sma_bench.physics.laws import extended, law_of, normal
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
 # --- The state of a bench between two samples, and the state it starts from.
@@ -50,13 +50,11 @@ def initial_state(
     if temperature is None:
         temperature = parameters["environment.ambient_temperature"]
     for name, value in (("temperature", temperature), ("martensite_fraction", martensite_fraction)):
-        array = np.asarray(value, dtype=float)
+        array, lead = np.asarray(value, dtype=float), f"initial state: {name}"
         if array.shape not in ((), (wires,)):
-            raise InputError(
-                f"initial state: {name} has shape {array.shape}, expected one or {wires} values"
-            )
+            raise InputError(f"{lead} has shape {array.shape}, expected one or {wires} values")
         if not np.all(np.isfinite(array)):
-            raise InputError(f"initial state: {name} is {array}, expected finite numbers")
+            raise InputError(f"{lead} is {array}, expected finite numbers")
         given.append(np.array(np.broadcast_to(array, (wires,))))
     kelvin, xi = given
     if np.any(kelvin <= 0.0):
@@ -70,11 +68,8 @@ def initial_state(
 
 def at_rest(parameters: Parameters, boundary: Boundary | None = None) -> State:
     """Martensite at ambient temperature, possible or not: if not, it ends with the first step."""
-    boundary = boundary or Boundary.of(parameters)
-    kelvin = np.full(
-        len(parameters["bench.channels"]), parameters["environment.ambient_temperature"]
-    )
-    xi = np.ones(kelvin.size)
+    boundary, xi = boundary or Boundary.of(parameters), np.ones(len(parameters["bench.channels"]))
+    kelvin = np.full(xi.size, parameters["environment.ambient_temperature"])
     if boundary.load == 0.0 == boundary.prestretch and boundary.contraction in (None, 0.0):
         return State(kelvin, xi, np.zeros(kelvin.size), np.zeros(len(side_names(parameters))))
     return _balanced(kelvin, xi, parameters, boundary)
@@ -85,16 +80,16 @@ def _balanced(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bounda
     side, sides = side_of_channels(parameters), len(side_names(parameters))
     prestretch = boundary.stretch_of_wires(parameters)
     parameters = orientation.as_oriented(parameters, float(prestretch.mean()))
+    pull = np.bincount(side, material.stress(kelvin, xi, -prestretch, parameters), sides)
+    modulus = np.bincount(side, material.modulus(xi, parameters), sides)
+    own, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
     if boundary.contraction is not None:
         contraction = per_side("contraction", boundary.contraction, sides)
+    elif boundary.coupled:
+        front = (pull[0] - pull[1] - load[0]) / (modulus.sum() + own[0])
+        contraction = np.array([front, -front])
     else:
-        pull = np.bincount(side, material.stress(kelvin, xi, -prestretch, parameters), sides)
-        modulus = np.bincount(side, material.modulus(xi, parameters), sides)
-        own, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
         contraction = (pull - load) / (modulus + own)
-        if boundary.coupled:
-            front = (pull[0] - pull[1] - load[0]) / (modulus.sum() + own[0])
-            contraction = np.array([front, -front])
     shorter = contraction[side] - prestretch
     return State(kelvin, xi, material.stress(kelvin, xi, shorter, parameters), contraction)
 
@@ -114,46 +109,38 @@ def require_possible(state: State, parameters: Parameters) -> None:
     ):
         if np.any(impossible):
             i = int(np.argmax(impossible))
-            raise InputError(
-                f"initial state: martensite fraction {xi[i]:g} at {kelvin[i]:g} K and "
-                f"{sigma[i] / 1e6:.4g} MPa, expected {expected} (shifted by stress)"
-            )
+            there = f"{xi[i]:g} at {kelvin[i]:g} K and {sigma[i] / 1e6:.4g} MPa"
+            expected = f"expected {expected} (shifted by stress)"
+            raise InputError(f"initial state: martensite fraction {there}, {expected}")
 
 
 # --- Parameters converted to the rows of columns.py.
 
+_OF_WIRE = {
+    "environment.ambient_temperature": [at.AMBIENT], "wire.resistance": [at.RESISTANCE],
+    "wire.austenite_finish_temperature": [at.AUSTENITE_FINISH, at.AUSTENITE_FINISH_FRESH],
+    "wire.martensite_finish_temperature": [at.MARTENSITE_FINISH, at.MARTENSITE_FINISH_FRESH],
+    "wire.transition_tail": [at.TAIL], "wire.transition_skew": [at.SKEW],
+    "wire.austenite_modulus": [at.AUSTENITE_MODULUS, at.AUSTENITE_STIFF],
+    "wire.martensite_modulus": [at.MARTENSITE_STIFF],
+    "wire.maximum_recoverable_strain": [at.RECOVERABLE_STRAIN, at.FULL_STRAIN],
+    "wire.thermal_expansion_factor": [at.EXPANSION, at.EXPANDS],
+    "wire.r_phase_strain": [at.R_STRAIN], "wire.r_phase_range": [at.R_RANGE],
+}  # fmt: skip
 # Of each kind of row: columns that hold a number as it is, and those that each effect marks.
 _NUMBERS: dict[str, list[tuple[int, str]]] = {
-    "wire": [
-        (at.AMBIENT, "environment.ambient_temperature"),
-        (at.RESISTANCE, "wire.resistance"),
-        (at.AUSTENITE_FINISH, "wire.austenite_finish_temperature"),
-        (at.AUSTENITE_FINISH_FRESH, "wire.austenite_finish_temperature"),
-        (at.MARTENSITE_FINISH, "wire.martensite_finish_temperature"),
-        (at.MARTENSITE_FINISH_FRESH, "wire.martensite_finish_temperature"),
-        (at.TAIL, "wire.transition_tail"),
-        (at.AUSTENITE_MODULUS, "wire.austenite_modulus"),
-        (at.RECOVERABLE_STRAIN, "wire.maximum_recoverable_strain"),
-        (at.FULL_STRAIN, "wire.maximum_recoverable_strain"),
-        (at.EXPANSION, "wire.thermal_expansion_factor"),
-        (at.AUSTENITE_STIFF, "wire.austenite_modulus"),
-        (at.MARTENSITE_STIFF, "wire.martensite_modulus"),
-        (at.EXPANDS, "wire.thermal_expansion_factor"),
-        (at.SKEW, "wire.transition_skew"),
-        (at.R_STRAIN, "wire.r_phase_strain"), (at.R_RANGE, "wire.r_phase_range"),
-    ],
-    "side": [],
-}
+    "wire": [(column, n) for n, columns in _OF_WIRE.items() for column in columns], "side": [],
+}  # fmt: skip
 _READ = [at.READING, at.SEEN, at.FAST, at.SLOW, at.EXPOSED, at.EXPOSED_TWICE]
 # (column, number that switches it on, whether it is an effect of this kind of row)
 _MARKS: dict[str, list[tuple[int, str, bool]]] = {"wire": [], "side": []}
 for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
     for _effect in EFFECTS.values():
         if _effect.row == _row:
-            _NUMBERS[_row] += [(_names[c], number) for number, c in _effect.column_names.items()]
+            _own = {c: _effect.named(n).name for n, c in _effect.columns.items()}
+            _NUMBERS[_row] += [(_names[column], number) for column, number in _own.items()]
         for _mark in filter(_names.__contains__, _effect.marks):
-            _own = _effect.row == _row
-            _MARKS[_row] += [(_names[_mark], p.name, _own) for p in _effect.switches]
+            _MARKS[_row] += [(_names[_mark], p.name, _effect.row == _row) for p in _effect.switches]
 _PLACES = [column for column, _ in _NUMBERS["wire"]]
 
 
@@ -165,15 +152,12 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     for mark, switch, _ in _MARKS["wire"]:
         if p[switch] != 0.0:
             row[mark] = 1.0
-    row[at.LAW] = number_of(p)
+    row[at.LAW] = LAWS.index(p["wire.law"])  # 0 is the contract's cosine
     if p["wire.law"] == "normal":
         plays, deviation = normal.plays(p)
-        count = plays.shape[1]
-        for first, numbers in zip(
-            (at.CENTRES, at.HALF_WIDTHS, at.SHARES, at.WARMTH), plays, strict=True
-        ):
-            row[first : first + count] = numbers
-        row[at.GROUPS], row[at.SHARPNESS] = count, 1.0 / deviation
+        row[at.GROUPS], row[at.SHARPNESS] = plays.shape[1], 1.0 / deviation
+        for first, numbers in zip(normal.OF_PLAYS, plays, strict=True):
+            row[first : first + len(numbers)] = numbers
     elif p["wire.law"] in ORIENTING:
         row[at.ORIENTS_FROM], row[at.ORIENTS_WITHIN] = (p[n] for n in ORIENTING[p["wire.law"]])
         row[at.MISMATCH], row[at.EVOLVES] = extended.mismatch(p), 1.0
@@ -194,12 +178,10 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
         row[at.LATENT_TILT], row[at.HEATED_OTHERWISE] = tilt / p["wire.specific_heat"], 1.0
     row[at.CAPACITY] = p["wire.mass"] * p["wire.specific_heat"]
     row[at.MODULUS_CHANGE] = p["wire.martensite_modulus"] - p["wire.austenite_modulus"]
-    for phase, hot, cold, spread, slope, shift in (
-        ("austenite", "finish", "start",
-         at.AUSTENITE_SPREAD, at.AUSTENITE_SLOPE, at.AUSTENITE_SHIFT),
-        ("martensite", "start", "finish",
-         at.MARTENSITE_SPREAD, at.MARTENSITE_SLOPE, at.MARTENSITE_SHIFT),
-    ):
+    for phase, hot, cold in (("austenite", "finish", "start"), ("martensite", "start", "finish")):
+        spread, slope, shift = (
+            at.WIRE_NAMES[f"{phase.upper()}_{of}"] for of in ("SPREAD", "SLOPE", "SHIFT")
+        )
         width = p[f"wire.{phase}_{hot}_temperature"] - p[f"wire.{phase}_{cold}_temperature"]
         row[slope], row[spread] = 1.0 / width, p["wire.transition_spread"] / width
         added = p[f"effect.stress_dependent_transition.{phase}"]
@@ -208,8 +190,7 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     wires[:, at.SIDE], wires[:, at.PRESTRETCH] = side, boundary.stretch_of_wires(p)
     wires[:, at.ORIENTED] = orientation.at_rest(p, wires[:, at.PRESTRETCH])
     wires[:, at.PRESTRETCH] -= row[at.FULL_STRAIN] * (1.0 - wires[:, at.ORIENTED])
-    # Between unequal numbers of wires: what one side gives, the other gets.
-    if row[at.ACROSS]:
+    if row[at.ACROSS]:  # between unequal numbers of wires: what one side gives, the other gets
         own = np.bincount(side)[side]
         wires[:, at.ACROSS] *= (side.size - own) / np.maximum(own, side.size - own)
     return wires
@@ -221,11 +202,11 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides = np.zeros((count, at.SIDE_COLUMNS))
     sides[:, at.PRESCRIBED] = boundary.contraction is not None
     sides[:, at.COUPLED] = boundary.coupled
-    stiffness = per_side("stiffness", boundary.stiffness, count)
-    load = per_side("load", boundary.load, count)
+    stiffness, load, sides[:, at.FRICTION] = (
+        per_side(name, getattr(boundary, name), count) for name in ("stiffness", "load", "friction")
+    )
     sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
     sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
-    sides[:, at.FRICTION] = per_side("friction", boundary.friction, count)
     sides[:, at.STIFFENING] = boundary.stiffening
     # A side that is held, or pulls against nothing elastic, has nothing to relax or hang.
     elastic = boundary.contraction is None and not boundary.coupled
@@ -239,14 +220,11 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides[:, at.ENGAGEMENT] = np.minimum(sides[:, at.ENGAGEMENT] + sides[:, at.BUCKLED], 1.0)
     sides[:, at.GAP] *= sides[:, at.BUCKLED] > 0.0
     sides[:, at.SLACK] += sides[:, at.RUBBING_SLACK]
-    # The load draws the wires straight.
     for column in (at.SLACK, at.RUBBING_SLACK, at.SOFT_SLACK):
-        sides[load > 0.0, column] = 0.0
+        sides[load > 0.0, column] = 0.0  # which draws the wires straight
     sides[:, at.RUBBING] *= sides[:, at.RUBBING_SLACK] > 0.0
     return sides
 
-
-# --- The core's calls.
 
 _AT_ONCE = 1e-6  # s, in which nothing but the balance of stresses changes
 _SUMS_OF_STRESSES = [at.STIFFNESS, at.LOAD, at.OWN_STIFFNESS, at.OWN_LOAD, at.FRICTION, at.RUBBING]
@@ -275,10 +253,9 @@ class Kernel:
         state = initial or at_rest(self.parameters, self.boundary)
         wires, sides = self.rows[0].copy(), self.rows[1].copy()
         if state.temperature.shape != (len(wires),) or state.contraction.shape != (len(sides),):
-            raise InputError(
-                f"initial state: {state.temperature.size} wires on {state.contraction.size} sides, "
-                f"expected {len(wires)} on {len(sides)}"
-            )
+            found = f"{state.temperature.size} wires on {state.contraction.size} sides"
+            expected = f"expected {len(wires)} on {len(sides)}"
+            raise InputError(f"initial state: {found}, {expected}")
         if state.memory is not None:
             wires[:, at.WIRE_STATE :], sides[:, at.SIDE_STATE :] = state.memory
         else:
@@ -303,8 +280,7 @@ class Kernel:
         return wires, sides
 
     def carry_over(self, memory: tuple[Array, Array], most_austenite: Array) -> None:
-        """Rows at rest of wires that were so austenitic at most (w,) before, settled with what of
-        their strain stayed."""
+        """Rows at rest of wires so austenitic at most (w,) before, with the strain that stayed."""
         wires, sides = memory
         wires[:, at.MOST_AUSTENITE] = most_austenite
         self.run(np.array([0.0, _AT_ONCE]), np.zeros((2, self.wires)), memory)

@@ -48,8 +48,7 @@ def normal_ramp(position, spread):
         return 1.0, 0.0
     scale = 1.0 / (1.0 - 2.0 * NORMAL_REST)
     share = (0.5 * math.erfc(-away / SQRT_2) - NORMAL_REST) * scale
-    slope = math.exp(-0.5 * away * away) / (SQRT_2_PI * deviation) * scale
-    return share, slope
+    return share, math.exp(-0.5 * away * away) / (SQRT_2_PI * deviation) * scale
 
 
 @borrowing
@@ -191,23 +190,21 @@ def reverse(wires, i, trend):
     of_f, of_g = present_positions(wires, i)
     f = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
     g = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
-    rising = trend > 0.0
     if wires[i, at.RETURN_POINT] != 0.0:
         partial.remember_turn(wires, i, f, g)
-    wires[i, at.TREND] = trend
-    wires[i, at.CHANGE] = 0.0
-    wires[i, at.PHASE_REVERSED] = wires[i, at.FRACTION] if rising else 1.0 - wires[i, at.FRACTION]
-    wires[i, at.OWN_REVERSED] = f if rising else g
-    wires[i, at.OTHER_REVERSED] = g if rising else f
-    wires[i, at.OTHER_POSITION_REVERSED] = of_g if rising else of_f
+    phase = wires[i, at.FRACTION]
+    if trend <= 0.0:
+        phase, f, g, of_g = 1.0 - phase, g, f, of_f
+    wires[i, at.TREND], wires[i, at.CHANGE], wires[i, at.PHASE_REVERSED] = trend, 0.0, phase
+    wires[i, at.OWN_REVERSED], wires[i, at.OTHER_REVERSED] = f, g
+    wires[i, at.OTHER_POSITION_REVERSED] = of_g
 
 
 @borrowing
 def close_loops(wires, i):
     """After a step: forget the loops that wire i has run out of."""
-    of_f, of_g = present_positions(wires, i)
-    if wires[i, at.TREND] > 0.0:
-        share = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
-    else:
-        share = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
-    partial.forget_closed(wires, i, share)
+    position, of_g = present_positions(wires, i)
+    spread = wires[i, at.AUSTENITE_SPREAD]
+    if wires[i, at.TREND] < 0.0:
+        position, spread = of_g, wires[i, at.MARTENSITE_SPREAD]
+    partial.forget_closed(wires, i, any_ramp(wires, i, position, spread)[0])

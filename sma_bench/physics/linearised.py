@@ -22,7 +22,7 @@ from scipy.signal import StateSpace
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import BY_NAME
+from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import SMOOTHER
 from sma_bench.physics import material
 from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names, side_of_channels
@@ -39,22 +39,18 @@ BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "wire.r_phase_strain", "load
 _AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
 # Of a branch: where its ramp leaves 0 (M_f) or 1 (A_s), where it ends, and C [Pa/K].
 _RANGES: dict[Branch, tuple[str, str, str]] = {
-    "heating": ("wire.austenite_start_temperature", "wire.austenite_finish_temperature",
-                "wire.stress_influence_austenite"),
-    "cooling": ("wire.martensite_finish_temperature", "wire.martensite_start_temperature",
-                "wire.stress_influence_martensite"),
-}  # fmt: skip
+    "heating": (TRANSITIONS["A_s"], TRANSITIONS["A_f"], "wire.stress_influence_austenite"),
+    "cooling": (TRANSITIONS["M_f"], TRANSITIONS["M_s"], "wire.stress_influence_martensite"),
+}
 _STEP = 0.02  # K; of the two halvings that take the curvature out, too
 _NO_TANGENT = 0.3  # of a fraction's change: where half the step differs so much, there is a snap
 
 
 @dataclass(frozen=True)
 class SideModel:
-    """n equal wires that pull together against a boundary that gives.
-
-    Along a branch xi = s f (heating) or 1 - xi = s g (cooling), with the ramps f, g of material.py
-    and a share s that is constant between two reversals, 1 on a full loop.
-    """
+    """n equal wires that pull together against a boundary that gives. Along a branch xi = s f
+    (heating) or 1 - xi = s g (cooling), with the ramps f, g of material.py and a share s that is
+    constant between two reversals, 1 on a full loop."""
 
     parameters: Parameters  # of the wires
     wires: int  # n
@@ -115,13 +111,11 @@ class SideModel:
         start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
         heating, stress = branch == "heating", self.wire_stress(contraction)
         shift = shifting_stress(stress, self.parameters)[0 if heating else 1] / influence
-        position = law_of(self.parameters).position
-
         # The stress of a wire at each fraction, at the temperature that it has there.
         def kelvin(xi: float) -> float:
             left = xi if heating else 1.0 - xi
             ramp = min(left / share, 1.0) if share > 0.0 else 0.0
-            way = (finish - start) * position(ramp)
+            way = (finish - start) * law_of(self.parameters).position(ramp)
             return float(shift + (finish - way if heating else start + way))
 
         def excess(xi: float) -> float:
@@ -169,23 +163,17 @@ class OperatingPoint(State):
     ) -> Self:
         """Any state, within a partial loop too: one or (w,) K and fractions; InputError: as
         `initial_state`, or a temperature that no voltage holds."""
-        boundary = boundary or Boundary.of(parameters)
-        state = initial_state(
-            parameters, temperature=temperature, martensite_fraction=martensite_fraction,
-            boundary=boundary,
-        )
-        ambient = parameters["environment.ambient_temperature"]
+        p, boundary = parameters, boundary or Boundary.of(parameters)
+        given = {"temperature": temperature, "martensite_fraction": martensite_fraction}
+        state = initial_state(p, boundary=boundary, **given)
+        ambient = p["environment.ambient_temperature"]
         if np.any(state.temperature < ambient):
-            raise InputError(
-                f"operating point: temperature {state.temperature.min():g} K lies below ambient "
-                f"{ambient:g} K, no voltage holds it"
-            )
-        loss = material.heat_loss(parameters) * (state.temperature - ambient)
-        heating = np.sqrt(loss * material.heated_resistance(parameters))
-        voltage = material.commanded_voltage(heating, parameters)
-        return cls(
-            parameters=parameters, boundary=boundary, branch=branch, voltage=voltage, **vars(state)
-        )
+            below = f"{state.temperature.min():g} K lies below ambient {ambient:g} K"
+            raise InputError(f"operating point: temperature {below}, no voltage holds it")
+        loss = material.heat_loss(p) * (state.temperature - ambient)
+        heating = np.sqrt(loss * material.heated_resistance(p))
+        voltage = material.commanded_voltage(heating, p)
+        return cls(parameters=p, boundary=boundary, branch=branch, voltage=voltage, **vars(state))
 
     @classmethod
     def at_temperature(
@@ -214,8 +202,7 @@ class OperatingPoint(State):
         cls, parameters: Parameters, deflection: float | None, branch: Branch
     ) -> Self:
         """On the full loop at a deflection [m], half of the first side's largest when None: its
-        side driven evenly, the other at rest; InputError: the rig does not bend, has no wires on
-        that side, or not that far."""
+        side driven evenly, the other at rest; InputError: no bending, no wires there, too far."""
         first = side_names(parameters)[0]
         name = first if deflection is None else side_toward(parameters, deflection)
         side = SideModel.of(parameters, name)
@@ -223,16 +210,12 @@ class OperatingPoint(State):
         if deflection is None:
             deflection = math.copysign(0.5 * largest, side.lever)
         if not abs(deflection) <= largest:
-            raise InputError(
-                f"operating point: deflection is {deflection:g} m, expected at most "
-                f"{largest:.4g} m to the {name}"
-            )
+            expected = f"expected at most {largest:.4g} m to the {name}"
+            raise InputError(f"operating point: deflection is {deflection:g} m, {expected}")
         kelvin, xi = side.at_contraction(deflection / side.lever, branch)
         driven = np.array(parameters["bench.channel_sides"]) == name
-        ambient = parameters["environment.ambient_temperature"]
-        return cls.of_state(
-            parameters, np.where(driven, kelvin, ambient), np.where(driven, xi, 1.0), branch
-        )
+        warm = np.where(driven, kelvin, parameters["environment.ambient_temperature"])
+        return cls.of_state(parameters, warm, np.where(driven, xi, 1.0), branch)
 
 
 def side_toward(parameters: Parameters, deflection: float) -> str:
@@ -245,9 +228,8 @@ def side_toward(parameters: Parameters, deflection: float) -> str:
     if moves_tip(parameters):
         return "front" if deflection >= 0.0 else "back"
     if deflection != 0.0 and boundary.contraction is None:
-        raise InputError(
-            f"deflection is {deflection:g} m, expected 0 or less: a wire with a load only shortens"
-        )
+        expected = "expected 0 or less: a wire with a load only shortens"
+        raise InputError(f"deflection is {deflection:g} m, {expected}")
     return names[0]
 
 
@@ -310,7 +292,6 @@ def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
     beyond += [f"{n} is {parameters[n]}" for n in BEYOND if parameters[n] != BY_NAME[n].default]
     if beyond:
         raise InputError(f"linearisation: {beyond[0]}, expected eqs. (4), (10), (11) as they are")
-
     # All wires move at once, each the way of the branch, lest one is taken to have turned; what
     # has cooled to the air can only warm. A row a direction, one wire more than the others.
     wires = start.temperature.size
@@ -321,23 +302,18 @@ def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
 
     def change(step: float) -> Array:
         """(w, 2 w + s) change of fractions, stresses and contractions over the step, by way."""
-        rows = []
+        rows, changing = [], ("martensite_fraction", "stress", "contraction")
         for direction in ways:
             bench.begin(start)
             bench.run([0.0, 1.0], start.temperature[np.newaxis] + step * direction)
             now = bench.state
-            rows.append([
-                *(now.martensite_fraction - start.martensite_fraction),
-                *(now.stress - start.stress), *(now.contraction - start.contraction),
-            ])
+            rows.append(np.concatenate([getattr(now, n) - getattr(start, n) for n in changing]))
         return np.array(rows) / step
 
     coarse, middle, fine = (change(_STEP / k) for k in (1.0, 2.0, 4.0))
     if np.any(np.abs(fine - middle)[:, :wires] > _NO_TANGENT * np.abs(fine[:, :wires]) + 1e-6):
-        raise InputError(
-            f"linearisation: at {point.temperature} K stress drives the transformation by itself, "
-            "expected a stable state"
-        )
+        unstable = f"at {point.temperature} K stress drives the transformation by itself"
+        raise InputError(f"linearisation: {unstable}, expected a stable state")
     per_kelvin = np.linalg.solve(ways, (8.0 * fine - 6.0 * middle + coarse) / 3.0).T
     fraction, stress, contraction = np.split(per_kelvin, [wires, 2 * wires])
     return Linearised(point, latent_heat, fraction, stress, contraction)

@@ -48,20 +48,18 @@ GRAIN, OUTER = float(np.sqrt(3.0)), 1.0 / 6.0
 def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
     """f(T [K], sigma [Pa]) of the full loop: 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq.
     (10) between; of another `wire.law` as its file has it."""
-    start = parameters["wire.austenite_start_temperature"]
     finish = parameters["wire.austenite_finish_temperature"]
     shift = shifting_stress(stress, parameters)[0] / parameters["wire.stress_influence_austenite"]
     below = finish - np.asarray(temperature, float) + shift
-    return _smooth_ramp(below, finish - start, parameters)
+    return _smooth_ramp(below, finish - parameters["wire.austenite_start_temperature"], parameters)
 
 
 def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
     """g(T [K], sigma [Pa]): 0 below M_f + sigma/C_M, 1 above M_s + sigma/C_M, 1 less eq. (11)."""
-    start = parameters["wire.martensite_start_temperature"]
     finish = parameters["wire.martensite_finish_temperature"]
     shift = shifting_stress(stress, parameters)[1] / parameters["wire.stress_influence_martensite"]
     above = np.asarray(temperature, float) - shift - finish
-    return _smooth_ramp(above, start - finish, parameters)
+    return _smooth_ramp(above, parameters["wire.martensite_start_temperature"] - finish, parameters)
 
 
 heated_fraction = austenite_ramp  # from martensite, eq. (10)
@@ -130,18 +128,15 @@ def current(
     sag: ArrayLike = 0.0,
 ) -> Array:  # fmt: skip
     """I = n (V - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by u
-    [V]; with all effects off eq. (3).
-
-    The voltage is as the driver reads it or is commanded (`heating_voltage`); any shape. A
-    current source holds it whatever the resistance, one of power sqrt(P/R); of a duty it is the
-    mean.
-    """
+    [V]; with all effects off eq. (3). The voltage is as the driver reads it or is commanded
+    (`heating_voltage`); any shape. A current source holds it whatever the resistance, one of power
+    sqrt(P/R); of a duty it is the mean."""
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
-    count, effect = parameters["wire.count"], "effect.phase_dependent_resistance."
-    change, hump = parameters[effect + "austenite_change"], parameters[effect + "hump"]
-    growth = parameters[effect + "temperature_coefficient"]
-    of_martensite = parameters[effect + "martensite_coefficient"]
-    shape = np.broadcast_shapes(kelvin.shape, xi.shape)
+    names = ("austenite_change", "hump", "temperature_coefficient", "martensite_coefficient")
+    change, hump, growth, of_martensite = (
+        parameters[f"effect.phase_dependent_resistance.{name}"] for name in names
+    )
+    count, shape = parameters["wire.count"], np.broadcast_shapes(kelvin.shape, xi.shape)
     resistance = np.full(shape, parameters["wire.resistance"])
     if parameters["bench.drive"] == "current":
         return np.asarray(count * volts / resistance)
@@ -152,9 +147,9 @@ def current(
             of_phase = np.maximum(of_phase + 4.0 * hump * xi * (1.0 - xi), LEAST)
         of_heat = np.maximum(1.0 + (growth + of_martensite * xi) * rise, LEAST)
         resistance = resistance * of_phase * of_heat
-    leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
     if parameters["bench.drive"] == "power":
         return np.asarray(count * volts / np.sqrt(parameters["wire.resistance"] * resistance))
+    leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
     resists = resistance + count * leads
     if parameters["effect.supply_drop.battery"]:
         volts = np.maximum(volts - np.asarray(sag, dtype=np.float64), 0.0)
@@ -250,18 +245,16 @@ def note_free(row: Array, p: Parameters) -> None:
     area, hot = p["wire.surface_area"], ambient + REFERENCE_EXCESS
     radiated = min(radiation(OXIDISED, hot, ambient) * area, _MOST * total)
     row[at.RADIATION] = radiated / ((hot + ambient) * (hot**2 + ambient**2))
-    exponent = free_exponent(p["wire.diameter"], ambient)
-    row[at.CONVECTION_EXPONENT] = 0.5 * exponent
+    exponent = 0.5 * free_exponent(p["wire.diameter"], ambient)
     reference = REFERENCE_EXCESS**2 + _ROUNDED**2
-    row[at.CONVECTION] = (total - radiated) / reference ** (0.5 * exponent)
-    row[at.HEATED_OTHERWISE] = 1.0
+    row[at.CONVECTION_EXPONENT], row[at.HEATED_OTHERWISE] = exponent, 1.0
+    row[at.CONVECTION] = (total - radiated) / reference**exponent
 
 
 @borrowing
 def free_loss(wires: Array, i: int, excess: float) -> float:
     """Heat loss of wire i [W/K] at a surface `excess` K above the air."""
     power = (excess * excess + _ROUNDED * _ROUNDED) ** wires[i, at.CONVECTION_EXPONENT]
-    air = wires[i, at.AMBIENT]
-    surface = air + excess
+    air, surface = wires[i, at.AMBIENT], wires[i, at.AMBIENT] + excess
     radiated = wires[i, at.RADIATION] * (surface + air) * (surface * surface + air * air)
     return wires[i, at.CONVECTION] * power + radiated

@@ -42,7 +42,7 @@ def as_oriented(p: Parameters, prestretch: float) -> Parameters:
         return p
     strain = BY_NAME["wire.maximum_recoverable_strain"]
     oriented = p[strain.name] * float(at_rest(p, np.array([prestretch]))[0])
-    return p.replace({strain.name: max(oriented, strain.low or 0.0)})
+    return p.replace({strain.name: max(oriented, strain.low)})
 
 
 @borrowing
@@ -64,7 +64,6 @@ def orient(wires, i):
     wires[i, at.STRESS_BEFORE] = stress
     wires[i, at.FOLLOWS], wires[i, at.BEGUN] = follows, xi * (old - follows) + jump
     wires[i, at.DETWINS] = xi * slope if grows else 0.0
-
     # sigma = E [... - q (sigma - sigma_0)] + ..., solved for sigma.
     change = wires[i, at.MARTENSITE_STIFF] - wires[i, at.AUSTENITE_STIFF]
     modulus = wires[i, at.AUSTENITE_STIFF] + xi * change

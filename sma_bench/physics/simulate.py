@@ -26,16 +26,12 @@ from sma_bench.physics.kernel import Kernel, State, at_rest, require_possible
 class Readings:
     """What follows from the states of a bench: of one instant, or of many along a first axis.
 
-    Attributes:
-        parameters, boundary: the bench, effects among them.
-        temperature: (..., w) K; martensite_fraction: (..., w); stress: (..., w) Pa.
-        contraction: (..., s), -(eps - eps_0) of each side, in the order of `side_names`.
-        bending: (..., s), what of it bends the beam: all of it, unless the wires hang (slack).
-        temperature_reading: (..., w) K, what a sensor reads: the temperature, unless effects of the
-            sensor are on.
-        mount: (..., w) K, by which each wire has warmed the mount of the deflection's sensor.
-        sag: (..., w) V, by which each channel's battery has given way.
-        clock: s since the bench's start (drifts count from it).
+    `temperature`: (..., w) K; `martensite_fraction`: (..., w); `stress`: (..., w) Pa;
+    `contraction`: (..., s), -(eps - eps_0) of each side, in the order of `side_names`; `bending`:
+    (..., s), what of it bends the beam: all of it, unless the wires hang (slack);
+    `temperature_reading`: (..., w) K, the temperature, unless effects of the sensor are on;
+    `mount`: (..., w) K, by which each wire has warmed the mount of the deflection's sensor; `sag`:
+    (..., w) V, by which each channel's battery has given way; `clock`: s since the bench's start.
     """
 
     parameters: Parameters
@@ -75,13 +71,9 @@ class Readings:
 
 @dataclass(eq=False, repr=False)
 class Simulation(Readings, Drawn):
-    """What a bench does under given voltages: `Readings` of n samples.
-
-    Attributes:
-        time: (n,) s; voltage: (n, w) V, held from each sample to the next.
-        final: the state after the last sample, for a simulation that continues.
-        started: s, the bench's clock at the first sample.
-    """
+    """What a bench does under given voltages: `Readings` of n samples at `time` (n,) s; `voltage`:
+    (n, w) V, held from each sample to the next; `final`: the state after the last sample, for a
+    simulation that continues; `started`: s, the bench's clock at the first sample."""
 
     time: Array
     voltage: Array
@@ -90,9 +82,8 @@ class Simulation(Readings, Drawn):
 
     def __repr__(self) -> str:
         span = f"{self.time[0]:.4g} to {self.time[-1]:.4g} s" if len(self.time) else "no time"
-        channels = ", ".join(self.parameters["bench.channels"])
-        load = load_kind(self.parameters)
-        return f"<Simulation of {channels} ({load}): {len(self.time)} samples, {span}>"
+        rig = f"{', '.join(self.parameters['bench.channels'])} ({load_kind(self.parameters)})"
+        return f"<Simulation of {rig}: {len(self.time)} samples, {span}>"
 
     @cached_property
     def clock(self) -> Array:  # type: ignore[override]
@@ -116,13 +107,14 @@ def simulate(
     parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *, initial: State | None = None,
     boundary: Boundary | None = None, elongation: ArrayLike | None = None,
 ) -> Simulation:
-    """Solve the baseline model (contract section 4) with the law of the phase and the effects that
-    the parameters name.
+    """Solve the baseline model (contract section 4) with the law and effects that are named.
 
     Temperatures are exact for the held voltages; phase, stress and contraction are solved
     together at every sample. With latent heat the transformation rate is constant over a step;
     what other effects depend on (T in h(T), xi in R(xi), the other side's temperature) is taken
-    from its start.
+    from its start. Raises InputError: wrong shape, time that does not increase, a number that is
+    not finite, an elongation that another load is to decide, or, with no `initial`, a bench that is
+    too warm at rest for martensite.
 
     Args:
         time: (n,) s, increasing.
@@ -132,11 +124,6 @@ def simulate(
         boundary: the rig's own load when not given.
         elongation: (n,) m that is imposed under `load.kind` displacement, even between samples; 0
             when not given.
-
-    Raises:
-        InputError: wrong shape, time that does not increase, a number that is not finite, an
-            elongation that another load is to decide, or, with no `initial`, a bench that is too
-            warm at rest for martensite.
     """
     if elongation is not None and boundary is None and np.size(elongation):
         boundary = Boundary.imposed(parameters, float(np.ravel(elongation)[0]))
@@ -162,17 +149,26 @@ def _simulated(
     kernel: Kernel, time: Array, voltage: Array, courses: tuple[Array, Array], final: State,
     started: float,
 ) -> Simulation:
-    (temperature, fraction, stress, reading, mount, sag), (contraction, bending) = courses
-    return Simulation(
-        kernel.parameters, kernel.boundary, temperature, fraction, stress, contraction, bending,
-        reading, mount, sag, time, voltage, final, started,
-    )
+    history, strain = courses
+    rest: Any = (*history[:3], *strain, *history[3:], time, voltage, final, started)
+    return Simulation(kernel.parameters, kernel.boundary, *rest)
 
 
 def run_once() -> None:
     """Two steps of the default bench, for which the core is compiled or read from the disk."""
     bench = Parameters.defaults()
     simulate(bench, [0.0, 0.05, 0.1], np.ones((3, len(bench["bench.channels"]))))
+
+
+def _require_shape(what: str, array: Array, expected: tuple[int, ...]) -> None:
+    if array.shape != expected:
+        raise InputError(f"{what} has shape {array.shape}, expected {expected}")
+
+
+def _require_finite(name: str, array: Array) -> None:
+    if not np.all(np.isfinite(array)):
+        k = int(np.argwhere(~np.isfinite(array))[0][0])
+        raise InputError(f"simulation: {name} of sample {k} is {array[k]}, expected finite")
 
 
 class Bench(Readings):
@@ -199,10 +195,8 @@ class Bench(Readings):
         not above 0, or an elongation that another load is to decide."""
         if not 0.0 < dt < np.inf:
             raise InputError(f"bench step: dt is {dt} s, expected above 0")
-        expected = (self._kernel.wires,)
         volts = np.ascontiguousarray(voltage, dtype=float)
-        if volts.shape != expected:
-            raise InputError(f"bench step: voltage has shape {volts.shape}, expected {expected}")
+        _require_shape("bench step: voltage", volts, (self._kernel.wires,))
         if not np.all(np.isfinite(volts)):
             raise InputError(f"bench step: voltage is {volts}, expected finite numbers")
         moved = None if elongation is None else self._contraction(np.full(2, elongation), 2)
@@ -214,14 +208,8 @@ class Bench(Readings):
         metres = np.asarray(elongation, dtype=float)
         if (kind := load_kind(self.parameters)) != "displacement":
             raise InputError(f"simulation: elongation with load.kind {kind}, expected displacement")
-        if metres.shape != (samples,):
-            expected = f"expected ({samples},)"
-            raise InputError(f"simulation: elongation has shape {metres.shape}, {expected}")
-        if not np.all(np.isfinite(metres)):
-            k = int(np.argmin(np.isfinite(metres)))
-            raise InputError(
-                f"simulation: elongation of sample {k} is {metres[k]}, expected finite"
-            )
+        _require_shape("simulation: elongation", metres, (samples,))
+        _require_finite("elongation", metres)
         return -metres / wire_length(self.parameters)
 
     def follow(
@@ -235,19 +223,13 @@ class Bench(Readings):
             raise InputError(f"simulation: time has shape {seconds.shape}, expected (n,)")
         if volts.ndim == 1 and self._kernel.wires == 1:
             volts = volts[:, np.newaxis]
-        expected = seconds.size, self._kernel.wires
-        if volts.shape != expected:
-            raise InputError(f"simulation: voltage has shape {volts.shape}, expected {expected}")
-        for name, array in (("time", seconds), ("voltage", volts)):
-            if not np.all(np.isfinite(array)):
-                k = int(np.argwhere(~np.isfinite(array))[0][0])
-                raise InputError(f"simulation: {name} of sample {k} is {array[k]}, expected finite")
+        _require_shape("simulation: voltage", volts, (seconds.size, self._kernel.wires))
+        _require_finite("time", seconds)
+        _require_finite("voltage", volts)
         if not np.all(seconds[1:] > seconds[:-1]):
             k = int(np.argmax(seconds[1:] <= seconds[:-1]))
-            raise InputError(
-                f"simulation: time goes from {seconds[k]} to {seconds[k + 1]} s at sample {k + 1}, "
-                "expected increasing"
-            )
+            goes = f"from {seconds[k]} to {seconds[k + 1]} s at sample {k + 1}"
+            raise InputError(f"simulation: time goes {goes}, expected increasing")
         started = float(self.clock)
         moved = None if elongation is None else self._contraction(elongation, seconds.size)
         courses = self._kernel.run(seconds, volts, self._memory, moved)
@@ -294,16 +276,13 @@ class TemperatureDriven:
     """Transformation, stress and bending of a bench whose temperatures are given."""
 
     def __init__(
-        self, parameters: Parameters, initial: State | None = None,
-        boundary: Boundary | None = None,
+        self, parameters: Parameters, initial: State | None = None, boundary: Boundary | None = None
     ) -> None:
         """At rest, or in the state `initial`; effects on the heating are left out."""
         heating = [e for e in EFFECTS.values() if e.stage in ("electrical", "thermal")]
-        without = {p.name: p.default for effect in heating for p in effect.parameters}
-        given = {
-            "bench.drive": "voltage", "bench.lead_resistance": 0.0, "wire.convection": "constant",
-        }
-        self._parameters = parameters.replace({**given, **without})
+        plain = {p.name: p.default for effect in heating for p in effect.parameters}
+        plain |= {"bench.drive": "voltage", "bench.lead_resistance": 0.0}
+        self._parameters = parameters.replace({**plain, "wire.convection": "constant"})
         self._kernel = Kernel(self._parameters, boundary)
         wires = self._kernel.rows[0]
         wires[:, at.TIME_CONSTANT], wires[:, at.HEATING] = _NO_TIME, 1.0

@@ -19,10 +19,9 @@ def with_effect(parameters: Parameters, name: str, size: Any) -> Parameters:
     """Parameters with an effect on. `name`: of the effect, or `effect.number` for another number
     than its size; `size`: in the table's unit. InputError: unknown, no number, or another load."""
     effect_name, _, number = name.partition(".")
-    if effect_name not in EFFECTS:
+    if (effect := EFFECTS.get(effect_name)) is None:
         message = unknown_parameter_message(effect_name, EFFECTS)
         raise InputError(message.replace("parameter", "effect", 1))
-    effect = EFFECTS[effect_name]
     entry = effect.named(number) if number else effect.size
     try:
         value = float(size)

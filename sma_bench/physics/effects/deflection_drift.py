@@ -20,15 +20,12 @@ from sma_bench.physics import columns as at
 
 
 def zero(parameters: Parameters, time: ArrayLike, mount: Array) -> Array:
-    """(n,) m, drift of the reading `time` (n,) s after the start, where the wires have warmed the
-    mount by (n, w) K."""
-    seconds = np.asarray(time, dtype=np.float64)
-    rate = parameters["effect.deflection_drift.rate"]
-    bend = parameters["effect.deflection_drift.bend"]
-    settled = -np.expm1(-seconds / parameters["effect.deflection_drift.warm_up_time"])
-    settled *= parameters["effect.deflection_drift.warm_up"]
-    warmed = parameters["effect.deflection_drift.by_heat"] * np.mean(mount, axis=-1)
-    return np.asarray((rate + bend * seconds) * seconds + settled + warmed, dtype=np.float64)
+    """(n,) m, drift of the reading at `time` (n,) s; the wires have warmed `mount` by (n, w) K."""
+    seconds, names = np.asarray(time, float), ("rate", "bend", "warm_up", "warm_up_time", "by_heat")
+    rate, bend, most, slow, by_heat = (parameters[f"effect.deflection_drift.{n}"] for n in names)
+    settled = -np.expm1(-seconds / slow) * most
+    warmed = by_heat * np.mean(mount, axis=-1)
+    return np.asarray((rate + bend * seconds) * seconds + settled + warmed)
 
 
 @borrowing

@@ -42,10 +42,8 @@ def look_beside(wires, i, opposite, step):
 
 @borrowing
 def warm_together(wires, i, heating, loss, air, step):
-    """Wire and silicone at the end of the step, as far as they do not depend on xi.
-
-    The wire's temperature [K] is returned, its decay set to 0; `loss` is h A_c at the surface.
-    """
+    """Wire and silicone at the end of the step, as far as they do not depend on xi: the wire's
+    temperature [K] is returned, its decay set to 0; `loss` is h A_c at the surface."""
     share, across = wires[i, at.MATRIX_INNER_SHARE], wires[i, at.BESIDE]
     inner, outer = wires[i, at.LOSS] / share, loss / (1.0 - share)
     opposite = wires[i, at.BESIDE_TEMPERATURE]
@@ -85,6 +83,5 @@ def after_step(wires, i, fraction_before, step):
         wires[i, at.MATRIX_RISE] = wires[i, at.MATRIX_START] + lag
     if wires[i, at.CLAMP_CONDUCTANCE] > 0.0:
         inside = wires[i, at.TEMPERATURE] - wires[i, at.AMBIENT]
-        if wires[i, at.MATRIX_CAPACITY] > 0.0:
-            inside = wires[i, at.MATRIX_RISE]
+        inside = wires[i, at.MATRIX_RISE] if wires[i, at.MATRIX_CAPACITY] > 0.0 else inside
         wires[i, at.CLAMP_RISE] += warmed(wires, i, step) * (inside - wires[i, at.CLAMP_RISE])

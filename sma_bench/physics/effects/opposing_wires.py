@@ -40,8 +40,7 @@ def look_at_passive(wires, sides, side):
         if fraction < before:
             sides[side, at.DETWINNED] *= fraction / before
         sides[side, at.PASSIVE_FRACTION] = fraction
-    beam = passive_beam(sides, side)
-    give = 1.0 - sides[side, at.ENGAGEMENT] ** 2
+    beam, give = passive_beam(sides, side), 1.0 - sides[side, at.ENGAGEMENT] ** 2
     sides[side, at.PASSIVE_MODULUS] = beam * modulus / (beam + give * modulus)
     sides[side, at.PASSIVE_LIMIT] = count * sides[side, at.DETWINNING_STRESS]
     sides[side, at.PASSIVE_HARDENING] = count * HARDENING
@@ -91,8 +90,7 @@ def stretch(sides, side, felt):
 
 @borrowing
 def yield_sign(sides, side, contraction):
-    """Sign of the yielding that fits e = `contraction`: 0 while the passive wires are elastic,
-    LOOSE while they are buckled."""
+    """Sign of the yielding that fits e: 0 while the passive wires are elastic, LOOSE if buckled."""
     if sides[side, at.PASSIVE_MODULUS] <= 0.0:
         return 0.0
     felt = felt_of(sides, side, contraction)

@@ -62,10 +62,8 @@ def remember_turn(wires, i, f, g):
 
 @borrowing
 def loop_of(wires, i, share):
-    """The loop in which `share` of the own ramp lies: reversals that remain, and the line's start
-    (phase, share)."""
-    rising = wires[i, at.TREND] > 0.0
-    count = int(wires[i, at.TURNS])
+    """Reversals that remain where `share` of the own ramp lies; the line's start (phase, share)."""
+    rising, count = wires[i, at.TREND] > 0.0, int(wires[i, at.TURNS])
     phase, begin = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
     while count >= 2:
         end = wires[i, at.TURN_STATES + 3 * (count - 2) + (1 if rising else 2)]
@@ -85,9 +83,9 @@ def aim_of(wires, i, count):
     if count < 2:
         return 0.0, 0.0
     state = at.TURN_STATES + 3 * (count - 2)
-    rising = wires[i, at.TREND] > 0.0
-    phase = wires[i, state] if rising else 1.0 - wires[i, state]
-    share = wires[i, state + 1] if rising else wires[i, state + 2]
+    phase, share = wires[i, state], wires[i, state + 1]
+    if wires[i, at.TREND] <= 0.0:
+        phase, share = 1.0 - phase, wires[i, state + 2]
     return wires[i, at.RETURN_POINT] * phase, wires[i, at.RETURN_POINT] * share
 
 
@@ -100,9 +98,7 @@ def towards_turn(wires, i, share, share_slope):
         return phase, 0.0
     slope = (phase - aim) / (begin - aim_share)
     left = aim + slope * (share - aim_share)
-    if left < 0.0:
-        return 0.0, 0.0
-    return left, slope * share_slope
+    return (0.0, 0.0) if left < 0.0 else (left, slope * share_slope)
 
 
 @borrowing

@@ -19,9 +19,8 @@ from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
 
 CARRIED_OVER = "carried_over"  # the form that needs a record before
-_SIZE, _RATE, FRESH_START = (
-    f"effect.residual_strain.{number}" for number in ("share", "recovery", "fresh_start")
-)
+_SIZE, _RATE = "effect.residual_strain.share", "effect.residual_strain.recovery"
+FRESH_START = "effect.residual_strain.fresh_start"
 
 
 def carries_over(parameters: Mapping[str, Any]) -> bool:

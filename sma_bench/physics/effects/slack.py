@@ -94,10 +94,7 @@ def contact(sides, side):
     """After a solution: 1 where the wires of a side are taut, 0 where they hang, -1 pushing."""
     free = -sides[side, at.BEAM_LOAD] / sides[side, at.BEAM_STIFFNESS]
     play = sides[side, at.CONTRACTION] - free
-    taut = 0.0
-    if play > sides[side, at.SLACK]:
-        taut = 1.0
-    elif play < 0.0:
-        taut = -1.0
+    taut = 1.0 if play > sides[side, at.SLACK] else 0.0
+    taut = -1.0 if play < 0.0 else taut
     # Wires that lose one contact hang first: the solution then says whether they have the other.
     return 0.0 if taut == -sides[side, at.TAUT] else taut

@@ -26,9 +26,9 @@ def follow(reading, before, now, step, lag):
 @borrowing
 def read(wires, i, seen, step):
     """Reading of wire i after a step at whose end its spot has the temperature `seen` [K]."""
-    before, fast_before = wires[i, at.SEEN], wires[i, at.FAST]
-    fast = follow(fast_before, before, seen, step, wires[i, at.READING_LAG])
-    wires[i, at.FAST], reading, before = fast, fast, fast_before
+    before = wires[i, at.FAST]
+    fast = follow(before, wires[i, at.SEEN], seen, step, wires[i, at.READING_LAG])
+    wires[i, at.FAST], reading = fast, fast
     if wires[i, at.SLOW_SHARE] > 0.0:
         slow = follow(wires[i, at.SLOW], wires[i, at.SEEN], seen, step, wires[i, at.SLOW_TIME])
         before += wires[i, at.SLOW_SHARE] * (wires[i, at.SLOW] - before)

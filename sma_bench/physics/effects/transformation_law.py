@@ -41,10 +41,9 @@ def mixed(wires, i, position, share, slope):
 
 def mixture(position: ArrayLike, share: Array, parameters: Parameters) -> Array:
     """The same of arrays."""
-    away = np.asarray(position, float) - 0.5
-    soft = parameters["effect.transformation_law.logistic"]
-    sharp = parameters["effect.transformation_law.exponential"]
-    soft, sharp = (own / max(1.0, soft + sharp) for own in (soft, sharp))
+    away, names = np.asarray(position, float) - 0.5, ("logistic", "exponential")
+    shares = [parameters[f"effect.transformation_law.{name}"] for name in names]
+    soft, sharp = (own / max(1.0, sum(shares)) for own in shares)
     of_soft = logistic.share(0.5 + away * _WIDER)
     of_sharp = exponential.share(_LATER + away * _LONGER)
     return np.asarray(share + soft * (of_soft - share) + sharp * (of_sharp - share))

@@ -28,7 +28,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sma_bench.arrays import Array
-from sma_bench.parameters.parameter import LAWS
 from sma_bench.parameters.parameters import ORIENTING
 
 
@@ -37,14 +36,8 @@ def law_of(parameters: Mapping[str, Any]) -> Any:
     return import_module(f"sma_bench.physics.laws.{parameters['wire.law']}")
 
 
-def number_of(parameters: Mapping[str, Any]) -> int:
-    """The law's number in the compiled core; 0 is the contract's cosine."""
-    return LAWS.index(parameters["wire.law"])
-
-
 def shifting_stress(stress: ArrayLike, parameters: Mapping[str, Any]) -> tuple[Array, Array]:
     """Stresses [Pa] by which the ranges of heating and of cooling shift."""
     if parameters["wire.law"] in ORIENTING:
-        own: tuple[Array, Array] = law_of(parameters).shifting_stress(stress, parameters)
-        return own
+        return law_of(parameters).shifting_stress(stress, parameters)  # type: ignore[no-any-return]
     return (np.asarray(stress, float),) * 2

@@ -26,10 +26,7 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
 from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
-from sma_bench.physics.laws.cosine import UNDONE as UNDONE
-from sma_bench.physics.laws.cosine import position as position
-from sma_bench.physics.laws.cosine import ramp
-from sma_bench.physics.laws.cosine import share as share
+from sma_bench.physics.laws.cosine import UNDONE, position, ramp, share  # noqa: F401 (the law's)
 
 FROM, WITHIN = ORIENTING["brinson"]
 

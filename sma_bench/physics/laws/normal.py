@@ -44,6 +44,7 @@ from scipy.special import ndtr, ndtri
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing, inlined
+from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import BRANCH, hysteresis, wire_length
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.stress_dependent_transition import bent
@@ -63,6 +64,7 @@ _WIDER = 3.0 - 8.0 / math.pi  # (s/s')^2 - 1 over a^2
 _POINTS = ((0.5 * BRANCH) ** 2 - 1.0) / 6.0  # deviations that a skewness of 1 moves both points by
 _LEAST = 1e-6  # of a share, or of its rest, whose position is asked for
 _HALVINGS = 60
+OF_PLAYS = (at.CENTRES, at.HALF_WIDTHS, at.SHARES, at.WARMTH)
 
 
 @inlined
@@ -85,8 +87,7 @@ def position(share: float) -> float:
 def groups(parameters: Mapping[str, Any]) -> tuple[Array, Array, float]:
     """(PLAYS,) centres c_j (their peaks) and half widths b_j, and the deviation s', all in K."""
     heating, cooling, mean = hysteresis(parameters)
-    names = ("austenite_start", "austenite_finish", "martensite_start", "martensite_finish")
-    centre = sum(parameters[f"wire.{name}_temperature"] for name in names) / 4.0
+    centre = sum(parameters[name] for name in TRANSITIONS.values()) / 4.0
     deviation = parameters["wire.hysteresis_spread"] * mean
     together = (heating**2 - cooling**2) / 4.0
     slope = together / deviation**2 if deviation > 0.0 else 0.0
@@ -202,12 +203,9 @@ def push(wires, i):
 
 def begin(row: Array) -> None:
     """Set the plays of a wire's row that has no history of this law: all at one level, so far as
-    temperature and stress let them, the one that gives its fraction; the nearest where none
-    does."""
+    temperature and stress let them: that which gives its fraction, or the nearest."""
     count = int(row[at.GROUPS])
-    centres, halves, shares, warmth = (
-        row[first : first + count] for first in (at.CENTRES, at.HALF_WIDTHS, at.SHARES, at.WARMTH)
-    )
+    centres, halves, shares, warmth = (row[first : first + count] for first in OF_PLAYS)
     moved = row[at.TEMPERATURE] - row[at.AUSTENITE_FINISH] + row[at.AUSTENITE_FINISH_FRESH]
     moved = moved - (1.0 - warmth) * (row[at.TEMPERATURE] - row[at.AMBIENT])
     shifts = bent(row[np.newaxis], 0, row[at.STRESS])[0]
