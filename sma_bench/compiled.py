@@ -35,11 +35,8 @@ _turns: set[Path] = set()
 def warn_if_plain() -> None:
     """A warning, once a process, where simulations run without numba."""
     if numba is None:
-        warnings.warn(
-            "numba is not installed: simulations run as plain Python, a hundred times slower",
-            RuntimeWarning,
-            stacklevel=3,
-        )
+        slow = "simulations run as plain Python, a hundred times slower"
+        warnings.warn(f"numba is not installed: {slow}", RuntimeWarning, stacklevel=3)
 
 
 def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -96,7 +93,6 @@ def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[.
     finally:
         numba.config.CACHE_DIR = before
     compile_it = dispatcher.compile
-
     # Of several processes that need a function one compiles, the others then read what it kept.
     def compile_in_turn(signature: Any) -> Any:
         if signature in dispatcher.overloads or is_compiled(function):
@@ -181,20 +177,14 @@ def in_threads(function: Callable[..., T], arguments: Sequence[tuple[Any, ...]])
                 faults[k] = fault
                 for _ in waiting:  # nothing more is begun
                     pass
-
-    def help_out() -> None:
-        try:
-            work()
-        finally:
-            _helpers.release()
+        _helpers.release()
 
     before = sys.getswitchinterval()
     sys.setswitchinterval(min(_SWITCH, before))
     try:
-        helper = threading.Thread(target=help_out)
+        helper = threading.Thread(target=work)
         helper.start()
         work()
-        _helpers.release()
         try:
             helper.join()
         finally:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -51,14 +51,10 @@ class Gains(NamedTuple):
         """Tuned for gain e^(-delay s)/(time_constant s + 1) by Skogestad's rule (SIMC, 2003).
 
         K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). The reference step response
-        then is that of a lag tau_c after the delay, without overshoot while T_i = tau. Raises
-        InputError: a number that no plant has.
-
-        Args:
-            gain: k, output of the plant per unit of its input.
-            time_constant: tau [s]; delay: theta [s].
-            closed_loop_time: tau_c [s]; 0 for half the time constant, or the delay if longer:
-                slow enough for T_i = tau, fast enough to halve the time.
+        then is that of a lag tau_c after the delay, without overshoot while T_i = tau. `gain`: k;
+        `time_constant`: tau [s]; `delay`: theta [s]; `closed_loop_time`: tau_c [s], 0 for half the
+        time constant, or the delay if longer: slow enough for T_i = tau, fast enough to halve the
+        time. Raises InputError: a number that no plant has.
         """
         require("tuning", "time_constant", time_constant)
         require("tuning", "gain", abs(gain))
@@ -102,10 +98,8 @@ class PI:
         require("PI", "dt", dt, " s")
         error = reference - measured
         if not math.isfinite(error + feedforward):
-            raise InputError(
-                f"PI: reference {reference}, measured {measured}, feedforward {feedforward}, "
-                "expected finite numbers"
-            )
+            given = f"reference {reference}, measured {measured}, feedforward {feedforward}"
+            raise InputError(f"PI: {given}, expected finite numbers")
         gains = self.gains
         wanted = feedforward + gains.proportional * error + self._integral
         self._output = self.limits.applied(wanted, self._output, dt)
@@ -115,11 +109,9 @@ class PI:
 
 
 class Heating:
-    """Power of wires as the controlled input: v = sqrt(P R) makes eq. (2) linear.
-
-    Limited by what voltage and current allow, and by what keeps the wires below their highest
-    temperature by the model, whatever a sensor says: a spot wider than the wire reads low.
-    """
+    """Power of wires as the controlled input: v = sqrt(P R) makes eq. (2) linear. Limited by what
+    voltage and current allow, and by what keeps the wires below their highest temperature by the
+    model, whatever a sensor says: a spot wider than the wire reads low."""
 
     def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
         """The wires of a bench, at ambient. `maximum_power` W is below what its voltage and current
@@ -129,13 +121,10 @@ class Heating:
         drive, self._resistance = p["bench.drive"], heated_resistance(p)
         self._supply = p["bench.supply_voltage"] if drive == "duty" else 0.0
         through = p["wire.resistance"] / p["wire.count"]  # of a channel
-        if drive != "current":
-            through += p["bench.lead_resistance"]
-        volt = min(
-            float(heating_voltage(p["bench.maximum_voltage"], p)),
-            through * (CURRENT_SHARE * p["bench.maximum_current"]),
-            self._supply or math.inf,
-        )
+        through += p["bench.lead_resistance"] if drive != "current" else 0.0
+        volt = float(heating_voltage(p["bench.maximum_voltage"], p))
+        volt = min(volt, through * (CURRENT_SHARE * p["bench.maximum_current"]))
+        volt = min(volt, self._supply or math.inf)
         self.maximum_power = min(volt**2 / self._resistance, maximum_power or math.inf)
         self.power_rate = power_rate or math.inf
         self.loss, self.time_constant = heat_loss(p), time_constant(p)  # h A_c [W/K], s
@@ -172,10 +161,8 @@ class Heating:
 
 
 class TemperatureController:
-    """Reference and measured temperatures in, voltages out: one PI a wire, to power.
-
-    In power the wire is a lag, 1/(h A_c) over m c_p/(h A_c): gains follow by Skogestad's rule.
-    """
+    """Reference and measured temperatures in, voltages out: one PI a wire, to power, in which the
+    wire is a lag, 1/(h A_c) over m c_p/(h A_c): gains follow by Skogestad's rule."""
 
     def __init__(
         self, parameters: Parameters, period: float, *, delay: float = 0.0,
@@ -186,10 +173,8 @@ class TemperatureController:
         `Heating`. InputError: a number out of range."""
         require("temperature control", "period", period, " s")
         self.heating = Heating(parameters, maximum_power, power_rate)
-        self.gains = Gains.simc(
-            1.0 / self.heating.loss, self.heating.time_constant, 0.5 * period + delay,
-            closed_loop_time,
-        )
+        gain, late = 1.0 / self.heating.loss, 0.5 * period + delay
+        self.gains = Gains.simc(gain, self.heating.time_constant, late, closed_loop_time)
         self._loops: list[PI | None] = [None] * len(parameters["bench.channels"])  # all off
 
     def step(self, reference: ArrayLike, measured: ArrayLike, dt: float) -> Array:
@@ -200,9 +185,8 @@ class TemperatureController:
         expected = (len(self._loops),)
         for name, values in (("reference", wanted), ("measured", kelvin)):
             if values.shape != expected:
-                raise InputError(
-                    f"temperature control: {name} has shape {values.shape}, expected {expected}"
-                )
+                shapes = f"{values.shape}, expected {expected}"
+                raise InputError(f"temperature control: {name} has shape {shapes}")
         require("temperature control", "dt", dt, " s")
         power = np.zeros(expected)
         for i, highest in enumerate(self.heating.highest_power(dt).tolist()):
@@ -211,8 +195,7 @@ class TemperatureController:
                 self._loops[i] = None
                 continue
             limits = OutputLimits(0.0, highest, self.heating.power_rate)
-            if loop is None:
-                # A wire that is warm already goes on as it is.
+            if loop is None:  # a wire that is warm already goes on as it is
                 loop = self._loops[i] = PI(self.gains, limits)
                 loop.take_over(float(self.heating.holding_power(now)))
             loop.limits = limits
@@ -251,7 +234,6 @@ class TemperatureController:
 # A wire with a load only shortens: its deflection is its elongation, 0 or less. Antagonists pull
 # against each other as they are at the moment.
 
-
 # Operating points of the gain schedule, as parts of the largest deflection.
 _SCHEDULE = np.linspace(0.02, 0.98, 13)
 # Near both ends of the transformation the gain goes to zero: there the loop is let slow down
@@ -282,14 +264,13 @@ class _Side(NamedTuple):
         wires = np.array(parameters["bench.channel_sides"]) == name
         sign = math.copysign(1.0, model.lever)
         schedule: dict[Branch, tuple[Array, Array]] = {}
-        branches: tuple[Branch, ...] = ("heating", "cooling")
-        for branch in branches:
-            gains = []
-            for part in _SCHEDULE:
+        for branch in get_args(Branch):
+            gains = np.empty(len(_SCHEDULE))
+            for k, part in enumerate(_SCHEDULE):
                 point = OperatingPoint.at_deflection(parameters, sign * part * largest, branch)
-                linear = linearised.linearise(point)
-                gains.append(float(np.abs(linear.deflection_per_kelvin[wires]).sum()))
-            floor = np.maximum(np.array(gains), _LOWEST_PART * gains[len(gains) // 2])
+                per_kelvin = linearised.linearise(point).deflection_per_kelvin
+                gains[k] = np.abs(per_kelvin[wires]).sum()
+            floor = np.maximum(gains, _LOWEST_PART * gains[len(gains) // 2])
             schedule[branch] = (_SCHEDULE * largest, floor / loss)
         return cls(name, sign, model, wires, schedule)
 
@@ -308,11 +289,9 @@ class DeflectionController:
         require("deflection control", "period", period, " s")
         self.parameters, self._feedback = parameters, feedback
         self.heating = Heating(parameters, maximum_power, power_rate)
-        loss = self.heating.loss
+        loss, late = self.heating.loss, 0.5 * period + delay
         self._sides = [_Side.of(parameters, name, loss) for name in side_names(parameters)]
-        self.gains = Gains.simc(
-            1.0, self.heating.time_constant, 0.5 * period + delay, closed_loop_time
-        )
+        self.gains = Gains.simc(1.0, self.heating.time_constant, late, closed_loop_time)
         self._coupled = load_kind(parameters) == "antagonist"
         self._nominal = Bench(parameters)  # taken to be at rest
         self._active: _Side | None = None
@@ -351,7 +330,6 @@ class DeflectionController:
             wanted = abs(goal) / abs(model.lever) + max(others, 0.0)
             wanted = min(wanted, _LAST_REACHABLE * model.largest_contraction())
             branch: Branch = "heating" if wanted >= now[side.name] else "cooling"
-
             # Power [W] of each of its wires toward it, as far as power can.
             state, wire = self._nominal.state, int(np.argmax(side.wires))
             kelvin, sigma = float(state.temperature[wire]), float(state.stress[wire])
@@ -368,9 +346,8 @@ class DeflectionController:
                 gain = float(np.interp(followed, *side.schedule[branch]))
                 self._loop.limits = limits
                 self._loop.gains = Gains(self.gains.proportional / gain, self.gains.integral_time)
-                applied[side.wires] = self._loop.step(
-                    followed, side.sign * measured, dt, self._ahead
-                )
+                seen = side.sign * measured
+                applied[side.wires] = self._loop.step(followed, seen, dt, self._ahead)
         self._nominal.advance(self.heating.voltage(nominal), dt)
         self.heating.spend(applied, dt)
         return self.heating.voltage(applied)
@@ -387,9 +364,9 @@ class DeflectionController:
             side = linearised.side_toward(parameters, metres)
         except InputError as error:
             return f"reference: {error}"
+        said = f"reference is {metres:g} m"
         if side not in parameters["bench.channel_sides"]:
-            return f"reference is {metres:g} m, but there is no wire on the {side}"
+            return f"{said}, but there is no wire on the {side}"
         largest = linearised.maximum_deflection(parameters, side)
-        if abs(metres) > largest:
-            return f"reference is {metres:g} m, expected at most {largest:.4g} m to the {side}"
-        return ""
+        far = abs(metres) > largest
+        return f"{said}, expected at most {largest:.4g} m to the {side}" if far else ""

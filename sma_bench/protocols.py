@@ -14,14 +14,14 @@ go is not known here: controllers refuse what it cannot reach.
 
 import math
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sma_bench.arrays import Array
 from sma_bench.border import read_yaml, shown
@@ -82,8 +82,8 @@ class Protocol:
         `load.force`, or the paper's 1 N."""
         if not self.load or parameters["load.kind"] or len(parameters["bench.channels"]) > 1:
             return parameters
-        force = parameters["load.force"] or _PAPER_FORCE
-        return parameters.replace({"load.kind": self.load, "load.force": force})
+        held = {"load.force": parameters["load.force"] or _PAPER_FORCE}
+        return parameters.replace({"load.kind": self.load, **held})
 
     @cached_property
     def _edges(self) -> Array:
@@ -129,7 +129,7 @@ class Protocol:
         """Voltage (n, w) in V at `time` (n,) in s."""
         time = np.asarray(time, dtype=float) + _TIME_ROUNDING
         inside = (time >= 0.0) & (time < self.duration)
-        index = self._index(time)
+        index = np.searchsorted(self._edges[1:-1], time, side="right")
         first, last = self._edges[index], self._edges[index + 1]
         fraction = np.clip((time - _TIME_ROUNDING - first) / (last - first), 0.0, 1.0)
         start, stop = self._levels[index].swapaxes(0, 1)
@@ -151,11 +151,8 @@ class Protocol:
 
     def place(self, t: float) -> tuple[int, float]:
         """Number of the segment at `t` s, and s from there to its end."""
-        index = int(self._index(np.array([t + _TIME_ROUNDING]))[0])
+        index = int(np.searchsorted(self._edges[1:-1], t + _TIME_ROUNDING, side="right"))
         return index, float(self._edges[index + 1]) - t
-
-    def _index(self, time: Array) -> NDArray[np.intp]:
-        return np.searchsorted(self._edges[1:-1], time, side="right")
 
 
 class Waiting:
@@ -179,8 +176,7 @@ class Waiting:
                 history.popleft()
 
     def passed_over(self, elapsed: float, time: float) -> float:
-        """s of the protocol that are left out at `elapsed` s of it: a step, which lasts one call at
-        least, has found its end."""
+        """s of the protocol left out at `elapsed` s: a step, one call at least, found its end."""
         index, left = self.protocol.place(elapsed)
         if index != self._segment:
             self._segment, self._begun = index, time
@@ -189,11 +185,9 @@ class Waiting:
         segment = self.protocol.segments[index]
         if (until := segment.until) is None:
             return 0.0
-
         # Readings that count: of the wires that are driven, where any is.
-        rest = self.protocol.rest
         levels = zip(self.protocol.channels, segment.start, segment.stop, strict=True)
-        driven = {name for name, start, stop in levels if start != rest or stop != rest}
+        driven = {name for name, *ends in levels if {*ends} != {self.protocol.rest}}
 
         def counting(quantity: str) -> list[tuple[str, str]]:
             keys = [key for key in self._last if quantity in ("", key[0])]
@@ -214,12 +208,9 @@ class Waiting:
         history = [(t, value) for t, value in self._since.get(key, ()) if t > time - over]
         older = [value for t, value in history if t <= time - 0.5 * over]
         newer = [value for t, value in history if t > time - 0.5 * over]
-        if not older or not newer:
-            return False
-        return bool(abs(np.mean(newer) - np.mean(older)) < _SETTLED_WITHIN[key[0]])
+        apart = abs(np.mean(newer) - np.mean(older)) if older and newer else np.inf
+        return bool(apart < _SETTLED_WITHIN[key[0]])
 
-
-# --- What the levels of a file are
 
 TIP = "tip"
 
@@ -265,17 +256,15 @@ def load_protocol(
     by the path of its file, for a bench of these parameters. Raises InputError: no such file, not
     YAML, or a step that is wrong or above the bench's limits; the line names file and step."""
     text, shipped = str(name_or_path), protocol_names(quantity)
-    names, path = ", ".join(shipped), Path(text)
+    names, path, what = ", ".join(shipped), Path(text), quantity.what
     if not text:
-        raise InputError(f"{quantity.what}: no name given, there are {names}")
+        raise InputError(f"{what}: no name given, there are {names}")
     if not is_path(text):
         if text not in shipped:
             hint = did_you_mean(text, shipped)
             if " " in text:
                 hint = "; steps in words are not taken, see docs/how_to/own_protocol.md"
-            raise InputError(
-                f"{quantity.what} {shown(text)}: not one of {names} nor a .yaml file{hint}"
-            )
+            raise InputError(f"{what} {shown(text)}: not one of {names} nor a .yaml file{hint}")
         path = share_directory() / "config" / quantity.folder / f"{text}.yaml"
     return parse_protocol(read_yaml(path), parameters, str(path), path.stem, quantity)
 
@@ -315,19 +304,15 @@ def parse_protocol(
         load = _text(document, "load")
         if load and load not in LOAD_KINDS:
             raise InputError(f"load is {load!r}, expected {', '.join(LOAD_KINDS)}")
-        protocol = Protocol(
-            _text(document, "name") or name or quantity.what, quantity.targets(parameters),
-            tuple(_repeated(once, times)), _text(document, "description"),
-            quantity.rest(parameters), load,
-        )
+        name = _text(document, "name") or name or quantity.what
+        channels, segments = quantity.targets(parameters), tuple(_repeated(once, times))
+        rest, said = quantity.rest(parameters), _text(document, "description")
+        protocol = Protocol(name, channels, segments, said, rest, load)
         if protocol.pulls and (load != "force" or protocol.waits):
-            raise InputError(
-                "a step has a force, expected load: force beside the steps, and no until"
-            )
+            expected = "expected load: force beside the steps, and no until"
+            raise InputError(f"a step has a force, {expected}")
     return protocol
 
-
-# --- One step
 
 # Of each kind of step the levels and the seconds that it needs.
 _KINDS = {
@@ -355,17 +340,14 @@ def _segments(
         raise InputError(f"drive: a {kind} drives nothing")
     n = {key: _number(step, key, quantity.unit) for key in levels}
     n |= {key: _number(step, key, "s", positive=True) for key in seconds}
+    highest, most = parameters["bench.maximum_voltage"], parameters["bench.maximum_current"]
     for key in levels if quantity is VOLTAGE else ():
-        said, highest = f"{key} is {n[key]:g} V", parameters["bench.maximum_voltage"]
-        ohm, most = parameters["wire.resistance"], parameters["bench.maximum_current"]
+        said, ohm = f"{key} is {n[key]:g} V", parameters["wire.resistance"]
         if not 0.0 <= n[key] <= highest:
             raise InputError(f"{said}, expected 0 to {highest:g} V")
         if n[key] / ohm > most:
-            raise InputError(
-                f"{said}, which drives {n[key] / ohm:.3g} A through {ohm:g} ohm, expected at most "
-                f"{most:g} A"
-            )
-
+            drives = f"{n[key] / ohm:.3g} A through {ohm:g} ohm, expected at most {most:g} A"
+            raise InputError(f"{said}, which drives {drives}")
     # Its lines: label, duration, first and last level of what is driven.
     rest = quantity.rest(parameters)
     if kind == "staircase":
@@ -378,7 +360,6 @@ def _segments(
     times = _repeat(step)
     if len(lines) * times > MAXIMUM_SEGMENTS:
         raise InputError(f"more than {MAXIMUM_SEGMENTS} segments")
-
     # The channels that it drives.
     channels, drive = quantity.targets(parameters), step.get("drive", "all")
     sides = () if quantity.tip else tuple(parameters["bench.channel_sides"])
@@ -386,19 +367,16 @@ def _segments(
         driven = [True] * len(channels)
     elif drive in ("front", "back"):
         if drive not in sides:
-            raise InputError(
-                f"drive is {drive}, but no channel is on that side: the parameters are of "
-                f"a bench of {', '.join(channels)} ({', '.join(dict.fromkeys(sides))})"
-            )
+            bench = f"a bench of {', '.join(channels)} ({', '.join(dict.fromkeys(sides))})"
+            said = f"drive is {drive}, but no channel is on that side"
+            raise InputError(f"{said}: the parameters are of {bench}")
         driven = [side == drive for side in sides]
     elif not isinstance(drive, list):
         raise InputError(f"drive is {drive!r}, expected front, back, all or a list of channels")
+    elif unknown := [channel for channel in drive if channel not in channels]:
+        raise InputError(f"drive: channel {unknown[0]!r} is not one of {', '.join(channels)}")
     else:
-        for channel in drive:
-            if channel not in channels:
-                raise InputError(f"drive: channel {channel!r} is not one of {', '.join(channels)}")
         driven = [channel in drive for channel in channels]
-
     # What ends it, and what the frame pulls meanwhile.
     if "until" in step and kind == "triangle":
         raise InputError("until: a triangle ends with its time, write ramps")
@@ -408,18 +386,14 @@ def _segments(
     if "force" in step:
         force = _number(step, "force", "N")
         if not 0.0 <= force <= _LARGEST_FORCE or len(lines) > 1:
-            raise InputError(
-                f"force is {force:g} N, expected 0 to {_LARGEST_FORCE:g} N in a step of one line"
-            )
+            expected = f"expected 0 to {_LARGEST_FORCE:g} N in a step of one line"
+            raise InputError(f"force is {force:g} N, {expected}")
         said = f"to {force:g} N"
-    segments = [
-        Segment(
-            " ".join(word for word in (label, part, said) if word), duration,
-            tuple(start if on else rest for on in driven),
-            tuple(stop if on else rest for on in driven), until, force,
-        )
-        for part, duration, start, stop in lines
-    ]
+    segments = []
+    for part, duration, *ends in lines:
+        name = " ".join(filter(None, (label, part, said)))
+        start, stop = (tuple(end if on else rest for on in driven) for end in ends)
+        segments.append(Segment(name, duration, start, stop, until, force))
     return _repeated(segments, times)
 
 
@@ -431,33 +405,27 @@ def _staircase(n: Mapping[str, float], unit: str) -> list[tuple[str, float, floa
     count = abs(span) / increment
     if count > MAXIMUM_LEVELS:
         raise InputError(f"{count:.3g} levels, expected at most {MAXIMUM_LEVELS}")
-    if abs(count - round(count)) > 1e-6:
-        raise InputError(
-            f"increment {increment:g} {unit} does not divide {n['start']:g} to {n['stop']:g} {unit}"
-        )
     steps = round(count)
+    if abs(count - steps) > 1e-6:
+        range_of = f"{n['start']:g} to {n['stop']:g} {unit}"
+        raise InputError(f"increment {increment:g} {unit} does not divide {range_of}")
     levels = [n["start"] + span * k / max(steps, 1) for k in range(steps + 1)]
     return [(f"{level:g} {unit}", n["dwell"], level, level) for level in levels]
 
 
 def _until(given: Any, parameters: Parameters) -> Until:
     given = {"settled": True} if given == "settled" else given
-    thresholds = {
-        f"{quantity}_{side}": (quantity, side, unit)
-        for quantity, unit in (("temperature", "K"), ("deflection", "m"))
-        for side in ("above", "below")
-    }
-    _require_keys(given, (*thresholds, "settled", "over"), ())
+    units = {"temperature": "K", "deflection": "m"}
+    thresholds = [f"{quantity}_{side}" for quantity in units for side in ("above", "below")]
+    _require_keys(given, (*thresholds, "settled", "over"))
     found: dict[str, dict[str, float]] = {"above": {}, "below": {}}
     for key in (key for key in thresholds if key in given):
-        quantity, side, unit = thresholds[key]
-        found[side][quantity] = _number(given, key, unit)
-    highest = parameters["bench.maximum_temperature"]
-    if found["above"].get("temperature", 0.0) >= highest:
-        raise InputError(
-            f"temperature_above is {found['above']['temperature']:g} K, expected less "
-            f"than bench.maximum_temperature, {highest:g} K, where the bench switches off"
-        )
+        quantity, side = key.split("_")
+        found[side][quantity] = _number(given, key, units[quantity])
+    highest, hot = parameters["bench.maximum_temperature"], found["above"].get("temperature", 0.0)
+    if hot >= highest:
+        off = f"bench.maximum_temperature, {highest:g} K, where the bench switches off"
+        raise InputError(f"temperature_above is {hot:g} K, expected less than {off}")
     settled = given.get("settled", False)
     names = {True: ("",), False: (), "temperature": ("temperature",), "deflection": ("deflection",)}
     if not isinstance(settled, bool | str) or settled not in names:
@@ -475,28 +443,20 @@ def _repeated(segments: list[Segment], times: int) -> list[Segment]:
     return [replace(s, step=f"{s.step} {k} of {times}") for k in rounds for s in segments]
 
 
-# --- Single values
-
-
-def _require_keys(mapping: Any, allowed: Iterable[str], required: Iterable[str]) -> None:
-    allowed = list(allowed)
+def _require_keys(mapping: Any, allowed: Sequence[str], required: Sequence[str] = ()) -> None:
     if not isinstance(mapping, dict):
         raise InputError(f"expected a mapping with {', '.join(allowed)}")
-    for key in mapping:
-        if key not in allowed:
-            hint = did_you_mean(key, allowed) or f", expected {', '.join(allowed)}"
-            raise InputError(f"unknown key {key!r}{hint}")
-    for key in required:
-        if key not in mapping:
-            raise InputError(f"{key} is missing")
+    if unknown := [key for key in mapping if key not in allowed]:
+        hint = did_you_mean(unknown[0], allowed) or f", expected {', '.join(allowed)}"
+        raise InputError(f"unknown key {unknown[0]!r}{hint}")
+    if missing := [key for key in required if key not in mapping]:
+        raise InputError(f"{missing[0]} is missing")
 
 
 def _number(step: Mapping[str, Any], key: str, unit: str, positive: bool = False) -> float:
-    value = step[key]
-    try:
+    value, number = step[key], math.nan
+    with suppress(TypeError, OverflowError):
         number = math.nan if isinstance(value, (bool, str)) else float(value)
-    except (TypeError, OverflowError):
-        number = math.nan
     if not math.isfinite(number):
         raise InputError(f"{key} is {value!r}, expected a number in {unit}")
     if positive and number <= 0.0:
