@@ -30,10 +30,8 @@ load), "isobaric" (E6 at several), "tensile" (E7), "clamped" (E8) and "composite
 
 THERMAL = ("E1", "E2", "E3")
 # Kinds of experiment by the group of records that feeds them.
-KINDS = {
-    "thermal": THERMAL, "dsc": ("E5",), "upfr": ("E6",), "isobaric": ("E6 stresses",),
-    "tensile": ("E7",), "clamped": ("E8",),
-}  # fmt: skip
+KINDS = {"thermal": THERMAL, "dsc": ("E5",), "upfr": ("E6",), "isobaric": ("E6 stresses",),
+         "tensile": ("E7",), "clamped": ("E8",)}  # fmt: skip
 _INSTRUMENTS = {DscRecord: "dsc", IsobaricRecord: "isobaric", TensileRecord: "tensile"}
 _SAME_STRESS = 5e6  # Pa
 # Shares of the time, about: the records given done, the synthetic ones done.
@@ -44,14 +42,11 @@ def paper_page(
     records: Sequence[object], parameters: Parameters, report: Report = silent
 ) -> PaperPage:
     """Identify the given records, simulate the paper's for what they do not hold, compare.
-    Raises InputError: none of the records given can be used.
 
-    Args:
-        records: the user's, already read; none for a page of synthetic data.
-        parameters: what is known of the bench that they come from. Synthetic data beside records
-            are made of the paper's own numbers; without records, of these.
-        report: called with how far it is.
-    """
+    `records`: the user's, already read; none for a page of synthetic data. `parameters`: what is
+    known of the bench that they come from; synthetic data next to records are made of the paper's
+    own numbers, without records of these. `report`: called with how far it is. Raises InputError:
+    none of the records given can be used."""
     # What the records give.
     report(0.0, "experiments")
     measured, notes = sort_records(records, parameters)
@@ -62,7 +57,6 @@ def paper_page(
     runs = _runs(measured, parameters if several else composite_rig(parameters), notes)
     if records and not (outcomes or validation or runs):
         raise InputError("; ".join(f"{note.subject}: {note.text}" for note in notes))
-
     # The kinds of experiment that they do not: what a file does not state is the paper's.
     paper = Parameters.of_paper()
     if parameters.given and not records:
@@ -86,21 +80,17 @@ def paper_page(
 def sort_records(
     records: Sequence[object], parameters: Parameters
 ) -> tuple[LabRecords, list[Finding]]:
-    """Sort a laboratory's records by the figures that they can feed.
+    """A laboratory's records by the figures that they feed; a warning for each that feeds nothing.
 
     A bag with several driven wires and a deflection is of the composite; one with a force and
     clamps that stay is of E8, one with held loads of E6; staircases and ramps below A_s are for
     E1 to E3, other voltages for the validation of Fig. 6. Isobaric tests at one stress are repeats
     (Fig. 8); of several, the lowest stress is drawn there, all in the stress-temperature diagram.
-
-    Returns the sorted records, and a warning for each that feeds nothing.
     """
     found: dict[str, list[Any]] = {}
     notes: list[Finding] = []
     for record in records:
-        uses: list[tuple[str, object]] = [
-            (group, record) for kind, group in _INSTRUMENTS.items() if isinstance(record, kind)
-        ]
+        uses = [(g, record) for kind, g in _INSTRUMENTS.items() if isinstance(record, kind)]
         uses += _uses_of_bag(record, parameters) if isinstance(record, Record) else []
         for group, use in uses:
             found.setdefault(group, []).append(use)
@@ -129,7 +119,6 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
     elif holds_frame(record, parameters):
         with suppress(InputError):
             uses += [("isobaric", test) for test in isobaric_tests(record, parameters)]
-
     # One driven wire: staircases, ramps below A_s, or any other voltage.
     drives: Sequence[Any] = ()
     with suppress(InputError):

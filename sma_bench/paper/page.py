@@ -33,10 +33,6 @@ EXPERIMENT_FIGURES = {
     9: ("E7", draw.tensile_picture), 10: ("E8", draw.thermal_expansion_picture),
 }  # fmt: skip
 _PAGE: dict[str, Any] = read_yaml(Path(__file__).with_name("page.yaml"))
-CSV_HEADER = (
-    "quantity", "description", "unit", "paper", "paper_std", "identified", "standard_error",
-    "data", "source",
-)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -47,9 +43,6 @@ class ExperimentResults:
     experiments: tuple[Experiment, ...]
     estimates: dict[str, Estimate]
     synthetic: bool
-
-
-# --- Numbers.
 
 
 @dataclass(frozen=True)
@@ -109,21 +102,17 @@ def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
             value, std = row.pop("printed", None), row.pop("std", math.nan)
             if value is None:
                 known, scale = BY_NAME[row["name"]], row.get("scale", 1.0)
-                default: Any = known.default
                 std = scale * (known.uncertainty or 0.0) if std is True else std
-                value = scale * default
+                value = scale * known.default  # type: ignore[operator]
             rows.append(Row(printed=value, printed_std=std, **row))
         found[table] = content["title"], tuple(rows)
     cycles = [
         Row(symbol, f"heat cycle {k}", "K", value, math.nan, "E5", f"cycle {k}, *: {symbol}")
-        for k, values in enumerate(DSC_CYCLES, start=1)
-        for symbol, value in values.items()
+        for k, values in enumerate(DSC_CYCLES, 1) for symbol, value in values.items()
     ]  # fmt: skip
-    loaded = [
-        Row(symbol, "E6, under a held load, stress free", "K", math.nan, math.nan, "E6", name)
-        for symbol, name in TRANSITIONS.items()
-    ]
-    return found | {"table_2": (found["table_2"][0], (*cycles, *loaded))}
+    loaded = "E6, under a held load, stress free"
+    cycles += [Row(k, loaded, "K", math.nan, math.nan, "E6", n) for k, n in TRANSITIONS.items()]
+    return found | {"table_2": (found["table_2"][0], tuple(cycles))}
 
 
 TABLES = _tables()  # title and rows by name, in the order of tables.yaml
@@ -172,7 +161,8 @@ def csv_table(rows: Sequence[Row]) -> Table:
         numbers = (row.printed, row.printed_std, row.value, row.std)
         cells = ["" if math.isnan(number) else f"{number:.10g}" for number in numbers]
         lines.append((row.symbol, row.description, row.unit, *cells, data, row.source))
-    return Table(CSV_HEADER, lines)
+    header = ("quantity", "description", "unit", "paper", "paper_std", "identified")
+    return Table((*header, "standard_error", "data", "source"), lines)
 
 
 # --- Figs. 15 and 16 of the paper: voltages of the composite and the deflections they lead to.
@@ -200,10 +190,8 @@ class CompositeRun:
 
     def left_over(self) -> list[tuple[float, float]]:
         """Deflection [m] measured and simulated at the end of every rest."""
-        curves = (self.measured, (self.time, self.simulated))
-        return [
-            (_at_the_end(*curves[0], rest), _at_the_end(*curves[1], rest)) for rest in self.rests
-        ]
+        ends = ((*self.measured, rest) for rest in self.rests)
+        return [(_at_the_end(*e), _at_the_end(self.time, self.simulated, e[-1])) for e in ends]
 
 
 def _at_the_end(time: Array, values: Array, rest: tuple[float, float]) -> float:
@@ -218,19 +206,15 @@ def composite_run(
 ) -> CompositeRun:
     """Simulate the voltages of a record next to what it measured. `parameters`: of the rig,
     bench.channels those of the record; `with_rest_deflection`: whether to simulate the specimen
-    with RESTS_BENT too. Raises InputError: the record lacks the voltage of a channel, or a
-    deflection."""
+    with RESTS_BENT too. Raises InputError: a channel without voltage, or no deflection."""
     measured = next(m for m in find_rig(record, parameters).measured if m.quantity == "deflection")
     driven, time, voltage, _ = drive_of(record, parameters)
     simulated, lifelike = simulate(driven, time, voltage).deflection, None
     if with_rest_deflection:
         lifelike = simulate(driven.replace(RESTS_BENT), time, voltage).deflection
     front = np.array(parameters["bench.channel_sides"]) == "front"
-    forward, back = (
-        voltage[:, side].max(axis=1) if side.any() else 0.0 for side in (front, ~front)
-    )
+    forward, back = (voltage[:, of].max(axis=1) if of.any() else 0.0 for of in (front, ~front))
     signed = np.asarray(forward - back)
-
     # Rests: stretches without voltage; before the first drive there is nothing to cool.
     off = np.abs(signed) < _OFF * np.abs(signed).max()
     off[: len(off) if off.all() else int(np.argmin(off))] = False
@@ -242,9 +226,9 @@ def composite_run(
 
 
 def composite_pictures(runs: Sequence[CompositeRun]) -> tuple[Picture, Picture]:
-    """Figs. 15 and 16: input voltages, and deflections measured and simulated; a panel a record,
-    its rests shaded."""
-    source, text, said = "; ".join(str(run.record.path) for run in runs), captions(), ""
+    """Figs. 15 and 16: voltages, and deflections measured and simulated; a panel a record."""
+    source, said = "; ".join(str(run.record.path) for run in runs), ""
+    text = captions()["figure_16_deflection"]
     volts, above = new_figure(len(runs), 1.0 + 2.1 * len(runs), shared=False)
     bent, below = new_figure(len(runs), 1.0 + 2.4 * len(runs), shared=False)
     more = "with residual strain and heat from the other side"
@@ -262,27 +246,17 @@ def composite_pictures(runs: Sequence[CompositeRun]) -> tuple[Picture, Picture]:
             ax.set(xlabel="time [s]", ylabel=label)
             ax.set_title(f"({chr(ord('a') + k)})", loc="left", fontsize=10)
     below[0].legend(loc="upper right", fontsize=8)
-
     # In words: what is left at the end of the rests, and what effects would leave.
     if left := [pair for run in runs for pair in run.left_over()]:
         measured, simulated = 1e3 * np.nanmax(np.abs(left), axis=0)
-        said = text["figure_16_deflection"]["left_over"]
-        said = said.format(measured=measured, simulated=simulated)
-    if ends := [
-        abs(_at_the_end(run.time, run.lifelike, rest))
-        for run in runs if run.lifelike is not None for rest in run.rests
-    ]:  # fmt: skip
+        said = text["left_over"].format(measured=measured, simulated=simulated)
+    alike = ((run.time, run.lifelike, run.rests) for run in runs if run.lifelike is not None)
+    if ends := [abs(_at_the_end(t, values, rest)) for t, values, rests in alike for rest in rests]:
         sizes = ", ".join(f"{n.removeprefix('effect.')} {x:g}" for n, x in RESTS_BENT.items())
         unit = BY_NAME["effect.side_heat_coupling.conductance"].unit
-        words = text["figure_16_deflection"]["bent"]
-        said += " " + words.format(sizes=sizes, unit=unit, bent=1e3 * max(ends))
-    return (
-        pictured("figure_15_voltage", volts, source=source),
-        pictured("figure_16_deflection", bent, left_over=said, source=source),
-    )
-
-
-# --- All figures.
+        said += " " + text["bent"].format(sizes=sizes, unit=unit, bent=1e3 * max(ends))
+    deflection_picture = pictured("figure_16_deflection", bent, left_over=said, source=source)
+    return pictured("figure_15_voltage", volts, source=source), deflection_picture
 
 
 def paper_pictures(
@@ -311,8 +285,7 @@ def paper_pictures(
 
 
 def _captioned(picture: Picture, synthetic: bool, number: int = 0) -> Picture:
-    """With its number, if it has one, and its data's source, in the picture too: the PNG may go its
-    own way."""
+    """With its number, if any, and its data's source, in the picture too: the PNG may go alone."""
     text = "synthetic data" if synthetic else "data: record given"
     picture.figure.axes[0].set_title(text, loc="right", fontsize=8, color=FAINT, style="italic")
     origin = captions()[picture.name]["synthetic"]
@@ -320,9 +293,6 @@ def _captioned(picture: Picture, synthetic: bool, number: int = 0) -> Picture:
     caption = f"{picture.caption.rstrip('. ')}. {data}"
     title = f"Fig. {number}: {picture.title}" if number else picture.title
     return replace(picture, title=title, caption=caption)
-
-
-# --- The page.
 
 
 @dataclass(frozen=True)
@@ -347,22 +317,17 @@ class PaperPage:
                 for finding in experiment.findings
                 if finding.severity != "info" or finding.subject == "prestrain"
             )  # fmt: skip
-            sections.append(Section(
-                TABLES[name][0] if name and not numbers else title,
-                notes=[*findings],
-                tables=[html_table(name, self.tables[name])] if name else [],
-                pictures=[picture for number in numbers for picture in self.pictures[number]],
-            ))  # fmt: skip
-
+            title = TABLES[name][0] if name and not numbers else title
+            tables = [html_table(name, self.tables[name])] if name else []
+            pictures = [picture for number in numbers for picture in self.pictures[number]]
+            sections.append(Section(title, notes=[*findings], tables=tables, pictures=pictures))
         # C_A and C_M, which the paper uses and does not give; the errata.
         stresses = self.outcomes["E6 stresses"]
-        sections.append(Section(
-            _PAGE["stress"],
-            pictures=[
-                _captioned(draw.stress_temperature_picture(experiment), stresses.synthetic)
-                for experiment in stresses.experiments if draw.has_diagram(experiment)
-            ],
-        ))  # fmt: skip
+        pictures = [
+            _captioned(draw.stress_temperature_picture(experiment), stresses.synthetic)
+            for experiment in stresses.experiments if draw.has_diagram(experiment)
+        ]  # fmt: skip
+        sections.append(Section(_PAGE["stress"], pictures=pictures))
         sections.append(Section("Errata", [_PAGE["errata"]]))
         for e in self.errata:
             table = Table(HEADER, [("form", e.printed, e.corrected, ""), *e.lines])
@@ -372,21 +337,18 @@ class PaperPage:
 
     def to_json(self) -> dict[str, Any]:
         """Tables, errata, captions and remarks."""
-        tables = {}
-        for name, rows in self.tables.items():
-            tables[name] = [
-                {"quantity": row.symbol, "description": row.description, "unit": row.unit,
-                 "paper": row.printed, "synthetic": row.synthetic, "source": row.source,
-                 "identified": {"value": row.value, "std": row.std} if row.estimate else None}
-                for row in rows
-            ]  # fmt: skip
-        figures = {
-            str(number): [
-                {"title": p.title, "caption": p.caption, "file": f"{p.name}.{p.kind}"}
-                for p in pictures
-            ]
-            for number, pictures in self.pictures.items()
+        def of_row(row: Row) -> dict[str, Any]:
+            found = {"value": row.value, "std": row.std} if row.estimate else None
+            return {"quantity": row.symbol, "description": row.description, "unit": row.unit,
+                    "paper": row.printed, "synthetic": row.synthetic, "source": row.source,
+                    "identified": found}  # fmt: skip
+
+        def of_picture(p: Picture | Drawing) -> dict[str, str]:
+            return {"title": p.title, "caption": p.caption, "file": f"{p.name}.{p.kind}"}
+
+        return {
+            "figures": {str(n): [*map(of_picture, own)] for n, own in self.pictures.items()},
+            "tables": {name: [*map(of_row, rows)] for name, rows in self.tables.items()},
+            "errata": [asdict(erratum) for erratum in self.errata],
+            "warnings": [f"{note.subject}: {note.text}" for note in self.notes],
         }
-        warnings = [f"{note.subject}: {note.text}" for note in self.notes]
-        errata = [asdict(erratum) for erratum in self.errata]
-        return {"figures": figures, "tables": tables, "errata": errata, "warnings": warnings}

@@ -45,8 +45,8 @@ def kinetics_slopes(
 ) -> tuple[float, float, float]:
     """b_1 of eq. (20) or b_3 of eq. (21): as printed, a number times kelvin and pascal; corrected
     for kelvin [1/K] and for pascal [1/Pa]."""
-    phase = {"heating": "austenite", "cooling": "martensite"}[branch]
-    ramp = {"heating": material.austenite_ramp, "cooling": material.martensite_ramp}[branch]
+    phase, ramp = {"heating": ("austenite", material.austenite_ramp),
+                   "cooling": ("martensite", material.martensite_ramp)}[branch]  # fmt: skip
     share = float(ramp(kelvin, sigma, parameters))
     printed = math.sqrt(share * (1.0 - share))  # sin(x)/2 where the ramp is (1 +- cos x)/2
     start, finish = (parameters[f"wire.{phase}_{end}_temperature"] for end in ("start", "finish"))
@@ -72,18 +72,14 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     if not 0 <= wire < point.temperature.size:
         raise InputError(f"wire {wire}, expected 0 to {point.temperature.size - 1}")
     parameters, number = point.parameters, int(side_of_channels(point.parameters)[wire])
-    kelvin, sigma, xi, volt = (
-        float(of_wires[wire]) for of_wires in
-        (point.temperature, point.stress, point.martensite_fraction, point.voltage)
-    )  # fmt: skip
+    of_wires = (point.temperature, point.stress, point.martensite_fraction, point.voltage)
+    kelvin, sigma, xi, volt = (float(values[wire]) for values in of_wires)
     stretch = float(point.boundary.stretch_of_wires(parameters)[wire])
     strain = stretch - float(point.contraction[number])
-
     # Eq. (18), of the constitutive law: the sign of eps* - eps_0 is flipped.
     change = parameters["wire.martensite_modulus"] - parameters["wire.austenite_modulus"]
-    limit, modulus = parameters["wire.maximum_recoverable_strain"], float(
-        material.modulus(xi, parameters)
-    )
+    limit = parameters["wire.maximum_recoverable_strain"]
+    modulus = float(material.modulus(xi, parameters))
     a2, a3 = (
         [change * factor * (limit * of_xi + sign * strain) for sign in signs]
         for factor, of_xi, signs in ((1.0, 1.0 - 2.0 * xi, (-1, 1)), (xi, xi, (1, -1)))
@@ -97,10 +93,8 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     # Eqs. (20), (21), of the kinetics.
     b1, b1_kelvin, b1_pascal = kinetics_slopes("heating", kelvin, sigma, parameters)
     b3, b3_kelvin, b3_pascal = kinetics_slopes("cooling", kelvin, sigma, parameters)
-    b2, b4 = (
-        float(law(kelvin, sigma, parameters))
-        for law in (material.heated_fraction, material.cooled_fraction)
-    )
+    laws = (material.heated_fraction, material.cooled_fraction)
+    b2, b4 = (float(law(kelvin, sigma, parameters)) for law in laws)
     sign = "sign of eps* - eps_0"
     rows = [
         ("a_1", "(18)", "Pa", modulus, modulus, "right"),
@@ -116,30 +110,27 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
         ("b_3 of stress", "(21)", "1/Pa", b3, b3_pascal, "sigma needs 1/C_M"),
         ("b_4", "(21)", "1", b4, b4, "right"),
     ]
-
     # Eqs. (22), (23), of a beam, and what all of them give together, for one wire.
     if point.boundary.contraction is None and load_kind(parameters) == "beam":
         alpha, *betas = bending.bending_coefficients(parameters)
         beta = betas[parameters["bench.channel_sides"][wire] == "back"]
         beam = Beam.of(parameters)
-        alpha_printed = deflection_as_printed(1.0, beam)
-        beta_printed = 2.0 * bending_stiffness_as_printed(beam) / (
-            beam.offset * beam.wire_section * beam.length**2
-        )
+        alpha_printed, ei = deflection_as_printed(1.0, beam), bending_stiffness_as_printed(beam)
+        beta_printed = 2.0 * ei / (beam.offset * beam.wire_section * beam.length**2)
         together = int((side_of_channels(parameters) == number).sum())
         # beta delta = a_1 delta/alpha + Theta T + pull xi,  xi = rate (-T + beta delta)
         pull = a2[0] - limit * parameters["wire.austenite_modulus"]
         rate = b1 if point.branch == "heating" else b3
-        gain = (parameters["wire.thermal_expansion_factor"] - pull * rate) / (
-            beta_printed - modulus / alpha_printed - pull * rate * beta_printed
-        )
+        stiffness = beta_printed - modulus / alpha_printed
+        gain = parameters["wire.thermal_expansion_factor"] - pull * rate
+        gain /= stiffness - pull * rate * beta_printed
         rows += [
             ("alpha", "(22)", "m", alpha_printed, alpha,
              "3 l^2/h_c, not 6: eq. (16) integrated twice"),
             ("strain per deflection", "(22)", "1/m", 1.0 / alpha_printed, -1.0 / alpha,
              "the strain is a contraction"),
             ("beta", "(23)", "Pa/m", beta_printed, beta, "EI of eq. (14): width and brackets"),
-            ("stiffness", "(22), (23)", "Pa/m", beta_printed - modulus / alpha_printed,
+            ("stiffness", "(22), (23)", "Pa/m", stiffness,
              beta + together * modulus / alpha, "beta + sum E/alpha, not beta - E/alpha"),
             ("deflection per kelvin", "(18)-(23)", "m/K", gain,
              abs(float(linearise(point).deflection_per_kelvin[wire])),

@@ -39,8 +39,6 @@ _PULL_STEP = 0.1  # s, in which a frame's force stands still
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
                "bending", "temperature_reading", "mount", "sag")
 
-# --- A simulated bench, and its signals.
-
 
 def simulate_finely(
     parameters: Parameters, time: ArrayLike, voltage: ArrayLike,
@@ -53,8 +51,6 @@ def simulate_finely(
     if elongation is not None and len(fine) > np.size(time) == np.size(elongation):
         elongation = np.interp(fine, np.asarray(time), np.asarray(elongation))
     run = simulate(parameters, fine, volts, elongation=elongation)
-    if len(first) == len(run.time):
-        return run
     return replace(run, **{name: getattr(run, name)[first] for name in _OF_SAMPLES})
 
 
@@ -64,8 +60,7 @@ def _refined(
     """Time and voltage in short enough steps, and where the given samples are among these."""
     seconds, volts = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
     gaps = np.diff(seconds) if seconds.ndim == 1 else np.zeros(1)
-    if not active_effects(parameters) or not np.all(gaps > 0.0):
-        # What is wrong with them, the simulation says.
+    if not active_effects(parameters) or not np.all(gaps > 0.0):  # as the simulation will say
         return seconds, volts, np.arange(seconds.size)
     parts = np.append(np.maximum(np.ceil(gaps / _FINE_STEP), 1.0), 1.0).astype(int)
     first = np.cumsum(parts) - parts
@@ -82,11 +77,9 @@ def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float)
     time, voltage = played(protocol, bench, period)
     if not protocol.pulls:
         return simulate_finely(bench, time, voltage)
-    if load_kind(bench) != "force":
-        raise InputError(
-            f"{protocol.name}: its steps hold forces, expected load.kind force, "
-            f"not {load_kind(bench)}"
-        )
+    if (kind := load_kind(bench)) != "force":
+        expected = f"expected load.kind force, not {kind}"
+        raise InputError(f"{protocol.name}: its steps hold forces, {expected}")
     fine, volts, first = _refined(bench, time, voltage)
     starts = first[:: max(round(_PULL_STEP / (time[1] - time[0])), 1)]
     edges = np.unique(np.append(starts, len(fine) - 1))
@@ -98,11 +91,11 @@ def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float)
     for start, stop, stress in zip(edges[:-1], edges[1:], held[1:].tolist(), strict=True):
         pulled.pull_against(replace(frame, load=stress))
         parts.append(pulled.follow(fine[start : stop + 1], volts[start : stop + 1]))
-    joined: dict[str, Any] = {}
+    joined: dict[str, Any] = {"started": 0.0}
     for name in _OF_SAMPLES:
         rows = [getattr(part, name)[:-1] for part in parts]
         joined[name] = np.concatenate([*rows, getattr(parts[-1], name)[-1:]])[first]
-    return replace(parts[-1], **joined, started=0.0)
+    return replace(parts[-1], **joined)
 
 
 def played(protocol: Protocol, parameters: Parameters, period: float) -> tuple[Array, Array]:
@@ -153,12 +146,10 @@ def signals_of(simulation: Simulation) -> list[Signal]:
     """Signals of the contract that a bench would have measured."""
     time, signals = simulation.time, []
     volts, amperes = direct_reading(simulation.parameters, simulation.voltage, simulation.current)
+    measured = (("voltage", "V", volts), ("current", "A", amperes),
+                ("temperature", "K", simulation.temperature_reading))  # fmt: skip
     for k, channel in enumerate(simulation.parameters["bench.channels"]):
-        signals += [
-            Signal(f"{channel}.voltage", "V", time, volts[:, k]),
-            Signal(f"{channel}.current", "A", time, amperes[:, k]),
-            Signal(f"{channel}.temperature", "K", time, simulation.temperature_reading[:, k]),
-        ]
+        signals += [Signal(f"{channel}.{n}", unit, time, of[:, k]) for n, unit, of in measured]
     if moves_tip(simulation.parameters):
         return [*signals, Signal("deflection", "m", time, simulation.deflection_reading)]
     own = simulation.boundary.lever != 0.0
@@ -233,14 +224,10 @@ def _record(
     """Simulated at every command and every reading, so that nothing is interpolated, and read."""
     # Whole nanoseconds, as ROS has them: clocks of several rates meet exactly where they meet.
     rates = [_SETTINGS[f"rate.{kind}"] for kind in ("power", "temperature", "mechanics")]
-    commands, power, camera, mechanics = (
-        np.asarray(np.round(np.multiply(t, 1e9)) / 1e9)
-        for t in (
-            np.arange(int(duration / COMMAND_PERIOD) + 1) * COMMAND_PERIOD,
-            *(np.arange(int(duration * rate)) / rate for rate in rates),
-        )
-    )
-    time = np.unique(np.concatenate([commands, power, camera, mechanics]))
+    ticks: list[Any] = [np.arange(int(duration / COMMAND_PERIOD) + 1) * COMMAND_PERIOD]
+    ticks += [np.arange(int(duration * rate)) / rate for rate in rates]
+    ticks = [np.round(t * 1e9) / 1e9 for t in ticks]
+    time, (_, power, camera, mechanics) = np.unique(np.concatenate(ticks)), ticks
     commanded = np.floor(time / COMMAND_PERIOD + _ROUNDING) * COMMAND_PERIOD
     run = simulate(parameters, time, voltage(commanded), boundary=clamped)
     signals = signals_of(run)
@@ -248,7 +235,6 @@ def _record(
         signals = [signals[-1], *signals[:-2]]
     elif load_kind(parameters) == "clamped":  # without a load frame
         signals = signals[:-2]
-
     clocks = {"voltage": power, "current": power, "temperature": camera}
     seeds, found = np.random.SeedSequence(seed), {}
     for signal in signals:
@@ -279,17 +265,16 @@ def run_loop(
 ) -> ClosedLoopRun:
     """Run a controller on a simulated bench, whose parameters it may not know.
 
-    Args:
-        parameters: what the bench really is; observe: what is controlled, of it.
-        reference: at a time in s; control: voltages (w,) for the reference, a reading of what is
-            observed, and the reference a period later.
-        period: s between commands; late: periods from a reading to the command that answers it.
-        noise, resolution: standard deviation and step of a reading, in its unit; 0 for none.
+    `parameters`: what the bench really is; `observe`: what is controlled, of it; `reference`: at a
+    time in s; `control`: voltages (w,) for the reference, a reading of what is observed, and the
+    reference a period later; `period`: s between commands; `late`: periods from a reading to the
+    command that answers it; `noise`, `resolution`: standard deviation and step of a reading, in its
+    unit, 0 for none.
     """
     plant, random = Bench(parameters), np.random.default_rng(seed)
     waiting = [np.zeros(len(parameters["bench.channels"]))] * late
     time: Array = period * np.arange(round(duration / period), dtype=np.float64)
-    rows: list[tuple[Array, Array, Array, Array]] = []
+    rows: list[tuple[Array, ...]] = []
     for t in time.tolist():
         actual = observe(plant)
         read = actual + noise * random.standard_normal(actual.shape)

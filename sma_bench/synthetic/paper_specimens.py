@@ -1,6 +1,5 @@
 """The paper's experiments on synthetic specimens, and what its instruments would write down of the
-model's wire (E5 to E7): protocols, cycles and repeats as it did them.
-"""
+model's wire (E5 to E7): protocols, cycles and repeats as it did them."""
 
 import math
 from pathlib import Path
@@ -51,10 +50,8 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
     paper's both have its own transition temperatures."""
     cycles = [parameters, parameters]
     if _is_papers_wire(parameters):
-        cycles = [
-            parameters.replace({TRANSITIONS[symbol]: value for symbol, value in cycle.items()})
-            for cycle in DSC_CYCLES
-        ]
+        own = [{TRANSITIONS[end]: kelvin for end, kelvin in cycle.items()} for cycle in DSC_CYCLES]
+        cycles = [parameters.replace(ends) for ends in own]
     random = np.random.default_rng(seed)
     segments: list[instruments.DscSegment] = []
     time = np.arange(0.0, (HOTTEST - COLDEST) / RATE, _SCAN_PERIOD)
@@ -64,17 +61,15 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
             fraction = heated_fraction if sign > 0.0 else cooled_fraction
             xi = fraction(temperature, 0.0, wire)
             settled = sign * RATE * (1.0 - np.exp(-time / _START_UP))
-            heat = SAMPLE_MASS * (
-                wire["wire.specific_heat"] * settled - LATENT_HEAT * np.gradient(xi, time)
-            )
+            sensible = wire["wire.specific_heat"] * settled
+            heat = SAMPLE_MASS * (sensible - LATENT_HEAT * np.gradient(xi, time))
             share = (temperature - COLDEST) / (HOTTEST - COLDEST)
             drift = _DRIFT[0] * share + _DRIFT[1] * share**2
             noise = _HEAT_FLOW_NOISE * random.standard_normal(len(time))
             began = len(segments) * (HOTTEST - COLDEST) / RATE
-            segments.append(instruments.DscSegment(
-                len(segments) + 1, sign * RATE, began + time, heat + drift + noise,
-                np.zeros(len(time)), temperature, temperature,
-            ))
+            rest = (heat + drift + noise, np.zeros(len(time)), temperature, temperature)
+            number = len(segments) + 1
+            segments.append(instruments.DscSegment(number, sign * RATE, began + time, *rest))
     path = Path(f"synthetic DSC run of {len(cycles)} cycles")
     header = {"Sample ID": "synthetic NiTi wire"}
     return instruments.DscRecord(path, SAMPLE_MASS, header, tuple(segments), instrument="synthetic")
@@ -111,7 +106,6 @@ def isobaric_test(
     capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
     power = np.maximum(heat_loss(parameters) * above + capacity * rate, 0.0)
     voltage = np.sqrt(power * parameters["wire.resistance"])
-
     run = simulate(parameters, time, voltage, boundary=Boundary.held_stress(stress))
     strain = -run.contraction[:, 0] + _STRAIN_NOISE * random.standard_normal(len(time))
     temperature = run.temperature[:, 0] + _TEMPERATURE_NOISE * random.standard_normal(len(time))
@@ -148,14 +142,12 @@ def tensile_test(
         begins, last = _DETWINNING_STRESS / e_m, 2.0 * _LARGEST_STRAIN
         ends = _DETWINNING_STRESS + _DETWINNING_SLOPE * (_DETWINNED_AT - begins)
         curve = np.array([0.0, begins, _DETWINNED_AT, last])
-        beyond = e_m * (last - _DETWINNED_AT)
-        load = np.array([0.0, _DETWINNING_STRESS, ends, ends + beyond])
+        load = np.array([0.0, _DETWINNING_STRESS, ends, ends + e_m * (last - _DETWINNED_AT)])
     else:  # eqs. (6), (7), (9), (11) loaded from austenite
         load = np.linspace(0.0, 2e9, 20001)
         xi = cooled_fraction(temperature, load, parameters)
         transformed = parameters["wire.maximum_recoverable_strain"] * xi
         curve = load / modulus(xi, parameters) + transformed
-
     # Its corners rounded by a moving mean, and what a load cell makes of it.
     fine = np.linspace(0.0, 1.5 * _LARGEST_STRAIN, 20001)
     width = int(_ROUNDING / (fine[1] - fine[0]))
@@ -168,10 +160,8 @@ def tensile_test(
     return instruments.TensileRecord(Path(name), strain, stress + noise, temperature, phase=phase)
 
 
-# --- The paper's experiments.
-
-COMPOSITE_CHANNELS = ("front_1", "front_2", "back_1", "back_2")
-COMPOSITE_SIDES = ("front", "front", "back", "back")
+COMPOSITE = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
+             "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 # The paper says that its specimen is stiffer on one side, not by how much.
 BACK_STIFFNESS = 3.0
 REPEATS = (-1.0, 0.0, 1.0)  # in standard deviations: their sample deviation is 1
@@ -187,17 +177,13 @@ def _is_papers_wire(parameters: Parameters) -> bool:
 
 def wire_rig(parameters: Parameters) -> Parameters:
     """One clamped wire (Fig. 1)."""
-    return parameters.replace({
-        "bench.channels": ("wire",), "bench.channel_sides": ("front",), "load.kind": "clamped",
-    })
+    one = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
+    return parameters.replace({**one, "load.kind": "clamped"})
 
 
 def composite_rig(parameters: Parameters) -> Parameters:
     """Four wires, two a side (Figs. 11, 12); the back stiffer unless both are given."""
-    rig = parameters.replace({
-        "bench.channels": COMPOSITE_CHANNELS, "bench.channel_sides": COMPOSITE_SIDES,
-        "load.kind": "beam",
-    })
+    rig = parameters.replace({**COMPOSITE, "load.kind": "beam"})
     if "composite.stress_per_deflection_back" in parameters.given:
         return rig
     _, _, back = bending_coefficients(rig)
@@ -205,13 +191,11 @@ def composite_rig(parameters: Parameters) -> Parameters:
 
 
 def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
-    """The records of one group of the paper's experiments, of the wire of `parameters`.
-
-    `group`: "thermal" (E1, E2: staircase; E3: ramps), "validation" (E4: triangular voltage), "dsc"
-    (E5), "upfr" (E6: three specimens), "isobaric" (E9: a test at each of several stresses),
-    "tensile" (E7: three specimens of each phase), "clamped" (E8: temperature staircase below A_s),
-    "composite" (E12: triangular and step voltage).
-    """
+    """The records of one group of the paper's experiments, of the wire of `parameters`: "thermal"
+    (E1, E2: staircase; E3: ramps), "validation" (E4: triangular voltage), "dsc" (E5), "upfr" (E6:
+    three specimens), "isobaric" (E9: a test at each of several stresses), "tensile" (E7: three
+    specimens of each phase), "clamped" (E8: temperature staircase below A_s), "composite" (E12:
+    triangular and step voltage)."""
     wire = wire_rig(parameters)
     match group:
         case "thermal":
@@ -223,11 +207,8 @@ def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
         case "upfr":
             return _upfr_tests(wire)
         case "isobaric":
-            name = "synthetic isobaric test at {:.0f} MPa"
-            return tuple(
-                isobaric_test(wire, stress, name.format(stress / 1e6), 10 + k)
-                for k, stress in enumerate(STRESSES)
-            )
+            tests = [(x, f"synthetic isobaric test at {x / 1e6:.0f} MPa") for x in STRESSES]
+            return tuple(isobaric_test(wire, *test, 10 + k) for k, test in enumerate(tests))
         case "tensile":
             return _tensile_tests(parameters)
         case "clamped":
@@ -247,20 +228,16 @@ def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
         first = DSC_CYCLES[0]
         wire = wire.replace({TRANSITIONS[end]: first[end] for end in ("M_s", "M_f")})
     else:
-        start = wire["wire.austenite_start_temperature"]
-        finish = wire["wire.austenite_finish_temperature"]
+        start, finish = wire[TRANSITIONS["A_s"]], wire[TRANSITIONS["A_f"]]
         inward = (0.5 - 1.0 / math.pi) * (finish - start)
         start, finish = float(start + inward + shift), float(finish - inward + shift)
     tests = []
     for k, deviation in enumerate(REPEATS):
         # The cosine of eq. (10) with these tangents reaches further out at both ends.
-        a_s = start + UPFR_START[1] * deviation
-        a_f = finish + UPFR_FINISH[1] * deviation
+        a_s, a_f = start + UPFR_START[1] * deviation, finish + UPFR_FINISH[1] * deviation
         middle, half = 0.5 * (a_s + a_f) - shift, 0.5 * (a_f - a_s) * _COSINE_WIDTH
-        specimen = wire.replace({
-            "wire.austenite_start_temperature": middle - half,
-            "wire.austenite_finish_temperature": middle + half,
-        })
+        ends = {TRANSITIONS["A_s"]: middle - half, TRANSITIONS["A_f"]: middle + half}
+        specimen = wire.replace(ends)
         tests.append(isobaric_test(specimen, stress, f"synthetic UPFR test {k + 1}", seed=k))
     return tuple(tests)
 
@@ -270,17 +247,12 @@ def _tensile_tests(parameters: Parameters) -> tuple[instruments.TensileRecord, .
     martensite and austenite there."""
     cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE
     hot = float(parameters["wire.austenite_finish_temperature"]) + _WELL_INSIDE
-    temperatures = {
-        "martensite": min(_COLD_TEST, cold),
-        "austenite": max(_HOT_TEST, hot),
-    }
+    temperatures = {"martensite": min(_COLD_TEST, cold), "austenite": max(_HOT_TEST, hot)}
     tests = []
     for k, deviation in enumerate(REPEATS):
-        moduli = ("wire.martensite_modulus", "wire.austenite_modulus")
-        specimen = parameters.replace(
-            {name: parameters[name] + deviation * parameters.std(name) for name in moduli}
-        )
+        moduli = [f"wire.{phase}_modulus" for phase in temperatures]
+        own = {name: parameters[name] + deviation * parameters.std(name) for name in moduli}
         for phase, kelvin in temperatures.items():
             name = f"synthetic {phase} {k + 1} at {kelvin:.2f} K"
-            tests.append(tensile_test(specimen, kelvin, name, 20 + k))
+            tests.append(tensile_test(parameters.replace(own), kelvin, name, 20 + k))
     return tuple(tests)
