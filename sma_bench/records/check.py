@@ -129,18 +129,21 @@ def outliers(signal: Signal) -> IntArray:
     least = max(_OUTLYING * float(np.median(off)) / 0.6745, least)
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
     found = found if len(found) <= _MOST_OUTLIERS else none
-    return np.union1d(found, _dropouts(values)) if kind_of(signal.name) in DROPS_OUT else found
+    drops_out = kind_of(signal.name) in DROPS_OUT
+    return np.union1d(found, _dropouts(values, least)) if drops_out else found
 
 
-def _dropouts(values: Array) -> IntArray:
-    """Where (n,) readings are one number for a while, between others that agree and are far off."""
+def _dropouts(values: Array, least: float) -> IntArray:
+    """Where (n,) readings are one number for a while, between others that agree and are far off, by
+    more than `least`."""
     begins = np.append(0, np.flatnonzero(np.diff(values)) + 1)
     ends = np.append(begins[1:], len(values))  # the first reading after each
     inside = (begins > 0) & (ends < len(values)) & (ends - begins > 1)
     begins, ends = begins[inside], ends[inside]
     level, before, after = values[begins], values[begins - 1], values[ends % len(values)]
     jump = np.minimum(np.abs(level - before), np.abs(level - after))
-    off = (jump > _DROP * float(np.ptp(values))) & (np.abs(after - before) < 0.25 * jump)
+    least = max(_DROP * float(np.ptp(values)), least)
+    off = (jump > least) & (np.abs(after - before) < 0.25 * jump)
     spans = [np.arange(b, e) for b, e in zip(begins[off], ends[off], strict=True)]
     found = np.concatenate(spans) if spans else np.zeros(0, dtype=np.int64)
     return found if len(found) < _MOST_DROPPED * len(values) else found[:0]

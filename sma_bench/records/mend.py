@@ -24,6 +24,9 @@ _SUSPECT = {"value", "drift", "turns", "common", "follows", "apart"}  # of the n
 # Of a sensor's readings, each published as often as the others; times, from which once more or less
 # can be told from chance.
 _STEADY, _TWO_CLOCKS = 0.95, 5
+# A gap: s, usual steps; readings on either side of it that show a ramp; of a step, how far a ramp
+# may miss it; of the voltage's range, what counts as the same level.
+_GAP, _GAP_STEPS, _FEW, _RAMP, _LEVEL = 2.0, 10.0, 8, 0.2, 0.03
 
 
 @dataclass(frozen=True)
@@ -49,10 +52,13 @@ def prepare(
               if _compared(f.subject) in ("voltage", "range", *quantities)]  # fmt: skip
     follows = [(r, f) for r in whole for f in check_response(r)
                if f.subject != "elongation" or kind != "displacement"]  # fmt: skip
-    sound = [comparable(record, [f for r, f in follows if r is record]) for record in whole]
-    less = [(r, f) for r, (_, found) in zip(whole, sound, strict=True) for f in found]
-    # The weight is the model's; a load cell holds it as it is.
-    kept = [_kept(r, ["force"] if kind == "force" else []) for r, _ in sound]
+    kept, less = [], list[tuple[Record, Finding]]()
+    for record in whole:
+        sound, found = comparable(record, [f for r, f in follows if r is record])
+        sound, unseen = without_unseen_drive(sound)
+        less += [(record, finding) for finding in (*found, *unseen)]
+        # The weight is the model's; a load cell holds it as it is.
+        kept.append(_kept(sound, ["force"] if kind == "force" else []))
     remarked = (*known, *doubts, *follows, *less)
     remarks = [f"{record.path.name}: {f.subject}: {f.text}" for record, f in remarked]
     doubted = {_compared(finding.subject) for _, finding in doubts}
@@ -87,6 +93,49 @@ def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, lis
             kept[name] = _without(signal, which.astype(np.intp))
             left_out.append(said("not_compared", name, count=len(which)))
     return _kept(replace(record, signals=kept), others), left_out
+
+
+def without_unseen_drive(record: Record) -> tuple[Record, list[Finding]]:
+    """The record's longest stretch without a gap of all its signals over which a voltage went
+    elsewhere, neither held nor on a ramp: nothing says what its wire was given meanwhile."""
+    times = np.unique(np.concatenate([signal.time for signal in record.signals.values()]))
+    steps = np.diff(times)
+    if not len(steps):
+        return record, []
+    least = max(_GAP, _GAP_STEPS * float(np.quantile(steps, 0.95)))
+    edges, found = [times[0]], []
+    for k in np.flatnonzero(steps > least).tolist():
+        names = [n for n in record.signals if n.endswith(".voltage")]
+        changed = [n for n in names if _went_elsewhere(record[n], times[k], steps[k])]
+        if changed:
+            edges += [times[k], times[k + 1]]
+            facts = {"gap": float(steps[k]), "at": float(times[k] - times[0])}
+            found.append(said("unseen", ", ".join(changed), **facts))
+    if not found:
+        return record, []
+    begins, ends = np.array(edges[::2]), np.array([*edges[1::2], times[-1]])
+    longest = int(np.argmax(ends - begins))
+    low, high = float(begins[longest]), float(ends[longest])
+    kept = {
+        name: _without(s, np.flatnonzero((s.time < low) | (s.time > high)))
+        for name, s in record.signals.items()
+    }
+    facts = {"begin": low - float(times[0]), "end": high - float(times[0])}
+    return replace(record, signals=kept), [*found, said("one_stretch", "record", **facts)]
+
+
+def _went_elsewhere(voltage: Signal, begin: float, gap: float) -> bool:
+    """Whether a voltage goes on after a gap at a level to which no ramp led."""
+    time, values = voltage.time, voltage.values
+    after = int(np.searchsorted(time, begin, side="right"))
+    before, behind = slice(max(after - _FEW, 0), after), slice(after, after + _FEW)
+    if after < 2 or after > len(time) - 2:
+        return False
+    step = values[after] - values[after - 1]
+    ramps = [np.polyfit(time[part] - begin, values[part], 1)[0] for part in (before, behind)]
+    scatter = float(np.median(np.abs(np.diff(values, 2))))
+    allowed = max(_RAMP * abs(step), _LEVEL * float(np.ptp(values)), 6.0 * scatter)
+    return abs(step) > allowed and all(abs(step - gap * ramp) > allowed for ramp in ramps)
 
 
 def _published_again(signal: Signal) -> IntArray:

@@ -8,7 +8,8 @@ import pytest
 from planted import believed, planted_pair
 
 import sma_bench
-from sma_bench.records.mend import mended, under_suspicion
+from sma_bench.records.check import outliers
+from sma_bench.records.mend import mended, under_suspicion, without_unseen_drive
 from sma_bench.records.record import first_order_lag
 
 LAB = {"bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind": "clamped",
@@ -87,6 +88,42 @@ def test_single_readings_far_off_are_left_out_and_named(record, wrong):
     slow = 296.1 + 0.1 * (np.arange(len(own)) * 5 // len(own))
     slow[[100, 300, 800]] += 0.1
     assert not mended(with_signals(record, temperature={"values": np.round(slow, 1)}))[1]
+
+
+def test_a_sensor_that_only_flickers_does_not_drop_out():
+    random = np.random.default_rng(1)
+    flickers = np.round(0.1 + 1e-4 * random.standard_normal(5000), 4)
+    tip = sma_bench.Signal("front.range", "m", np.arange(5000) / 50.0, flickers)
+    assert not len(outliers(tip))
+    dropped = flickers.copy()
+    dropped[2000:2010] = 0.0
+    assert outliers(replace(tip, values=dropped)).tolist() == list(range(2000, 2010))
+
+
+@pytest.mark.parametrize(
+    ("volts", "begin", "end", "kept"), [
+        (STAIRCASE, 20.0, 50.0, (50.0, 105.0)),  # two steps unseen: the longer piece is left
+        (STAIRCASE, 17.0, 29.0, (0.0, 105.0)),  # held
+        (STAIRCASE, 40.0, 41.5, (0.0, 105.0)),  # as brief as a late message
+        (np.linspace(0.0, 1.0, 1050), 20.0, 50.0, (0.0, 105.0)),  # a ramp goes on
+        (np.interp(np.arange(1050), [0, 500, 1000], [0, 1, 0]), 40.0, 75.0, (0.0, 40.0)),
+    ],
+)  # fmt: skip
+def test_of_a_record_whose_drive_went_unseen_the_longest_piece_is_compared(
+    volts, begin, end, kept
+):
+    record = record_of(volts)
+    gaps = {
+        n: replace(s, **{f: getattr(s, f)[(s.time <= begin) | (s.time >= end)]
+                         for f in ("time", "values", "received")})
+        for n, s in record.signals.items()
+    }  # fmt: skip
+    sound, found = without_unseen_drive(replace(record, signals=gaps))
+    times = sound["wire.temperature"].time
+    assert (times[0], times[-1]) == pytest.approx(kept, abs=0.2)
+    assert [f.numbers.get("gap") for f in found] == (
+        [] if kept[1] - kept[0] > 100.0 else [pytest.approx(end - begin, abs=0.2), None]
+    )
 
 
 @pytest.mark.parametrize("hold", [20, 50])
