@@ -18,6 +18,15 @@ from numpy.typing import NDArray
 from sma_bench.arrays import IntArray
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import Array, coherence, quantisation_variance, resolution
+from sma_bench.estimation.pieces import (
+    CLEAR,
+    FEWEST_IN_LINE,
+    ROUNDING,
+    TOGGLES,
+    independent,
+    smoothed,
+    straight_and_curved,
+)
 from sma_bench.records.record import Record
 
 SHORTEST_SEGMENT, FEWEST_SAMPLES = 0.5, 20
@@ -29,13 +38,10 @@ _MOST_PIECES = 20_000
 _SMALLEST_JUMP, _OFTEN_READ = 0.05, 0.1
 _RAMPS = 0.7  # of what changes
 _STRAIGHT, _EXACT = 1.3, 1e-5  # of the noise; of all volts, where there is none
-_FEWEST_IN_LINE = 10
 _OFF = 5e-3  # V, below it a channel is off
 _NARROWEST = 1e-3
-_CLEAR = 6.0  # standard errors of a bend, or of a step
 _CLEAR_STEPS = 1.5  # of the converter: what is smaller may be its own
 _ONE_LEVEL = 0.5  # of the converter's step: what is nearer is one level
-_TOGGLES = 0.6  # of the step: what scatters less may be two readings by turns
 _WORTH = 0.5  # of the noise of a line's mean
 _SAME_DRIVE = 0.02  # of the largest voltage
 _ALIKE = 4.0  # converter's steps between the ends of two ramps
@@ -284,7 +290,7 @@ class AppliedVoltage:
             if level - reached > _ONE_LEVEL * step:
                 errors.append(self._no_error())
                 reached = level
-            if own and noise > _TOGGLES * step:
+            if own and noise > TOGGLES * step:
                 std = float(np.sqrt(quantisation_variance(noise, step)))
             elif own:
                 # Of readings that toggle between two codes the level may lie anywhere from their
@@ -304,9 +310,10 @@ class AppliedVoltage:
             for first, last, noise in polygon.lines:
                 n, volts = last - first, polygon.voltage[first:last]
                 if noise != 0.0 and volts.max() > max(step, _OFF):
+                    std = noise / np.sqrt(independent(n, noise, step, float(np.ptp(volts))))
                     for shape in _straight(n):
                         knots = self._no_error()
-                        knots[channel][first:last] = noise / np.sqrt(n) * shape
+                        knots[channel][first:last] = std * shape
                         errors.append(knots)
                 # A ramp is commanded in small jumps. Where these are whole steps of the converter,
                 # or nearly, every sample has the same error and no scatter shows it; else the
@@ -405,12 +412,23 @@ def _polygon(time: Array, voltage: Array, commanded: Array | None) -> Polygon:
     # Straight lines where the voltage is straight: first and last knot, and scatter, of each.
     smooth = voltage.copy()
     lines = []
-    for segment in segments.items:
-        begin, end = np.searchsorted(time, [segment.start, segment.stop + 1e-9])
-        if end - begin < _FEWEST_IN_LINE:
+    spans = {}
+    for s in segments.items:
+        begin, end = np.searchsorted(time, [s.start, s.stop + 1e-9]).tolist()
+        spans[begin, end] = s
+    straight, curved = straight_and_curved(
+        time, voltage, [(*span, s.kind == "ramp") for span, s in spans.items()], step
+    )
+    for begin, end in curved:
+        coarse = step if robust < TOGGLES * step else 0.0
+        smooth[begin:end] = smoothed(time[begin:end], voltage[begin:end], coarse)
+    for begin, end in straight:
+        if end - begin < FEWEST_IN_LINE:
             continue
-        line = np.interp(time[begin:end], [segment.start, segment.stop],
-                         [segment.voltage_start, segment.voltage_stop])
+        ends = _line(time, voltage, begin, end - 1)[:2]
+        if known := spans.get((begin, end)):
+            ends = known.voltage_start, known.voltage_stop
+        line = np.interp(time[begin:end], time[[begin, end - 1]], ends)
         line = line + _bend(voltage[begin:end] - line, step)
         parts, line = _levels(voltage[begin:end], line, step)
         for first, last in parts:
@@ -437,7 +455,7 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
     least = polygon.step + _EXACT * float(np.ptp(voltage))
     for k, ((a, a_end, left), (b, b_end, right)) in enumerate(pairwise(polygon.lines)):
         parts = (a + _AT_CORNER, a_end - _AT_CORNER), (b + _AT_CORNER, b_end - _AT_CORNER)
-        if b > a_end + _AT_CORNER or min(end - begin for begin, end in parts) < _FEWEST_IN_LINE:
+        if b > a_end + _AT_CORNER or min(end - begin for begin, end in parts) < FEWEST_IN_LINE:
             continue
         rise, fall = (np.polyfit(time[i:j], voltage[i:j], 1) for i, j in parts)
         if any(np.max(np.abs(np.polyval(line, time[i:j]) - smooth[i:j])) > _BENT * noise + least
@@ -445,7 +463,10 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
             continue
         at = float((fall[1] - rise[1]) / (rise[0] - fall[0])) if rise[0] != fall[0] else np.inf
         before = int(np.searchsorted(time, at)) - 1
-        if not a_end - _AT_CORNER <= before + 1 <= b + _AT_CORNER:
+        # Noise displaces a corner, by as much as it hides that the lines differ there.
+        far = (_BENT * max(left, right) + least) / max(abs(rise[0] - fall[0]), _EXACT)
+        is_near = a <= before < b_end - 1 and abs(at - time[b]) < far
+        if not (is_near or a_end - _AT_CORNER <= before + 1 <= b + _AT_CORNER):
             continue
         for line, begin, end in ((rise, parts[0][1], before + 1), (fall, before + 1, parts[1][0])):
             smooth[begin:end] = np.polyval(line, time[begin:end])
@@ -473,7 +494,7 @@ def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int
     """First and last sample of the levels in a stretch, and their volts (n,): the stretch and its
     line as they are, unless two levels are surely nearer to it."""
     n = len(volts)
-    count = np.arange(_FEWEST_IN_LINE, n - _FEWEST_IN_LINE + 1)
+    count = np.arange(FEWEST_IN_LINE, n - FEWEST_IN_LINE + 1)
     if len(count) == 0:
         return [(0, n)], line
     away = volts - volts.mean()
@@ -482,7 +503,8 @@ def _levels(volts: Array, line: Array, step: float) -> tuple[list[tuple[int, int
     k = int(np.argmax(gain))
     levels = float(away @ away) - float(gain[k])
     nearer = float(np.sum((volts - line) ** 2)) - levels
-    if nearer <= _CLEAR**2 * levels / n or height[k] < _CLEAR_STEPS * step:
+    least = max(_CLEAR_STEPS * step, ROUNDING * float(np.max(np.abs(volts))))
+    if nearer <= CLEAR**2 * levels / n or height[k] < least:
         return [(0, n)], line
     spans, levelled = [], []
     for first, last in ((0, int(count[k])), (int(count[k]), n)):
@@ -499,7 +521,7 @@ def _bend(left: Array, step: float) -> Array:
     bow -= bow.mean()
     power = float(bow @ bow)
     depth = float(bow @ left) / power
-    bent = abs(depth) > max(0.5 * step, _CLEAR * float(np.std(left - depth * bow)) / np.sqrt(power))
+    bent = abs(depth) > max(0.5 * step, CLEAR * float(np.std(left - depth * bow)) / np.sqrt(power))
     return depth * bow if bent else np.zeros(len(left))
 
 
