@@ -9,7 +9,7 @@ import numpy as np
 from sma_bench.arrays import IntArray
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.parameters import load_kind, wire_length
 from sma_bench.records import check
 from sma_bench.records.check import FEWEST, check_response, kind_of, said
 from sma_bench.records.record import Record, Signal, as_calibrated
@@ -204,12 +204,13 @@ def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record
     if parameters is None:
         return record, found
     # A wire that stays below A_s grows as everything does that is heated.
-    turned, reach = dict(record.signals), _TRANSFORMS * parameters["wire.length"]
+    turned, reach = dict(record.signals), _TRANSFORMS * wire_length(parameters)
     for against in check_response(record):
         name = against.subject
         if "together" not in against.numbers or name == imposed:
             continue
-        if name != "elongation" or np.ptp(record[name].values) > reach:
+        moves = against.numbers["together"] * np.ptp(np.quantile(record[name].values, [0.01, 0.99]))
+        if name != "elongation" or moves > reach:
             turned[name] = replace(turned[name], values=-turned[name].values)
             found.append(said("turned_tip", name, together=against.numbers["together"]))
     return replace(record, signals=turned), found

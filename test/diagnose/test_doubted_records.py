@@ -234,3 +234,23 @@ def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_t
     found = sma_bench.diagnose(sma_bench.measure(run, 1), rig)
     assert found.verdict == "recalibration"
     assert max(c.log_evidence for c in found.candidates) < 2.0
+
+
+def test_a_wire_that_stays_cold_expands_and_is_not_turned():
+    """Its length not stated: 40 um of expansion, read with as much noise, were a sign to turn."""
+    spring = {"load.kind": "spring", "load.stiffness": 1000.0, "load.preload": 5.0}
+    bench = {k: v for k, v in (LAB | spring).items() if not k.startswith("uncertainty.")}
+    time = np.arange(0.0, 120.0, 0.02)
+    volts = 0.5 * (1.0 - np.cos(time * np.pi / 20.0))
+    record = sma_bench.measure(sma_bench.simulate((time, volts[:, None]), bench), 1)
+    still = record["elongation"]
+    grows = 4e-5 * (volts / volts.max()) ** 2
+    seen = grows + 1e-5 * np.random.default_rng(3).standard_normal(len(time))
+    cold = replace(still, time=time, values=np.round(seen, 5), std=None)
+    stated = sma_bench.load_parameters(bench)
+    held = replace(record, signals=record.signals | {"elongation": cold})
+    assert not [f for f in mended(held, stated)[1] if f.subject == "elongation"]
+    # A motion of millimetres is none of expansion.
+    moved = replace(record, signals=record.signals | {
+        "elongation": replace(cold, values=100.0 * cold.values)})  # fmt: skip
+    assert [f.subject for f in mended(moved, stated)[1]] == ["elongation"]
