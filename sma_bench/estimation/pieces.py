@@ -67,7 +67,7 @@ def _spread(
     few of its steps would follow them."""
     scatter = float(np.median(np.abs(np.diff(voltage, 2)))) / 0.6745 / np.sqrt(6.0)
     is_fine = step <= max(_FINE * float(np.ptp(voltage)), scatter / TOGGLES)
-    passes = [is_fine or np.ptp(voltage[a:b]) > _PASSED * step for a, b in spans]
+    passes = [is_fine or bool(np.ptp(voltage[a:b]) > _PASSED * step) for a, b in spans]
     is_curved[:] = [bow and enough for bow, enough in zip(is_curved, passes, strict=True)]
     slopes = [np.polyfit(time[a:b] - time[a], voltage[a:b], 1)[0] for a, b in spans]
     joined = [a[1] > b[0] for a, b in pairwise(spans)]
