@@ -83,7 +83,6 @@ def reading_budget(size: int) -> Budget:
 
 # --- files --------------------------------------------------------------------------------------
 
-
 def read_bytes(path: str | Path, largest: int) -> bytes:
     """A regular file, whole: a pipe would block and a device never end. Raises InputError:
     unreadable, no regular file, or larger than `largest` bytes."""
@@ -148,7 +147,6 @@ def is_inside(path: Path, folder: Path) -> bool:
 
 
 # --- JSON and YAML ------------------------------------------------------------------------------
-
 
 def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> Any:
     """What a JSON text of a topic, a service's answer or a file holds: numbers are finite, nothing
@@ -286,7 +284,6 @@ def read_yaml(path: str | Path, aliases: bool = False) -> Any:
 
 
 # --- names and files on their way out ------------------------------------------------------------
-
 
 def printable(text: str, keep: str = "") -> str:
     r"""Text that does nothing to a terminal or a file: controls, escapes and half characters are

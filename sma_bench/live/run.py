@@ -52,7 +52,6 @@ class ClosedLoop(OpenLoop):
         """`follow` hears each level that is wanted."""
         # Controllers load the linear model, which an experiment with volts does without.
         from sma_bench.control import DeflectionController, TemperatureController
-
         if not (quantity.tip or "temperature" in settings["feedback"]):
             raise InputError("feedback: temperature control cannot do without temperature")
         self._quantity, self._follow = quantity, follow

@@ -69,7 +69,6 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     path, inside = Path(path), contract.inside
     bag = read_storage(path, lambda n, t: inside(n, namespace) and contract.is_decoded(n, t))
     found = list(bag.topics.values())
-
     # Topics that carry a meaning of the contract become columns, on one clock.
     counts = {(t.name, t.type): t.count for t in found if inside(t.name, namespace)}
     chosen, remarks = contract.choose_topics(str(path), counts)
@@ -85,7 +84,6 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     decoded = {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
     stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     start = min((int(s.stamp[0]) for s in stamped or decoded.values()), default=0)
-
     # Columns become signals in SI units.
     signals: dict[str, Signal] = {}
     markers: tuple[tuple[float, str], ...] = ()
@@ -101,7 +99,6 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
         for signal in _signals(meaning, samples, start, bag):
             signals[signal.name] = signal
             made.setdefault(samples.topic, []).append(signal.name)
-
     # What is absent is said; of one name with two types the one that was decoded is shown.
     listed: dict[str, Topic] = {}
     for raw in sorted(found, key=lambda raw: raw.name):
@@ -122,7 +119,6 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
     received, lengths = (np.array(v, dtype=np.int64) for v in (raw.times, raw.lengths))
     n, samples = len(received), _Samples(raw.name, raw.type, received.copy(), received, is_stamped)
     batches = list(decode(raw.data, lengths, raw.type, budget))
-
     # The numbers or texts of the messages, NaN or empty where one has none.
     if raw.type == contract.STRING:
         budget.take(_TEXT_BYTES * n)
@@ -172,7 +168,6 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
     if raw.type == contract.MULTI_ARRAY:
         unusable = np.count_nonzero(~np.isfinite(samples.columns["data"]), axis=1)
         keep(unusable == 0, "have the wrong length, NaN or Inf; left out")
-
     # Messages whose header was never stamped.
     unset = (samples.stamp == 0) & (samples.received > _DAY_NS)
     if is_stamped and len(unset) and unset.all():
@@ -193,7 +188,6 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
     offset = float(np.median(reference.received - reference.stamp)) if reference else 0.0
     if reference and abs(offset) >= _TWO_CLOCKS_NS and len(stamped) < len(decoded):
         from scipy.ndimage import median_filter
-
         order = np.argsort(reference.received, kind="stable")
         received = reference.received[order]
         zero = int(received[0])
@@ -216,7 +210,6 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
             text = f"{count} messages repeat the stamp of another; the first one received is kept"
             bag.remark(samples.topic, text, duplicates=count)
             samples.keep(np.concatenate(([True], ~repeated)))
-
     # The stretch with most stamps is kept where a clock was set in the middle of the record.
     ends = [int(end) for s in decoded for end in (s.stamp[0], s.stamp[-1])]
     if not ends or max(ends) - min(ends) <= _PAUSE_NS:
@@ -380,9 +373,8 @@ def _find_layout(blob: bytes, msgtype: str) -> _Layout:
     return layout
 
 
-def decode(
-    data: bytes | bytearray, lengths: IntArray, msgtype: str, budget: Budget
-) -> Iterator[Batch]:
+def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
+           budget: Budget) -> Iterator[Batch]:
     """Messages that lie one after the other, lengths (n,) bytes each; those that cannot be decoded
     are in no batch. Raises OverBudget: it takes too long."""
     ends = np.cumsum(lengths)

@@ -46,10 +46,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     bag lacks its index: `read_record` (and `mcap recover`) read it. Raises InputError: the path
     exists, cannot be made, or the disk is full; what was written until then stays readable."""
 
-    def __init__(
-        self, path: str | Path, flush_every: float = _FLUSH_EVERY,
-        custom_data: Mapping[str, str] | None = None,
-    ) -> None:
+    def __init__(self, path: str | Path, flush_every: float = _FLUSH_EVERY,
+                 custom_data: Mapping[str, str] | None = None) -> None:
         """Begin a bag, a new folder. `flush_every` s of wall time; with inf chunks are full, and
         the bytes depend on the messages alone. `custom_data`: texts by name for metadata.yaml."""
         try:
@@ -96,10 +94,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                 schema = self._writer.register_schema(msgtype, "ros2msg", text.encode())
                 self._schemas[msgtype] = schema
             self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
-            self._topics[topic] = {
-                "name": topic, "type": msgtype, "serialization_format": "cdr",
-                "offered_qos_profiles": [], "type_description_hash": TYPES.hash_rihs01(msgtype),
-            }
+            self._topics[topic] = {"name": topic, "type": msgtype, "serialization_format": "cdr",
+                                   "offered_qos_profiles": [],
+                                   "type_description_hash": TYPES.hash_rihs01(msgtype)}
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Append one serialised message, received at `stamp_ns` since the epoch. Raises InputError:
@@ -179,12 +176,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         new.replace(self.path / METADATA)
 
 
-def write_record(
-    path: str | Path, source: Record | Mapping[str, Signal] | Iterable[Signal],
-    namespace: str = "bench", start_ns: int | None = None,
-    markers: Iterable[tuple[float, str]] = (), provenance: Mapping[str, Any] | None = None,
-    report: Report = silent, replace: bool = False,
-) -> None:
+def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Iterable[Signal],
+                 namespace: str = "bench", start_ns: int | None = None,
+                 markers: Iterable[tuple[float, str]] = (),
+                 provenance: Mapping[str, Any] | None = None, report: Report = silent,
+                 replace: bool = False) -> None:
     """Write a record, or signals (by name or a sequence), as a bag in a new folder, which appears
     whole or not at all; the same signals give the same bytes. Signals that share a message type and
     place (voltage and current of a wire) share messages; where their times differ the other one is
@@ -251,7 +247,6 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
 
 # --- Signals to the serialised messages of the contract's topics.
 
-
 class Stream(NamedTuple):
     """Messages of one topic, serialised, in order of their receive times (n,) ns."""
 
@@ -288,7 +283,6 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         template = _serialised(msgtype, data=np.zeros(values.shape[1]))
         blobs = encode(template, msgtype, {"data": values})
         return Stream(topic, msgtype, _stamps(signal.name, signal.time, start), blobs)
-
     # All columns on the union of their stamps.
     stamps = {name: _stamps(s.name, s.time, start) for name, s in columns.items()}
     union = np.unique(np.concatenate([*stamps.values()]))
@@ -302,7 +296,6 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         merged[name][rows] = signal.values
         if signal.received is not None:
             received[rows] = _stamps(signal.name, signal.received, start)
-
     # The fields that they go to, and what else such a message says.
     channel = topic.split("/")[-2]
     frame, rest = channel, {}

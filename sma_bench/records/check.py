@@ -315,7 +315,6 @@ def check_response(record: Record) -> Iterator[Finding]:
     driven = [channel for channel, span in reach.items() if span > _LEAST_DRIVE]
     if not driven:
         return
-
     # Voltages that end before the readings.
     responses = [n for n in record.signals if kind_of(n) in _EXPLAINED and has_samples(record, n)]
     last = max((float(samples(record, name)[0][-1]) for name in responses), default=-inf)
@@ -324,7 +323,6 @@ def check_response(record: Record) -> Iterator[Finding]:
         missing = last - float(time[-1])
         if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
             yield said("ends_early", name, missing=missing, volts=values[-1])
-
     # Readings that do not follow, and a motion that follows the heat the wrong way: an elongation
     # that of its wire (its temperature, where one was read), a tip that of front less back.
     if len(record.channels) == 1 and "elongation" in responses:

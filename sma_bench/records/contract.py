@@ -37,9 +37,8 @@ _UNITS = {
     "deflection": "m", "elongation": "m", "force": "N", "voltage_command": "V",
 }  # fmt: skip
 # Of each joint: its signals, and the field of joint_states that carries each.
-JOINT_SIGNALS: dict[str, dict[str, str]] = {
-    "tip": {"deflection": "position"}, "wire": {"elongation": "position", "force": "effort"}
-}
+JOINT_SIGNALS: dict[str, dict[str, str]] = {"tip": {"deflection": "position"},
+                                            "wire": {"elongation": "position", "force": "effort"}}
 JOINT_OF = {signal: joint for joint, signals in JOINT_SIGNALS.items() for signal in signals}
 _TOPICS = {"voltage": "power", "current": "power", "temperature": "temperature", "range": "range"}
 
@@ -57,9 +56,8 @@ def place_of(topic: str) -> Place | None:
     parts = [part for part in topic.split("/") if part]
     for suffix, msgtype in CONTRACT:
         above, tail = parts[: -len(suffix)], parts[-len(suffix) :]
-        if len(tail) == len(suffix) and all(
-            wanted in (ANY_CHANNEL, part) for wanted, part in zip(suffix, tail, strict=True)
-        ):
+        if len(tail) == len(suffix) and all(wanted in (ANY_CHANNEL, part)
+                                            for wanted, part in zip(suffix, tail, strict=True)):
             is_measured = TWIN not in above
             return Place("/".join(tail), "/" + "/".join(above), msgtype) if is_measured else None
     return None
@@ -92,9 +90,8 @@ def inside(topic: str, namespace: str | None) -> bool:
     return namespace is None or topic.startswith("/" + namespace.strip("/") + "/")
 
 
-def choose_topics(
-    where: str, counts: Mapping[tuple[str, str], int]
-) -> tuple[dict[str, str], list[Finding]]:
+def choose_topics(where: str,
+                  counts: Mapping[tuple[str, str], int]) -> tuple[dict[str, str], list[Finding]]:
     """Decide which topic carries which meaning. `where`: the bag's name for messages; `counts`:
     number of messages by (topic, type). Returns topic by meaning (`wire/power`), among those of the
     expected type, and remarks. Raises InputError: two topics carry the same meaning, or one of the
@@ -111,7 +108,6 @@ def choose_topics(
             raise InputError(f"{where}: both {both} could be {place.meaning}, {how}")
         if other is None or count:
             chosen[place.meaning] = topic
-
     # A wrong type is an error inside the bench's own namespace, other traffic elsewhere.
     own = {p.namespace for topic, _, p in places if chosen.get(p.meaning) == topic}
     findings = []

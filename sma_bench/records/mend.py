@@ -39,9 +39,8 @@ class Prepared:
     follows: list[Finding]  # of readings that do not follow the drive
 
 
-def prepare(
-    records: Sequence[Record], parameters: Parameters, quantities: Collection[str]
-) -> Prepared:
+def prepare(records: Sequence[Record], parameters: Parameters,
+            quantities: Collection[str]) -> Prepared:
     """Records mended and as their sensors are calibrated; `quantities` are to be compared."""
     kind = load_kind(parameters)
     pairs = [mended(record, parameters) for record in records]
@@ -116,10 +115,8 @@ def without_unseen_drive(record: Record) -> tuple[Record, list[Finding]]:
     begins, ends = np.array(edges[::2]), np.array([*edges[1::2], times[-1]])
     longest = int(np.argmax(ends - begins))
     low, high = float(begins[longest]), float(ends[longest])
-    kept = {
-        name: _without(s, np.flatnonzero((s.time < low) | (s.time > high)))
-        for name, s in record.signals.items()
-    }
+    kept = {name: _without(s, np.flatnonzero((s.time < low) | (s.time > high)))
+            for name, s in record.signals.items()}
     facts = {"begin": low - float(times[0]), "end": high - float(times[0])}
     return replace(record, signals=kept), [*found, said("one_stretch", "record", **facts)]
 
@@ -231,7 +228,6 @@ def under_suspicion(record: Record) -> Iterator[Finding]:
             name = by_topic.get(finding.subject, finding.subject)
             if name in record.signals:
                 yield replace(finding, subject=name)
-
     # Readings that jump between two values; a drive switched on purpose holds its level for long.
     for name, signal in record.signals.items():
         values = signal.values

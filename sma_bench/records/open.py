@@ -23,9 +23,8 @@ if TYPE_CHECKING:
 AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
 
 
-def open_records(
-    path: str | Path, namespace: str | None = None, stated: Mapping[str, float] | None = None
-) -> list[AnyRecord]:
+def open_records(path: str | Path, namespace: str | None = None,
+                 stated: Mapping[str, float] | None = None) -> list[AnyRecord]:
     """Read a bag or an instrument's file, of whose sheets each may be a record, by its content.
     `namespace`: of the bench to take, where two are in one bag; `stated`: what the file of an
     instrument does not hold, in SI units: `stress`, `mass`, `gauge_length`, `area`, `diameter`,
@@ -36,7 +35,6 @@ def open_records(
     # The readers of tables are loaded for tables only.
     from sma_bench.records import instrument_files as files
     from sma_bench.records.tables import read_table_file
-
     file = read_table_file(path)
     sheets = [files.Sheet(file, table, stated or {}) for table in file.tables]
     records: list[AnyRecord] = [r for sheet in sheets if (r := files.record_of(sheet))]
@@ -48,7 +46,6 @@ def open_records(
 def parse_stated(texts: Iterable[str]) -> dict[str, float]:
     """`stress=200 MPa` and the like in SI units; InputError for another name, or no such number."""
     from sma_bench.records.cells import WORDS, number_with_unit
-
     known: dict[str, Any] = WORDS["stated"]
     found: dict[str, float] = {}
     for text in texts:
@@ -63,9 +60,8 @@ def parse_stated(texts: Iterable[str]) -> dict[str, float]:
     return found
 
 
-def open_record(
-    path: str | Path, namespace: str | None = None, stated: Mapping[str, float] | None = None
-) -> AnyRecord:
+def open_record(path: str | Path, namespace: str | None = None,
+                stated: Mapping[str, float] | None = None) -> AnyRecord:
     """The record of a file, the first one where several sheets hold one each, with a warning that
     names the others; raises as `open_records`."""
     first, *others = open_records(path, namespace, stated)
@@ -80,7 +76,6 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
     """What keeps a table from being an instrument's, or how a logger's becomes a record."""
     from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, title_meanings
     from sma_bench.records.instrument_files import Sheet
-
     sheet = Sheet(file, max(file.tables, key=lambda table: len(table.lines)), stated)
     if not sheet.titles:
         return (
@@ -110,7 +105,6 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
 
 # --- Everything `sma-bench info` shows.
 
-
 def describe(record: AnyRecord) -> dict[str, Any]:
     """What a record holds, as JSON-able data in SI units."""
 
@@ -120,10 +114,8 @@ def describe(record: AnyRecord) -> dict[str, Any]:
     about: dict[str, Any] = {"path": str(record.path)}
     parts: dict[str, list[dict[str, Any]]] = {}
     if isinstance(record, DscRecord):
-        about |= {
-            "kind": "dsc", "instrument": record.instrument, "sample": record.sample,
-            "mass": record.mass, "endothermic_up": record.endothermic_up,
-        }
+        about |= {"kind": "dsc", "instrument": record.instrument, "sample": record.sample,
+                  "mass": record.mass, "endothermic_up": record.endothermic_up}
         parts["segments"] = [
             {"number": s.number, "kind": s.kind, "rate": s.rate, "samples": len(s.time),
              **ends("start", "end", s.time), **ends("from", "to", s.temperature)}
@@ -143,25 +135,19 @@ def describe(record: AnyRecord) -> dict[str, Any]:
             first, last = cycle.branches
             heating = first if first.direction == "heating" else last
             kelvin = np.concatenate([first.temperature, last.temperature])
-            standard.append({
-                "cycle": cycle.number, "lower_cycle_temperature": float(kelvin.min()),
-                "upper_cycle_temperature": float(kelvin.max()),
-                "actuation_strain": float(heating.strain[0] - heating.strain[-1]),
-                "residual_strain": float(last.strain[-1] - first.strain[0]),
-            })
+            standard.append({"cycle": cycle.number, "lower_cycle_temperature": float(kelvin.min()),
+                             "upper_cycle_temperature": float(kelvin.max()),
+                             "actuation_strain": float(heating.strain[0] - heating.strain[-1]),
+                             "residual_strain": float(last.strain[-1] - first.strain[0])})
     elif isinstance(record, TensileRecord):
-        about |= {
-            "kind": "tensile", "temperature": record.temperature,
-            "is_extension": record.is_extension, "is_force": record.is_force,
-            "samples": len(record.strain), "largest_strain": float(record.strain.max()),
-            "largest_stress": float(record.stress.max()),
-        }
+        about |= {"kind": "tensile", "temperature": record.temperature,
+                  "is_extension": record.is_extension, "is_force": record.is_force,
+                  "samples": len(record.strain), "largest_strain": float(record.strain.max()),
+                  "largest_stress": float(record.stress.max())}
     else:
-        about |= {
-            "kind": "bag", "start_ns": record.start_ns, "duration": record.duration,
-            "start": datetime.fromtimestamp(record.start_ns / 1e9, UTC).isoformat(),
-            "channels": list(record.channels),
-        }
+        about |= {"kind": "bag", "start_ns": record.start_ns, "duration": record.duration,
+                  "start": datetime.fromtimestamp(record.start_ns / 1e9, UTC).isoformat(),
+                  "channels": list(record.channels)}
         parts["topics"] = [{"name": name, "type": t.type, "count": t.count,
                             "signals": list(t.signals)} for name, t in record.topics.items()]
         signals = parts["signals"] = []
@@ -193,7 +179,5 @@ def account_line(record: AnyRecord) -> str:
     taken = sum(topic.count for topic in topics.values() if topic.signals)
     used = ", ".join(f"{n} ({', '.join(t.signals)})" for n, t in topics.items() if t.signals)
     rest = (f"{n} ({t.type}, none of the bench's)" for n, t in topics.items() if not t.signals)
-    return (
-        f"{name}: {sum(topic.count for topic in topics.values())} messages read, {taken} used; "
-        f"topics used: {used or 'none'}; ignored: {', '.join(rest) or 'none'}"
-    )
+    return (f"{name}: {sum(topic.count for topic in topics.values())} messages read, {taken} used; "
+            f"topics used: {used or 'none'}; ignored: {', '.join(rest) or 'none'}")

@@ -82,7 +82,6 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
         if shift is None:
             text = f"no drive in common with {first}; both clocks count from their start"
             remarks.append(f"{name}: {text}")
-
     # Differences at the first record's samples, where the other has values at the same time.
     found = []
     for where in others:

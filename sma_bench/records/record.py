@@ -144,7 +144,6 @@ def first_order_lag(course: Array, left: float, start: float = 0.0) -> Array:
     """(n,) of an even course (n,): `left` of what it was a sample before, the rest of what comes
     in; `start` is what it was before the first."""
     from scipy.linalg import solve_banded
-
     coming = (1.0 - left) * course
     coming[0] += left * start
     bands = np.vstack([np.ones_like(course), np.full_like(course, -left)])
@@ -176,7 +175,6 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
             return np.array(values, dtype=np.float64)
         except (TypeError, ValueError):
             raise InputError(f"{where}: {name} does not hold numbers only") from None
-
     # The numbered columns of the command, put side by side.
     named = {name: given for name, given in columns.items() if name != TIME}
     found = [(int(n[1]), name) for name in named if (n := _COMMAND_COLUMN.match(str(name)))]
@@ -264,10 +262,8 @@ def require_pandas() -> Any:
 
 # --- The voltages that a bench applied, on one clock.
 
-
-def drive_of(
-    record: Record, parameters: Parameters
-) -> tuple[Parameters, Array, Array, Array | None]:
+def drive_of(record: Record,
+             parameters: Parameters) -> tuple[Parameters, Array, Array, Array | None]:
     """The bench as a record shows it, time (n,) s, volts (n, w) that drive it (of a source, where
     nothing else was measured, what stands for its current), and the elongation (n,) m imposed, None
     but for `load.kind` displacement. Raises InputError: the record lacks what drives it."""

@@ -107,7 +107,6 @@ class RawTopics:
 
 # --- files of a bag -----------------------------------------------------------------------------
 
-
 def is_bag(path: Path) -> bool:
     """Whether a path is meant to be a bag: a folder, or a file with a storage's content or name.
     Raises InputError: there is neither a folder nor a regular file that can be read."""
@@ -174,7 +173,6 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
         raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}")
     if not path.is_dir():
         return [path], {}
-
     # Storage files of the folder in order of their numbers; links out of it are not followed.
     with errors_in(f"{path}: cannot be read"):
         names = {file.name for file in path.iterdir() if file.is_file()}
@@ -184,7 +182,6 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
             topics.remark(name, "a link out of the bag's folder; not followed")
     numbered = {re.sub(r"\d+", lambda m: m[0].zfill(9), n): n for n in own if n.endswith(_SUFFIXES)}
     present = [path / numbered[key] for key in sorted(numbered)]
-
     # What the metadata says, from a file that may be anybody's.
     listed, promised = list[str](), Counter[str]()
     try:
@@ -208,7 +205,6 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
             raise InputError(f"{path}: no {METADATA} in the folder, and {why}; {how}")
         read = f"{len(present)} storage file{'s' * (len(present) > 1)} next to it read"
         topics.remark(METADATA, f"is missing; {read}", "info")
-
     # The files that it lists, then the others: a recorder that died right after a split has not
     # listed its newest one.
     listed = [name for name in dict.fromkeys(listed) if len(name) <= _LONGEST_NAME]
@@ -379,9 +375,8 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
         topics.remark(name, text + f", {share} are not" * bool(lost), bytes=lost)
 
 
-def _turns(
-    buffer: bytes | mmap.mmap, position: int, known: Container[int]
-) -> dict[int, "np.ndarray"]:
+def _turns(buffer: bytes | mmap.mmap, position: int,
+           known: Container[int]) -> dict[int, "np.ndarray"]:
     """The records of a chunk from `position` on, by channel (that of the last one last), (messages,
     bytes), where topics take turns with messages of one length each, as a steady bench's do."""
     places: dict[int, list[slice]] = {}
@@ -408,10 +403,8 @@ def _turns(
     count = most if alike.all() else int(alike.argmin())
     if count < _LEAST_TURNS:
         return {}
-    return {
-        channel: np.stack([turns[:count, p] for p in own], 1).reshape(count * len(own), -1)
-        for channel, own in places.items()
-    }
+    return {channel: np.stack([turns[:count, p] for p in own], 1).reshape(count * len(own), -1)
+            for channel, own in places.items()}
 
 
 def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
@@ -424,7 +417,6 @@ def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
             data = zstd.ZstdDecompressor().decompress(data, most)
         elif codec == b"lz4":
             import lz4.frame
-
             data = lz4.frame.LZ4FrameDecompressor().decompress(data, most)
         elif codec:
             raise _Damage(f"a chunk is compressed as {codec[:20]!r}")
@@ -477,7 +469,6 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
             database.set_progress_handler(budget.is_over, _STEPS)
             query = database.execute
             query("PRAGMA trusted_schema = OFF")
-
             # Tables with columns of their own: a view may be any program, one without end too.
             tables = query("PRAGMA main.table_list").fetchall()
             kinds = {row[1].decode(errors="replace").lower(): row[2] for row in tables}
@@ -486,11 +477,9 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
                     raise sqlite3.DatabaseError(f"{name} is no table")
                 if any(c[6] for c in query(f"PRAGMA main.table_xinfo({name})").fetchall()):
                     raise sqlite3.DatabaseError(f"{name} has columns that are computed")
-            found = {
-                number: topics.topic(*(text.decode(errors="replace") for text in texts))
-                for number, *texts in query(_TOPICS)
-                if isinstance(number, int) and all(isinstance(text, bytes) for text in texts)
-            }
+            found = {number: topics.topic(*(text.decode(errors="replace") for text in texts))
+                     for number, *texts in query(_TOPICS) if isinstance(number, int)
+                     and all(isinstance(text, bytes) for text in texts)}
             wanted = [number for number, topic in found.items() if topic.wanted]
             others = [number for number in found if number not in wanted]
 
@@ -516,7 +505,6 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
 
 
 # --- compression --------------------------------------------------------------------------------
-
 
 def _decompress_file(source: Path, target: Path, budget: Budget) -> str:
     """Decompress a zstd file as far as it goes, and the budget does; what ended that too early."""

@@ -25,7 +25,6 @@ Found = Iterator[tuple[tuple[str, ...], Any, dict[str, Any]]]  # path, value, at
 def excel(file: BytesIO) -> Found:
     """Rows of every sheet: numbers, truth values and texts, moments as ISO 8601."""
     import openpyxl
-
     def plain(shown: Any) -> Any:
         cell, is_number = shown.value, isinstance(shown.value, (int, float))
         form = re.sub(r'"[^"]*"|\\.', "", shown.number_format or "")  # without texts
@@ -49,7 +48,6 @@ def excel(file: BytesIO) -> Found:
 def matlab(file: BytesIO) -> Found:
     """Of several cells or structures each has its number in its path."""
     from scipy.io import loadmat
-
     def leaves(path: tuple[str, ...], value: Any) -> Found:
         is_cells = str(getattr(value, "dtype", "")) == "object" and hasattr(value, "flat")
         if hasattr(value, "_fieldnames"):
@@ -69,7 +67,6 @@ def matlab(file: BytesIO) -> Found:
 def hdf5(file: BytesIO) -> Found:
     """Of MATLAB 7.3 too; a compound table gives a leaf a column."""
     import h5py
-
     names: list[str] = []
     with h5py.File(file, "r") as opened:
         opened.visit(names.append)  # follows no links to other files
@@ -93,7 +90,6 @@ def parquet(file: BytesIO) -> Found:
     """Columns of numbers and moments; those of texts are named without being read."""
     import pyarrow
     from pyarrow.parquet import ParquetFile
-
     opened = ParquetFile(file)
     for field in opened.schema_arrow:
         is_stamp = pyarrow.types.is_timestamp(field.type)
@@ -152,7 +148,6 @@ def main() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     import msgspec
-
     error, answer = "", b""
     try:
         found = READERS[kind](BytesIO(sys.stdin.buffer.read()))
