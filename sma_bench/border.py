@@ -49,8 +49,7 @@ class OverBudget(InputError):
 
 
 class Budget:
-    """What one input may take while it is unfolded: bytes, and seconds of this thread's CPU time
-    (a busy machine is no fault of the input)."""
+    """What one input may take while it is unfolded: bytes, and s of this thread's CPU time."""
 
     def __init__(self, size: int, seconds: float) -> None:
         self.left = self.size = size
@@ -286,8 +285,7 @@ def read_yaml(path: str | Path, aliases: bool = False) -> Any:
 # --- names and files on their way out ------------------------------------------------------------
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Text that does nothing to a terminal or a file: controls, escapes and half characters are
-    spelled out (`\x1b`), except those to `keep`."""
+    r"""Text harmless to terminals and files: what is not printable is spelled out, but `keep`."""
     if text.isprintable():
         return text
     hidden = {letter for letter in text if not letter.isprintable()} - set(keep)

@@ -35,8 +35,7 @@ def recorded_type(topic: str, inside: str) -> str:
 
 
 class Recording:
-    """Messages of the topics that it is given, in one bag after the other. What the disk does not
-    take is noted as the `failure` that ends the recording."""
+    """Messages of its topics, in one bag after the other; a disk's `failure` ends the recording."""
 
     def __init__(self, output: str, idle: Callable[[], tuple[bool, float]],
                  failed: Callable[[InputError], None],

@@ -1,7 +1,5 @@
 """A run of the bench: a protocol or a reference, stopped at 0 V when something is wrong. No ROS.
-
-States: idle, running, done, aborted. Once started, a run owns the outputs and keeps sending them
-(0 V when done or aborted) until it is reset."""
+Once started, it owns the outputs and keeps sending (0 V when done or aborted) until a reset."""
 
 import math
 from collections.abc import Callable, Sequence, Set
@@ -44,8 +42,7 @@ class OpenLoop:
 
 
 class ClosedLoop(OpenLoop):
-    """Holds wires at temperatures (experiment E8), or bends a bench as wanted. A reference from a
-    topic goes on until it is stopped. SI units."""
+    """Holds wires at temperatures (experiment E8), or bends a bench as wanted. SI units."""
 
     def __init__(self, quantity: Quantity, settings: dict[str, Any], parameters: Parameters,
                  follow: Callable[[Sequence[float]], None]) -> None:
@@ -196,8 +193,7 @@ class Run:
         return ""
 
     def _not_yet(self, now: float) -> str:
-        """What a start that nothing forbids still waits for: readings that come steadily, topics of
-        the bench that the recorder does not hear yet; or ""."""
+        """What a start still waits for: steady readings, topics unheard by the recorder; or ""."""
         if (steady := now - self._late) < self._steady:
             return f"readings have come in time for {steady:.1f} s, expected {self._steady:g} s"
         if not self._readiness.required():

@@ -375,8 +375,8 @@ def _find_layout(blob: bytes, msgtype: str) -> _Layout:
 
 def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
            budget: Budget) -> Iterator[Batch]:
-    """Messages that lie one after the other, lengths (n,) bytes each; those that cannot be decoded
-    are in no batch. Raises OverBudget: it takes too long."""
+    """Messages one after the other, lengths (n,) bytes each, but for those that cannot be decoded.
+    Raises OverBudget: it takes too long."""
     ends = np.cumsum(lengths)
     for length in np.unique(lengths[lengths >= _ENCAPSULATION]).tolist():
         rows = np.flatnonzero(lengths == length)

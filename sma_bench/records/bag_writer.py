@@ -11,7 +11,7 @@ from math import inf
 from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import yaml
@@ -27,9 +27,7 @@ from sma_bench.records.record import Record, Signal
 from sma_bench.records.storage import METADATA, PROVENANCE
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
-# s: half of the second that may be lost, so that a message is on its way to the disk in time even
-# when the next one is late.
-_FLUSH_EVERY = 0.5
+_FLUSH_EVERY = 0.5  # s: half of the second that may be lost, as the next message may be late
 _MESSAGES_A_REPORT = 50_000
 _EXISTS = "exists already, expected a new path for the bag"
 _STILL_READABLE = "; what was written until then can be read"
@@ -73,10 +71,6 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self._writer = Writer(self._file, compression=CompressionType.ZSTD)
             self._writer.start("ros2")
             self.flush()
-
-    @property
-    def count(self) -> int:
-        return self._counts.total()
 
     def add_topic(self, topic: str, msgtype: str) -> None:
         """Announce a topic, `sensor_msgs/msg/Temperature` say; again is harmless. Raises
@@ -155,19 +149,16 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def _write_metadata(self) -> None:
         first, last = (self._first, self._last) if self._counts else (0, 0)
-        file, count, topics = f"{self.path.name}.mcap", self.count, self._topics.items()
+        file, count = f"{self.path.name}.mcap", self._counts.total()
         information = {
             "version": 9, "storage_identifier": "mcap", "duration": {"nanoseconds": last - first},
             "starting_time": {"nanoseconds_since_epoch": first}, "message_count": count,
             "topics_with_message_count": [
                 {"topic_metadata": about, "message_count": self._counts[name]}
-                for name, about in topics
-            ],
+                for name, about in self._topics.items()],
             "compression_format": "", "compression_mode": "", "relative_file_paths": [file],
-            "files": [{
-                "path": file, "starting_time": {"nanoseconds_since_epoch": first},
-                "duration": {"nanoseconds": last - first}, "message_count": count,
-            }],
+            "files": [{"path": file, "starting_time": {"nanoseconds_since_epoch": first},
+                       "duration": {"nanoseconds": last - first}, "message_count": count}],
             "custom_data": self._custom_data or None, "ros_distro": "jazzy",
         }
         text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
@@ -199,21 +190,21 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
         source = source.signals
     given = source.values() if isinstance(source, Mapping) else source
     prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
-    streams = [*streams_of({signal.name: signal for signal in given}, prefix, start)]
+    streams = [*_streams({signal.name: signal for signal in given}, prefix, start)]
     if texts:
         received = _stamps("marker", np.array([at for at, _ in texts], dtype=float), start)
         blobs = [_serialised(contract.STRING, data=text) for _, text in texts]
-        streams.append(Stream(f"{prefix}experiment/marker", contract.STRING, received, blobs))
+        streams.append((f"{prefix}experiment/marker", contract.STRING, received, blobs))
     if not streams:
         raise InputError(f"{path}: no signals to write, expected at least one")
     custom = {PROVENANCE: json.dumps(dict(provenance))} if provenance else None
-    messages = [(s.topic, stamp, blob) for s in streams
-                for stamp, blob in zip(s.received.tolist(), s.blobs, strict=True)]  # fmt: skip
+    messages = [(topic, stamp, blob) for topic, _, received, blobs in streams
+                for stamp, blob in zip(received.tolist(), blobs, strict=True)]
     messages.sort(key=itemgetter(1))
     parts = range(0, len(messages), _MESSAGES_A_REPORT)
     with _beside(path, replace) as new, BagWriter(new, inf, custom) as writer:
-        for stream in streams:
-            writer.add_topic(stream.topic, stream.type)
+        for topic, msgtype, *_ in streams:
+            writer.add_topic(topic, msgtype)
         for first in in_turn(parts, report, lambda _: "writing"):
             writer.write_many(messages[first : first + _MESSAGES_A_REPORT])
 
@@ -247,16 +238,11 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
 
 # --- Signals to the serialised messages of the contract's topics.
 
-class Stream(NamedTuple):
-    """Messages of one topic, serialised, in order of their receive times (n,) ns."""
-
-    topic: str
-    type: str
-    received: IntArray
-    blobs: list[bytes]
+# Topic, type, receive times (n,) ns in order, and the messages.
+_Stream = tuple[str, str, IntArray, list[bytes]]
 
 
-def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[Stream]:
+def _streams(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[_Stream]:
     """The messages that carry signals, topic by topic; `start` is ns since the epoch of t = 0.
     Raises InputError: a signal that no topic carries, or times that cannot be stamped."""
     groups: dict[str, dict[str, Signal]] = {}
@@ -265,8 +251,7 @@ def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[
             raise InputError(
                 f"signal {name}: no topic of the contract carries it, expected <channel>.voltage, "
                 ".current, .temperature, front.range, back.range, "
-                f"{', '.join(sorted(contract.JOINT_OF))}, voltage_command or ambient.temperature"
-            )
+                f"{', '.join(sorted(contract.JOINT_OF))}, voltage_command or ambient.temperature")
         topic, column = carried
         groups.setdefault(topic, {})[column] = signal
     for topic, columns in groups.items():
@@ -275,14 +260,14 @@ def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[
         yield _stream(prefix + topic, place.type, columns, start)
 
 
-def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) -> Stream:
+def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) -> _Stream:
     """Signals of one topic as copies of a template; NaN where others of it alone have a value."""
     if msgtype == contract.MULTI_ARRAY:
         signal = columns["data"]
         values = signal.values.reshape(len(signal), -1)
         template = _serialised(msgtype, data=np.zeros(values.shape[1]))
         blobs = encode(template, msgtype, {"data": values})
-        return Stream(topic, msgtype, _stamps(signal.name, signal.time, start), blobs)
+        return topic, msgtype, _stamps(signal.name, signal.time, start), blobs
     # All columns on the union of their stamps.
     stamps = {name: _stamps(s.name, s.time, start) for name, s in columns.items()}
     union = np.unique(np.concatenate([*stamps.values()]))
@@ -311,17 +296,15 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
     else:
         frame = "base"
         joints = sorted({contract.JOINT_OF[name] for name in columns})
-        found = {}
-        for name, values in merged.items():
-            joint = contract.JOINT_OF[name]
-            found[joint, contract.JOINT_SIGNALS[joint][name]] = values
+        found = {(joint, field): merged[name] for joint in joints
+                 for name, field in contract.JOINT_SIGNALS[joint].items() if name in merged}
         merged = {field: np.column_stack([found.get((joint, field), absent) for joint in joints])
-                  for field in ("position", "effort")}  # fmt: skip
+                  for field in ("position", "effort")}
         rest = {"name": joints, **dict.fromkeys(merged, np.zeros(len(joints)))}
     template = _serialised(msgtype, header=message("std_msgs/msg/Header", frame_id=frame), **rest)
     seconds, nanoseconds = np.divmod(union, 10**9)
     numbers: dict[str, Any] = {"stamp.sec": seconds, "stamp.nanosec": nanoseconds, **merged}
-    return Stream(topic, msgtype, received, encode(template, msgtype, numbers))
+    return topic, msgtype, received, encode(template, msgtype, numbers)
 
 
 def _stamps(name: str, times: Array, start: int) -> IntArray:
@@ -332,8 +315,7 @@ def _stamps(name: str, times: Array, start: int) -> IntArray:
     if len(times) and not (seconds.min() >= -1e-6 and seconds.max() < _LATEST_STAMP):
         raise InputError(
             f"signal {name}: times {times.min():g} to {times.max():g} s after epoch second "
-            f"{start * 1e-9:g} cannot be stamped, expected between 1970 and 2038"
-        )
+            f"{start * 1e-9:g} cannot be stamped, expected between 1970 and 2038")
     return np.maximum(np.rint(times * 1e9).astype(np.int64) + start, 0)
 
 

@@ -1,6 +1,6 @@
 """What a record holds, and can it be trusted? Order, gaps, clocks, units, saturation, absences."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -22,8 +22,7 @@ _JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
 _IRREGULAR = 0.1  # of a period that steps differ from whole ones
 _FLAT_SAMPLES = 20
 _AGAINST = 0.9  # of a current's readings that have not its voltage's sign
-# Standard deviations, and share of the usual range, that a single reading lies off both beside it;
-# most of them in a record, as more are a sensor's way.
+# Standard deviations, share of the usual range, that one reading is off its neighbours; most such.
 _OUTLYING, _OUT_OF_RANGE, _MOST_OUTLIERS = 12.0, 0.05, 5
 # Of the range within a sample, which neither heat nor a beam does, and of all readings.
 _DROP, _MOST_DROPPED = 0.2, 0.1
@@ -66,8 +65,7 @@ def kind_of(name: str) -> str:
 
 
 def _values(record: Record) -> Iterator[Finding]:
-    """Order and missing values, of records made in memory, values that no bench has, a reversed
-    current sensor, and coarse steps."""
+    """Order, missing values, those that no bench has, a reversed current sensor, coarse steps."""
     for name, signal in record.signals.items():
         kind, unit, off = kind_of(name), signal.unit, outliers(signal)
         steps = np.diff(signal.time)
@@ -134,8 +132,7 @@ def outliers(signal: Signal) -> IntArray:
 
 
 def _dropouts(values: Array, least: float) -> IntArray:
-    """Where (n,) readings are one number for a while, between others that agree and are far off, by
-    more than `least`."""
+    """Where (n,) readings are one number for a while, off others that agree by over `least`."""
     begins = np.append(0, np.flatnonzero(np.diff(values)) + 1)
     ends = np.append(begins[1:], len(values))  # the first reading after each
     inside = (begins > 0) & (ends < len(values)) & (ends - begins > 1)
@@ -366,8 +363,8 @@ def _heat(record: Record, voltage: str, grid: Array) -> Array:
     return held_at(*samples(record, voltage), grid) ** 2
 
 
-def _lagged(course: Array, grid: Array, lag: float) -> Array:
-    return first_order_lag(course, float(np.exp(-(grid[1] - grid[0]) / lag)))
+def _lagged(course: Array, grid: Array, lags: Sequence[float] = _LAGS) -> list[Array]:
+    return [first_order_lag(course, float(np.exp(-(grid[1] - grid[0]) / lag))) for lag in lags]
 
 
 def _together(record: Record, signs: dict[str, float], motion: str) -> float:
@@ -376,8 +373,7 @@ def _together(record: Record, signs: dict[str, float], motion: str) -> float:
     grid = np.linspace(time[0], time[-1], _RESPONSE_SAMPLES)
     tip, most = np.interp(grid, time, metres), 0.0
     heat = sum((s * _heat(record, f"{c}.voltage", grid) for c, s in signs.items()), 0.0 * grid)
-    for lag in _FOLLOWS:
-        pull = _lagged(heat, grid, lag)
+    for pull in _lagged(heat, grid, _FOLLOWS):
         if np.ptp(pull) * np.ptp(tip):
             most = max(most, float(np.corrcoef(pull, tip)[0, 1]), key=abs)
     return most
@@ -392,8 +388,8 @@ def _apart(record: Record, channel: str) -> float:
     some = slice(None, None, max(1, len(time) // _RESPONSE_SAMPLES))
     time, amperes = time[some], amperes[some]
     grid = np.linspace(stamps[0], stamps[-1], _RESPONSE_SAMPLES)
-    heat = _heat(record, f"{channel}.voltage", grid)
-    warm = [np.interp(time, grid, _lagged(heat, grid, lag)) for lag in _LAGS]
+    lagged = _lagged(_heat(record, f"{channel}.voltage", grid), grid)
+    warm = [np.interp(time, grid, heat) for heat in lagged]
     conductance = np.column_stack([np.ones_like(time), *(w / max(w.max(), 1e-12) for w in warm)])
     left = []
     for late in _LATE:
@@ -419,8 +415,7 @@ def _explained(record: Record, voltages: list[str], response: str) -> float | No
         return None
     columns = [np.ones_like(grid)]
     for name in voltages:
-        heat = _heat(record, name, grid)
-        columns += [_lagged(heat, grid, lag) for lag in _LAGS]
+        columns += _lagged(_heat(record, name, grid), grid)
     design = np.column_stack([c / max(float(np.abs(c).max()), 1e-12) for c in columns])
     variance = float(np.var(wanted))
     if not np.isfinite(design).all() or not np.isfinite(variance):

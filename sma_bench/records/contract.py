@@ -92,10 +92,9 @@ def inside(topic: str, namespace: str | None) -> bool:
 
 def choose_topics(where: str,
                   counts: Mapping[tuple[str, str], int]) -> tuple[dict[str, str], list[Finding]]:
-    """Decide which topic carries which meaning. `where`: the bag's name for messages; `counts`:
-    number of messages by (topic, type). Returns topic by meaning (`wire/power`), among those of the
-    expected type, and remarks. Raises InputError: two topics carry the same meaning, or one of the
-    bench's topics has another type than the contract's."""
+    """The topic that carries each meaning (`wire/power`), of the expected type, and remarks.
+    `where`: the bag's name for messages; `counts`: messages by (topic, type). Raises InputError:
+    two topics carry one meaning, or one of the bench's has another type than the contract's."""
     chosen: dict[str, str] = {}
     places = [(*key, place) for key in counts if (place := place_of(key[0]))]
     for topic, msgtype, place in places:

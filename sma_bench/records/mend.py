@@ -17,12 +17,10 @@ from sma_bench.records.record import Record, Signal, as_calibrated
 _MOVED = 1.0  # s: a camera's picture may take as long on its way, with a right stamp
 _TRANSFORMS = 3e-3  # strain, more than a wire expands by
 _BELIEVED = 0.1  # of the scatter, least of a stated deviation
-# Share of readings that lie this near, of the range, to one of two values; jumps between these;
-# samples that the briefer of two levels is held.
+# Share of readings this near, of the range, to one of two values; jumps; samples of the briefer.
 _SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
 _SUSPECT = {"value", "drift", "turns", "common", "follows", "apart"}  # of the numbers of a finding
-# Of a sensor's readings, each published as often as the others; times, from which once more or less
-# can be told from chance.
+# Of a sensor's readings, each published as often as the others; times where one more is no chance.
 _STEADY, _TWO_CLOCKS = 0.95, 5
 # A gap: s, usual steps; readings on either side of it that show a ramp; of a step, how far a ramp
 # may miss it; of the voltage's range, what counts as the same level.

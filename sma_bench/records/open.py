@@ -62,8 +62,7 @@ def parse_stated(texts: Iterable[str]) -> dict[str, float]:
 
 def open_record(path: str | Path, namespace: str | None = None,
                 stated: Mapping[str, float] | None = None) -> AnyRecord:
-    """The record of a file, the first one where several sheets hold one each, with a warning that
-    names the others; raises as `open_records`."""
+    """A file's record, the first where sheets hold several, with a warning; as `open_records`."""
     first, *others = open_records(path, namespace, stated)
     if not others:
         return first

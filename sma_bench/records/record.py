@@ -1,5 +1,4 @@
-"""The record of one experiment: named signals with units, each on its own clock; and the drive in
-it, which a simulation takes as its input."""
+"""The record of one experiment: named signals with units, each on its own clock, and its drive."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -120,7 +119,7 @@ def require_distinct(records: Sequence[Record], hold_out: Sequence[Record] = ())
 
 
 def samples(record: Record, name: str) -> tuple[Array, Array]:
-    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say. Raises
+    """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say.
     InputError: the signal is absent or holds no finite value."""
     signal = record.get(name)
     if signal is None:
@@ -217,9 +216,8 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
 
 
 def record_from_frame(frame: Any, where: str = "frame") -> Record:
-    """A record of the columns of a pandas DataFrame, named as in `record_from_arrays`. Times are
-    its column `time`, else its index: seconds, time spans, or dates (the record then starts at the
-    first of them). Raises InputError: as `record_from_arrays`."""
+    """A record of a pandas DataFrame's columns, named as in `record_from_arrays`; raises as that.
+    Times are its column `time`, else its index: s, time spans, or dates, the first of them 0."""
     given = frame[TIME] if TIME in frame.columns else frame.index
     times, start_ns = given.to_numpy(), 0
     if times.dtype == object:  # dates of a time zone
@@ -234,10 +232,9 @@ def record_from_frame(frame: Any, where: str = "frame") -> Record:
 
 
 def frame_from_record(record: Record) -> Any:
-    """The signals as columns of a pandas DataFrame; `attrs["units"]` has their units. The index is
-    the union of all clocks, s since the record's start; where a signal has no sample there is NaN,
-    so `record_from_frame` gives the same signals back. The columns of `voltage_command` are
-    numbered. Raises InputError: pandas is not installed."""
+    """The signals as columns of a pandas DataFrame, those of `voltage_command` numbered, units in
+    `attrs["units"]`. The index is the union of all clocks, s since the record's start, with NaN
+    where a signal has no sample; `record_from_frame` turns it back. InputError: no pandas."""
     pandas, columns, units = require_pandas(), dict[str, Any](), dict[str, str]()
     for name, signal in record.signals.items():
         is_wide = signal.values.ndim > 1
@@ -307,8 +304,7 @@ def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float
 
 
 def as_driven(record: Record, parameters: Parameters) -> Record:
-    """The record, of a source of power with the volts that stand for its watts alone: what it reads
-    of the wire's resistance is in no experiment's reach."""
+    """The record, of a source of power with the volts alone that stand for its watts."""
     return with_commands(record, parameters)[0] if parameters["bench.drive"] == "power" else record
 
 
@@ -341,8 +337,7 @@ def with_stated_lag(parameters: Parameters) -> Parameters:
 
 
 def ohms_of_source(parameters: Parameters) -> float:
-    """Volts that stand for an ampere in commands to a source of current; of one of power they
-    squared over these are its watts."""
+    """Volts for an ampere, in commands to a source of current; V squared over them is watts."""
     return float(parameters["wire.resistance"]) / float(parameters["wire.count"])
 
 

@@ -42,9 +42,7 @@ _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".mat", ".h5", ".hdf5", ".parquet")
 _LONGEST_NAME = 255  # characters, on every file system
 _LONGEST_PROVENANCE, _MOST_SENTENCES = 2000, 50  # characters, signals
-_MOST_TOPICS = 4096
-_LARGEST_MESSAGE = 1 << 24
-_PIECE = 1 << 16
+_MOST_TOPICS, _LARGEST_MESSAGE, _PIECE = 4096, 1 << 24, 1 << 16  # the latter two in bytes
 
 
 @dataclass
@@ -114,9 +112,8 @@ def is_bag(path: Path) -> bool:
     if path.is_dir():
         return True
     with errors_in(f"{path}: cannot be read"):
-        head = _head(path)
-    magic = (_MCAP_MAGIC, _SQLITE_MAGIC, _ZSTD_MAGIC)
-    return path.name.endswith(_SUFFIXES) or head.startswith(magic)
+        known = _head(path).startswith((_MCAP_MAGIC, _SQLITE_MAGIC, _ZSTD_MAGIC))
+    return known or path.name.endswith(_SUFFIXES)
 
 
 def _head(path: Path) -> bytes:
@@ -205,8 +202,7 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
             raise InputError(f"{path}: no {METADATA} in the folder, and {why}; {how}")
         read = f"{len(present)} storage file{'s' * (len(present) > 1)} next to it read"
         topics.remark(METADATA, f"is missing; {read}", "info")
-    # The files that it lists, then the others: a recorder that died right after a split has not
-    # listed its newest one.
+    # The files that it lists, then others: who died right after a split has not listed the newest.
     listed = [name for name in dict.fromkeys(listed) if len(name) <= _LONGEST_NAME]
     for name in listed:
         if name not in names:
@@ -252,8 +248,7 @@ def _remark_provenance(custom: Any, topics: RawTopics) -> None:
 
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
-_CHUNK_HEAD = struct.Struct("<QQQII")
-_RECORD_OF_CHANNEL = struct.Struct("<BQH")
+_CHUNK_HEAD, _RECORD_OF_CHANNEL = struct.Struct("<QQQII"), struct.Struct("<BQH")
 _ALIKE = _RECORD_OF_CHANNEL.size  # bytes that the records of like messages share
 _MESSAGE_TIME = _ALIKE + 4  # where a message's record has its time, behind the sequence number
 _CHECK_TIME_EVERY = 1 << 17  # bytes
@@ -299,8 +294,7 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
                     continue
             if not 0 < opcode < 0x80:
                 if topic is not None and topic.wanted:
-                    # A message in front of zeros may have begun inside them: a computer that lost
-                    # its power leaves them from the beginning of a block.
+                    # A message before zeros may have begun inside them: lost power leaves blocks.
                     before = _RECORD.size + _MESSAGE_HEAD.size + topic.lengths[-1]
                     block = position - ((inside or 0) + position) % _BLOCK
                     is_zeroed = not any(buffer[block : position + 1])

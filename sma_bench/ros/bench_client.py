@@ -1,5 +1,4 @@
-"""Calls to the bench's nodes, by scripts and other nodes: wait for states, call services, set
-parameters, have a protocol run and recorded."""
+"""What scripts and other nodes ask of the bench's nodes; a protocol run and recorded."""
 
 import os
 import re
@@ -33,8 +32,8 @@ _DISCOVERY = 10.0  # s in which another node finds a new one that we have found
 
 
 class NodeCalls:
-    """What a node asks of the other nodes of its namespace. `spin` is called while waiting, takes
-    about 0.05 s, and may raise to end the wait."""
+    """What a node asks of the others of its namespace. `spin`, of about 0.05 s, is called while
+    waiting and may raise to end the wait."""
 
     def __init__(self, node: Node, spin: Callable[[], None]) -> None:
         self._node, self._spin = node, spin
@@ -65,8 +64,7 @@ class NodeCalls:
         return self._clients[service]
 
     def wait(self, what: str, condition: Callable[[], Any], timeout: float) -> Any:
-        """Spin until `condition()` is true and return it. Raises InputError: nothing within
-        `timeout` s of wall time; `what` leads the line."""
+        """What `condition` returns once true; InputError, led by `what`: not in `timeout` s."""
         end = time.monotonic() + timeout
         while not (value := condition()):
             if time.monotonic() > end:
@@ -85,8 +83,7 @@ class NodeCalls:
                 f"domain {domain}: does the node run, in this namespace?") from None
 
     def trigger(self, service: str, timeout: float = 10.0) -> str:
-        """Call a std_srvs/Trigger service and return its message. Raises InputError: no such
-        service in time, or it answered with a failure."""
+        """Call a std_srvs/Trigger service; its message. InputError: none in time, or it failed."""
         answer = self._call(service, Trigger, Trigger.Request(), timeout)
         if not answer.success:
             raise InputError(f"{service}: {answer.message}")
