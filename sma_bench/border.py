@@ -25,10 +25,8 @@ import yaml
 from sma_bench.errors import InputError, errors_in
 
 MEGABYTE = 1 << 20
-LARGEST_YAML = MEGABYTE
-LARGEST_TOPIC = MEGABYTE  # of JSON in one message
-LONGEST_SHOWN = 500  # characters of a topic's text, where people see it
-DEEPEST = 64
+LARGEST_YAML = LARGEST_TOPIC = MEGABYTE  # the latter of JSON in one message
+LONGEST_SHOWN, DEEPEST = 500, 64  # characters of a topic's text, where people see it; levels
 # What a bag or table may unfold to, and how long that may take: more than any recorder's asks for.
 _BYTES, _BYTES_OF_EACH = 64 * MEGABYTE, 64
 _SECONDS, _SECONDS_OF_EACH = 5.0, 2.0 / MEGABYTE
@@ -246,7 +244,6 @@ _Loader.add_constructor("tag:yaml.org,2002:int", _Loader.integer)
 _Loader.add_constructor("tag:yaml.org,2002:str", _Loader.text)
 _Loader.add_constructor("tag:yaml.org,2002:value", _Loader.text)  # a plain =
 _Loader.add_constructor("tag:yaml.org,2002:python/tuple", _Loader.construct_yaml_seq)
-
 # Constructors of dates, sets and bases stumble over what they do not expect.
 _WRONG_YAML = (yaml.YAMLError, ValueError, RecursionError, TypeError, LookupError, AttributeError)
 

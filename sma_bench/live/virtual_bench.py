@@ -11,7 +11,7 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.live.recording import Readiness
-from sma_bench.live.run import ABORTED, DONE, OpenLoop, Run, Surroundings
+from sma_bench.live.run import ABORTED, DONE, OpenLoop, Outputs, Run
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
@@ -83,9 +83,8 @@ class VirtualBench:
         wires = len(self.channels)
         counts = {"voltage": wires, "current": wires, "temperature": wires + 1,  # the last: the air
                   "range": 2, "force": 1}
-        self._instruments = {
-            quantity: [Instrument(self._settings, quantity, s) for s in sequence.spawn(count)]
-            for quantity, count in counts.items()}
+        self._instruments = {of: [Instrument(self._settings, of, s) for s in sequence.spawn(count)]
+                             for of, count in counts.items()}
 
     def _read(self, kind: str, voltage: tuple[float, ...]) -> list[Any]:
         """Readings of a group's true values."""
@@ -160,7 +159,7 @@ class Lockstep:
         return False
 
 
-class SimulatedRun:
+class SimulatedRun(Outputs):
     """A run of a bench that is what `hidden` says, watched by the limits of `believed`."""
 
     def __init__(self, hidden: Parameters, believed: Parameters, seed: int) -> None:
@@ -212,14 +211,8 @@ class SimulatedRun:
         for name, value in kept.items():
             self._read.setdefault(name, []).append((time, value))
 
-    def surroundings(self) -> Surroundings:
-        return Surroundings()
-
     def send(self, voltage: list[float]) -> None:
         self._volts = tuple(voltage)
 
     def mark(self, step: str) -> None:
         self._markers.append((self._now, step))
-
-    def enter(self, state: str) -> None: ...
-    def show(self, progress: Mapping[str, Any]) -> None: ...

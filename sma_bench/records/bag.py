@@ -26,17 +26,13 @@ _PAUSE_NS, _PAUSES_OF_RECORDED = _DAY_NS, 10
 _RECORDED_NS = 10 * 10**9
 _GAPS_S = (86_400, 3600, 600, 60, 10)
 _MOST_MARKERS = 100_000
-
 # Of each type of message: the columns made of it, and the field and joint that each is from.
 _COLUMNS: dict[str, list[tuple[str, str, str]]] = {
     contract.BATTERY_STATE: [(name, name, "") for name in ("voltage", "current")],
     contract.TEMPERATURE: [(name, name, "") for name in ("temperature", "variance")],
     contract.RANGE: [(name, name, "") for name in ("range", "min_range", "max_range")],
-    contract.JOINT_STATE: [
-        (signal, source, joint)
-        for joint, fields in contract.JOINT_SIGNALS.items() for signal, source in fields.items()
-    ],
-}
+    contract.JOINT_STATE: [(signal, source, joint) for joint, fields in
+                           contract.JOINT_SIGNALS.items() for signal, source in fields.items()]}
 
 
 @dataclass
@@ -242,8 +238,7 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
         found, low, high = (columns[name] for name in ("range", "min_range", "max_range"))
         remarkable = {
             "-Inf (too close)": np.isneginf(found), "+Inf (no target)": np.isposinf(found),
-            "outside min_range..max_range": np.isfinite(found) & ((found < low) | (found > high)),
-        }
+            "outside min_range..max_range": np.isfinite(found) & ((found < low) | (found > high))}
         for what, rows in remarkable.items():
             if count := int(np.count_nonzero(rows)):
                 text = f"{count} of {len(found)} distances are {what}; kept"
@@ -282,25 +277,18 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
 # of either byte order; bytes after the last field are ignored: a middleware may append a few.
 
 _Field = tuple[str, str]
-
 _HEADER: tuple[_Field, ...] = (("stamp.sec", "i4"), ("stamp.nanosec", "u4"), ("frame_id", "string"))
-
 # Fields in order, up to the last one used. "x[]" is a sequence; "text" is a string whose content
 # matters, "string" one that is passed over; "dim[]" is std_msgs/MultiArrayDimension[].
 FIELDS: dict[str, tuple[_Field, ...]] = {
     contract.TEMPERATURE: (*_HEADER, ("temperature", "f8"), ("variance", "f8")),
     contract.BATTERY_STATE: (*_HEADER, ("voltage", "f4"), ("temperature", "f4"), ("current", "f4")),
-    contract.RANGE: (
-        *_HEADER, ("radiation_type", "u1"), ("field_of_view", "f4"), ("min_range", "f4"),
-        ("max_range", "f4"), ("range", "f4"),
-    ),
-    contract.JOINT_STATE: (
-        *_HEADER, ("name", "text[]"), ("position", "f8[]"), ("velocity", "f8[]"), ("effort", "f8[]")
-    ),
+    contract.RANGE: (*_HEADER, ("radiation_type", "u1"), ("field_of_view", "f4"),
+                     ("min_range", "f4"), ("max_range", "f4"), ("range", "f4")),
+    contract.JOINT_STATE: (*_HEADER, ("name", "text[]"), ("position", "f8[]"),
+                           ("velocity", "f8[]"), ("effort", "f8[]")),
     contract.MULTI_ARRAY: (("layout.dim", "dim[]"), ("layout.data_offset", "u4"), ("data", "f8[]")),
-    contract.STRING: (("data", "text"),),
-}
-
+    contract.STRING: (("data", "text"),)}
 _ENCAPSULATION = 4
 _BYTE_ORDERS = {b"\x00\x00": ">", b"\x00\x01": "<"}
 _LAYOUTS_PER_LENGTH = 32

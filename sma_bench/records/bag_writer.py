@@ -32,7 +32,6 @@ _MESSAGES_A_REPORT = 50_000
 _EXISTS = "exists already, expected a new path for the bag"
 _STILL_READABLE = "; what was written until then can be read"
 _LATEST_STAMP = 2**31  # s after 1970
-_NAN = float("nan")
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
@@ -159,8 +158,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             "compression_format": "", "compression_mode": "", "relative_file_paths": [file],
             "files": [{"path": file, "starting_time": {"nanoseconds_since_epoch": first},
                        "duration": {"nanoseconds": last - first}, "message_count": count}],
-            "custom_data": self._custom_data or None, "ros_distro": "jazzy",
-        }
+            "custom_data": self._custom_data or None, "ros_distro": "jazzy"}
         text = yaml.safe_dump({"rosbag2_bagfile_information": information}, sort_keys=False)
         new = self.path / f"{METADATA}.new"
         new.write_text(text, encoding="utf-8")
@@ -271,7 +269,7 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
     # All columns on the union of their stamps.
     stamps = {name: _stamps(s.name, s.time, start) for name, s in columns.items()}
     union = np.unique(np.concatenate([*stamps.values()]))
-    received, absent = union.copy(), np.full(len(union), _NAN)
+    received, absent = union.copy(), np.full(len(union), np.nan)
     merged: dict[str, Array] = {}
     for name, signal in columns.items():
         if (shape := signal.values.shape) != (len(signal),):
@@ -287,7 +285,7 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
     if msgtype == contract.BATTERY_STATE:
         merged = {"voltage": absent, "current": absent, **merged}
         unknown = ("temperature", "charge", "capacity", "design_capacity", "percentage")
-        rest = {"present": True, "location": channel, **dict.fromkeys(unknown, _NAN)}
+        rest = {"present": True, "location": channel, **dict.fromkeys(unknown, np.nan)}
     elif msgtype == contract.TEMPERATURE:
         merged = {"temperature": merged["temperature"] - contract.CELSIUS_ZERO}
     elif msgtype == contract.RANGE:

@@ -19,9 +19,8 @@ _LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2  # shares of the samples
 CLOCK_TOLERANCE, DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
 # s; a step of a protocol is longer, a delay that grows at once shrinks with every message.
 _JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
-_IRREGULAR = 0.1  # of a period that steps differ from whole ones
-_FLAT_SAMPLES = 20
-_AGAINST = 0.9  # of a current's readings that have not its voltage's sign
+# Of a period that steps differ from whole ones; samples; of readings against their voltage's sign.
+_IRREGULAR, _FLAT_SAMPLES, _AGAINST = 0.1, 20, 0.9
 # Standard deviations, share of the usual range, that one reading is off its neighbours; most such.
 _OUTLYING, _OUT_OF_RANGE, _MOST_OUTLIERS = 12.0, 0.05, 5
 # Of the range within a sample, which neither heat nor a beam does, and of all readings.
@@ -30,11 +29,9 @@ DROPS_OUT = ("temperature", "deflection", "range")
 _FEW_STEPS = 3  # of the reading's last digit
 FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
-
 _TEXTS: dict[str, Any] = read_yaml(Path(__file__).with_suffix(".yaml"))
 _SENSE = _TEXTS.pop("sense")
 _MECHANICS = ("deflection", "elongation", "force", "front.range", "back.range")
-_EVENTS = ("voltage_command",)
 _READ = ("temperature", "elongation", "deflection", "force")
 _FEWEST_LEVELS, _MOST_LEVELS, _SAMPLES_A_LEVEL = 3, 100, 5  # of a coarse reading
 
@@ -157,7 +154,7 @@ def _rate(record: Record) -> Iterator[Finding]:
     shared: dict[str, tuple[Finding, list[str]]] = {}
     for name, signal in record.signals.items():
         period = signal.period
-        if len(signal) < 10 or name in _EVENTS or not period > 0:
+        if len(signal) < 10 or name == "voltage_command" or not period > 0:
             continue
         steps = np.diff(signal.time)
         # An irregular clock has no period that samples could be missing at.
@@ -201,7 +198,7 @@ def _clocks(record: Record) -> Iterator[Finding]:
     """Topics whose receive times minus stamps differ from the others', or drift against them; and
     what a second publisher of /clock leaves behind: a run or a recorder in two times."""
     of_signals = delays_of(record).items()
-    delays = {record[name].topic or name: d for name, d in of_signals if name not in _EVENTS}
+    delays = {record[name].topic or name: d for name, d in of_signals if name != "voltage_command"}
     common, common_drift = np.median([*delays.values()] or [(0.0, 0.0)], axis=0).tolist()
     if abs(common_drift) > DRIFT_TOLERANCE:
         yield said("drifts", "record", drift=common_drift)
@@ -299,9 +296,7 @@ _RESPONSE_SAMPLES = 2000
 _FOLLOWS = (0.5, 1.5, 4.0)  # s, after which a motion follows the heat of its wires
 _LENGTHENS = 0.6  # correlation of a motion with the heat that it runs against
 _LATE, _CLEARLY = np.linspace(-1.0, 1.0, 41), 0.2  # s; of the variance that is left
-_LEAST_DRIVE = 0.1  # V
-_LEAST_MISSING = 1.0  # s
-_LEAST_RESPONSE = 25.0  # variance over that of the noise
+_LEAST_DRIVE, _LEAST_MISSING, _LEAST_RESPONSE = 0.1, 1.0, 25.0  # V; s; variance over noise's
 
 
 def check_response(record: Record) -> Iterator[Finding]:

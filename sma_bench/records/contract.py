@@ -6,36 +6,21 @@ from typing import NamedTuple
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 
-BATTERY_STATE = "sensor_msgs/msg/BatteryState"
-TEMPERATURE = "sensor_msgs/msg/Temperature"
-RANGE = "sensor_msgs/msg/Range"
-JOINT_STATE = "sensor_msgs/msg/JointState"
-IMAGE = "sensor_msgs/msg/Image"
-MULTI_ARRAY = "std_msgs/msg/Float64MultiArray"
+BATTERY_STATE, TEMPERATURE = "sensor_msgs/msg/BatteryState", "sensor_msgs/msg/Temperature"
+RANGE, JOINT_STATE = "sensor_msgs/msg/Range", "sensor_msgs/msg/JointState"
+IMAGE, MULTI_ARRAY = "sensor_msgs/msg/Image", "std_msgs/msg/Float64MultiArray"
 STRING = "std_msgs/msg/String"
-
 HEADERLESS = frozenset({MULTI_ARRAY, STRING})
-
-ANY_CHANNEL = "*"
-
-# Path elements at the end of a topic's name, and the type expected there.
+# Path elements at the end of a topic's name, * any channel's, and the type expected there.
 CONTRACT: tuple[tuple[tuple[str, ...], str], ...] = (
     (("voltage_command",), MULTI_ARRAY), (("joint_states",), JOINT_STATE),
-    ((ANY_CHANNEL, "power"), BATTERY_STATE), ((ANY_CHANNEL, "temperature"), TEMPERATURE),
+    (("*", "power"), BATTERY_STATE), (("*", "temperature"), TEMPERATURE),
     (("front", "range"), RANGE), (("back", "range"), RANGE),
-    (("thermal_image",), IMAGE), (("experiment", "marker"), STRING),
-)  # fmt: skip
-
+    (("thermal_image",), IMAGE), (("experiment", "marker"), STRING))
 CELSIUS_ZERO = 273.15
-
-# What lies below it is predicted, not measured: neither recorded nor read.
-TWIN = "twin"
-
 # SI units of signals, by the last part of `<channel>.<field>`, by joint, and of the command.
-_UNITS = {
-    "voltage": "V", "current": "A", "temperature": "K", "range": "m",
-    "deflection": "m", "elongation": "m", "force": "N", "voltage_command": "V",
-}  # fmt: skip
+_UNITS = {"voltage": "V", "current": "A", "temperature": "K", "range": "m", "deflection": "m",
+          "elongation": "m", "force": "N", "voltage_command": "V"}
 # Of each joint: its signals, and the field of joint_states that carries each.
 JOINT_SIGNALS: dict[str, dict[str, str]] = {"tip": {"deflection": "position"},
                                             "wire": {"elongation": "position", "force": "effort"}}
@@ -56,9 +41,10 @@ def place_of(topic: str) -> Place | None:
     parts = [part for part in topic.split("/") if part]
     for suffix, msgtype in CONTRACT:
         above, tail = parts[: -len(suffix)], parts[-len(suffix) :]
-        if len(tail) == len(suffix) and all(wanted in (ANY_CHANNEL, part)
-                                            for wanted, part in zip(suffix, tail, strict=True)):
-            is_measured = TWIN not in above
+        is_whole, pairs = len(tail) == len(suffix), zip(suffix, tail, strict=False)
+        if is_whole and all(wanted in ("*", part) for wanted, part in pairs):
+            # What lies below `twin` is predicted, not measured: neither recorded nor read.
+            is_measured = "twin" not in above
             return Place("/".join(tail), "/" + "/".join(above), msgtype) if is_measured else None
     return None
 

@@ -77,11 +77,9 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
     from sma_bench.records.instrument_files import Sheet
     sheet = Sheet(file, max(file.tables, key=lambda table: len(table.lines)), stated)
     if not sheet.titles:
-        return (
-            f"{len(sheet.table.columns)} columns without titles: write titles with units above "
-            "them; of two, of an isobaric test (temperature in degC, strain), state the stress, "
-            "--state 'stress=200 MPa' or a first line 'Stress: 200 MPa'"
-        )
+        return (f"{len(sheet.table.columns)} columns without titles: write titles with units above "
+                "them; of two, of an isobaric test (temperature in degC, strain), state the "
+                "stress, --state 'stress=200 MPa' or a first line 'Stress: 200 MPa'")
     kinds, name = WORDS["instruments"], file.path.name
     lacks = {kind: sheet.lacks(kind) for kind in kinds}
     kind = min(lacks, key=lambda one: len(lacks[one]))
@@ -96,10 +94,8 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
         if kind == "isobaric" and what == "stress":
             how += ", or state it: --state 'stress=200 MPa', a line 'Stress: 200 MPa' above"
         return f"no {what} column: a {kind} test has {', '.join(kinds[kind])}; {how}"
-    return (
-        f"a table of another logger ({file.format}): write titles with units, or make a record of "
-        f"it: sma-bench import {name} --out {file.path.stem}"
-    )
+    return (f"a table of another logger ({file.format}): write titles with units, or make a record "
+            f"of it: sma-bench import {name} --out {file.path.stem}")
 
 
 # --- Everything `sma-bench info` shows.
@@ -118,15 +114,13 @@ def describe(record: AnyRecord) -> dict[str, Any]:
         parts["segments"] = [
             {"number": s.number, "kind": s.kind, "rate": s.rate, "samples": len(s.time),
              **ends("start", "end", s.time), **ends("from", "to", s.temperature)}
-            for s in record.segments
-        ]
+            for s in record.segments]
     elif isinstance(record, IsobaricRecord):
         about |= {"kind": "isobaric", "stress": record.stress, "strain_unit": record.strain_unit}
         parts["branches"] = [
             {"cycle": cycle.number, "kind": b.direction, "samples": len(b.temperature),
              **ends("from", "to", b.temperature), **ends("strain_from", "strain_to", b.strain)}
-            for cycle in record.cycles for b in cycle.branches
-        ]
+            for cycle in record.cycles for b in cycle.branches]
         # Quantities of a cycle by their names in ASTM E3097: actuation strain is what heating
         # recovers, residual strain the end less the begin of the cycle.
         standard = parts["cycles"] = []
@@ -161,8 +155,7 @@ def describe(record: AnyRecord) -> dict[str, Any]:
                 "start": float(s.time[0]) if count else None,
                 "end": float(s.time[-1]) if count else None,
                 **{name: float(getattr(finite, name)()) if len(finite) else None
-                   for name in ("min", "max", "mean")},
-            })
+                   for name in ("min", "max", "mean")}})
         parts["markers"] = [{"time": time, "text": text} for time, text in record.markers]
     found = check_record(record) if isinstance(record, Record) else record.findings
     parts["findings"] = [finding.to_json() for finding in found]

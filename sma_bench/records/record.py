@@ -18,8 +18,7 @@ from sma_bench.parameters.parameter import BY_NAME, SOURCES
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.records.contract import CELSIUS_ZERO, unit_of
 
-_LONGEST_LIST = 400  # characters of names in one line
-_SHORTEST_LAG = 0.1  # s
+_LONGEST_LIST, _SHORTEST_LAG = 400, 0.1  # characters of names in one line; s
 _LARGEST = 1e9  # in SI units; the squares of larger ones leave the range of numbers
 
 
@@ -151,13 +150,10 @@ def first_order_lag(course: Array, left: float, start: float = 0.0) -> Array:
 
 # --- Records from arrays and tables in memory, and tables of records, for notebooks.
 
-TIME = "time"
-_COMMAND = "voltage_command"
+TIME, _COMMAND = "time", "voltage_command"
 _COMMAND_COLUMN = re.compile(rf"{_COMMAND}\.(\d+)\Z")
-_NAMES = (
-    "<channel>.voltage, .current, .temperature, ambient.temperature, front.range, back.range, "
-    "deflection, elongation, force or voltage_command"
-)
+_NAMES = ("<channel>.voltage, .current, .temperature, ambient.temperature, front.range, "
+          "back.range, deflection, elongation, force or voltage_command")
 _COLDEST_FRAME = 253.0  # K; what never gets warmer is no bench of SMA wires
 _FARTHEST = 1.0  # m that one moves
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -31,8 +31,6 @@ if sys.version_info >= (3, 14):
     from compression import zstd
 else:  # rosbags brings it along
     from backports import zstd
-
-T = TypeVar("T")
 
 METADATA = "metadata.yaml"
 PROVENANCE = "sma_bench_provenance"  # key of custom_data in it
@@ -218,7 +216,7 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
     return [path / name for name in listed if name in own] + extra, promised
 
 
-def _of(kind: type[T], value: Any) -> T:
+def _of(kind: type, value: Any) -> Any:
     """A value of its type; of any other the text alone may be gigabytes, by YAML's aliases."""
     if not isinstance(value, kind):
         raise TypeError(kind.__name__)
@@ -251,9 +249,8 @@ _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
 _CHUNK_HEAD, _RECORD_OF_CHANNEL = struct.Struct("<QQQII"), struct.Struct("<BQH")
 _ALIKE = _RECORD_OF_CHANNEL.size  # bytes that the records of like messages share
 _MESSAGE_TIME = _ALIKE + 4  # where a message's record has its time, behind the sequence number
-_CHECK_TIME_EVERY = 1 << 17  # bytes
+_CHECK_TIME_EVERY, _BLOCK = 1 << 17, 512  # bytes, the latter of the smallest block of disks
 _LONGEST_TURN, _LEAST_TURNS = 64, 8  # messages, repetitions worth an array
-_BLOCK = 512  # bytes, the smallest that disks have
 
 
 class _Damage(Exception):
@@ -434,10 +431,9 @@ _STEPS = 10_000  # of SQLite's machine, between two looks at the clock
 # A damaged schema can make sqlite3 fail to decode its own error message.
 _READ_ERRORS = (sqlite3.Error, OverflowError, MemoryError, UnicodeError)
 _TOPICS = "SELECT id, name, type, serialization_format FROM topics"
-_MESSAGES = (
-    "SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN ({}) "
-    "AND typeof(data) = 'blob' AND typeof(timestamp) = 'integer' AND timestamp >= 0 ORDER BY rowid"
-)
+_MESSAGES = ("SELECT rowid, topic_id, timestamp, data FROM messages WHERE topic_id IN ({}) AND "
+             "typeof(data) = 'blob' AND typeof(timestamp) = 'integer' AND timestamp >= 0 "
+             "ORDER BY rowid")
 _COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP BY topic_id"
 
 

@@ -39,7 +39,6 @@ from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.ros.processes import choose_discovery
 
 OneThreadExecutor = EventsExecutor
-
 # The two kinds of topics. Readings and commands arrive: seconds of them, for a recorder that is
 # kept from running, and simulations faster than life. What is said once is there for latecomers.
 READINGS = QoSProfile(depth=2000)
