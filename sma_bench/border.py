@@ -51,8 +51,7 @@ class Budget:
 
     def __init__(self, size: int, seconds: float) -> None:
         self.left = self.size = size
-        self.seconds = seconds
-        self._until = time.thread_time() + seconds
+        self.seconds, self._until = seconds, time.thread_time() + seconds
         self._next = size - _LOOK
 
     def take(self, size: int) -> None:
@@ -207,8 +206,7 @@ def read_fields(text: str, fields: Mapping[str, str], where: str) -> dict[str, A
 
 
 class _Loader(yaml.CSafeLoader):
-    """YAML as ROS reads it: 1e-4 is a number (YAML 1.1 wants 1.0e-4), a type's name that launch_ros
-    writes is passed over, merge keys are not taken."""
+    """YAML as ROS reads it: 1e-4 is a number, launch_ros's type names pass, merge keys do not."""
 
     def flatten_mapping(self, node: Any) -> None:
         keys = set()
@@ -352,8 +350,7 @@ def write_files(files: Mapping[Path, bytes]) -> None:
 
     umask = os.umask(0)
     os.umask(umask)
-    new: dict[Path, Path] = {}
-    old: dict[Path, Path] = {}
+    new, old = dict[Path, Path](), dict[Path, Path]()
     with contextlib.ExitStack() as staged, contextlib.ExitStack() as undo:
         for path, content in files.items():
             target = Path(os.path.realpath(path))

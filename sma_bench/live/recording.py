@@ -43,10 +43,9 @@ class Recording:
         """`output`: the first bag, "" for one named after the time; `idle`: skip it, margin (s)."""
         self._first, self._idle, self._failed, self._open_bag = output, idle, failed, open_bag
         self._bag: BagWriter | None = None
-        self._running: dict[str, bool] = {}
         # Messages that wait for a run that begins; newest stamp of each topic, and of a run's, ns.
         self._kept: deque[tuple[str, int, bytes]] = deque()
-        self._latest: dict[str, int] = {}
+        self._latest, self._running = dict[str, int](), dict[str, bool]()
         self._closed_at = 0
         self.failure: InputError | None = None
         self.output = ""

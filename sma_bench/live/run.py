@@ -132,9 +132,8 @@ class Run:
     def __init__(self, outputs: Outputs, loop: OpenLoop, guard: Guard, readiness: Readiness,
                  channels: int, autostart: bool = False, feedback_timeout: float = 1.0,
                  steady: float = 0.0) -> None:
-        """`autostart`: start as soon as nothing is in the way; `feedback_timeout`: s for which
-        what a step waits for may stay away; `steady`: s for which readings come in time before it
-        starts, lest a computer that is busy starting other nodes ends it."""
+        """`autostart`: start as soon as nothing is in the way; `feedback_timeout`: s for which what
+        a step waits for may stay away; `steady`: s for which readings come in time first."""
         self._outputs, self._loop, self._guard, self._readiness = outputs, loop, guard, readiness
         self._feedback_timeout, self._steady = feedback_timeout, steady
         self._zero, self._autostart, self._patience = [0.0] * channels, autostart, math.inf
@@ -256,8 +255,7 @@ class Run:
 
     def abort(self, reason: str) -> None:
         """0 V, until a reset."""
-        self._autostart = False
-        self._aborted = self._aborted or reason
+        self._autostart, self._aborted = False, self._aborted or reason
         self._send(self._zero)
         self._finish(ABORTED)
 
@@ -267,34 +265,31 @@ class Run:
         if self.state != IDLE:
             self._send(self._zero)
 
-    def start(self, now: float, plan: Callable[[], Protocol]) -> tuple[bool, str]:
-        """Follow what is planned once readings come steadily and are recorded; whether, a line."""
+    def start(self, now: float, plan: Callable[[], Protocol]) -> str:
+        """Follow what is planned once readings come steadily and are recorded; InputError: not."""
         if self.running:
-            return False, f"already running {self._name}"
+            raise InputError(f"already running {self._name}")
         if self._aborted:
-            return False, f"aborted: {self._aborted}; reset first"
+            raise InputError(f"aborted: {self._aborted}; reset first")
         if obstacle := self.obstacle(now):
-            return False, obstacle
+            raise InputError(obstacle)
         if reason := self._not_yet(now):
             self._autostart, self._patience = True, now + _PATIENCE
-            return True, f"starts as soon as it can: {reason}"
-        try:
-            protocol = self._start(now, plan)
-        except InputError as error:
-            return False, str(error)
-        return True, f"{protocol.name}: {protocol.length}"
+            return f"starts as soon as it can: {reason}"
+        protocol = self._start(now, plan)
+        return f"{protocol.name}: {protocol.length}"
 
-    def stop(self) -> tuple[bool, str]:
+    def stop(self) -> str:
         self.abort("stopped on request")
-        return True, f"aborted: {self._aborted}"
+        return f"aborted: {self._aborted}"
 
-    def reset(self) -> tuple[bool, str]:
+    def reset(self) -> str:
         if self.running:
-            return False, "running: stop first"
+            raise InputError("running: stop first")
         self._aborted = ""
         self._guard.recorder("")
         self.enter(IDLE)
-        return True, IDLE
+        return IDLE
 
     def enter(self, state: str, detail: str = "") -> None:
         self.state = state

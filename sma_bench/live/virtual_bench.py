@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sma_bench.errors import InputError
+from sma_bench.errors import InputError, errors_in
 from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.live.recording import Readiness
@@ -47,8 +47,7 @@ class VirtualBench:
 
     def __init__(self, parameters: Parameters, settings: Mapping[str, Any]) -> None:
         self.channels: tuple[str, ...] = parameters["bench.channels"]
-        self.composite = moves_tip(parameters)
-        self.moves = load_kind(parameters) != "clamped"
+        self.composite, self.moves = moves_tip(parameters), load_kind(parameters) != "clamped"
         # The first step may compile the physics for seconds: not between two readings.
         Bench(parameters).advance(np.zeros(len(self.channels)), 1e-3)
         self._bench, self._settings = Bench(parameters), settings
@@ -181,9 +180,8 @@ class SimulatedRun(Outputs):
                 self._take(reading)
             self._now = step * _PERIOD_NS / NANOSECONDS
             if step == int(_TIMEOUT * NANOSECONDS / _PERIOD_NS) // 2:
-                started, said = self._run.start(self._now, lambda: protocol)
-                if not started:
-                    raise InputError(f"{protocol.name}: {said}")
+                with errors_in(protocol.name):
+                    self._run.start(self._now, lambda: protocol)
             self._run.tick(self._now, self._now)
         if self._run.state == ABORTED:
             raise InputError(f"{protocol.name}: {self._run.said}")

@@ -20,8 +20,7 @@ _TEXT_BYTES = 400  # of a marker, from its message to what `describe` says of it
 # Further apart than this, receive times and stamps come from two clocks, not from a slow network.
 _TWO_CLOCKS_NS = 10**9
 _FEW_STAMPS = 15  # messages in a row, of which fewer than half wrong stamps move no other topic
-# A record may pause for a day, and for ten times as long as it was recorded. Beyond, a clock was
-# set while it was: nothing says what lies between, and an even grid over it would fill any memory.
+# A record may pause for a day, and ten times as long as it was recorded; beyond, a clock was set.
 _PAUSE_NS, _PAUSES_OF_RECORDED = _DAY_NS, 10
 _RECORDED_NS = 10 * 10**9
 _GAPS_S = (86_400, 3600, 600, 60, 10)
@@ -81,9 +80,8 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     start = min((int(s.stamp[0]) for s in stamped or decoded.values()), default=0)
     # Columns become signals in SI units.
-    signals: dict[str, Signal] = {}
+    signals, made = dict[str, Signal](), dict[str, list[str]]()
     markers: tuple[tuple[float, str], ...] = ()
-    made: dict[str, list[str]] = {}
     for meaning, samples in decoded.items():
         if samples.type == contract.STRING:
             times, texts = ((samples.stamp - start) / 1e9).tolist(), samples.columns["data"]
@@ -177,8 +175,7 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
 
 def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
     """The stamps of all topics on one clock, in order, each once, of one time."""
-    # Receive times move onto the stamps' clock where the two differ by more than a delay: a bench
-    # on simulated time, recorded with the wall's clock, has nothing else in common.
+    # Receive times move onto the stamps' clock where these differ by more than a delay: simulated.
     stamped = [s for s in decoded if s.is_stamped]
     reference = max(stamped, key=lambda s: len(s.stamp), default=None)
     offset = float(np.median(reference.received - reference.stamp)) if reference else 0.0
@@ -269,12 +266,11 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
 
 
 # --- serialised messages: whole topics into arrays
-#
 # Messages of one topic mostly have one length, so a topic is a matrix of bytes. The layout is found
 # by walking one message; every count in it (strings, sequences) is a guard that must be equal in
 # all rows decoded with that layout. Rows that differ get a layout of their own, in the end one by
-# one, so the outcome is that of decoding each message by itself. The encoding is plain CDR (XCDR1)
-# of either byte order; bytes after the last field are ignored: a middleware may append a few.
+# one. The encoding is plain CDR (XCDR1) of either byte order; bytes after the last field, which a
+# middleware may append, are ignored.
 
 _Field = tuple[str, str]
 _HEADER: tuple[_Field, ...] = (("stamp.sec", "i4"), ("stamp.nanosec", "u4"), ("frame_id", "string"))
@@ -398,8 +394,7 @@ def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
 def encode(template: bytes, msgtype: str, columns: dict[str, Array]) -> list[bytes]:
     """Copies of a serialised message with other numbers. `template`: a message whose strings and
     sequences have the wanted content and length; `columns`: field -> (n,) or (n, elements)."""
-    layout = _find_layout(template, msgtype)
-    n = len(next(iter(columns.values())))
+    layout, n = _find_layout(template, msgtype), len(next(iter(columns.values())))
     matrix = np.tile(np.frombuffer(template, dtype=np.uint8), (n, 1))
     for name, values in columns.items():
         offset, kind, count = layout.columns[name]

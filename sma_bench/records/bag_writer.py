@@ -45,20 +45,18 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def __init__(self, path: str | Path, flush_every: float = _FLUSH_EVERY,
                  custom_data: Mapping[str, str] | None = None) -> None:
-        """Begin a bag, a new folder. `flush_every` s of wall time; with inf chunks are full, and
-        the bytes depend on the messages alone. `custom_data`: texts by name for metadata.yaml."""
+        """`flush_every` s of wall time; with inf chunks are full, and the bytes depend on messages
+        alone. `custom_data`: texts by name for metadata.yaml."""
         try:
             from mcap.writer import CompressionType, Writer
         except ModuleNotFoundError:
             raise InputError("mcap is not installed, which writes bags: pip install mcap") from None
-        self.path = Path(path)
-        self._lock = threading.RLock()
+        self.path, self._lock = Path(path), threading.RLock()
         self._ended: InputError | None = None  # what every call has, once closed or failed
         self._flush_every, self._next_flush = flush_every, 0.0
         self._custom_data = dict(custom_data or {})
         self._topics: dict[str, dict[str, Any]] = {}  # as metadata.yaml has them
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
+        self._schemas, self._channels = dict[str, int](), dict[str, int]()  # numbers in the file
         self._counts: Counter[str] = Counter()
         self._first, self._last = 2**63, 0
         with self._disk():
@@ -184,8 +182,7 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
     path, texts, start = Path(path), list(markers), start_ns or 0
     if isinstance(source, Record):
         start = source.start_ns if start_ns is None else start_ns
-        texts = [*source.markers, *texts]
-        source = source.signals
+        texts, source = [*source.markers, *texts], source.signals
     given = source.values() if isinstance(source, Mapping) else source
     prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
     streams = [*_streams({signal.name: signal for signal in given}, prefix, start)]
@@ -241,8 +238,7 @@ _Stream = tuple[str, str, IntArray, list[bytes]]
 
 
 def _streams(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[_Stream]:
-    """The messages that carry signals, topic by topic; `start` is ns since the epoch of t = 0.
-    Raises InputError: a signal that no topic carries, or times that cannot be stamped."""
+    """The messages that carry signals, topic by topic; `start` is ns since the epoch of t = 0."""
     groups: dict[str, dict[str, Signal]] = {}
     for name, signal in signals.items():
         if (carried := contract.topic_of(name)) is None:
@@ -289,11 +285,9 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
     elif msgtype == contract.TEMPERATURE:
         merged = {"temperature": merged["temperature"] - contract.CELSIUS_ZERO}
     elif msgtype == contract.RANGE:
-        frame = f"{channel}_range"
-        rest = {"radiation_type": 1, "max_range": inf}
+        frame, rest = f"{channel}_range", {"radiation_type": 1, "max_range": inf}
     else:
-        frame = "base"
-        joints = sorted({contract.JOINT_OF[name] for name in columns})
+        frame, joints = "base", sorted({contract.JOINT_OF[name] for name in columns})
         found = {(joint, field): merged[name] for joint in joints
                  for name, field in contract.JOINT_SIGNALS[joint].items() if name in merged}
         merged = {field: np.column_stack([found.get((joint, field), absent) for joint in joints])

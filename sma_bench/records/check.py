@@ -99,8 +99,7 @@ def against_voltage(record: Record, current: Signal) -> float:
     name = current.name.removesuffix("current") + "voltage"
     if not (has_samples(record, name) and has_samples(record, current.name)):
         return 0.0
-    volts = np.interp(current.time, *samples(record, name))
-    size = np.abs(current.values)
+    volts, size = np.interp(current.time, *samples(record, name)), np.abs(current.values)
     heated = (size > 0.2 * np.nanmax(size)) & (np.abs(volts) > 0.2 * np.abs(volts).max())
     if heated.sum() < 10:
         return 0.0
@@ -195,8 +194,7 @@ def delays_of(record: Record) -> dict[str, tuple[float, float]]:
 
 
 def _clocks(record: Record) -> Iterator[Finding]:
-    """Topics whose receive times minus stamps differ from the others', or drift against them; and
-    what a second publisher of /clock leaves behind: a run or a recorder in two times."""
+    """Topics whose receive times minus stamps differ from the others' or drift; two /clocks."""
     of_signals = delays_of(record).items()
     delays = {record[name].topic or name: d for name, d in of_signals if name != "voltage_command"}
     common, common_drift = np.median([*delays.values()] or [(0.0, 0.0)], axis=0).tolist()
@@ -232,8 +230,7 @@ def _saturation(record: Record) -> Iterator[Finding]:
     """Sensors that are dead while something happens, or clipped at their highest or lowest."""
     voltages = [s.values for n, s in record.signals.items() if kind_of(n) == "voltage" and len(s)]
     driven = any(np.ptp(values) > 0.1 for values in voltages)
-    still = {"ambient.temperature"}
-    force = record.get("force")
+    still, force = {"ambient.temperature"}, record.get("force")
     if force is not None and len(force) and np.ptp(force.values) > 0:
         still.add("elongation")  # clamped
     for name, signal in record.signals.items():
@@ -284,7 +281,6 @@ def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
 
 
 # --- Do command and response belong together?
-#
 # A linear filter of the heat (V squared through lags of 0.2 to 64 s) explains 99.9 % of a
 # temperature that its voltage made, and less than 90 % where the voltages of one run stand beside
 # the readings of another; of a motion, which has hysteresis, 90 % and more against 60 to 90 %; of a
@@ -315,8 +311,7 @@ def check_response(record: Record) -> Iterator[Finding]:
         missing = last - float(time[-1])
         if missing > max(_GAP_PERIODS * record[name].period, _LEAST_MISSING):
             yield said("ends_early", name, missing=missing, volts=values[-1])
-    # Readings that do not follow, and a motion that follows the heat the wrong way: an elongation
-    # that of its wire (its temperature, where one was read), a tip that of front less back.
+    # Motions against the heat, of a wire (or its temperature), or of front less back for a tip.
     if len(record.channels) == 1 and "elongation" in responses:
         time, metres = samples(record, "elongation")
         if not has_samples(record, f"{driven[0]}.temperature"):

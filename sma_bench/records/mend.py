@@ -40,8 +40,7 @@ class Prepared:
 def prepare(records: Sequence[Record], parameters: Parameters,
             quantities: Collection[str]) -> Prepared:
     """Records mended and as their sensors are calibrated; `quantities` are to be compared."""
-    kind = load_kind(parameters)
-    pairs = [mended(record, parameters) for record in records]
+    kind, pairs = load_kind(parameters), [mended(record, parameters) for record in records]
     whole = [as_calibrated(record, parameters) for record, _ in pairs]
     known = [(record, finding) for record, found in pairs for finding in found]
     known += [(r, f) for r in whole for f in r.findings if "repeated" in f.numbers]
@@ -164,8 +163,7 @@ def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record
     machine imposes), and deviations far below a reading's scatter, are left out."""
     is_imposed = parameters is not None and load_kind(parameters) == "displacement"
     imposed = "elongation" if is_imposed else ""
-    moved: dict[str, Signal] = {}
-    found: list[Finding] = []
+    moved, found = dict[str, Signal](), list[Finding]()
     for name, signal in record.signals.items():
         if name.endswith(".current") and (share := check.against_voltage(record, signal)):
             moved[name] = signal = replace(signal, values=-signal.values)

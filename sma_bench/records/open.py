@@ -121,8 +121,7 @@ def describe(record: AnyRecord) -> dict[str, Any]:
             {"cycle": cycle.number, "kind": b.direction, "samples": len(b.temperature),
              **ends("from", "to", b.temperature), **ends("strain_from", "strain_to", b.strain)}
             for cycle in record.cycles for b in cycle.branches]
-        # Quantities of a cycle by their names in ASTM E3097: actuation strain is what heating
-        # recovers, residual strain the end less the begin of the cycle.
+        # By names of ASTM E3097: heating recovers actuation strain, a cycle leaves residual strain.
         standard = parts["cycles"] = []
         for cycle in (cycle for cycle in record.cycles if len(cycle.branches) == 2):
             first, last = cycle.branches
@@ -152,8 +151,7 @@ def describe(record: AnyRecord) -> dict[str, Any]:
                 "rate": 1 / s.period if s.period > 0 else None, "jitter": jitter,
                 "longest_gap": float(steps.max()) if len(steps) else None,
                 "delay": None if s.received is None else float(np.median(s.received - s.time)),
-                "start": float(s.time[0]) if count else None,
-                "end": float(s.time[-1]) if count else None,
+                **(ends("start", "end", s.time) if count else {"start": None, "end": None}),
                 **{name: float(getattr(finite, name)()) if len(finite) else None
                    for name in ("min", "max", "mean")}})
         parts["markers"] = [{"time": time, "text": text} for time, text in record.markers]

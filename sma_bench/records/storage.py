@@ -159,8 +159,7 @@ def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
 
 
 def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]]:
-    """The storage files in order, and the number of messages by topic that the metadata promises.
-    Raises InputError: nothing there, not a bag, or a folder of several bags."""
+    """The storage files in order, and how many messages of each topic the metadata promises."""
     if not is_bag(path):
         how = ""
         if path.suffix.lower() in _TABLES:
@@ -258,8 +257,7 @@ class _Damage(Exception):
 
 
 def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
-    """Add the messages of one mcap file, called `name` in findings, up to its first damage. Raises
-    OSError; OverBudget: it asks for more than such a file may; what was found stays."""
+    """Add the messages of an mcap file, `name` in findings, up to damage, OSError or OverBudget."""
     if not (size := path.stat().st_size):
         topics.remark(name, "the file is empty")
         return
@@ -268,8 +266,8 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
     reached, orphans, ended, damage = len(_MCAP_MAGIC), 0, False, ""
 
     def take(buffer: bytes | mmap.mmap, position: int, inside: int | None = None) -> None:
-        """Take the records from `position` to the end of the file, or of a chunk that begins
-        `inside` it at that byte. Raises _Damage, struct.error: what comes next is no record."""
+        """The records from `position` on, of the file or of a chunk that begins `inside` it at that
+        byte. Raises _Damage, struct.error: what comes next is no record."""
         nonlocal reached, orphans, ended
         end, unpack, checked, look = len(buffer), _RECORD.unpack_from, position, position
         topic: RawTopic | None = None
@@ -438,8 +436,8 @@ _COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP 
 
 
 def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
-    """Add the messages of one sqlite3 file, of which `origin` is the compressed one, or itself, but
-    for what a writer left in a journal. Raises InputError: it is damaged; else as `_read_mcap`."""
+    """Add the messages of one sqlite3 file, `origin` before decompression, but for its journal's.
+    Raises InputError: it is damaged; else as `_read_mcap`."""
     for journal in (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal")):
         if journal.is_file() and not journal.is_symlink() and journal.stat().st_size:
             text = f"its writer died: what {journal.name} holds is not read; sqlite3 takes it up: "

@@ -38,8 +38,7 @@ class NodeCalls:
     def __init__(self, node: Node, spin: Callable[[], None]) -> None:
         self._node, self._spin = node, spin
         self._namespace = node.get_namespace().rstrip("/")
-        self._states: dict[str, str] = {}
-        self._clients: dict[str, Client] = {}
+        self._states, self._clients = dict[str, str](), dict[str, Client]()
 
     def follow(self, node: str) -> None:
         """Listen to the latched state of a node."""

@@ -69,7 +69,14 @@ class Bench:
 
     def start(self):
         self.read()
-        return self.run.start(self.now, self.plan)
+        return self.started(self.plan)
+
+    def started(self, plan):
+        """Whether a run starts, and the line that says so or why not."""
+        try:
+            return True, self.run.start(self.now, plan)
+        except InputError as error:
+            return False, str(error)
 
 
 def assert_cold(bench, reason):
@@ -103,7 +110,7 @@ def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
 def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
     bench = Bench(WAITS)
     bench.told = None
-    refused = bench.run.start(bench.now, bench.plan)
+    refused = bench.started(bench.plan)
     assert refused == (False, "no feedback: wire/power was never received")
     assert bench.start() == (False, "warm waits for temperature, which nobody publishes")
     for around, why in (
@@ -117,7 +124,7 @@ def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
     def missing():
         raise InputError("p.yaml: no such file")
 
-    assert bench.run.start(bench.now, missing) == (False, "p.yaml: no such file")
+    assert bench.started(missing) == (False, "p.yaml: no such file")
     bench.spend(0.5)
     late = Run(bench, OpenLoop(), bench.guard, bench.readiness, 1, autostart=True)
     late.watch(bench.now, missing)
