@@ -1,8 +1,7 @@
 """The border: what comes from outside is bounded here in bytes, depth and time before it is used.
 
-Files, topics and storage of bags may have been made to harm. Whoever reads them takes them from
-here, or spends a Budget while unfolding them; what is over ends in one line. Names from outside go
-out again as `printable` text, and files are replaced whole, by `write_files`."""
+Whoever reads files, topics or bags, which may have been made to harm, takes them from here, or
+spends a Budget on them. Names go out again as `printable` text, files whole, by `write_files`."""
 
 import contextlib
 import hashlib
@@ -148,7 +147,6 @@ def read_json(text: str | bytes, where: str, largest: int = LARGEST_TOPIC) -> An
     """What a JSON text of a topic, a service's answer or a file holds: numbers are finite, nothing
     is nested deeper than DEEPEST. `where` leads the line of an error; `largest`: characters. Raises
     InputError: too long, not JSON, too deep, or with a number that nothing can use."""
-
     def integer(digits: str) -> int:
         if not -_LARGEST_INTEGER <= int(digits) < _LARGEST_INTEGER:
             raise ValueError(f"an integer of {len(digits)} digits, expected one of 64 bits")
@@ -191,8 +189,7 @@ def read_json_object(text: str | bytes, where: str) -> dict[str, Any]:
 
 
 def read_fields(text: str, fields: Mapping[str, str], where: str) -> dict[str, Any]:
-    """The named fields of a JSON object, each of its kind; others are left out. Raises InputError:
-    as `read_json_object`; a field that is missing or of another kind."""
+    """Named fields of a JSON object, by kind. InputError: no such object, field or kind."""
     document = read_json_object(text, where)
     for name, kind in fields.items():
         if name not in document:
@@ -247,9 +244,8 @@ _WRONG_YAML = (yaml.YAMLError, ValueError, RecursionError, TypeError, LookupErro
 
 
 def load_yaml(text: str, aliases: bool = False) -> Any:
-    """Parse YAML as ROS does. Aliases are not taken unless asked for (a kilobyte of them can stand
-    for gigabytes): what is loaded may then hold one thing many times, so ask for types before
-    anything walks through it. Raises InputError: not YAML, too long or too deep, without a name."""
+    """Parse YAML as ROS does. With `aliases` a kilobyte can stand for gigabytes: ask for types
+    before anything walks through it. InputError, without a name: not YAML, too long or too deep."""
     if len(text) > LARGEST_YAML:
         raise InputError(f"{len(text)} characters, expected at most {LARGEST_YAML}")
     try:
@@ -336,10 +332,8 @@ def claimed(name: str, said: str = "") -> socket.socket:
 
 
 def write_files(files: Mapping[Path, bytes]) -> None:
-    """Write files so that all of them appear or none: what is there is replaced once all are on the
-    disk, and put back should that fail halfway. A file that is replaced keeps its mode, and a link
-    stays one. Raises OSError: a folder cannot be written, or what is no file is in the way."""
-
+    """Write files so that all of them appear or none. A file that is replaced keeps its mode, and a
+    link stays one. Raises OSError: a folder cannot be written, or what is no file is in the way."""
     def beside(target: Path, content: bytes, mode: int) -> Path:
         handle, name = tempfile.mkstemp(dir=target.parent, prefix=".sma_bench.")
         staged.callback(Path(name).unlink, missing_ok=True)

@@ -222,7 +222,6 @@ class Run:
             return
         self._mark(step)
         self._send(self._loop.volts(self.protocol, elapsed))
-        # A few times a second: the protocol, its step, s gone and in all.
         if now >= self._progress_due:
             self._progress_due = now + _PROGRESS_EVERY
             duration = self.protocol.duration - self._passed_over

@@ -42,8 +42,7 @@ class GroupReading(NamedTuple):
 
 class VirtualBench:
     """Steps the physics from one sample instant to the next and reads the instruments there.
-    Whenever the wires are switched on after a rest, the instruments draw new noise from the seed
-    and the number of that pulse: readings do not depend on how long the bench waited before."""
+    After a rest these draw new noise by seed and pulse, however long the bench has waited."""
 
     def __init__(self, parameters: Parameters, settings: Mapping[str, Any]) -> None:
         self.channels: tuple[str, ...] = parameters["bench.channels"]
@@ -112,11 +111,10 @@ class VirtualBench:
 
 
 class Lockstep:
-    """Couples simulated time to the commands, so that results do not depend on the machine's load.
-    Simulated time runs in slices, as long as the period of the commands. While commands come, one
-    slice is run for each. A driver that stays away for `patience` s of wall time is either slower
-    than declared, and is waited for less often from then on, or gone, and its silence runs into the
-    command timeout as on the real bench. In real time, time goes on without commands. Times in s;
+    """Couples simulated time to the commands, so that results do not depend on the machine's load:
+    one slice of time, as long as their period, is run for each. A driver that stays away for
+    `patience` s of wall time is either slower than declared, and is waited for less often from then
+    on, or gone, and its silence runs into the command timeout as on the real bench. Times in s;
     `simulated` counts from the start of the simulation, `wall` is a steady clock."""
 
     def __init__(self, slice_length: float, speed: float, command_timeout: float,

@@ -79,7 +79,6 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
     decoded = {meaning: samples for meaning, samples in decoded.items() if len(samples.stamp)}
     stamped = [s for s in decoded.values() if s.type not in contract.HEADERLESS]
     start = min((int(s.stamp[0]) for s in stamped or decoded.values()), default=0)
-    # Columns become signals in SI units.
     signals, made = dict[str, Signal](), dict[str, list[str]]()
     markers: tuple[tuple[float, str], ...] = ()
     for meaning, samples in decoded.items():
@@ -162,7 +161,6 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
     if raw.type == contract.MULTI_ARRAY:
         unusable = np.count_nonzero(~np.isfinite(samples.columns["data"]), axis=1)
         keep(unusable == 0, "have the wrong length, NaN or Inf; left out")
-    # Messages whose header was never stamped.
     unset = (samples.stamp == 0) & (samples.received > _DAY_NS)
     if is_stamped and len(unset) and unset.all():
         text = "header.stamp is never set; the receive time is used in its place"

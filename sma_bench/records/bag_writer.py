@@ -37,11 +37,10 @@ _LATEST_STAMP = 2**31  # s after 1970
 class BagWriter(AbstractContextManager["BagWriter"]):
     """An mcap bag that grows while it is recorded, from several threads if need be.
 
-    Messages go into chunks; a chunk is closed and handed to the operating system every half
-    second while messages come in, and by `flush`, which a recorder calls from a timer so that the
-    last messages before a silence are safe too. metadata.yaml is kept up with every flush. A killed
-    bag lacks its index: `read_record` (and `mcap recover`) read it. Raises InputError: the path
-    exists, cannot be made, or the disk is full; what was written until then stays readable."""
+    A chunk of messages goes to the operating system every half second while messages come in, and
+    by `flush`, which a recorder calls from a timer, with metadata.yaml. A killed bag lacks its
+    index: `read_record` (and `mcap recover`) read it. Raises InputError: the path exists, cannot be
+    made, or the disk is full; what was written until then stays readable."""
 
     def __init__(self, path: str | Path, flush_every: float = _FLUSH_EVERY,
                  custom_data: Mapping[str, str] | None = None) -> None:
@@ -90,8 +89,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
                                    "type_description_hash": TYPES.hash_rihs01(msgtype)}
 
     def write(self, topic: str, stamp_ns: int, data: bytes) -> None:
-        """Append one serialised message, received at `stamp_ns` since the epoch. Raises InputError:
-        unknown topic, or the disk does not take it."""
+        """Append a serialised message of a known topic, received at `stamp_ns` since the epoch."""
         self.write_many([(topic, stamp_ns, data)])
 
     def write_many(self, messages: Iterable[tuple[str, int, bytes]]) -> None:
@@ -174,11 +172,10 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
     NaN, not measured. Voltage, current and range are 32-bit on the wire: about 7 digits.
 
     `start_ns`: epoch time of t = 0, else the record's own or 0; `markers`: (time in s, text), added
-    to the record's own; `provenance`: where the signals come from (`source`, `sha256`, `how`), as
-    JSON in metadata.yaml, which `read_record` gives back; `report`: called with how far it is;
-    `replace`: a bag that lies at the path, once the new one is whole. Raises InputError: the path
-    exists (and is not to be replaced) or cannot be written, a signal has no place in the contract
-    or times that cannot be stamped."""
+    to the record's own; `provenance`: `source`, `sha256` and `how` of the signals, for
+    metadata.yaml, which `read_record` gives back; `report`: called with how far it is; `replace`: a
+    bag at the path, once the new one is whole. Raises InputError: the path exists or cannot be
+    written, a signal has no place in the contract or times that cannot be stamped."""
     path, texts, start = Path(path), list(markers), start_ns or 0
     if isinstance(source, Record):
         start = source.start_ns if start_ns is None else start_ns

@@ -108,9 +108,8 @@ def against_voltage(record: Record, current: Signal) -> float:
 
 
 def outliers(signal: Signal) -> IntArray:
-    """Where single readings of a sensor lie far off both neighbours, which agree, none where there
-    are more of them than a mishap makes; and where it drops out for some, all of one value. A
-    command, a voltage and its current may pulse, and what a machine imposes."""
+    """Where single readings of a sensor lie far off both neighbours, which agree, unless these are
+    many, or it drops out for some, all of one value. Commands, voltages and currents may pulse."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
     pulses = signal.name.endswith(("voltage", "voltage_command", "current"))
     if values.ndim != 1 or len(values) < FEWEST or pulses or not np.isfinite(values).all():
@@ -123,12 +122,9 @@ def outliers(signal: Signal) -> IntArray:
     least = max(_OUTLYING * float(np.median(off)) / 0.6745, least)
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
     found = found if len(found) <= _MOST_OUTLIERS else none
-    drops_out = kind_of(signal.name) in DROPS_OUT
-    return np.union1d(found, _dropouts(values, least)) if drops_out else found
-
-
-def _dropouts(values: Array, least: float) -> IntArray:
-    """Where (n,) readings are one number for a while, off others that agree by over `least`."""
+    if kind_of(signal.name) not in DROPS_OUT:
+        return found
+    # One number for a while, between others that agree and are far off.
     begins = np.append(0, np.flatnonzero(np.diff(values)) + 1)
     ends = np.append(begins[1:], len(values))  # the first reading after each
     inside = (begins > 0) & (ends < len(values)) & (ends - begins > 1)
@@ -136,10 +132,10 @@ def _dropouts(values: Array, least: float) -> IntArray:
     level, before, after = values[begins], values[begins - 1], values[ends % len(values)]
     jump = np.minimum(np.abs(level - before), np.abs(level - after))
     least = max(_DROP * float(np.ptp(values)), least)
-    off = (jump > least) & (np.abs(after - before) < 0.25 * jump)
-    spans = [np.arange(b, e) for b, e in zip(begins[off], ends[off], strict=True)]
-    found = np.concatenate(spans) if spans else np.zeros(0, dtype=np.int64)
-    return found if len(found) < _MOST_DROPPED * len(values) else found[:0]
+    out = (jump > least) & (np.abs(after - before) < 0.25 * jump)
+    spans = [np.arange(b, e) for b, e in zip(begins[out], ends[out], strict=True)]
+    dropped = np.concatenate([none, *spans])
+    return np.union1d(found, dropped) if len(dropped) < _MOST_DROPPED * len(values) else found
 
 
 def _resolution(values: Array) -> float:
@@ -249,9 +245,8 @@ def _saturation(record: Record) -> Iterator[Finding]:
 
 
 def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
-    """Samples in flat stretches at an extreme that the signal ran into at speed, or of a signal
-    whose noise never lets it be flat. One that settles slows down before, one that is clipped does
-    not; a plateau without noise is left at speed when the drive ends. A current jumps with its
+    """Samples in flat stretches at an extreme that the signal ran into at speed (one that settles
+    slows down before), or of a signal whose noise never lets it be flat. A current jumps with its
     voltage, so for it flat means flat while the voltage moves."""
     values, found = signal.values, [np.zeros(0, dtype=np.int64)]
     if extreme == values[0] and signal.name in _MECHANICS:
@@ -296,14 +291,13 @@ _LEAST_DRIVE, _LEAST_MISSING, _LEAST_RESPONSE = 0.1, 1.0, 25.0  # V; s; variance
 
 
 def check_response(record: Record) -> Iterator[Finding]:
-    """Readings that do not follow the voltages beside them: stored runs swapped, channels swapped,
-    or clocks apart by more than the wire takes to warm; or that go on when these have ended."""
+    """Readings that do not follow their voltages: runs, channels or signs swapped, clocks apart, or
+    voltages that ended early."""
     volts = {c: f"{c}.voltage" for c in record.channels if has_samples(record, f"{c}.voltage")}
     reach = {c: float(np.ptp(samples(record, name)[1])) for c, name in volts.items()}
     driven = [channel for channel, span in reach.items() if span > _LEAST_DRIVE]
     if not driven:
         return
-    # Voltages that end before the readings.
     responses = [n for n in record.signals if kind_of(n) in _EXPLAINED and has_samples(record, n)]
     last = max((float(samples(record, name)[0][-1]) for name in responses), default=-inf)
     for name in (volts[channel] for channel in driven):

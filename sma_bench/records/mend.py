@@ -75,8 +75,7 @@ def _compared(name: str) -> str:
 
 def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, list[Finding]]:
     """The record without temperatures that are another wire's, by the `findings` on it, and without
-    the readings of sensors at the end of their range, which say only that it was reached; and how
-    many these were. A current is left as it is, for its source may hold it."""
+    readings at the end of a sensor's range (a source may hold a current there); what was left."""
     kept, left_out = dict(record.signals), []
     others = {f.subject for f in findings if "follows" in f.numbers}
     ended = (*check.DROPS_OUT, "elongation", "force")
@@ -156,11 +155,10 @@ def _published_again(signal: Signal) -> IntArray:
 
 
 def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record, list[Finding]]:
-    """The record without what is known to be wrong of it, and what that was: clocks that lie a
-    constant time off the drive's are moved onto it, by when the recorder got their messages,
-    currents that run against their voltage are turned, and so are motions against the heat of a
-    bench with these parameters; readings far off their neighbours, or published again (of what no
-    machine imposes), and deviations far below a reading's scatter, are left out."""
+    """The record without what is known to be wrong of it, and what that was: clocks a constant time
+    off the drive's, by receive times, are moved onto it; currents against their voltage and, with
+    `parameters`, motions against the heat are turned; readings far off their neighbours, or again
+    published and not imposed, and deviations far below a reading's scatter are left out."""
     is_imposed = parameters is not None and load_kind(parameters) == "displacement"
     imposed = "elongation" if is_imposed else ""
     moved, found = dict[str, Signal](), list[Finding]()

@@ -102,7 +102,6 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
 
 def describe(record: AnyRecord) -> dict[str, Any]:
     """What a record holds, as JSON-able data in SI units."""
-
     def ends(first: str, last: str, values: Array) -> dict[str, float]:
         return {first: float(values[0]), last: float(values[-1])}
 

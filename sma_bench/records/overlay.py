@@ -66,9 +66,8 @@ class Overlay(Drawn):
 
 
 def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
-    """Lay records over the first one: their clocks are shifted so that the voltages coincide, but
-    for those named in `aligned`, which are on its clock already, and those whose drive is another.
-    Raises InputError: fewer than two records, or no signal that two of them share."""
+    """Records on the first one's clock, by their voltages, but for those `aligned` already or of
+    another drive. InputError: fewer than two records, or no signal that two of them share."""
     if len(records) < 2:
         raise InputError(f"compare: {len(records)} record or model given, expected two or more")
     first, *others = records

@@ -101,8 +101,7 @@ class Record(Drawn):
 
 
 def require_distinct(records: Sequence[Record], hold_out: Sequence[Record] = ()) -> None:
-    """InputError where two hold the same samples, whatever their files: one run that counts twice
-    seems surer than it is, and one that is fitted shows nothing of what a model predicts."""
+    """InputError where two hold the same samples: a run counts once, a hold-out is not fitted."""
     paths: dict[bytes, Path] = {}
     for index, record in enumerate((*records, *hold_out)):
         held = sha256()
@@ -139,8 +138,7 @@ def has_samples(record: Record, name: str) -> bool:
 
 
 def first_order_lag(course: Array, left: float, start: float = 0.0) -> Array:
-    """(n,) of an even course (n,): `left` of what it was a sample before, the rest of what comes
-    in; `start` is what it was before the first."""
+    """(n,) of an even course (n,): `left` of what was before, at first `start`, the rest of it."""
     from scipy.linalg import solve_banded
     coming = (1.0 - left) * course
     coming[0] += left * start
@@ -164,7 +162,6 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
     of its own. NaN is what was not measured and is left out, as from a bag. `voltage_command` is
     (n, k); `where`: the record's name in messages. Raises InputError: a name that is none of the
     contract's, arrays that do not fit each other, times that do not increase, or nothing at all."""
-
     def floats(name: str, values: Any) -> Any:
         try:
             return np.array(values, dtype=np.float64)
@@ -175,7 +172,6 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
     found = [(int(n[1]), name) for name in named if (n := _COMMAND_COLUMN.match(str(name)))]
     if parts := [floats(name, named.pop(name)) for _, name in sorted(found)]:
         named[_COMMAND] = np.column_stack(parts)
-
     signals, findings = dict[str, Signal](), []
     for name, given in named.items():
         unit = unit_of(name)
@@ -323,8 +319,7 @@ def as_calibrated(record: Record, parameters: Parameters) -> Record:
 
 
 def with_stated_lag(parameters: Parameters) -> Parameters:
-    """The same, the thermometer's own lag that is stated believed in as the effect that it is; of
-    less than a tenth of a second nothing shows."""
+    """The same, with a thermometer's stated lag, where it is long enough to show, as an effect."""
     stated, number = "sensor.temperature.lag", "effect.temperature_lag.time_constant"
     if parameters[stated] < _SHORTEST_LAG or parameters[number]:
         return parameters
@@ -338,9 +333,8 @@ def ohms_of_source(parameters: Parameters) -> float:
 
 
 def held_voltages(record: Record, channels: Sequence[str]) -> tuple[Array, Array]:
-    """Measured voltages of all channels, each held until its next sample. `channels`: in the order
-    of bench.channels. Returns time (n,) s, the union of the channels' stamps, and voltage (n, w) V.
-    Raises InputError: the record lacks the voltage of a channel."""
+    """Time (n,) s, the union of the stamps of `channels`, as bench.channels has them, and (n, w) V,
+    each held until its next sample. InputError: the record lacks the voltage of a channel."""
     driven = [c for c in record.channels if f"{c}.voltage" in record.signals]
     require_channels(record, channels, driven)
     signals = [record[f"{channel}.voltage"] for channel in channels]

@@ -1,8 +1,7 @@
 """The storage files of a bag, and the serialised messages in them.
 
-An mcap file is walked from its beginning, so one whose recorder died is read like any other, up to
-its first damage; what lies behind that is given up, and said. An sqlite3 file is read whole or
-refused. Both spend a Budget, so that no file takes more memory or time than its size allows."""
+An mcap file is walked from its beginning up to its first damage, so one whose recorder died is read
+like any other; an sqlite3 file is read whole or refused. Both spend a Budget, by their sizes."""
 
 import mmap
 import re
@@ -104,8 +103,7 @@ class RawTopics:
 # --- files of a bag -----------------------------------------------------------------------------
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is meant to be a bag: a folder, or a file with a storage's content or name.
-    Raises InputError: there is neither a folder nor a regular file that can be read."""
+    """Whether a path is a bag's, by name or content. InputError: no folder or file to read."""
     border.require_there(path)
     if path.is_dir():
         return True
@@ -509,8 +507,7 @@ def _decompress_file(source: Path, target: Path, budget: Budget) -> str:
 
 
 def decompress_messages(topic: RawTopic, budget: Budget) -> None:
-    """Replace a topic's messages, where the first is compressed by itself, by what they unfold to;
-    nothing where one cannot be. Raises OverBudget: all together they are too large."""
+    """Messages compressed by themselves become what they unfold to, or empty. Raises OverBudget."""
     if not topic.data.startswith(_ZSTD_MAGIC):
         return
     plain, lengths, position = bytearray(), array("q"), 0

@@ -37,7 +37,6 @@ _PRIVATE_DOMAINS = range(120, 220)
 def discovery_variables(network: bool,
                         environment: Mapping[str, str] = os.environ) -> dict[str, str]:
     """Variables to set for a node: open to the network, else what the user has set, else local."""
-
     def is_set(*names: str) -> bool:
         return any(environment.get(name) for name in names)
 
@@ -95,8 +94,7 @@ def parameter_arguments(parameters: Mapping[str, Any]) -> list[str]:
 
 
 class NodeProcesses(contextlib.AbstractContextManager["NodeProcesses"]):
-    """Nodes of this package in one namespace; leaving the context ends them all, and so does the
-    end of this process where it is killed and cannot leave the context."""
+    """Nodes of this package in one namespace, which end with the context, or with this process."""
 
     def __init__(self, namespace: str, logs: Path) -> None:
         self._namespace, self._logs = namespace, logs
