@@ -11,7 +11,7 @@ from sma_bench.errors import InputError, errors_in
 from sma_bench.hardware.bench_sensors import Instrument
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.live.recording import Readiness
-from sma_bench.live.run import ABORTED, DONE, OpenLoop, Outputs, Run
+from sma_bench.live.run import ABORTED, DONE, OpenLoop, Run, Surroundings
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SIMULATOR
 from sma_bench.parameters.parameters import load_kind
@@ -156,7 +156,7 @@ class Lockstep:
         return False
 
 
-class SimulatedRun(Outputs):
+class SimulatedRun:
     """A run of a bench that is what `hidden` says, watched by the limits of `believed`."""
 
     def __init__(self, hidden: Parameters, believed: Parameters, seed: int) -> None:
@@ -207,8 +207,14 @@ class SimulatedRun(Outputs):
         for name, value in kept.items():
             self._read.setdefault(name, []).append((time, value))
 
+    def surroundings(self) -> Surroundings:
+        return Surroundings()
+
     def send(self, voltage: list[float]) -> None:
         self._volts = tuple(voltage)
 
     def mark(self, step: str) -> None:
         self._markers.append((self._now, step))
+
+    def enter(self, state: str) -> None: ...
+    def show(self, progress: Mapping[str, Any]) -> None: ...
