@@ -1,5 +1,4 @@
-"""What cells and titles of tables say: units, meanings, numbers and moments of any country; the
-words that are known lie in words.yaml."""
+"""What cells and titles of tables say, in any country's way, with the words of words.yaml."""
 
 import contextlib
 import math
@@ -17,9 +16,8 @@ import yaml
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 
-WORDS: dict[str, Any] = yaml.load(  # noqa: S506
-    (Path(__file__).parent / "words.yaml").read_text(encoding="utf-8"), yaml.CSafeLoader
-)
+_FILE = Path(__file__).with_name("words.yaml")
+WORDS: dict[str, Any] = yaml.load(_FILE.read_bytes(), yaml.CSafeLoader)  # noqa: S506
 QUANTITIES: dict[str, Any] = WORDS["quantities"]
 _SPELLINGS = {text: name for name, texts in WORDS["units"].items() for text in texts}
 # pint evaluates what it is given: 9**9**9 would never end.
@@ -57,7 +55,6 @@ def parse_unit(text: str) -> Unit | None:
     for word in words:
         with contextlib.suppress(Exception):  # pint raises its parser's and Python's own errors
             import pint
-
             units = pint.get_application_registry()
             zero, one = (units.Quantity(value, word) for value in (0.0, 1.0))
             for quantity, base in WORDS["si"].items():
@@ -67,23 +64,19 @@ def parse_unit(text: str) -> Unit | None:
     return None
 
 
-_AMOUNT = re.compile(
-    r"(?P<number>(?:(?<![\w)\]])[+\-−])?\d++(?:[.,'’]\d++)*+(?:[eE][+-]?\d++)?+)"
-    r"(?=\s*(?P<unit>[^\s\d,;:=_]{1,12}\d?))"
-)
+_AMOUNT = re.compile(r"(?P<number>(?:(?<![\w)\]])[+\-−])?\d++(?:[.,'’]\d++)*+(?:[eE][+-]?\d++)?+)"
+                     r"(?=\s*(?P<unit>[^\s\d,;:=_]{1,12}\d?))")
 # Before a number: a name (d1, #3), a tolerance (±), a range (20-150), a number cut in two (: 12 3).
 _NO_AMOUNT = re.compile(
     r"(?:[^\W_Øø]|[.,#/^*±]|± |\+/- ?|(?<![\w#\-.,])\d+(?:[.,]\d+)? ?(?:-|−|–|to|bis|\.\.) ?"
-    r"|(?:\A|[:=])\s*[+\-−]?\d[\d.,]*\s)\Z"
-)
+    r"|(?:\A|[:=])\s*[+\-−]?\d[\d.,]*\s)\Z")
 _THOUSANDS = re.compile(r"(\A\s*)?(?<![\w.,#])([+\-−]?\d{1,3}(?:[ \u00a0\u202f]\d{3})*)\s\Z")
 _STATED = {"mass": (1e-9, 1e-3), "stress": (5e6, 1e9)}  # by a test, in SI, where thousands may be
 
 
 def number_with_unit(text: str, quantity: str) -> float | None:
     """The value in SI of the first number in a text with a unit of that quantity behind it, but for
-    digits of names and ends of ranges; of 1,000 and 12 345 the one that a test states, else None.
-    """
+    digits of names and ends of ranges; of 1,000 and 12 345 the one that a test states."""
     parted = (text.partition(mark) for mark in ":=")
     key, value = next(((k, v) for k, _, v in parted if re.search(r"\d", v)), ("", text))
     units = (unit for unit in re.findall(r"[/(\[]\s*([^\s)\]:]+)", key) if parse_unit(unit))
@@ -114,8 +107,7 @@ _DESCRIPTION = re.compile(WORDS["description"], re.IGNORECASE)
 # T1, T_wire, TWire and Tamb; Test and Torque are words.
 _LONE_T = re.compile(
     r"[tT](?:[cCsSrR]?\d*|[\s_](?:[a-zA-Z]{1,9})?\d*|[A-Z][a-zA-Z]{0,8}\d*"
-    r"|(?:air|amb|cold|draht|env|hot|probe|room|sample|tip|wire)\d*)\Z"
-)
+    r"|(?:air|amb|cold|draht|env|hot|probe|room|sample|tip|wire)\d*)\Z")
 
 
 def plain_title(title: str) -> str:
@@ -223,8 +215,7 @@ _GROUPING = r"[ \u00a0\u202f'’]"  # signs of thousands that are no decimal sig
 _NUMBER = re.compile(
     r"(?P<sign>[+\-−–]?)\s?(?P<body>\d{1,3}(?:(?P<t>[ \u00a0\u202f'’.,])\d{3})(?:(?P=t)\d{3})*+"
     r"(?:[.,]\d*+)?|\d++(?:[.,]\d*+)?+|[.,]\d++)(?P<power>[eEdD][+\-−]?\d{1,3})?"
-    r"(?:\s*(?P<unit>[^\W\d_%°µμ]{1,12}[^\s\d]{0,6}|[%°µμ][^\s\d]{0,4}))?\Z"
-)
+    r"(?:\s*(?P<unit>[^\W\d_%°µμ]{1,12}[^\s\d]{0,6}|[%°µμ][^\s\d]{0,4}))?\Z")
 _SHAPE = str.maketrans("23456789", "11111111")
 
 
@@ -345,8 +336,7 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
 
 
 def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
-    """Values (n,) of which each has its unit, all in the first one, and that; None where a text is
-    no unit of the same quantity."""
+    """Values (n,) of which each has its unit, in the first one, and that; None if they differ."""
     known = [parse_unit(str(text)) for text in texts]
     first, factors = known[0], [unit.factor for unit in known if unit]
     if first is None or any(u is None or u[::2] != first[::2] for u in known):
@@ -358,8 +348,7 @@ _MOMENT = re.compile(
     r"(?:(?P<date>(?P<a>\d{1,4}|[^\W\d_]{3,10})\.?(?P<mark>[-/. ]+)(?P<b>\d{1,2}|[^\W\d_]{3,10})\.?"
     r"[-/., ]+(?P<c>\d{2}|\d{4}))(?:[T,\s]+|\Z))?"
     r"(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d)(?::(?P<s>[0-5]\d))?(?:[.,:](?P<broken>\d{1,9}))?"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?)?\Z"
-)
+    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?)?\Z")
 _ISO = re.compile(r"(?:19[7-9]|20|21)\d\d?-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d+)?\Z")
 _MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
 _DAY, _HOLE = 86_400.0, 14.0  # s; days that a run does not pause
@@ -382,7 +371,6 @@ def moment_of(cell: Any) -> Moment | None:
     if found is None or not found[0]:
         return None
     written, a, mark, b, c, h, m, s, broken, half, zone = found.groups()
-
     # Year, month and day in the orders that may be meant.
     orders: list[tuple[str, Any, str]] = []
     year, days = f"20{c}"[-4:] if written else "", [math.nan, math.nan]
@@ -400,7 +388,6 @@ def moment_of(cell: Any) -> Moment | None:
         return None
     if h is None:
         return Moment(both, None)
-
     hours = int(h) % 12 + 12 * (half[0] in "pP") if half else int(h)
     is_short = not s and not written and not half  # mm:ss or hh:mm
     total = (hours * 60.0 + int(m)) * (1.0 if is_short else 60.0) + float(f"{s or 0}.{broken or 0}")
@@ -410,9 +397,8 @@ def moment_of(cell: Any) -> Moment | None:
     return Moment(both, total, fields, bool(half))
 
 
-def moments_of(
-    cells: Sequence[Any], dates: Sequence[Any] | None = None
-) -> tuple[Array, float | None, int, str] | None:
+def moments_of(cells: Sequence[Any],
+               dates: Sequence[Any] | None = None) -> tuple[Array, float | None, int, str] | None:
     """Seconds (n,) since the first cell, NaN where missing; its epoch if the cells or `dates` say
     one; the fewest fields of a clock; and a remark. None where a cell is no moment."""
     if dates is None and _ISO.match(str(cells[0])):
@@ -425,8 +411,7 @@ def moments_of(
     dated = [m for k in there if (m := moment_of(dates[k]))] if dates else found
     if not found or not len(found) == len(dated) == len(there):
         return None
-    # 03/10/2026 is October 3rd or March 10th: AM and PM, or an order that goes back
-    # or leaves a hole of weeks, tell.
+    # 03/10/2026 is October 3rd or March 10th: AM and PM, an order that goes back or a hole tell.
     first, second = np.array([m.days for m in dated]).T  # the day first, the month first
     day, remark = np.where(np.isnan(first), second, first), ""
     can_be = [bool(np.isfinite(order).all()) for order in (first, second)]

@@ -246,9 +246,8 @@ def _at_rest(read: Mapping[Entry, _Samples], samples: _Samples) -> Array:
     return samples.values[: max(int(rows), 1)]
 
 
-def account_of(
-    table: TableFile, made: ImportMap, remarks: Mapping[str, str], asked: Sequence[str] = ()
-) -> Account:
+def account_of(table: TableFile, made: ImportMap, remarks: Mapping[str, str],
+               asked: Sequence[str] = ()) -> Account:
     """What became of the rows and columns of a table."""
     columns = {column.name: column for column in table.columns}
     used = {name: "clock" for name in made.time if name in columns}
@@ -271,9 +270,8 @@ def record_of_table(path: str | Path, bench: Parameters, stated: Mapping[str, st
     return replace(convert(table, made, Path(path))[0], findings=(account,))
 
 
-def propose(
-    table: TableFile, bench: Parameters, stated: Mapping[str, str]
-) -> tuple[ImportMap, list[str], dict[str, str]]:
+def propose(table: TableFile, bench: Parameters,
+            stated: Mapping[str, str]) -> tuple[ImportMap, list[str], dict[str, str]]:
     """A map of a table, questions on what is unsure about it, and remarks by column. Units that are
     `stated` of columns go before titles; raises InputError for a column that is not there."""
     require_columns(table, stated)
@@ -450,8 +448,7 @@ class _Proposal:
             return self.ask(name, "fields")
         if known and known.quantity not in row["units"]:
             return self.ask(name, "other_unit", unit=unit, quantity=known.quantity, meaning=meaning)
-        # What tells the unit: of an epoch its first moment, of degrees those at rest, of a movement
-        # its share of the wire's length, of all others the largest.
+        # By an epoch's start, degrees at rest, a movement's share of the wire, else the largest.
         finite = column.values[np.isfinite(column.values)]
         low, high = float(finite.min()), float(finite.max())
         rest = float(np.median(finite[: max(3, len(finite) // 100)]))
@@ -506,9 +503,6 @@ class _Proposal:
             if abs(along) > 0.3:
                 return {"sign": 1 if along > 0.0 else -1}
         return {**found, "sign": self.ask(name, "which_sign")}
-
-
-# --- the runs of files
 
 
 def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:

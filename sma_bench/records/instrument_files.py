@@ -24,23 +24,19 @@ from sma_bench.records.instruments import DscRecord, DscSegment, IsobaricRecord,
 from sma_bench.records.tables import Account, Column, Table, TableFile
 
 _BLOCK = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
-_STEP = re.compile(
-    r"(\d{1,9})\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at "
-    r"(?P<rate>\d{1,9}+(?:\.\d*+)?+)\s*+\S?C/min)\s*$"
-)
+_STEP = re.compile(r"(\d{1,9})\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at "
+                   r"(?P<rate>\d{1,9}+(?:\.\d*+)?+)\s*+\S?C/min)\s*$")
 _SIG = re.compile(r"Sig(\d{1,9})\Z")
 _RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)
 _EXOTHERM = {
     "up": r"exo\w*( direction)? (up|1)\b(?! (no|false|0)\b)|\^ ?exo|endo\w* down",
-    "down": r"exo\w*( direction)? (down|-1)\b|exo\w* up (no|false|0)\b|\^ ?endo|endo\w* up",
-}
+    "down": r"exo\w*( direction)? (down|-1)\b|exo\w* up (no|false|0)\b|\^ ?endo|endo\w* up"}
 _WINDOW = 20.0  # s over which a rate is measured
 _SHORTEST = 60.0  # s
 _LARGEST_MASS = 1e-3  # kg
 _STILL = 0.3  # of the slowest ramp
 
-# NiTi single crystals recover some 10 %: a larger span of strain is written in percent, and one
-# of less than a hundredth of that is no transformation.
+# NiTi single crystals recover some 10 %: a larger span of strain is written in percent.
 _LARGEST_SPAN = 0.12
 _CONSTANCY = 0.05  # of the stress
 _WARMING = 4.0  # times the smallest cycle: less is a wire's own where its stress is not held
@@ -106,10 +102,8 @@ class Sheet:
             words = set(re.findall(r"[a-z]+", plain))
             fits = fits and not words & set(row.get("never", ()))
             if role in meant and fits and (is_flow or cells.title_meanings(column.title)):
-                better, worse = (
-                    sum(w in words or (len(w) > 3 and w in plain) for w in row.get(key, ()))
-                    for key in ("better", "worse")
-                )
+                better, worse = (sum(w in words or (len(w) > 3 and w in plain)
+                                     for w in row.get(key, ())) for key in ("better", "worse"))
                 found.append((better - 2 * worse, column))
         return sorted(found, key=lambda pair: -pair[0])
 
@@ -161,8 +155,7 @@ class Sheet:
         return unit.si(column.values)
 
     def noted(self, name: str) -> float | None:
-        """A number of `stated` in words.yaml in SI units: given, or in a line of text above or in
-        the table; raises InputError where lines say several."""
+        """A number of `stated` in words.yaml, in SI, given or in a line; InputError for several."""
         if name in self.given:
             return self.given[name]
         found = self.statements(name)
@@ -173,14 +166,13 @@ class Sheet:
     def statements(self, name: str) -> dict[float, str]:
         """What lines of text say a number is, the first each; of the room only if no other does."""
         row, found = WORDS["stated"][name], dict[float, str]()
-        lines = [c for cells in self.table.above for c in _clauses(cells)]
-        lines += [c for _, text in self.table.marks for c in _clauses([text])]
+        lines = [*self.table.above, *([text] for _, text in self.table.marks)]
 
         def speaks(text: str, key: str) -> bool:
             words = "|".join(map(re.escape, row.get(key, ())))
             return bool(words and re.search(rf"(?<![a-z])(?:{words})", plain_title(text)))
 
-        for text in (line.lstrip("#% ") for line in lines):
+        for text in (clause.lstrip("#% ") for line in lines for clause in _clauses(line)):
             value = cells.number_with_unit(text, row["quantity"])
             if value and speaks(text, "words") and not speaks(text, "never"):
                 found.setdefault(value, text)
@@ -200,10 +192,9 @@ class Sheet:
 
     def is_driven(self) -> bool:
         """Whether a title speaks of a duty, voltage or current: a bench's record."""
-        drives = (("duty",), ("current",), ("voltage",), ("supply",))
-        named = [c for c in self.table.columns if cells.title_meanings(c.title)]
-        known = (cells.meanings(c.title, c.unit) for c in named if c.unit or len(c.title) > 1)
-        return any(meant in drives for meant in known)
+        named = (c for c in self.table.columns if cells.title_meanings(c.title))
+        known = [cells.meanings(c.title, c.unit) for c in named if c.unit or len(c.title) > 1]
+        return any((drive,) in known for drive in ("duty", "current", "voltage", "supply"))
 
 
 def record_of(sheet: Sheet) -> DscRecord | IsobaricRecord | TensileRecord | None:
@@ -211,13 +202,9 @@ def record_of(sheet: Sheet) -> DscRecord | IsobaricRecord | TensileRecord | None
     return dsc_of(sheet) or isobaric_of(sheet) or tensile_of(sheet)
 
 
-# --- calorimeters
-
-
 def dsc_of(sheet: Sheet) -> DscRecord | None:
-    """The run in a table of temperature and heat flow, or an export that names them elsewhere, None
-    of others; its mass is stated or in a line above. Raises InputError without a mass, or where a
-    line is not what it should be."""
+    """The run in a table of temperature and heat flow, or an export that names them elsewhere.
+    Raises InputError without a mass, stated or in a line above, or for a malformed line."""
     path, above = sheet.file.path, [" ".join(line) for line in sheet.table.above]
     marks = [(0, text) for text in above] + list(sheet.table.marks)
     is_named = any(_BLOCK.match(text) or text.strip() == "StartOfData" for _, text in marks)
@@ -246,24 +233,21 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
     time, temperature, flow = time[kept], temperature[kept], flow[kept]
     for back in np.flatnonzero(np.diff(time) < 0.0)[:1]:
         raise sheet.refusal("time_back", line=sheet.table.lines[kept][back + 1])
-
     # The mass; heat flow for a gram needs none: one of 1 mg gives the same.
     unit = parse_unit(columns["heat flow"][0].unit)
     is_specific = unit is not None and unit.quantity == "specific power"
     is_open = "mass" not in sheet.given and len(sheet.statements("mass")) > 1
     mass = None if is_specific and is_open else sheet.noted("mass")
-    if mass is None and is_specific:
+    if mass is None:
+        if not is_specific:
+            raise sheet.refusal("no_mass")
         mass = 1e-6
         sheet.remark("warning", "sample mass", "for_a_gram")
-    if mass is None:
-        raise sheet.refusal("no_mass")
     flow = flow * mass if is_specific else flow
     if not 0.0 < mass < _LARGEST_MASS:
         raise sheet.refusal("mass", mass=mass)
-
     # The steps of the method: number, rate, rows.
-    baseline, program = np.zeros(len(time)), temperature
-    parts: list[tuple[int, float, slice]] = []
+    baseline, program, parts = np.zeros(len(time)), temperature, list[tuple[int, float, slice]]()
     if blocks:
         for column in sheet.table.columns:
             if column.title in ("Baseline", "Program Temperature"):
@@ -293,7 +277,6 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
     announced = header.get("Total Points in Run", "")
     if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(time):
         sheet.remark("warning", path.name, "cut_short", points=len(time), announced=announced)
-
     # Which way exothermic is.
     lines = [" ".join(re.split(r"[:\s]+", text.lstrip("# "))) for text in above]
     lines = [text for text in lines if text.lower().startswith(("exo", "endo"))]
@@ -307,8 +290,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
 
 
 def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[int, float, slice]]:
-    """Number, rate and rows of the steps of a run, split where the rate around a row changes its
-    kind; `ramps`: of the method, K/s."""
+    """Number, rate and rows of a run's steps, by the rate around a row; `ramps`: stated, K/s."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     half = max(int(round(0.5 * _WINDOW / period)) if period > 0.0 else 3, 1)
     padded = [np.pad(v, half, mode="edge") for v in (time, temperature)]
@@ -316,7 +298,7 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
     rate = spans[1] / np.maximum(spans[0], 1e-9)
     kind = np.where(np.abs(rate) > _STILL * min(ramps, default=1.0 / 60.0), np.sign(rate), 0)
     edges = [0, *(np.flatnonzero(np.diff(kind)) + 1).tolist(), len(kind)]
-    parts: list[tuple[int, float, slice]] = []
+    parts = list[tuple[int, float, slice]]()
     for first, last in pairwise(edges):
         if time[last - 1] - time[first] < _SHORTEST:
             continue
@@ -331,11 +313,8 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
     return parts
 
 
-# --- mechanical tests
-
-
 def is_isobaric(sheet: Sheet) -> bool:
-    """Whether a table has a temperature that changes, strain or extension, and a load; or without
+    """Whether a table has a changing temperature, strain or extension, and a load; or without
     titles a first column that goes up and down, a second one, and a third that is held."""
     columns, has_load = sheet.table.columns, _has_load(sheet)
     if sheet.titles:
@@ -416,7 +395,6 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
         sheet.remark("warning", "strain unit", "percent", span=span, unit=unit, most=_LARGEST_SPAN)
     for k in np.flatnonzero((temperature <= 0.0) | (temperature > _HOTTEST))[:1]:
         raise sheet.refusal("temperature", line=table.lines[k], value=temperature[k], most=_HOTTEST)
-
     # Rows between loading and unloading, where stress is at its level.
     level = float(np.median(stress))
     if level < 0.0:
@@ -435,7 +413,6 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     temperature, strain, stress = temperature[held], strain[held], stress[held]
     if is_relative:
         strain = (strain - strain.min()) / np.ptp(strain)
-
     # A thermometer's spikes and noise, then the cycles.
     good, spikes = instruments.without_spikes(temperature)
     if count := len(spikes):
@@ -482,9 +459,8 @@ def _named(sheet: Sheet, is_loaded: bool) -> Sheet:
 
 
 def tensile_of(sheet: Sheet) -> TensileRecord | None:
-    """The test in a table of strain or extension, and stress or force, and no drive. Length,
-    section and temperature are stated, or in lines above it. Raises InputError for a malformed line
-    (named), or values that no test gives."""
+    """The test in a table of strain or extension, and stress or force, and no drive. Raises
+    InputError for a malformed line (named), or values that no test gives."""
     if sheet.lacks("tensile") or sheet.is_driven():
         return None
     table = sheet.table
@@ -493,7 +469,6 @@ def tensile_of(sheet: Sheet) -> TensileRecord | None:
     columns = sheet.columns("tensile")
     pulled, loaded = columns["strain"], columns["stress"]
     strain, stress = sheet.values(*pulled), sheet.values(*loaded)
-
     # Extension counts from the first row, over the gauge length; force over the section.
     length = sheet.noted("gauge_length") if pulled[1] == "length" else 1.0
     section = sheet.section() if loaded[1] == "force" else 1.0
@@ -524,7 +499,5 @@ def tensile_of(sheet: Sheet) -> TensileRecord | None:
     noted = [m[1].lower() for c in table.above if (m := _PHASE.search(" ".join(c)))]
     phase = next((phase for phase in instruments.PHASES if phase in noted[:1]), None)
     account, findings = sheet.account(columns, len(strain)), tuple(sheet.findings)
-    return TensileRecord(
-        sheet.file.path, strain, stress, temperature, findings, phase, length is None,
-        section is None, account,
-    )
+    return TensileRecord(sheet.file.path, strain, stress, temperature, findings, phase,
+                         length is None, section is None, account)

@@ -99,9 +99,8 @@ class DscRecord(Drawn):
 
     @property
     def endothermic_up(self) -> bool | None:
-        """Whether heat into the sample counts positive; None where the run does not show it. Where
-        the file does not say: heating takes heat and cooling gives it back, so the mean of heat
-        flow less baseline over the heating scans is endothermic of that over the cooling ones."""
+        """Whether heat into the sample counts positive, as the file says, else as heat flow less
+        baseline is larger over the heating scans; None where the run does not show it."""
         if self.exotherm:
             return self.exotherm == "down"
         means = [(s.kind, float(np.mean(s.heat_flow - s.baseline))) for s in self.segments]
@@ -111,13 +110,12 @@ class DscRecord(Drawn):
 
 @dataclass(frozen=True, repr=False)
 class IsobaricRecord(Drawn):
-    """One test at one stress. Strain has the unit "1", or is "relative" where the gauge length is
-    unknown: the extension over its own full range, to be compared within the test only."""
+    """One test at one stress. Strain that is "relative" is the extension over its full range."""
 
     path: Path
     name: str  # unique among files of different folders: folder and stem, and its sheet
     stress: float  # median over the cycles, Pa
-    strain_unit: str
+    strain_unit: str  # "1", or "relative" where the gauge length is unknown
     cycles: tuple[Cycle, ...]  # heating and cooling branches in order
     findings: tuple[Finding, ...] = ()  # what the reader noticed or assumed
     account: "Account | None" = None  # what became of the file's rows and columns
@@ -146,7 +144,7 @@ class TensileRecord(Drawn):
 
 
 def without_spikes(temperature: Array) -> tuple[Mask, Array]:
-    """(n,) True for the readings of temperature (n,) K but single ones that jump away from the line
+    """(n,) True for readings of temperature (n,) K but single ones that jump away from the line
     through those around and back, and the heights (K) of these."""
     half, steps = _WINDOW // 2, np.diff(temperature)
     around = sliding_window_view(np.pad(steps, (half, half + 1), mode="edge"), _WINDOW)
@@ -163,10 +161,8 @@ def without_spikes(temperature: Array) -> tuple[Mask, Array]:
 
 def without_noise(temperature: Array) -> tuple[Array, float, int]:
     """(n,) K without the scatter of a noisy thermometer, which would widen the transformation, that
-    scatter, and through how many rows the parabola goes (a sixth of a branch at most), 0 for none.
-    """
+    scatter, and through how many rows a parabola goes for it, 0 for none."""
     from scipy.signal import savgol_filter  # half a second to load
-
     noise = 0.0
     if len(temperature) >= _FEWEST_SAMPLES:
         noise = 1.4826 * float(np.median(np.abs(np.diff(temperature, 2)))) / math.sqrt(6.0)
@@ -182,9 +178,8 @@ def without_noise(temperature: Array) -> tuple[Array, float, int]:
     return smooth, noise, width if noise >= NOISY else 0
 
 
-def find_cycles(
-    temperature: Array, strain: Array, stress: Array, where: str
-) -> tuple[tuple[Cycle, ...], list[Finding]]:
+def find_cycles(temperature: Array, strain: Array, stress: Array,
+                where: str) -> tuple[tuple[Cycle, ...], list[Finding]]:
     """Split a test at the reversals of temperature (n,) K, with strain (n,) and stress (n,) Pa in
     order of time; `where` leads the messages. Raises InputError where there is no branch."""
     span = float(np.ptp(temperature)) if len(temperature) else 0.0
@@ -202,7 +197,6 @@ def find_cycles(
             turns += [extreme] if direction else []
             direction, extreme = (1 if change > 0.0 else -1), i
     turns.append(extreme)
-
     # A branch lies between two; two of opposite direction make a cycle.
     cycles, partial = list[tuple[Branch, ...]](), 0
     for first, last in pairwise(turns):
@@ -219,7 +213,7 @@ def find_cycles(
     if not cycles:
         short = f"no branch spans {_COMPLETE:.0%} of the {span:.1f} K range"
         raise InputError(f"{where}: {short}, expected a heating or cooling")
-    short = f"span less than {_COMPLETE:.0%} of the range and are left out"
-    text = f"{where}: {partial} turns of temperature {short}"
+    text = (f"{where}: {partial} turns of temperature span less than {_COMPLETE:.0%} of the range "
+            "and are left out")
     findings = [Finding("info", "temperature", text, {"count": float(partial)})] * bool(partial)
     return tuple(Cycle(number, branches) for number, branches in enumerate(cycles, 1)), findings

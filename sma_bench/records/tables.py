@@ -22,24 +22,8 @@ import numpy as np
 from sma_bench.arrays import Array, IntArray
 from sma_bench.border import MEGABYTE, decoded_lines, printable, read_bytes, reading_budget
 from sma_bench.errors import InputError, errors_in
-from sma_bench.records.cells import (
-    MISSING,
-    WORDS,
-    cell_kind,
-    decimal_of,
-    decimal_signs,
-    in_units,
-    is_number_row,
-    moment_of,
-    moments_of,
-    number_with_unit,
-    numbers_of,
-    parse_unit,
-    plain_numbers,
-    said,
-    split_title,
-    title_meanings,
-)
+from sma_bench.records import cells as read
+from sma_bench.records.cells import MISSING, WORDS, cell_kind, parse_unit, said, split_title
 
 Row = tuple[int, list[Any]]  # line number from 1, cells
 MOST_COLUMNS = 1000
@@ -54,9 +38,8 @@ _RULE = "-/|:=,"  # signs that part titles and are none
 LARGEST_FILE = 200 * MEGABYTE
 _LIBRARIES = 512 * MEGABYTE  # of addresses: what the reader of a format needs for itself
 # Libraries reserve memory for each of their threads, of which a busy machine has more at once.
-_ONE_THREAD = {
-    "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system",
-}  # fmt: skip
+_ONE_THREAD = {"MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1",
+               "ARROW_DEFAULT_MEMORY_POOL": "system"}
 _TESTS = "stress", "force", "mass", "length"  # of which a line states one for each test
 _LOOK_AT = 400  # rows, for the separator
 _LONGEST_CELL = 4  # lines that a quoted cell may run over
@@ -114,10 +97,8 @@ class Account:
     sheet: str = ""
 
     def __str__(self) -> str:
-        used, ignored = (
-            ", ".join(f"{name} ({what})" for name, what in columns.items()) or "none"
-            for columns in (self.used, self.ignored)
-        )
+        used, ignored = (", ".join(f"{name} ({what})" for name, what in columns.items()) or "none"
+                         for columns in (self.used, self.ignored))
         where = f"sheet {self.sheet}: " if self.sheet else ""
         more = f" and {len(self.left_out) - 8} more" if len(self.left_out) > 8 else ""
         rest = f"; outside the table: {', '.join(self.left_out[:8])}{more}" * bool(self.left_out)
@@ -149,27 +130,20 @@ class TableFile:
 
     def with_tables(self, tables: Sequence[Table], outside: Sequence[str]) -> "TableFile":
         """The same file with tables whose columns are named and counted anew."""
-
-        def label(text: str) -> str:
-            return printable(text)[:LONGEST_NAME]
-
-        seen: Counter[str] = Counter()
-        named = []
+        seen, named = Counter[str](), []
         for k, table in enumerate(tables):
             columns = []
             for column in table.columns:
-                name, title, unit = map(label, (column.name, column.title, column.unit))
+                name, title, unit = map(_label, (column.name, column.title, column.unit))
                 seen[name] += 1
                 name += f" ({seen[name]})" if seen[name] > 1 else ""
                 columns.append(replace(column, table=k, name=name, title=title, unit=unit))
-            ignored = {label(name): reason for name, reason in table.ignored.items()}
+            ignored = {_label(name): reason for name, reason in table.ignored.items()}
             named.append(replace(table, columns=tuple(columns), ignored=ignored))
         return replace(self, tables=tuple(named), outside=tuple(outside))
 
-    def account(
-        self, tables: Sequence[Table], rows_used: int, used: dict[str, str],
-        reasons: Mapping[str, str], asked: Sequence[str] = (),
-    ) -> Account:  # fmt: skip
+    def account(self, tables: Sequence[Table], rows_used: int, used: dict[str, str],
+                reasons: Mapping[str, str], asked: Sequence[str] = ()) -> Account:
         """What became of some tables; `reasons` of columns that are not used, "" of all others."""
         held = [column.name for table in tables for column in table.columns]
         ignored = {name: reasons.get(name, reasons[""]) for name in held if name not in used}
@@ -202,13 +176,12 @@ def _read(content: bytes) -> TableFile:
     if content.startswith(b"\xd0\xcf\x11\xe0"):
         raise InputError("an Excel file of before 2007 (.xls), expected .xlsx: save it as that")
     reader = next(name for begin, name in _FORMATS.items() if content.startswith(begin))
-    tables: list[Table] = []
-    outside: list[str] = []
+    tables, outside = list[Table](), list[str]()
     if reader == "text":
         # The separator is the one by which most rows are rows of numbers; None stands for blanks.
         lines = decoded_lines(content)
         sample = [line for line in lines if line.strip()][:_LOOK_AT]
-        counts = {s: sum(is_number_row(cells) for _, cells in _split(sample, s))
+        counts = {s: sum(read.is_number_row(cells) for _, cells in _split(sample, s))
                   for s in ("\t", *";|,", None)}  # fmt: skip
         separator = next(s for s, n in counts.items() if n >= 0.98 * max(counts.values()))
         tables, outside = tables_of(_split(lines, separator), separator, "", lines)
@@ -229,12 +202,10 @@ def _read(content: bytes) -> TableFile:
 def _unfolded(content: bytes, reader: str) -> list[Any]:
     """Sheets or leaves of a file, of the process that reads its format (`unfold.py`)."""
     import msgspec  # which a robot has not, and its nodes import the records
-
     budget = reading_budget(len(content))
     seconds, script = math.ceil(budget.seconds), Path(__file__).with_name("unfold.py")
-    limits = str(_LIBRARIES + budget.size), str(seconds)
-    words = [sys.executable, "-P", str(script), reader, *limits]
-    there = os.environ | _ONE_THREAD
+    size, there = str(_LIBRARIES + budget.size), os.environ | _ONE_THREAD
+    words = [sys.executable, "-P", str(script), reader, size, str(seconds)]
     child = subprocess.run(words, input=content, capture_output=True, check=False, env=there)
     if child.returncode == -signal.SIGXCPU:
         raise InputError(f"takes more than {seconds} s to read")
@@ -256,11 +227,10 @@ def _split(lines: Sequence[str], separator: str | None) -> list[Row]:
         return [(n, [c.replace("\1", " ") for c in row]) for n, row in enumerate(parted, 1)]
     if not any('"' in line for line in lines):
         return [(n, [c.strip() for c in s.split(separator)]) for n, s in enumerate(lines, 1)]
-    rows: list[Row] = []
+    rows, before = list[Row](), 0
     # A comment's sign before a quote would end the quoting.
     plain = (re.sub(r'^\s*[#%]+\s*(?=")', "", f"{line.rstrip()} ") for line in lines)
     reader = csv.reader(plain, delimiter=separator, skipinitialspace=True)
-    before = 0
     try:
         for cells in reader:
             if reader.line_num > before + _LONGEST_CELL * max(len(cells), 1):
@@ -298,7 +268,6 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
             seconds, start = (array[:, 0] - array[0, 0]) / 1e9, array[0, 0] / 1e9
             columns[len(array)].append(Column(label, last, "s", seconds, group, float(start), 3))
             continue
-
         # Attributes that scale, and what stands for a missing value.
         known = {_MEANS[key]: v for key, v in about.items() if key in _MEANS}
         scale = {key: v for key, v in known.items() if isinstance(v, float)}
@@ -307,7 +276,6 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
             notes[len(array)].append(f"{label}: {' and '.join(said_so)} of its attributes applied")
         array = np.where(array == scale.get("fill"), np.nan, array)
         array = array * scale.get("scale", 1.0) + scale.get("offset", 0.0)
-
         # Titles and units, of a matrix of lists of as many texts.
         is_time, many = last.lower() in ("time", "t", "tout"), array.shape[1]
         named = {} if is_time else dict(beside.get(folder, {}))
@@ -334,12 +302,8 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
     return [Table("", c, k, n, notes=tuple(notes[n])) for n, c, k in lines], outside
 
 
-# --- rows to tables
-
-
-def tables_of(
-    rows: Sequence[Row], separator: str | None, name: str, lines: Sequence[str] = ()
-) -> tuple[list[Table], list[str]]:
+def tables_of(rows: Sequence[Row], separator: str | None, name: str,
+              lines: Sequence[str] = ()) -> tuple[list[Table], list[str]]:
     """Tables of a text or sheet, parted by `separator` (None for blanks, "" of a sheet), and the
     lines in none; raises InputError for titles or cells that cannot be understood."""
     headers, start = set[int](), 0  # rows of LabVIEW's headers, which hold numbers of their own
@@ -347,9 +311,7 @@ def tables_of(
         first = str(cells[0]) if cells else ""
         start = k if first == "Channels" else start
         headers |= set(range(start, k + 1)) if first == _END_OF_HEADER else set()
-    blocks: list[_Block] = []
-    between: list[Row] = []
-    width = -1
+    blocks, between, width = list[_Block](), list[Row](), -1
     for k, row in enumerate(rows):
         is_plain = all(isinstance(c, float) or (isinstance(c, str) and _PLAIN.match(c))
                        for c in row[1][:2])  # fmt: skip
@@ -357,7 +319,7 @@ def tables_of(
             between.append(row)
         elif is_plain and len(row[1]) == width and not between:
             blocks[-1].rows.append(row)  # it begins with figures and signs alone
-        elif not is_number_row(row[1]):
+        elif not read.is_number_row(row[1]):
             between += [row] if any(map(cell_kind, row[1])) else []
         else:
             if blocks and blocks[-1].takes(row, between):
@@ -368,8 +330,7 @@ def tables_of(
             blocks[-1].rows.append(row)
     # A line of numbers among notes is one of them.
     fewest = min(_FEWEST, max((len(block.rows) for block in blocks), default=0))
-    tables: list[Table] = []
-    heads: list[Row] = []
+    tables, heads = list[Table](), list[Row]()
     for block in blocks:
         heads += block.heads
         if len(block.rows) < fewest:
@@ -381,8 +342,12 @@ def tables_of(
     return tables, [f"line {line} ({_text(cells)[:40]})" for line, cells in unused]
 
 
+def _label(text: str) -> str:
+    return printable(text)[:LONGEST_NAME]
+
+
 def _text(cells: Sequence[Any]) -> str:
-    return printable(" ".join(str(c) for c in cells if c != ""))[:LONGEST_NAME]
+    return _label(" ".join(str(c) for c in cells if c != ""))
 
 
 def _units(cells: Sequence[str]) -> list[str]:
@@ -412,16 +377,15 @@ class _Block:
         again, units, notes = self.titles(between, width)
         if not any(again) or "n" in map(cell_kind, again):  # a number's neighbour overflowed
             return True
-        # Titles that come again part a table and begin none where neither other units nor another
-        # number, as the next load, go with them.
+        # Titles that come again begin a table only with other units, or a number as the next load.
         titles, before, _ = self.titles(self.heads, width)
-        stated = any(number_with_unit(_text(cells), q) for _, cells in notes for q in _TESTS)
+        stated = any(read.number_with_unit(_text(c), q) for _, c in notes for q in _TESTS)
         return again == titles and (units == before or not any(units)) and not stated
 
     def begins_with_index(self) -> bool:
         """Whether rows begin with a number that counts them, or with a name."""
         first = [cells[0] for _, cells in self.rows]
-        if (numbers := plain_numbers(first)) is None:
+        if (numbers := read.plain_numbers(first)) is None:
             return all(cell_kind(c) == "t" for c in first)
         return len(numbers) > 1 and bool(np.all(np.diff(numbers) == 1.0))
 
@@ -436,7 +400,7 @@ class _Block:
             if is_narrow:
                 remarks.insert(0, heads[-1 - back])
                 continue
-            known = sum(bool(title_meanings(t)) for t in titles if cell_kind(t) == "t")
+            known = sum(bool(read.title_meanings(t)) for t in titles if cell_kind(t) == "t")
             if remarks and (known < width / 2 or "n" in map(cell_kind, titles)):
                 break
             units = next(filter(None, map(_units, texts[:back][::-1])), [])
@@ -502,7 +466,7 @@ class _Block:
                 left_out.append(f"line {line}: {_text(cells[width:])!r} beside the table, left out")
         # Titles and cells must go together.
         columns = list(zip_longest(*(cells[:width] for _, cells in body), fillvalue=""))
-        if len(titles) == width + 1 and title_meanings(titles[-1]) == ("counter",):
+        if len(titles) == width + 1 and read.title_meanings(titles[-1]) == ("counter",):
             titles = titles[:-1]  # a comment that no row has
         if titles and len(titles) != width and not is_sheet:
             line, cells = body[0]
@@ -519,13 +483,11 @@ class _Block:
         return Table(name, tuple(made), lines, len(self.rows), ignored, *more)
 
 
-def _columns(
-    texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Sequence[str], group: str,
-    lines: IntArray,
-) -> tuple[list[Column], dict[str, str], list[str]]:  # fmt: skip
+def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Sequence[str],
+             group: str, lines: IntArray) -> tuple[list[Column], dict[str, str], list[str]]:
     """Columns of numbers and moments, what else there is and why, and remarks."""
     # What most of a column's cells are: "n" numbers, "d" moments, "t" texts, "" nothing.
-    plain = [plain_numbers(cells) for cells in texts]
+    plain = [read.plain_numbers(cells) for cells in texts]
     kinds = []
     for cells in texts:
         filled = [c for c in cells if str(c).lower() not in MISSING]
@@ -533,17 +495,14 @@ def _columns(
         kinds.append(count.most_common(1)[0][0] if count else "")
     # Decimal signs: each column's own, else that of the others.
     is_plain = all(values is not None for values in plain)
-    signs = [set() if is_plain else decimal_signs(cells) for cells in texts]
+    signs = [set() if is_plain else read.decimal_signs(cells) for cells in texts]
     everywhere = {sign for found in signs for sign in found if len(sign) == 1}
     # Dates go with the next clock.
-    lead = [next(filter(None, map(moment_of, c)), None) if kind == "d" else None
+    lead = [next(filter(None, map(read.moment_of, c)), None) if kind == "d" else None
             for c, kind in zip(texts, kinds, strict=True)]  # fmt: skip
     dates = [k for k, moment in enumerate(lead) if moment and moment.seconds is None]
     clocks = [k for k, moment in enumerate(lead) if moment and np.isnan(moment.days).all()]
-
-    made: list[Column] = []
-    ignored: dict[str, str] = {}
-    notes: list[str] = []
+    made, ignored, notes = list[Column](), dict[str, str](), list[str]()
     labels = [title or f"column {k}" for k, title in enumerate(titles, 1)]
     for k, (cells, label) in enumerate(zip(texts, labels, strict=True)):
         title, unit = split_title(titles[k], units[k])
@@ -551,7 +510,7 @@ def _columns(
         if kinds[k] in ("", "t"):
             is_unit = _MEANS.get(titles[k].lower()) == "unit" and label != labels[0]
             last = made[-1] if is_unit and made and made[-1].name == labels[k - 1] else None
-            if last and not last.unit and (scaled := in_units(last.values, cells)):
+            if last and not last.unit and (scaled := read.in_units(last.values, cells)):
                 made[-1] = replace(last, values=scaled[0], unit=scaled[1])
                 ignored[label] = f"units of {last.name}"  # 0.5 mV, 3.24 V
                 continue
@@ -560,9 +519,9 @@ def _columns(
         elif k in dates and clock is not None:
             ignored[label] = f"its dates are in {labels[clock]}"
         elif kinds[k] == "d":
-            found = moments_of(cells, *[texts[d] for d in dates if d < k and k in clocks][-1:])
+            found = read.moments_of(cells, *[texts[d] for d in dates if d < k and k in clocks][-1:])
             if found is None:
-                bad = [cell_kind(c) != "" and not moment_of(c) for c in cells].index(True)
+                bad = [cell_kind(c) != "" and not read.moment_of(c) for c in cells].index(True)
             else:
                 seconds, start, fields, remark = found
                 notes += [remark] if remark else []
@@ -571,8 +530,8 @@ def _columns(
         else:
             values = plain[k] if "," not in everywhere else None
             if values is None:
-                decimal = decimal_of(label, signs[k], everywhere, cells)
-                values, unit, bad = numbers_of(cells, decimal, unit)
+                decimal = read.decimal_of(label, signs[k], everywhere, cells)
+                values, unit, bad = read.numbers_of(cells, decimal, unit)
             made.append(Column(label, title, unit, values, group))
         if bad >= 0:
             cell = printable(str(cells[bad]))[:40]
