@@ -1,9 +1,6 @@
-"""Where one branch of strain over temperature begins to transform and where it ends.
-
-By tangents (practice of ASTM F2082 and E3097): three straight lines are drawn, along the branch
-before it transforms, along its steepest part and along the branch after it has transformed. Their
-crossings are the start and the finish. And by the cosine of eqs. (10), (11) between the outer two.
-"""
+"""Where one branch of strain over temperature begins to transform and where it ends: by tangents
+(practice of ASTM F2082 and E3097) before, along and after its steepest part, whose crossings are
+start and finish, and by the cosine of eqs. (10), (11) between the outer two."""
 
 import math
 from collections.abc import Sequence
@@ -23,25 +20,21 @@ from sma_bench.records.instruments import Branch
 
 _COSINE_WIDTH = 0.5 * math.pi  # of the steepest tangent's, which takes 2/pi of a cosine's
 _FEWEST_BINS = 30
-# Shares of the strain: how far points may lie off an outer line, and how much of the material
-# transforms along the steep one. The first choices are reported, the others tell their error.
-_STRAIGHT = (0.015, 0.010, 0.025)
-_STEEP = (0.4, 0.3, 0.6)
+# Shares of the strain; the first choices are reported, the others tell their error.
+_STRAIGHT = (0.015, 0.010, 0.025)  # that points may lie off an outer line
+_STEEP = (0.4, 0.3, 0.6)  # that transform along the steep one
 _SMALLEST_STEP = 12.0  # of the scatter
 _SHORTEST_LINE = 5  # points
 _SHORT, _TOO_STEEP = 0.10, 0.10  # shares of the branch, and of its largest slope
 _LAG, _LAG_STRAIN = 0.10, 0.05  # shares of the branch and its strain, in which a specimen lags
 _NARROWEST = 0.2  # K
-# How far beyond the range points are used, in its widths: where the choice matters, the branch is
-# no cosine between straight lines, and its ends are not better known than that.
+# Widths beyond the range in which points are used: where that matters, it is in the errors.
 _MARGINS = (1.0, 0.5)
 Number = tuple[float, float]  # value and standard error
 
 
 class Bins(NamedTuple):
-    """Even intervals of a branch's temperature, `which` (n,) each reading is in. Dwells do not
-    outweigh the rest, and a law is averaged as the data are: the mean of a bend is not the bend of
-    the mean."""
+    """Even intervals of temperature, `which` (n,) by reading: dwells do not outweigh the rest."""
 
     which: NDArray[np.intp]
 
@@ -58,16 +51,14 @@ class Bins(NamedTuple):
 
 
 class StrainTangents(NamedTuple):
-    """What the tangents of one branch give. Errors hold the scatter of the points and what other
-    stretches for the lines would give."""
+    """What the tangents of one branch give; errors hold scatter and other stretches for lines."""
 
     start: Number  # K, in the order of transformation: on cooling the higher one
     finish: Number  # K
     step: Number  # of the strain by which the outer lines differ half-way
     cold: Line
     hot: Line
-    # whether the cold or hot line's straight part is too short or steep for a complete branch
-    short: tuple[bool, bool]
+    short: tuple[bool, bool]  # whether cold and hot line are no straight end of a whole branch
 
     def polyline(self, branch: Branch) -> Array:
         """(4, 2) K and strain: the three tangents from the branch's cold end to its hot one."""
@@ -85,23 +76,19 @@ class StrainTangents(NamedTuple):
 
 def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTangents:
     """Start, finish and transformation strain of one branch. `companion`: the other branch of the
-    cycle. Where this branch has no straight stretch at one of its ends, as when it was turned round
-    before it had transformed, the line there goes through its end with the companion's slope.
+    cycle, whose slope the line takes where this one was turned round before its end was straight.
     Raises InputError: too few points, or no transformation stands out of the scatter."""
     # Means over narrow intervals of temperature, rising.
-    binned = []
-    for one in filter(None, (branch, companion)):
-        bins = Bins.of(one.temperature)
-        binned.append((bins.mean(one.temperature), bins.mean(one.strain)))
-    (t, strain), *others = binned
+    binned = [(Bins.of(one.temperature), one) for one in (branch, companion) if one]
+    means = [(bins.mean(one.temperature), bins.mean(one.strain)) for bins, one in binned]
+    (t, strain), *others = means
     way, span = branch.direction, float(np.ptp(strain))
     if len(t) < _FEWEST_BINS:
         raise refusal("few temperatures", way=way, count=len(t), least=_FEWEST_BINS)
     noise = scatter(strain)
     if span < _SMALLEST_STEP * noise:
         raise refusal("no transformation", way=way, span=span, noise=noise)
-
-    # All ways to draw the lines; the first one is the best, the others tell its error.
+    # All ways to draw the lines: the first one counts, the others tell its error.
     drawn = []
     for straight in _STRAIGHT:
         outer = _outer_lines(t, strain, others, straight)
@@ -226,16 +213,14 @@ class BranchCosine(NamedTuple):
 
 def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
                stress: float) -> BranchCosine:
-    """Least squares of one branch; the tangents give the start of the search, and the slope at an
-    end where the branch has no straight stretch of its own. Errors hold scatter with its
-    autocorrelation, the choice of the points, what the moduli's errors do to the bow, and gaps of
-    the logging at the ends. `parameters`: E_A, E_M; `stress`: Pa; 0 where strain has no unit."""
+    """Least squares of one branch; the tangents give the start, and the slope at an end that is not
+    straight. Errors hold coloured scatter, the choice of the points, the moduli's errors and gaps
+    of the logging. `parameters`: E_A, E_M; `stress`: Pa; 0 where strain has no unit."""
     bins = Bins.of(branch.temperature)
     t, begin = bins.mean(branch.temperature), np.sort(tangents.cosine_ends())
     outer = zip((tangents.cold, tangents.hot), tangents.short, strict=True)
     given = [line.slope if short else None for line, short in outer]
     ends, variance, slopes, step, model, left = _fit(branch, bins, begin, given, parameters, stress)
-
     # Other choices of the points, with the lines as they are; and without the bow.
     windows = [ends + m * float(np.ptp(ends)) * np.array([-1.0, 1.0]) for m in _MARGINS]
     others = [_fit(branch, bins, ends, slopes, parameters, stress, window) for window in windows]
@@ -255,13 +240,11 @@ def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
 def _fit(branch: Branch, bins: Bins,
          begin: Array, slopes: Sequence[float | None], parameters: Parameters, stress: float,
          window: Array | None = None) -> tuple[Array, Array, list[float], Number, Array, Array]:
-    """Between the line along martensite and the line along austenite strain follows the fraction:
-    eps = xi cold(T) + (1 - xi) hot(T) + sigma [1/E(xi) - xi/E_M - (1 - xi)/E_A]. The bracket is the
-    bow of eq. (7): compliance is no straight line in xi, which shifts the middle of the range in
-    proportion to stress and would pass for 1 % of C_A. `begin`: (2,) K, ends from which the search
-    starts; `slopes`: of the lines that are given, None where free; `window`: (2,) K between which
-    points count, all when None. Returns the ends (2,) K and their variances, both slopes, the step,
-    the model (n,) and what it leaves (n,)."""
+    """Strain eps = xi cold(T) + (1 - xi) hot(T) + sigma [1/E(xi) - xi/E_M - (1 - xi)/E_A]. The
+    bracket is the bow of eq. (7), which shifts the middle of the range and would pass for 1 % of
+    C_A. `begin`: (2,) K, ends from which the search starts; `slopes`: of lines that are given, None
+    where free; `window`: (2,) K between which points count. Returns the ends (2,) K and their
+    variances, both slopes, the step, the model (n,) and what it leaves (n,)."""
     from scipy.optimize import least_squares  # half a second to load
     raw, (soft, stiff) = branch.temperature, (parameters[name] for name in MODULI)
     t, strain = bins.mean(raw), bins.mean(branch.strain)
@@ -297,20 +280,17 @@ def _fit(branch: Branch, bins: Bins,
     residual, weights = eliminated(x)
     known, columns = parts(x)
     model, step = known + columns @ weights, 1e-4 * x[1]
-
     # Each point with its own scatter (larger where strain is steep), all with one autocorrelation.
     moved = [parts(x + step * unit) for unit in np.eye(2)]
     moves = [(own + free @ weights - model) / step for own, free in moved]
     design, left = np.column_stack([*moves, columns])[inside], residual[inside]
-    n, count = design.shape
-    size = np.sqrt(np.sum(design**2, axis=0))
+    (n, count), size = design.shape, np.sqrt(np.sum(design**2, axis=0))
     size = np.where(size > 0.0, size, 1.0)
     scaled = design / size
     bread = np.linalg.pinv(scaled.T @ scaled)
     correlated = inflation(autocorrelation([left])) * n / max(n - count, 1)
     rows = scaled * left[:, None]
     covariance = bread @ (rows.T @ rows) @ bread * correlated / np.outer(size, size)
-
     # Ends, and the distance of the lines in the middle; slopes that are given add to it.
     to_ends = np.array([[1.0, 0.0], [1.0, 1.0]])
     ends = to_ends @ x

@@ -1,28 +1,23 @@
 """E9 on isobaric tests: one constitutive law fitted to all loops of a material at once.
 
-Solved for strain under constant stress, eqs. (6) to (11) say
+    eps = eps_ref + sigma/E(xi) - Theta_T (T - T_inf)/E(xi) - eps_L (1 - xi)
 
-    eps = eps_ref + sigma/E(xi) - Theta_T (T - T_inf)/E(xi) - eps_L (1 - xi),
-
-with the cosines of eqs. (10), (11) shifted by sigma/C_A, sigma/C_M and with the contract's rule for
-incomplete loops. That is the law "contract". The law "extended" replaces what real, untrained
-material does not obey:
+are eqs. (6) to (11) under constant stress, with the cosines shifted by sigma/C_A, sigma/C_M and the
+contract's rule for incomplete loops: the law "contract". The law "extended" replaces what real,
+untrained material does not obey:
 
 - eps_L becomes H(sigma) = H_min + (H_sat - H_min)(1 - exp(-k sigma)), the current transformation
   strain of Lagoudas (Shape memory alloys, 2008, ch. 3), as in physics/laws/extended.py;
 - A_s, A_f, M_s, M_f each have a slope of their own against stress, and each direction a bend,
-  T = T_0 + slope sigma + bend sigma^2: by Clausius and Clapeyron dT/dsigma goes with the
-  transformation strain, which is no constant;
-- expansion is alpha_A + xi (alpha_M - alpha_A) instead of -Theta_T/E(xi), which would make
-  martensite expand more than austenite because it is softer;
-- martensite's strain fades by a share per kelvin of warming, H (1 - fading (T - T_ref)): variants
-  reorient and the least stable ones transform long before A_s;
+  T = T_0 + slope sigma + bend sigma^2, as Clausius and Clapeyron have it of a strain that varies;
+- expansion is alpha_A + xi (alpha_M - alpha_A): -Theta_T/E(xi) would make martensite expand more
+  than austenite because it is softer;
+- martensite's strain fades by a share per kelvin of warming, H (1 - fading (T - T_ref));
 - irrecoverable strain grows in proportion to the material transformed (Lagoudas and Entchev,
   2004), by one number a loop.
 
-eps_ref is free in every loop: an extensometer's zero means nothing. It and the irrecoverable
-strain enter linearly and are eliminated exactly (Golub and Pereyra, 1973).
-"""
+eps_ref, free in every loop, and irrecoverable strain enter linearly and are eliminated exactly
+(Golub and Pereyra, 1973)."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -67,18 +62,16 @@ _SHARES: dict[Law, tuple[float, float]] = {"contract": (0.0, 0.2), "extended": (
 
 
 class Loop(NamedTuple):
-    """One cycle at one stress [Pa]: branches with the bins of their temperature in order of time,
-    `temperature` (n,) K and `strain` (n,) as means over these; `ends` A_s ... M_f [K] and `steps`
-    of strain by the tangents. Residuals count in units of `recovered`, what heating recovers."""
+    """One cycle at one stress."""
 
     label: str
-    stress: float
-    branches: tuple[tuple[Branch, Bins], ...]
-    temperature: Array
-    strain: Array
-    ends: dict[str, float]
-    steps: dict[str, float]
-    recovered: float
+    stress: float  # Pa
+    branches: tuple[tuple[Branch, Bins], ...]  # with the bins of their temperature, in order
+    temperature: Array  # (n,) K, means over the bins
+    strain: Array  # (n,)
+    ends: dict[str, float]  # A_s ... M_f in K, by the tangents
+    steps: dict[str, float]  # of strain, by direction
+    recovered: float  # strain by heating, the unit of residuals
     is_relative: bool
 
 
@@ -102,8 +95,7 @@ def loop_of(record: IsobaricRecord, cycle: Cycle) -> Loop:
 
 class LawFit(NamedTuple):
     """The fitted law: unknowns (p,), covariance (p, p) in K, strain, 1e-6/K, MPa/K (Theta_T), and
-    per 100 MPa (slopes in K, k); `at_bound` those that a bound stopped; `fixed` what the data
-    cannot give; `left` (n,) of every loop's strain."""
+    per 100 MPa (slopes in K, k); `fixed`: what the data cannot give; `left` (n,) of each loop."""
 
     law: Law
     names: tuple[str, ...]
@@ -142,11 +134,10 @@ def fit_constitutive(records: Sequence[IsobaricRecord], parameters: Parameters,
                      report: Report = silent) -> Experiment:
     """Fit the law to isobaric tests of one material, all stresses and cycles at once: the
     contract's where its rms is below 5 % of the recovered strain at every stress, else the extended
-    one, with both errors in the findings. `details` holds every fitted number and the fit error per
-    stress, as rms over the strain recovered at that stress; `curves` `<record, cycle>/temperature`,
-    `/strain` and `/model`. `parameters`: E_A and E_M with their uncertainties (isobaric tests
-    cannot tell them from eps_L), and C_A, C_M should all tests be at one stress. InputError: no
-    records, or too few points."""
+    one. `details` holds every fitted number and the fit error per stress; `curves`
+    `<record, cycle>/temperature`, `/strain` and `/model`. `parameters`: E_A and E_M with their
+    uncertainties (no isobaric test tells them from eps_L), and C_A, C_M should all tests be at one
+    stress. InputError: no records, or too few points."""
     if not records:
         raise InputError("constitutive fit: no records")
     every = (loop_of(record, cycle) for record in records for cycle in record.cycles)
@@ -170,7 +161,6 @@ def fit_constitutive(records: Sequence[IsobaricRecord], parameters: Parameters,
         for stress, error in fit.errors.items():
             n = sum(len(loop.strain) for loop in loops if loop.stress == stress)
             details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = fit_error(error, n)
-
     # Where cycles of one record do not fit one set of numbers, each gets its own.
     for record in records:
         mine = [(loop, rms) for loop, rms in zip(loops, chosen.rms, strict=True)
@@ -252,9 +242,8 @@ def _strain(law: Law, p: Mapping[str, float], loop: Loop,
 def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
              report: Report = silent) -> LawFit:
     """Fit one law to all loops, each loop's residual in units of the strain it recovers. Standard
-    errors hold the scatter in every loop with its autocorrelation (a misfit of the law is no white
-    noise), and the uncertainty of E_A and E_M, which the data do not give. Raises InputError: fewer
-    points than unknowns, or no loop that shows a transformation."""
+    errors hold the coloured scatter in every loop and the uncertainty of E_A and E_M. Raises
+    InputError: fewer points than unknowns, or no loop that shows a transformation."""
     from scipy.optimize import least_squares  # half a second to load
     unknowns, fixed = _unknowns(loops, law, parameters)
     total = sum(len(loop.strain) for loop in loops)
@@ -285,19 +274,16 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
                                        bounds=(low, high), x_scale=size, max_nfev=300))
     x = min(solutions, key=lambda s: s.cost).x
     left = tuple(left_of(x, loop) for loop in loops)
-
     # Sandwich: each loop with its own scatter, all with one autocorrelation.
-    columns = []
-    for i, step in enumerate(np.diag(1e-3 * size)):
-        up, down = np.minimum(x + step, high), np.maximum(x - step, low)
-        columns.append((residuals(up) - residuals(down)) / (up[i] - down[i]))
-    jacobian = np.column_stack(columns)
+    sides = [(np.minimum(x + step, high), np.maximum(x - step, low))
+             for step in np.diag(1e-3 * size)]
+    jacobian = np.column_stack([(residuals(up) - residuals(down)) / (up - down)[i]
+                                for i, (up, down) in enumerate(sides)])
     bread = np.linalg.pinv(jacobian.T @ jacobian)
-    pieces = []
+    pieces, freedom = list[Array](), total / (total - len(names) - 2 * len(loops))
     for loop, own in zip(loops, left, strict=True):
         ends = np.cumsum([int(bins.which.max()) + 1 for _, bins in loop.branches])[:-1]
         pieces.extend(np.split(own / loop.recovered, ends))
-    freedom = total / (total - len(names) - 2 * len(loops))
     correlated, meat = inflation(autocorrelation(pieces)), np.zeros_like(bread)
     begins = np.cumsum([len(own) for own in left])[:-1]
     for loop, own, rows in zip(loops, left, np.split(jacobian, begins), strict=True):
@@ -313,19 +299,16 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
     return LawFit(law, names, x, covariance, at_bound, fixed, tuple(loops), left)
 
 
-def _unknowns(
-    loops: Sequence[Loop], law: Law, parameters: Parameters
-) -> tuple[dict[str, tuple[float, float, float, float]], dict[str, float]]:
-    """Of every unknown where the search starts (by the tangents), its bounds and a typical size;
-    and what is fixed because the data cannot tell it."""
+def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
+              ) -> tuple[dict[str, tuple[float, float, float, float]], dict[str, float]]:
+    """Start (by the tangents), bounds and a typical size of every unknown; and what is fixed."""
     steps = np.abs([step for loop in loops for step in loop.steps.values()])
     if not len(steps):
         raise InputError("constitutive fit: no loop shows a transformation")
     stress = np.array([loop.stress for loop in loops])
     several = float(np.ptp(stress)) >= SMALLEST_STRESS_RANGE
     bends = law == "extended" and len(np.unique(np.round(stress / 2e6))) >= 3
-    unknowns: dict[str, tuple[float, float, float, float]] = {}
-    fixed: dict[str, float] = {}
+    unknowns, fixed = dict[str, tuple[float, float, float, float]](), dict[str, float]()
     for ends in _ENDS.values():
         slopes, influence = _slopes(law, ends), SYMBOLS[f"C_{ends[0][0]}"]
         # A stress beyond belief must not shift anything: temperatures stay as measured.
@@ -349,7 +332,6 @@ def _unknowns(
             unknowns |= dict.fromkeys(slopes, (first, -5.0, 100.0, 2.0))
         else:
             fixed |= dict.fromkeys(slopes, slope)
-
     # The transformation strain, expansion, and what only the extended law has.
     largest, least = max(float(steps.max()), 1e-4), max(float(steps.min()), 1e-6)
     top = 3.0 * max(largest, *(loop.recovered for loop in loops))
@@ -404,7 +386,7 @@ def _estimates(fit: LawFit, parameters: Parameters,
     found: dict[str, Estimate] = {}
     for ends in _ENDS.values():
         label, shift_std, where = f"C_{ends[0][0]}", 0.0, ""
-        if (one_stress := _slopes(fit.law, ends)[0] not in fit.names):
+        if one_stress := _slopes(fit.law, ends)[0] not in fit.names:
             # The error of the given C enters the stress-free temperatures.
             held, c = float(np.mean([loop.stress for loop in fit.loops])), SYMBOLS[label]
             shift_std = held * parameters.std(c) / parameters[c] ** 2
@@ -432,7 +414,6 @@ def _estimates(fit: LawFit, parameters: Parameters,
             found["Theta_T"] = Estimate(value, std, "Pa/K", words, n)
         else:
             findings.append(remark("expansion not told", value=value, std=std))
-
     # A parameter file holds no number that is out of its range.
     for symbol in [symbol for symbol in SYMBOLS if symbol in found]:
         name, e = SYMBOLS[symbol], found.pop(symbol)
@@ -450,8 +431,7 @@ def _estimates(fit: LawFit, parameters: Parameters,
 
 
 def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
-    """The error of each law at each stress, and whether the contract's constant eps_L suffices; of
-    the last one bounds, what was taken as given, and correlations."""
+    """Each law's error at each stress; bounds, givens and correlations of the last one."""
     for fit in fits:
         errors, fails = fit.errors, max(fit.errors.values()) >= _TOLERANCE
         more = f"; above {_TOLERANCE:.0%}" * fails

@@ -1,6 +1,5 @@
-"""Arithmetic of numbers with errors: how repeats join, and fits of lines: of points that are all as
-good (`straight_line`), of points with a known covariance (`fit_linear`), and of points with errors
-in both directions (`fit_slope`)."""
+"""Arithmetic of numbers with errors: how repeats join, and fits of lines to points that are all as
+good (`straight_line`), with a known covariance (`fit_linear`), or with errors both ways."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -25,9 +24,8 @@ SYMBOLS = {**TRANSITIONS, "C_A": "wire.stress_influence_austenite",
 
 
 def combine(estimates: Sequence[Estimate]) -> Estimate:
-    """Weighted mean of one or more independent estimates of one number. Where they scatter by more
-    than their errors explain, the error grows with the scatter (Birge ratio), so that disagreeing
-    records never yield a smaller error than agreeing ones."""
+    """Weighted mean of one or more independent estimates of one number; where they scatter by more
+    than their errors explain, the error grows with the scatter (Birge ratio)."""
     if len(estimates) == 1:
         return estimates[0]
     values = np.array([e.value for e in estimates])
@@ -45,9 +43,8 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
 def mean_of_repeats(readings: Sequence[tuple[float, float]], scatter: float | None = None,
                     freedom: int = 0) -> tuple[float, float, float]:
     """Mean of readings (value, own standard error) of one number, the standard error that their own
-    errors leave, and that of what they differ by beyond: it grows as Student's t does, so that
-    1.645 of it hold the truth in 90 %. `scatter`: variance between repeats where more of them,
-    with `freedom`, tell it."""
+    errors leave, and that of what they differ by beyond, grown as Student's t is. `scatter`:
+    variance between repeats where more of them, with `freedom`, tell it."""
     values, n = [value for value, _ in readings], len(readings)
     own = float(np.mean([std**2 for _, std in readings]))
     if scatter is None:
@@ -58,8 +55,7 @@ def mean_of_repeats(readings: Sequence[tuple[float, float]], scatter: float | No
 
 
 def mean_and_deviation(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean of repeats (value, own standard error) and their deviation, as the paper gives them, not
-    below the error of reading one."""
+    """Mean and deviation of repeats (value, own standard error), not below the error of one."""
     value, own = np.array(readings).T
     reading = math.sqrt(float(np.mean(own**2)) / len(value))
     deviation = float(np.std(value, ddof=1)) if len(value) > 1 else 0.0
@@ -67,8 +63,7 @@ def mean_and_deviation(readings: Sequence[tuple[float, float]]) -> tuple[float, 
 
 
 def diameter_error(parameters: Parameters) -> float:
-    """Relative, of the diameter by which a testing machine gave stress: the stated one's, else what
-    a careful lab knows it to."""
+    """Relative, of the diameter by which a testing machine gave stress: as stated, else a lab's."""
     name = "wire.diameter"
     careful = BY_NAME[name].uncertainty or 0.0
     return (parameters.std(name) if name in parameters.given else careful) / parameters[name]
@@ -81,8 +76,7 @@ def scatter(values: Array) -> float:
 
 @dataclass(frozen=True)
 class Line:
-    """Straight line y = value + slope (x - at), with the variances of value and slope, which are
-    independent of each other at the mean of the fitted points."""
+    """Straight line y = value + slope (x - at), with variances that are independent at the mean."""
 
     at: float
     value: float
@@ -95,10 +89,9 @@ class Line:
 
     def crossing(self, other: "Line") -> float:
         """x where two lines meet, NaN where they do not."""
-        if self.slope == other.slope:
-            return math.nan
         at_zero = other.value - self.value + self.slope * self.at - other.slope * other.at
-        return at_zero / (self.slope - other.slope)
+        steeper = self.slope - other.slope
+        return at_zero / steeper if steeper else math.nan
 
     def variance(self, x: float) -> float:
         """Of y at x."""
@@ -116,13 +109,12 @@ def straight_line(x: Array, y: Array) -> Line:
 
 
 class LinearFit(NamedTuple):
-    """Solution of y = A beta: `beta` (k,), `covariance` (k, k) from the stated errors, `misfit`
-    chi2 per degree of freedom, `residuals` (n,)."""
+    """Solution of y = A beta."""
 
-    beta: Array
-    covariance: Array
-    misfit: float
-    residuals: Array
+    beta: Array  # (k,)
+    covariance: Array  # (k, k) from the stated errors
+    misfit: float  # chi2 per degree of freedom
+    residuals: Array  # (n,)
 
     @property
     def std(self) -> Array:

@@ -17,8 +17,7 @@ from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.findings import Finding
-from sma_bench.identify import signals, staircases, whole_model
-from sma_bench.identify.constitutive import fit_constitutive
+from sma_bench.identify import constitutive, signals, staircases, whole_model
 from sma_bench.identify.estimate import SYMBOLS, combine
 from sma_bench.identify.isobaric import identify_isobaric, isobaric_tests
 from sma_bench.identify.result import Experiment, Identification, Law, SignalFit, remark
@@ -66,11 +65,8 @@ _GO_WITH = {_R: (_H, _C_P), _H: (_C_P,)}
 def identify(records: Sequence[AnyRecord], parameters: Parameters,
              experiments: Iterable[str] | None = None, report: Report = silent,
              phases: Mapping[str, Phase] | None = None) -> Identification:
-    """Identify what the records allow. Staircases give E1 and E2, without any another drive that
-    excites gives E0; ramps E3, DSC files E5, isobaric test files E6, tensile ones E7, the force of
-    a clamped wire E8, load frames that hold loads E9, the composite and wires against a load E10
-    (which takes the load frame's bags along). Records are combined: one bag's resistance serves
-    another's ramps.
+    """Identify what the records allow, as in `NEEDS`: E0 where no staircase gives E1 or E2; E10
+    takes the load frame's bags along. One bag's resistance serves another's ramps.
 
     `experiments`: names out of EXPERIMENTS; all that the records hold when None, but E9 on clamped
     wires and isobaric files, which takes a minute, only when named; `phases`: of tensile tests, by
@@ -97,7 +93,6 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
         bags[k], left_out = comparable(record, checked)
         run.notes.extend(left_out)
     run.notes.extend(about_wire(known))
-
     # Wires that move a load are identified by the whole model alone: their staircases bend it.
     whole = _whole_model(run, bags, report)
     reporter = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
@@ -111,9 +106,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
             for name in ("E1", "E2", "E3"):
                 run.fail(name, str(error))
     _thermal(run, drives, reporter)
-
-    # E0 on all records whose wires are driven and read, where no staircase was found in any, or
-    # where staircases give steady states alone and how fast a wire warms is not known.
+    # E0 on all driven records without a staircase, or with steady states alone and no known c_p.
     driven, kinds = None, ("current", "temperature")
     slow = not (run.of("E1") or run.of("E3") or _C_P in parameters.given)
     excited = [] if (run.of("E1") or run.of("E2")) and not slow or run.of("E9") else [
@@ -130,7 +123,6 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     run.keep_order(whole)
     _report_missing(run, records, drives)
     improved = run.improved()
-
     # The estimates with what was stated of them and what is to be said of each.
     remarks: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
     remarks += [(f, e) for e in run.experiments for f in e.findings]
@@ -191,8 +183,7 @@ def _whole_model(run: IdentificationRun, bags: Sequence[Record],
             run.notes.append(remark("force of a clamped wire"))
         return None
     if bent or loaded:
-        # Above A_s a clamped wire pulls with stresses that no real wire bears: they are better not
-        # mixed with held loads.
+        # Above A_s a clamped wire pulls as no real wire bears: not to be mixed with held loads.
         limit = run.given[SYMBOLS["A_s"]]
         framed = [r for r in framed if not is_clamped(r)
                   or (has_samples(r, hot := f"{r.channels[0]}.temperature")
@@ -239,7 +230,6 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
     if done := run.of("E1"):
         compare(_R, [e.estimates[_R] for e in done])
         run.join("E1")
-
     # E2: the gains are independent of each other; the coefficients share one resistance.
     for record, drive in serving("E2", "temperature"):
         for staircase in drive.staircases:
@@ -251,7 +241,6 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
         run.estimates[_H] = staircases.coefficient(combine(gains), warm(), run.given)
         rooms = [e.estimates[signals.AMBIENT] for e in run.of("E2")]
         run.estimates[signals.AMBIENT] = combine(rooms)
-
     # E3: what is wrong with the heat loss is wrong with c_p, which goes with it.
     ramps = serving("E3", "temperature", ramps=True)
     if not ramps:
@@ -270,8 +259,7 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
 def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequence[Record],
               still: Sequence[Record], phases: Mapping[str, Phase], reporter: Callable[[str], None],
               report: Report) -> None:
-    """E5, E6, E7 and E9 on instrument files, each on all files of its kind together, and on what a
-    load frame's bags hold of the same; E8 on clamped wires."""
+    """E5, E6, E7 and E9 on instrument files and bags of load frames; E8 on clamped wires."""
 
     def try_on(name: str, found: Sequence[AnyRecord], experiment: Callable[[], Experiment]) -> None:
         if found:
@@ -294,9 +282,7 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
                 run.fail("E6", str(error))
     reporter("E5")
     try_on("E5", dsc, lambda: identify_transition_temperatures(dsc))
-
-    # Tensile tests take their phase from E6's temperatures, and give the moduli of E6's elastic
-    # part: so the temperatures come first, then the moduli, then E6 as a whole.
+    # E6's temperatures tell the phase of tensile tests, whose moduli are in E6's elastic part.
     reporter("E6")
     own = run.improved()
     if tensile and isobaric:
@@ -307,9 +293,8 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
     try_on("E7", tensile, lambda: identify_tensile(tensile, own, phases=phases))
     try_on("E6", isobaric, lambda: identify_isobaric(isobaric, run.improved()))
     if run.asked:
-        joint = part(report, _JOINT, 1.0, "E9")
-        try_on("E9", isobaric, lambda: fit_constitutive(isobaric, run.improved(), joint))
-
+        joint, fit_all = part(report, _JOINT, 1.0, "E9"), constitutive.fit_constitutive
+        try_on("E9", isobaric, lambda: fit_all(isobaric, run.improved(), joint))
     # E8; the whole model tells it better where it ran.
     reporter("E8")
     clamped = [record for record in bags if signals.is_clamped_wire(record)]
@@ -322,8 +307,7 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
 
 
 def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives: Drives) -> None:
-    """A note for each experiment without a result, a warning where a record was meant for it; an
-    error if that leaves nothing."""
+    """A remark for each experiment without a result, an error if that leaves nothing."""
     missing = [name for name in EXPERIMENTS if name in run.wanted and not run.of(name)]
     reasons = {name: list(dict.fromkeys(run.reasons.get(name, []))) for name in missing}
     if not run.experiments or (run.asked and missing):
@@ -375,7 +359,6 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
             rms = float(np.sqrt(np.average(left**2, weights=signal.count) + hidden))
             noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
             yield signal.quantity, SignalFit.judged(rms, noise, reach, UNITS[signal.quantity])
-
     # Strain of isobaric loops, beside which an experiment has laid its model.
     loops = [e for e in run.experiments if e.name in ("E6", "E9")]
     curves = loops[-1].curves if loops else {}

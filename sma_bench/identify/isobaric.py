@@ -1,11 +1,8 @@
 """E6: UPFR and isobaric tests: eps_L, the transition temperatures of eqs. (10), (11), C_A and C_M.
 
-Heating and cooling under constant stress. The cosine of every branch gives the temperatures that a
-simulation takes; tangents (practice of ASTM F2082 and E3097) cross inside its range and stand
-beside it under their own names, as tables and the paper have them. One stress gives the
-temperatures at that stress; several give their stress-free values and C_A, C_M (Clausius and
-Clapeyron).
-"""
+The cosine of every heating and cooling gives the temperatures that a simulation takes; tangents
+(practice of ASTM F2082 and E3097) cross inside its range, under names of their own, as in the
+paper. Several stresses give stress-free values and C_A, C_M (Clausius and Clapeyron)."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -34,8 +31,7 @@ from sma_bench.records.record import Record, samples
 # Start, finish and influence of stress of a direction.
 PHASES = {"heating": ("A_s", "A_f", "C_A"), "cooling": ("M_s", "M_f", "C_M")}
 STRAIN, EXPANSION = SYMBOLS["eps_L"], SYMBOLS["Theta_T"]
-# What no test shows by itself: class 1 of IEC 60584 is 1.5 K, and a wire in a chamber or under a
-# camera follows its thermometer by some seconds, which has the other sign on the way back.
+# What no test shows: class 1 of IEC 60584 is 1.5 K; a lag of the wire, which turns its sign.
 _THERMOMETER_STD, _LAG_STD = 0.9, 0.7  # K
 SMALLEST_STRESS_RANGE = 5e6  # Pa
 _SAME_STRESS = 0.03  # share
@@ -71,13 +67,12 @@ Estimates = dict[str, Estimate]
 
 def identify_isobaric(records: Sequence[IsobaricRecord],
                       parameters: Parameters | None = None) -> Experiment:
-    """Evaluate isobaric tests of one material. Cycles and records at the same stress are repeats,
-    of which mean and deviation are given. `details` holds every stress and cycle, the tangents'
-    crossings as "A_s (tangent) ..."; `curves` the branches with tangents and cosine
-    (`<record>/<cycle>/<direction>/temperature`, `/strain`, `/tangents` (4, 2) and `/cosine` (n, 2)
-    K and strain) and the stress-temperature diagram (`diagram/A_s/stress`, ...). `parameters`:
-    moduli for the elastic part of the strain, and C_A, C_M to refer a single stress to zero; the
-    table's when None. Raises InputError: no records, or no transformation."""
+    """Evaluate isobaric tests of one material; cycles and records at the same stress are repeats.
+    `details` holds every stress and cycle, the tangents' crossings as "A_s (tangent) ..."; `curves`
+    the branches (`<record>/<cycle>/<direction>/temperature`, `/strain`, `/tangents` (4, 2) and
+    `/cosine` (n, 2) K and strain) and the stress-temperature diagram (`diagram/A_s/stress`, ...).
+    `parameters`: moduli for the elastic part of the strain, and C_A, C_M to refer a single stress
+    to zero. Raises InputError: no records, or no transformation."""
     parameters = parameters or Parameters.defaults()
     if not records:
         raise InputError("isobaric test: no records")
@@ -99,7 +94,6 @@ def identify_isobaric(records: Sequence[IsobaricRecord],
                 readings.append(Reading(record, cycle.number, branch, tangents, cosine))
     if not readings:
         raise InputError(f"{records[0].path}: no branch shows a transformation")
-
     # Readings at the same stress together, in order of stress.
     groups: list[list[Reading]] = []
     for reading in sorted(readings, key=lambda r: r.record.stress):
@@ -111,7 +105,6 @@ def identify_isobaric(records: Sequence[IsobaricRecord],
     levels = [(float(np.mean([r.record.stress for r in group])),
                {way: [r for r in group if r.branch.direction == way] for way in PHASES})
               for group in groups]
-
     # Stress-free temperatures by both conventions, and the temperatures at every stress.
     estimates, details, diagram = _temperatures(levels, "cosine", parameters, findings)
     crossings = _temperatures(levels, "tangent", parameters, [])[0]
@@ -150,9 +143,8 @@ def identify_isobaric(records: Sequence[IsobaricRecord],
 
 
 def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
-    """The loops of a load-frame bag as isobaric tests, one a held load: elongation over the wire's
-    length, force over the section of all that pull. Raises InputError without a drive, temperature
-    or elongation."""
+    """The loops of a load-frame bag as isobaric tests, one a held load, force over the section of
+    all wires that pull. Raises InputError without a drive, temperature or elongation."""
     rig = find_rig(record, parameters)
     time, elongation = samples(record, "elongation")
     kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
@@ -186,9 +178,8 @@ def with_scales(estimates: Mapping[str, Estimate], parameters: Parameters) -> di
 
 def _temperatures(levels: Sequence[Level], convention: Convention, parameters: Parameters,
                   findings: list[Finding]) -> tuple[Estimates, Estimates, dict[str, Array]]:
-    """Stress-free temperatures, C_A and C_M; the slope of each temperature by itself; and A_s, A_f,
-    M_s, M_f against stress, (4, n): stress in Pa, value, error in K, and the part of the error by
-    which cycles differ, which moves start and finish together."""
+    """Stress-free temperatures, C_A and C_M; the slope of each by itself; and A_s ... M_f against
+    stress, (4, n): Pa, K, error in K, and the part of it that moves start and finish together."""
     estimates, details, points = dict[str, Estimate](), dict[str, Estimate](), dict[str, Array]()
     believable = levels[-1][0] <= instruments.STRONGEST
     if not believable:
@@ -225,9 +216,7 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
                 number = Estimate(kelvin - held / c, std, "K", method, n)
                 estimates[SYMBOLS[name]] = number.with_shares(shares)
             continue
-
-        # Several: T = T_0 + sigma/C, lines with one slope through start and finish, and a slope of
-        # each by itself. Cycles that differ move start and finish together.
+        # Several: T = T_0 + sigma/C, one slope for start and finish, which cycles move together.
         both = np.hstack([points[name] for name in pair])
         value, std, common = both[1], np.maximum(both[2], _SMALLEST_STD), both[3]
         scale = float(np.max(np.abs(stress)))
@@ -248,8 +237,7 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
             estimates[SYMBOLS[name]] = Estimate(*at_zero, "K", method, n)
         facts: dict[str, Any] = {"start": start, "finish": finish, "label": label}
         if slope > _RISES * slope_std:
-            # C = 1/slope; the error is that of a 90 % interval's two sides in the mean, which an
-            # inverse has at unlike distances.
+            # C = 1/slope, whose error is the mean of a 90 % interval's two sides.
             relative = slope_std / slope
             sides = 1.0 - (1.645 * min(relative, 1.0 / _RISES)) ** 2
             low, high = stress.min() / 1e6, stress.max() / 1e6
@@ -296,7 +284,6 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
         details[f"eps_L at {held / 1e6:.0f} MPa"] = transformed[-1][1]
     if not transformed:
         return {}
-
     # Does one eps_L describe all stresses? The same moduli stand behind both ends.
     (_, least), (high, most) = transformed[0], transformed[-1]
     moduli = most.shares[_ELASTIC] - least.shares[_ELASTIC]
@@ -340,15 +327,12 @@ def _about_branches(records: Sequence[IsobaricRecord],
         worst = max(found, key=lambda r: r.cosine.rms)
         yield remark("no cosine", count=len(found), direction=direction, rms=worst.cosine.rms,
                      record=worst.record.name)
-
     # Temperatures that drift from cycle to cycle of one record are no repeats.
     for record in {r.record.name: r.record for r in readings}.values():
         for direction, (*ends, _) in PHASES.items():
             mine = [r for r in readings if r.record is record and r.branch.direction == direction]
-            if len(mine) < _FEWEST_CYCLES:
-                continue
             cycle = np.array([float(r.cycle) for r in mine])
-            for end, name in enumerate(ends):
+            for end, name in enumerate(ends if len(mine) >= _FEWEST_CYCLES else ()):
                 kelvin = np.array([r.ends("tangent")[end][0] for r in mine])
                 correlation = float(np.corrcoef(cycle, kelvin)[0, 1])
                 if abs(correlation) >= _TREND and np.ptp(kelvin) >= _SMALLEST_DRIFT:

@@ -1,6 +1,5 @@
-"""The result of an identification as plain facts: what its file holds, and what every card, page
-and topic is made from (`templates/identification.j2`). The texts of its remarks are one table,
-remarks.yaml, keyed by cause."""
+"""The result of an identification as plain facts, from which every card, page and topic is made
+(`templates/identification.j2`); the texts of its remarks, by cause, are in remarks.yaml."""
 
 import string
 from collections.abc import Mapping, Sequence
@@ -33,18 +32,16 @@ _USABLE = 0.05  # of the signal's range
 
 @dataclass(frozen=True)
 class SignalFit:
-    """How the model fits one signal: `rms` of measured less predicted samples and `noise` of a
-    sample, both in `unit`."""
+    """How the model fits one signal."""
 
     verdict: FitVerdict
-    rms: float
-    noise: float
+    rms: float  # of measured less predicted samples, in `unit`
+    noise: float  # of a sample, in `unit`
     unit: str
 
     @classmethod
     def judged(cls, rms: float, noise: float, reach: float, unit: str) -> "SignalFit":
-        """`ok` within the noise, `imperfect` above it but at most 5 % of `reach`, what the signal
-        spans (every real bench is), `misfit` beyond."""
+        """`ok` within the noise, `imperfect` up to 5 % of `reach`, the signal's range, above it."""
         verdict: FitVerdict = "ok"
         if rms > _WITHIN_NOISE * noise:
             verdict = "imperfect" if rms**2 - noise**2 <= (_USABLE * reach) ** 2 else "misfit"
@@ -120,8 +117,7 @@ class Identification(Carded, Reported):
 
     def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
         """What the bench will read on the voltages of a record, by signal: the mean over the wire's
-        laws, and limits that hold a share of the readings, by what the records leave open of every
-        number and by what runs of one bench differ by. Raises InputError: no moving load was
+        laws, and limits that hold a share of the readings. Raises InputError: no moving load was
         identified here, `record` lacks a voltage or motion, or `probability` is no share."""
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
@@ -132,10 +128,10 @@ class Identification(Carded, Reported):
 
     def origin(self, name: str) -> str:
         """Name of the experiment that the estimate of a parameter is from, "" of none."""
-        holding, taken = [e for e in self.experiments if name in e.estimates], self.estimates[name]
-        own = [(e.name, e.estimates[name]) for e in holding]
+        taken = self.estimates[name]
+        own = [(e.name, e.estimates[name]) for e in self.experiments if name in e.estimates]
         same = [origin for origin, e in own if (e.value, e.n) == (taken.value, taken.n)]
-        return (["", *(origin for origin, _ in own), *same])[-1]
+        return ["", *(origin for origin, _ in own), *same][-1]
 
     @property
     def is_misfit(self) -> bool:
@@ -188,12 +184,11 @@ def identification_from(document: Any, where: str) -> Identification:
     """An identification from what its JSON held. InputError: a line with `where` and the field."""
     found = decoded(_File, document, where)
     names, matrix = (found.correlation.get(key, []) for key in ("names", "matrix"))
-    k = len(names)
     try:
-        numbers = np.array(matrix, dtype=np.float64).reshape(k, k)
+        numbers = np.array(matrix, dtype=np.float64).reshape(len(names), len(names))
     except (TypeError, ValueError):
-        raise InputError(f"{where}: damaged result: correlation of {k} names is not as many rows "
-                         "and columns of numbers") from None
+        raise InputError(f"{where}: damaged result: correlation of {len(names)} names is not as "
+                         "many rows and columns of numbers") from None
     estimates = {name: e if "informed" in document["parameters"][name]
                  else replace(e, informed=np.nan) for name, e in found.parameters.items()}
     return Identification(Parameters.defaults(), estimates, found.experiments, (), found.fit,

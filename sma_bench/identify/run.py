@@ -34,8 +34,7 @@ _ROUNDED = 1.06
 
 @dataclass
 class IdentificationRun:
-    """Results by experiment and parameter, remarks, and reasons by experiment. `asked` is False
-    where no experiment was named: then slow ones wait to be asked for."""
+    """Results and remarks, and reasons by experiment. `asked`: whether experiments were named."""
 
     given: Parameters
     wanted: frozenset[str]
@@ -83,8 +82,7 @@ class IdentificationRun:
         for parameter in dict.fromkeys(p for e in found for p in e.estimates):
             own = combine([e.estimates[parameter] for e in found if parameter in e.estimates])
             if other := self.estimates.get(parameter):
-                # What is nearer to what the model uses than what another gave: a calorimeter's
-                # tangents, the cosines of a loaded wire, the joint fit of all.
+                # Nearer to what the model uses: a calorimeter, a loaded wire, the joint fit of all.
                 apart = (own.value - other.value) / math.hypot(own.std, other.std)
                 cause = "taken instead" if abs(apart) <= SIGNIFICANT else "taken, but far"
                 self.notes.append(remark(cause, subject=parameter, own=own, name=name,
@@ -93,8 +91,8 @@ class IdentificationRun:
 
     def take_sharper(self, whole: Experiment | None) -> None:
         """Of what an experiment of its own and the whole model both tell, the sharper number
-        counts. They may rest on the same samples, so they are not averaged. Of a product, whose
-        other factor the experiment took as given, its number goes with that factor as found."""
+        counts, never a mean: they may rest on the same samples. Of a product, whose other factor
+        the experiment took as given, its number goes with that factor as found."""
         found = whole.estimates if whole else {}
         for name, estimate in found.items():
             other = self.estimates.get(name)
@@ -144,8 +142,7 @@ class IdentificationRun:
 
     def weigh_priors(self, *fits: Experiment | None) -> None:
         """Join what was measured with what was stated of the same number: nothing is less sure than
-        it was before. A surer measurement counts alone, made to replace what was stated; so does
-        one beside a default that nobody stated. Whole-model fits have weighed the priors."""
+        before. A surer measurement counts alone; whole-model fits have weighed the priors."""
         weighed = [estimate for fit in fits if fit for estimate in fit.estimates.values()]
         given, notes = self.given, self.notes
         for name, e in list(self.estimates.items()):
@@ -197,8 +194,7 @@ class IdentificationRun:
 
     def keep_order(self, whole: Experiment | None) -> None:
         """A_f lies above A_s and M_s, and these above M_f: estimates that errors carried past each
-        other meet between. Those that the whole model fitted together stay: it keeps the order
-        itself, and one of them moved alone would predict another motion."""
+        other meet between. Those that the whole model fitted together are in order, and stay."""
         found = {n: e for n, e in self.estimates.items() if n in TRANSITIONS.values()}
         if whole and found and all(e is whole.estimates.get(n) for n, e in found.items()):
             return
@@ -243,10 +239,8 @@ class IdentificationRun:
 
 
 def about_wire(known: Parameters) -> list[Finding]:
-    """Mass, area and diameter each tell the diameter of a wire whose length was stated; the one
-    that is off makes the number that it is behind as wrong."""
-    length = known["wire.length"]
-    if not length:
+    """Which of mass, area and diameter is off, as each tells the diameter if length is stated."""
+    if not (length := known["wire.length"]):
         return []
     mass, area, diameter = (known[name] for name in _BEHIND)
     of_mass, of_area, of_diameter = (known.std(name) / known[name] for name in _BEHIND)

@@ -46,15 +46,13 @@ class Staircase:
 
     @property
     def windows(self) -> Array:
-        """Averaging window (start, stop) in s of every plateau, (p, 2), as in section II.B; one
-        too short for both times keeps their proportion."""
+        """Averaging windows (p, 2) s of the plateaus, as in section II.B; short ones to scale."""
         start, duration = np.array([(p.start, p.duration) for p in self.plateaus]).T
         shares = np.minimum(1.0, duration / (SETTLE + AVERAGE))
         return start[:, None] + np.outer(shares, (SETTLE, SETTLE + AVERAGE))
 
     def read(self, record: Record, *quantities: str) -> "Staircase":
-        """With the plateaus only on which all of these were read, at half the usual rate at least,
-        as a clipped sensor's are not; the same where too few are left."""
+        """With the plateaus on which all of these were read at half the usual rate, if enough."""
         kept = np.ones(len(self.plateaus), dtype=bool)
         for quantity in quantities:
             time = samples(record, f"{self.channel}.{quantity}")[0]
@@ -98,8 +96,7 @@ class ChannelDrive:
 
 
 def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
-    """Segments of every channel's voltage, split by protocol where markers name them. Raises
-    InputError for a voltage too short to be cut."""
+    """Segments of every channel's voltage, split by protocol; InputError for one too short."""
     drives = []
     for channel in (c for c in record.channels if has_samples(record, f"{c}.voltage")):
         try:
@@ -123,11 +120,10 @@ def moves(record: Record, parameters: Parameters) -> bool:
 
 
 def driven(record: Record, parameters: Parameters) -> dict[str, float]:
-    """By channel the range [V] of what drives it: its volts, or those that stand for the amperes of
-    a source of current whose volts nobody measured."""
+    """By channel the range [V] of its volts, or those that stand for a current source's amperes."""
     record, _ = with_commands(record, parameters)
-    names = {c: f"{c}.voltage" for c in record.channels if has_samples(record, f"{c}.voltage")}
-    return {c: float(np.ptp(samples(record, name)[1])) for c, name in names.items()}
+    return {c: float(np.ptp(samples(record, f"{c}.voltage")[1])) for c in record.channels
+            if has_samples(record, f"{c}.voltage")}
 
 
 def holds_frame(record: Record, parameters: Parameters) -> bool:
@@ -155,8 +151,8 @@ def one_wire(parameters: Parameters, channel: str) -> Parameters:
 
 
 def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
-    """What the camera's own messages state of its scale, where nobody has stated it otherwise:
-    their error at the wire's coldest is its zero's, what comes on top is that of its scale."""
+    """What the camera's own messages state of its errors, where no file has stated them: at the
+    wire's coldest that of its zero, what comes on top is that of its scale."""
     found = []
     for name, signal in (item for record in records for item in record.signals.items()):
         wire = name.endswith(".temperature") and not name.startswith("ambient.")
@@ -187,9 +183,8 @@ class Means(NamedTuple):
 
 
 def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
-    """Mean of a signal (n,) over time (n,) s in each window (p, 2) s. `what`: its name. Raises
-    InputError for a window without enough samples."""
-    lines, left, spans = [], [], []
+    """Mean of a signal (n,) over time (n,) s in windows (p, 2) s; InputError for one too empty."""
+    lines, left, drift = [], [], []
     for start, stop in bounds:
         inside = slice(np.searchsorted(time, start), np.searchsorted(time, stop, side="right"))
         t, v = time[inside], values[inside]
@@ -198,7 +193,7 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
                           least=_FEWEST_SAMPLES)
         lines.append(straight_line(t, v))
         left.append(v - lines[-1](t))
-        spans.append(float(np.ptp(t)))
+        drift.append(lines[-1].slope * float(np.ptp(t)))
     n = np.array([len(v) for v in left], dtype=np.float64)
     correlated = noise_model.inflation(noise_model.autocorrelation(left))
     variance = n * np.array([line.value_variance for line in lines])
@@ -206,6 +201,5 @@ def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
     steady = (n * variance + _PRIOR_WEIGHT * pooled) / (n + _PRIOR_WEIGHT)
     noise, step = np.sqrt(steady * correlated / n), noise_model.resolution(values)
     hidden = noise_model.quantisation_variance(float(np.sqrt(pooled)), step)
-    drift = np.array([line.slope * span for line, span in zip(lines, spans, strict=True)])
     return Means(np.array([line.value for line in lines]), noise, float(np.sqrt(hidden)), step,
-                 drift, int(np.sum(n)))
+                 np.array(drift), int(np.sum(n)))

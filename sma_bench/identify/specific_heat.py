@@ -66,23 +66,20 @@ class HeatLoss(NamedTuple):
 
 def identify_specific_heat(drives: Drives, parameters: Parameters,
                            heat_loss: HeatLoss) -> Experiment:
-    """Specific heat from voltage ramps, with the rest before and the cooling after each. The most
-    probable c_p of eq. (2) on the voltage as read, freed of its noise: noise of the voltage heats a
-    model but no wire, and a wire that is taken to be slower smooths it away. The paper's slope of
-    dT/dt over f(T, V) is in `details` as "differentiator"; differentiated noise biases it. c_p is
-    conditional on wire.mass: only m c_p enters the equation. Also unknown are ambient and the
-    camera's zero, delay (of the size of a sample period) and lag; the standard error includes
-    these, R and h, coloured noise and that of the voltage. Raises InputError: no ramp, no
-    temperature, or no rise of it below A_s."""
+    """Specific heat from voltage ramps, with the rest before and the cooling after each: the most
+    probable c_p of eq. (2) on the voltage as read, freed of its noise, which heats a model but no
+    wire. The paper's slope of dT/dt over f(T, V) is in `details` as "differentiator", biased by
+    noise. c_p is conditional on wire.mass: only m c_p enters the equation. The standard error holds
+    ambient and the camera's zero, delay and lag, R and h, coloured noise and that of the voltage.
+    Raises InputError: no ramp, no temperature, or no rise of it below A_s."""
     chosen, where, findings = _windows(drives, float(parameters[TRANSITIONS["A_s"]]))
     windows = [window for of_drive in chosen for window in of_drive]
     rise = max(float(np.ptp(_median_of_five(w.temperature))) for w in windows)
     noise = float(np.median([np.std(np.diff(w.temperature)) for w in windows])) / math.sqrt(2.0)
     if rise < _SMALLEST_RISE * noise:
         raise refusal("no rise of ramps", where=where, rise=rise, noise=noise, times=_SMALLEST_RISE)
-
-    # One observation a drive: the readings within its windows, with the voltage from some time
-    # before. Stamps may be off by the longer sample period; every record has a room of its own.
+    # One observation a drive: the readings within its windows, the voltage from some time before.
+    # Stamps may be off by the longer sample period; every record has a room of its own.
     used = [(*drive, own) for drive, own in zip(drives, chosen, strict=True) if own]
     lean = []
     for record, drive, own in used:
@@ -97,8 +94,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
         rig = signals.one_wire(parameters, drive.channel)
         lean.append((Record(record.path, record.start_ns, kept), rig))
     shortest = max(shared_bin([record], rig, 0.0) for record, rig in lean)
-    # When a commanded step came between two readings of the voltage is not recorded; on one clock
-    # the steps of a ramp are all off alike.
+    # When a commanded step came between two readings is not recorded, alike for all of a ramp.
     steps = [record[f"{drive.channel}.voltage"].period / math.sqrt(12.0)
              if record.get("voltage_command") else 0.0 for record, drive, _ in used]
     observations = []
@@ -118,7 +114,6 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
         predicted = observation.course(observation.signals[0], simulation)
         for w in of_drive:
             models.append(zero.value + np.interp(w.temperature_time, observation.grid, predicted))
-
     # The numbers. Random errors grow with the misfit; what the checks doubt comes on top.
     mass, area = parameters["wire.mass"], parameters["wire.surface_area"]
     n, numbers = sum(len(w.temperature) for w in windows), {own.name: own for own in result.numbers}
@@ -133,9 +128,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
     of_r = resistance.statistical / resistance.value if gain else 0.0
     relative = math.hypot(math.sqrt(logs[0, 0]) * factor, of_r, doubt)
     method = "output-error fit of eq. (2) to the ramps"
-
-    # Systematic errors: time is told well, so m c_p goes with h A_c as these sensors make it. With
-    # an h of others they have no part in it.
+    # Time is known well, so m c_p goes with h A_c as these sensors make it; not with others' h.
     if known:
         scales = {name: share / loss.value for name, share in loss.shares.items()}
     else:
@@ -163,8 +156,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
     # Measured and fitted temperature, one window after the other, NaN in between.
     voltage = [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows]
     columns = {"time": [w.temperature_time for w in windows],
-               "temperature": [w.temperature for w in windows], "model": models,
-               "voltage": voltage}
+               "temperature": [w.temperature for w in windows], "model": models, "voltage": voltage}
     curves = {name: np.concatenate([piece for part in parts for piece in (part, [np.nan])])
               for name, parts in columns.items()}
     return Experiment("E3", "Specific heat", estimates, (*findings, *remarks), curves | rates,
@@ -172,8 +164,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
 
 
 def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, list[Finding]]:
-    """Of each drive the ramps that stay below `limit` [K], the cold beginnings of hot ones where
-    there are no others; where they are from; and a remark."""
+    """Of each drive the ramps below `limit` [K], else their cold beginnings; source; remark."""
     # Windows with how many samples were cut off, and the highest temperature in K.
     cuts: list[list[tuple[Window, int, float]]] = []
     for record, drive in drives:
@@ -222,8 +213,7 @@ def _median_of_five(values: Array) -> Array:
 
 def _fitted(observations: Sequence[Observation], cold: float, parameters: Parameters,
             heat_loss: HeatLoss) -> tuple[Result, Result | None]:
-    """With what is known of h; and by the ramps alone, with the noise that this leaves. Where
-    nobody knows h the latter only. `cold`: K, of the wire before the ramps."""
+    """With h as known, if it is, and by the ramps alone. `cold`: K, of the wire before them."""
     believed, camera = _lag(parameters)
     free = _unknowns(parameters, heat_loss, cold, camera, known=False)
     starts = [np.where(np.array(free.names) == SPECIFIC_HEAT, x, 0.0) for x in _STARTS]
@@ -231,8 +221,7 @@ def _fitted(observations: Sequence[Observation], cold: float, parameters: Parame
     blind, tried = recalibrate(problem, free.parameters(starts[0]), free, starts)
     found = dict(zip(free.names, free.values(blind.x).tolist(), strict=True))
     if found[LAG] > believed + _SIGNIFICANT * camera:
-        # A camera as slow as that is not one of those that were thought of. Of two time constants
-        # in a row no reading says which is the wire's: that whose c_p is nearer to what is known.
+        # Of two time constants in a row the wire's is that whose c_p is nearer to what is known.
         loss = found[COEFFICIENT] * parameters["wire.surface_area"] / parameters["wire.mass"]
         swapped = {**found, SPECIFIC_HEAT: found[LAG] * loss, LAG: found[SPECIFIC_HEAT] / loss}
         expected = float(parameters[SPECIFIC_HEAT])
@@ -258,8 +247,7 @@ def _lag(parameters: Parameters) -> tuple[float, float]:
 
 def _unknowns(parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_std: float,
               known: bool) -> Unknowns:
-    """Where E2 has measured the gain, the ramps share it whatever R is: R is held, its error
-    added in the end."""
+    """R is held where E2 has measured the gain, and its error added in the end."""
     (own, loss, gain, _), of_h = heat_loss, _ANY
     if known:
         of_h = gain.statistical / gain.value if gain else loss.relative_std
@@ -271,23 +259,18 @@ def _unknowns(parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_s
         of_r = own.relative_std if known else own.statistical / own.value
         ohm = parameters[signals.RESISTANCE]
         believed[signals.RESISTANCE] = (float(ohm), of_r * ohm)
-    items = []
-    for name, (mean, std) in believed.items():
-        low, high = float(BY_NAME[name].low or 0.0), float(BY_NAME[name].high or np.inf)
-        if std > 0.0:
-            items.append(Unknown(name, mean, std, low, high, log=name not in (AMBIENT, LAG)))
-    base = parameters.replace({COEFFICIENT: loss.value})
-    return Unknowns(base, tuple(items), len(items), len(items))
+    items = tuple(Unknown(name, mean, std, float(BY_NAME[name].low or 0.0),
+                          float(BY_NAME[name].high or np.inf), log=name not in (AMBIENT, LAG))
+                  for name, (mean, std) in believed.items() if std > 0.0)
+    return Unknowns(parameters.replace({COEFFICIENT: loss.value}), items, len(items), len(items))
 
 
 def _checks(result: Result, blind: Result | None, tau: float, parameters: Parameters,
             heat_loss: HeatLoss, steps: Sequence[float]) -> tuple[list[Finding], float, float]:
-    """What may be wrong with a fit of the heat equation: remarks, a factor of the random error and
-    a relative doubt of c_p. `blind`: the fit without what is known of h; `tau`: s of the wire;
-    `steps`: s, error of each delay by commanded steps."""
+    """What may be wrong with a fit: remarks, a factor of the random error and a relative doubt of
+    c_p. `blind`: without what is known of h; `tau`: s of the wire; `steps`: s, error of delays."""
     findings, factor, doubts = list[Finding](), 1.0, [0.0]
-    # An offset between the stamps, a small lag of the camera's in it, that was resolved? Delay and
-    # lag of the record that tells them best: their sum is known better than they.
+    # An offset between the stamps? Delay and lag of the best record: their sum is known better.
     fitted, delays = result.fit, [off for off in result.off if off.kind == DELAY]
     best = min(range(len(delays)), key=lambda k: delays[k].std)
     items = [item for own in fitted.problem.nuisances for item in own.items]
@@ -307,7 +290,6 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
     more = "; taken at face value they would pass for thermal inertia" * resolved
     findings.append(remark(cause, "warning" if is_bad else "info", delay=late, delay_std=std,
                            assumed=assumed, more=more))
-
     # A second time constant: the camera's, or the wire's own?
     believed, std = _lag(parameters)
     own_std = lag.std / math.sqrt(max(lag.informed, _LEAST))  # by the ramps alone
@@ -319,9 +301,7 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
     elif own_std >= _KNOWN_LAG * tau:
         findings.append(remark("lag not told", believed=believed, std=std, lag_std=own_std,
                                time_constant=tau))
-
-    # Residuals that stay on one side over a time constant: the largest mean of them in K, over
-    # what such means scatter by where the wire is cold, and over the rise.
+    # The largest mean of residuals over a time constant in K, over its scatter, and over the rise.
     means: list[tuple[float, float, float]] = []
     for block in fitted.problem.blocks:
         left, model, signal = fitted.left[block.rows], fitted.predicted[block.rows], block.signal
@@ -340,7 +320,6 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
         factor = errors / _SIGNIFICANT
         findings.append(remark("heat equation misses", misfit=misfit, standard_errors=errors,
                                share=share))
-
     # Do the ramps by themselves ask for the steady rise that E2 measured?
     if blind is not None:
         alone = {number.name: number for number in blind.numbers}
@@ -359,10 +338,8 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
 def slope_of_rates(windows: Sequence[Window], ambient: Sequence[float], resistance: float,
                    heat_loss: float, mass: float) -> tuple[Estimate, dict[str, Array]]:
     """c_p in J/(kg K) from 1/slope of dT/dt over f(T, V) = (V^2/R - h A_c (T - T_inf))/m, and the
-    driven samples: "force" f in W/kg and "rate" dT/dt in K/s. A differentiator of 0.1 s gives
-    dT/dt; f passes the same filter, so that both lag alike. The camera's noise is in both and
-    biases the slope. `ambient`: K, one a window; `resistance`: ohm; `heat_loss`: h A_c in W/K;
-    `mass`: kg."""
+    driven samples: "force" f in W/kg and "rate" dT/dt in K/s, both by a filter of 0.1 s. `ambient`:
+    K, one a window; `resistance`: ohm; `heat_loss`: h A_c in W/K; `mass`: kg."""
     rates, forces = [], []
     for w, surrounding in zip(windows, ambient, strict=True):
         period = float(np.median(np.diff(w.temperature_time)))

@@ -2,16 +2,10 @@
 temperature, the heat transfer coefficient (E2: eq. 4, Fig. 3); those of a clamped wire's
 temperature below A_s the thermal expansion factor (E8: eq. 8, Fig. 10).
 
-    V = V_0 + R_channel I          R = count (R_channel - R_leads)
+    V = V_0 + R_channel I   R = count (R_channel - R_leads)   sigma - sigma_0 = Theta_T (T - T_0)
 
-V_0 absorbs an offset of the current sensor. Gain errors of both sensors scale R and no line can
-show them, so they are systematic errors of the result.
-
-    sigma - sigma_0 = Theta_T (T - T_0)
-
-A wire that expands between clamps loses tension, so Theta_T is negative and its size is alpha E;
-the wire must be tight enough to stay so.
-"""
+V_0 absorbs an offset of the current sensor; gain errors of sensors are systematic errors of R. A
+wire that expands between clamps loses tension: Theta_T is negative and its size is alpha E."""
 
 import math
 from collections.abc import Sequence
@@ -52,11 +46,10 @@ _SLACK, _BAD_MISFIT = 5.0, 9.0  # errors of the stress, chi square per degree of
 
 
 def identify_resistance(record: Record, staircase: Staircase, parameters: Parameters) -> Experiment:
-    """Fit V over I through the plateaus of a staircase. Heating and cooling plateaus are joined
-    where they agree within two standard errors; otherwise the heating slope counts, as in the
-    paper, and half the difference is added to the error. `record`: with `<channel>.voltage` [V] and
-    `<channel>.current` [A]. Raises InputError: no current, too few samples, or leads with more
-    resistance than was measured."""
+    """Fit V over I through the plateaus of a staircase. Where heating and cooling plateaus differ
+    by two standard errors the heating slope counts, as in the paper, and half the difference is
+    added to the error. `record`: with `<channel>.voltage` [V] and `<channel>.current` [A]. Raises
+    InputError: no current, too few samples, or leads with more resistance than was measured."""
     staircase = staircase.read(record, "voltage", "current")
     v, i = (staircase.means(record, name) for name in ("voltage", "current"))
     volts, amps, n, findings = v.value, i.value, len(v.value), list[Finding]()
@@ -77,7 +70,6 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
     method = "straight line of voltage over current with intercept, both directions"
     details = {"intercept": Estimate(intercept, float(both.std[0]), "V", "both directions", n),
                "both": Estimate(ohm, std, "ohm", "both directions", n)}
-
     # A line for each direction: does the resistance depend on the phase?
     if all(side.sum() >= 3 and np.ptp(volts[side]) > 0.5 * np.ptp(volts) for side in (up, ~up)):
         each = fit_slope([up, ~up, up * amps, ~up * amps], volts, covariance, slope=2)
@@ -95,7 +87,6 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
         if abs(difference) > 2.0 * error:
             ohm, std = heating, math.hypot(float(each.std[2]), 0.5 * difference)
             method = "straight line of voltage over current with intercept, heating slope"
-
     # Is it straight? b x^2 changes the slope by 4 b / half_range over the range of the current.
     half_range = 0.5 * np.ptp(amps)
     square = ((amps - amps.mean()) / half_range) ** 2
@@ -108,7 +99,6 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
     offset, offset_std = -intercept / ohm, details["intercept"].std / ohm
     if abs(offset) > _SIGNIFICANT * offset_std:
         findings.append(remark("current offset", offset=offset, offset_std=offset_std))
-
     # From the channel to one of its wires, and the errors that no record shows.
     count, leads = parameters["wire.count"], parameters[LEADS]
     if ohm <= leads:
@@ -135,8 +125,7 @@ def lead_std(parameters: Parameters) -> float:
 
 
 def heated(resistance: Estimate, parameters: Parameters, measured: bool) -> Estimate:
-    """V^2 over the heat of one wire, V measured before the leads; `measured`: by E1, which took
-    the same leads off, so that both share one error."""
+    """V^2 over a wire's heat, V before the leads; `measured`: by E1, less the same leads."""
     count, ohm = parameters["wire.count"], resistance.value
     leads, error = count * parameters[LEADS], count * lead_std(parameters)
     if leads == 0.0:
@@ -152,13 +141,11 @@ def heated(resistance: Estimate, parameters: Parameters, measured: bool) -> Esti
 def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Parameters,
                            resistance: Estimate) -> Experiment:
     """Heat transfer coefficient and ambient temperature from a voltage staircase: T = T_inf +
-    V^2/(R h A_c) with free T_inf, which may drift where the room was not recorded; where it was,
-    what it does is taken off. The area is taken as exact: h scales with 1/A_c, and only the product
-    h A_c enters the heat equation. `details` holds the thermal gain 1/(R h A_c) in K/V^2, which
-    depends on neither R nor A_c. `record`: with voltage and temperature of the channel, perhaps
-    `ambient.temperature`; `resistance`: V^2 over the heat of a wire, with its error: R, where there
-    are no leads. Raises InputError: no temperature, one that does not follow the voltage, or free
-    convection."""
+    V^2/(R h A_c) with free T_inf, which may drift where the room was not recorded. The area is
+    taken as exact: only h A_c enters the heat equation. `details` holds the thermal gain
+    1/(R h A_c) in K/V^2. `record`: with voltage and temperature of the channel, perhaps
+    `ambient.temperature`; `resistance`: V^2 over the heat of a wire. Raises InputError: no
+    temperature, one that does not follow the voltage, or free convection."""
     if parameters["wire.convection"] != "constant":
         raise refusal("free convection", path=record.path)
     also = ["current"] if has_samples(record, f"{staircase.channel}.current") else []
@@ -168,7 +155,6 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
     volts, kelvin, square = v.value, t.value, v.value**2
     shared = staircase.same_level(volts)  # plateaus that share a converter error
     ones, rise_of_square = np.ones(n), float(np.ptp(square))
-
     # What the room did from plateau to plateau, or one standard deviation of what it may have done.
     middle = staircase.windows.mean(axis=1)
     centred, duration, size = middle - middle.mean(), float(np.ptp(middle)), 0.0
@@ -192,7 +178,6 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
     # T over V^2: (T_inf, 1/(R h A_c)).
     fit = fit_slope([ones, square], kelvin, covariance)
     (ambient, gain), (ambient_std, gain_std) = fit.beta.tolist(), fit.std.tolist()
-
     # How far the room went to either side of its mean, as the staircase shows it.
     went = 0.0
     if size and n >= _FEWEST_TO_DRIFT:
@@ -202,7 +187,6 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         if abs(far) >= max(_SIGNIFICANT * error, _SMALL_DRIFT * gain * rise_of_square):
             went = far
             remarks.append(remark("room drifts", drift=2.0 * went, std=2.0 * error))
-
     # Plateaus whose temperature still changed while it was averaged.
     limit = max(_SMALLEST_DRIFT, _LARGE_DRIFT * float(np.ptp(kelvin)))
     # A straight line's rise over its window has variance 12 times that of the mean.
@@ -215,7 +199,6 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         worst = int(np.argmax(np.where(moving, np.abs(t.drift), 0.0)))
         remarks.append(remark("plateaus not settled", plateaus=moving.sum(), of=n,
                               largest_drift=t.drift[worst], volts=volts[worst]))
-
     # Straight over V^2, or over R times a wire's power where there is a current, as R may vary?
     heating, errors, what = square, covariance(gain), "squared voltage"
     if has_samples(record, f"{channel}.current"):
@@ -242,7 +225,6 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         way = "rises" if bend < 0.0 else "falls"
         remarks.append(remark("coefficient varies", what=what, way=way, size=0.5 * abs(bend),
                               growth=-0.5 * bend, growth_std=0.5 * error))
-
     # Is the room as warm as it was said, or measured, to be?
     known, stated_std = [], parameters.std(AMBIENT)
     if AMBIENT in parameters.given:
@@ -255,7 +237,6 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         off = ambient - value
         if abs(off) > _SIGNIFICANT * math.hypot(ambient_std, std):
             remarks.append(remark("ambient", how=how, ambient=ambient, value=value, difference=off))
-
     # What no record shows: the converter's zero, the camera's, its scale, and the drift.
     shifted = (volts + parameters.std(ZERO)) ** 2
     off = float(fit_slope([ones, shifted], kelvin, covariance).beta[1] - gain)
@@ -278,8 +259,7 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
 
 
 def coefficient(gain: Estimate, resistance: Estimate, parameters: Parameters) -> Estimate:
-    """h = 1/(gain R A_c) from a thermal gain in K/V^2; the errors of gain and R are independent
-    but for the scales of their sensors."""
+    """h = 1/(gain R A_c) from a thermal gain in K/V^2, independent of R but for the sensors."""
     area = parameters["wire.surface_area"]
     value = 1.0 / (gain.value * resistance.value * area)
     std = math.hypot(gain.statistical / gain.value, resistance.statistical / resistance.value)
@@ -300,10 +280,9 @@ def scale_of_gain(parameters: Parameters) -> dict[str, float]:
 
 
 def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
-    """Evaluate clamped staircases of temperature. `records`: each of one wire, with its temperature
-    [K] and `force` [N]; `parameters`: diameter and count (area), A_s and C_A (above which the wire
-    transforms), moduli (check). Raises InputError: a signal is absent, or fewer than three
-    temperatures remain below A_s."""
+    """Evaluate clamped staircases of temperature [K] and `force` [N], each of one wire.
+    `parameters`: diameter and count (area), A_s and C_A, moduli (check). Raises InputError: a
+    signal is absent, or fewer than three temperatures remain below A_s."""
     # A point (K, Pa, with errors) a plateau of each record, and which of them count.
     findings, points, used, total = list[Finding](), [], [], 0
     area, a_s, stated = channel_section(parameters), parameters[_START], _START in parameters.given
@@ -322,9 +301,7 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
         total += f.n
         warm_std, of_record = np.hypot(warm.noise, warm.hidden), np.full(len(here), float(index))
         points.append(np.column_stack([warm.value, warm_std, here, error, of_record]))
-
-        # Below A_s, with the stress's shift: a transforming wire pulls itself up, so only the
-        # stress before A_s may shift the limit.
+        # Below A_s, shifted by the stress before it: a transforming wire pulls itself up.
         cold = here[warm.value < a_s]
         shift = max(float(cold.min()), 0.0) if len(cold) else 0.0
         limit = a_s + shift / parameters[SYMBOLS["C_A"]] - 2.0 * doubt
@@ -345,7 +322,6 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
     levels = 1 + int(np.sum(np.diff(np.sort(t[chosen])) > _SAME_LEVEL)) if chosen.any() else 0
     if levels < _FEWEST_LEVELS:
         raise refusal("few levels", path=records[0].path, levels=levels, least=_FEWEST_LEVELS)
-
     # One slope, and a zero a record.
     kinds, centre = np.unique(group[chosen]), float(t[chosen].mean())
     design = np.column_stack([group[:, None] == kinds, t - centre])
@@ -354,13 +330,11 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
         design[chosen].T, stress[chosen], slope=-1, covariance=lambda slope: np.diag(
             stress_std[chosen] ** 2 + (slope * t_std[chosen]) ** 2 + floor))
     slope = float(fit.beta[-1])
-
     # The area behind stress and the camera's scale have errors common to all points.
     shares = {name: -slope * parameters.std(name) / parameters[name] for name in CAMERA}
     shares[_DIAMETER] = -2.0 * slope * parameters.std(_DIAMETER) / parameters[_DIAMETER]
     method = f"line through {int(chosen.sum())} plateaus at {levels} temperatures below A_s"
     estimate = Estimate(slope, float(fit.std[-1]), "Pa/K", method, total).with_shares(shares)
-
     # Sign and size against -alpha E of a clamped wire below A_s.
     soft = NITI_EXPANSION[0] * parameters["wire.martensite_modulus"]
     stiff = NITI_EXPANSION[1] * parameters["wire.austenite_modulus"]
@@ -368,8 +342,7 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
     least, most, strongest = size - 2.0 * std, size + 2.0 * std, factor * stiff
     causes = {"expansion of the other sign": slope > 2.0 * std,
               "expansion of a camera": factor * soft < least <= strongest,
-              "expansion too large": least > strongest,
-              "expansion too small": most < soft / factor}
+              "expansion too large": least > strongest, "expansion too small": most < soft / factor}
     facts = {"of_soft": size / soft, "of_stiff": size / stiff}
     faults = [words(cause, **facts) for cause, found in causes.items() if found]
     findings.append(remark("size of the expansion", "warning" if faults else "info",
@@ -385,8 +358,7 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
 
 
 def steady_windows(time: Array, temperature: Array) -> Array:
-    """(p, 2) s: the later parts of the stretches in which temperature (n,) K holds still over time
-    (n,) s, increasing."""
+    """(p, 2) s, later parts of stretches in which temperature (n,) K is still over time (n,) s."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else _WINDOW
     half = max(round(0.5 * _WINDOW / period), 2)
     if len(time) < 4 * half:

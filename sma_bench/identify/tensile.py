@@ -1,13 +1,9 @@
 """E7: E_M and E_A from tensile tests at constant temperature (Fig. 9, Table III).
 
 Martensite: slack (the toe), a short elastic rise, detwinning at nearly constant stress up to some
-4 %, then the elastic rise of detwinned martensite, which is what the law's E_M means: xi = 1 with
-all of eps_L in it. Austenite: the rise before the plateau of stress-induced martensite. The curve
-is cut into straight pieces and the right one is told by its slope and by where the plateau lies.
-
-Which phase a test shows is a matter of the wire's own M_f and A_f or of what its file or the user
-says: the paper's wire does not tell it of another.
-"""
+4 %, then the elastic rise of detwinned martensite, which is the law's E_M: xi = 1 with all of eps_L
+in it. Austenite: the rise before the plateau of stress-induced martensite. The curve is cut into
+straight pieces. The phase is that of the wire's own M_f and A_f, its file, or the user."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -81,10 +77,8 @@ def read_curve(record: TensileRecord) -> TensileReading:
     top = int(np.argmax(record.stress[:last]))
     # Means over narrow intervals of strain, in straight pieces (first, last point).
     strain, stress = record.strain[: top + 1], record.stress[: top + 1]
-    x = y = strain[:0]
-    if np.ptp(strain) > 0.0:
-        bins = Bins.of(strain, _GRID)
-        x, y = bins.mean(strain), bins.mean(stress)
+    bins = Bins.of(strain, _GRID) if np.ptp(strain) > 0.0 else None
+    x, y = (bins.mean(values) if bins else values[:0] for values in (strain, stress))
     if len(x) < 20:
         raise InputError(f"{record.path}: {len(x)} points while loading, expected 20 or more")
     pieces = _straight_pieces(x, y, max(_STRAIGHT * float(np.ptp(y)), 1.2 * scatter(y)))
@@ -131,7 +125,6 @@ def read_curve(record: TensileRecord) -> TensileReading:
         found = steepest([p for p in pieces if p[0] > last])
         if found is not None and x[found[1]] - x[found[0]] >= _SHORTEST_AFTER:
             after = rise(found)
-
     # Unloading: from 90 to 50 % of the largest stress on the way down.
     unloading = None
     down, way = record.stress[top:], record.strain[top:]
@@ -191,9 +184,8 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | 
                      phases: Mapping[str, Phase] | None = None) -> Experiment:
     """Evaluate tensile tests of one material; tests of one phase are repeats. `details` holds
     plateau stresses, toe, other rises; `curves` `<phase>/<file>/strain`, `/stress` and `/pieces`
-    (m, 2). `parameters`: M_f and A_f of this wire, given or identified, which with the test's
-    temperature tell the phase, and its length and diameter where a file has elongation and force;
-    defaults do not count; `phases`: phase by file name or pattern of names, before everything else.
+    (m, 2). `parameters`: M_f and A_f of this wire, its length and diameter where a file has
+    elongation and force; no defaults; `phases`: phase by file name or pattern, before all else.
     Raises InputError: no records, a test of unknown phase, or a curve without elastic part."""
     parameters = parameters or Parameters.defaults()
     if not records:
@@ -228,7 +220,6 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | 
         if not low <= value <= high:
             findings.append(remark("no NiTi's modulus", symbol=symbol, modulus=value, low=low,
                                    high=high))
-
         # Everything else that the curves show, as mean and deviation of the tests.
         every = [reading for _, reading in group]
         plateaus = [r.plateau for r in every if r.plateau]
@@ -253,19 +244,17 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | 
 
 
 def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord:
-    """Strain and stress, of elongation and force by the length and section of one wire: a file is
-    of a specimen, a bag of a bench with all wires of its channel."""
+    """Strain and stress, of elongation and force by the length and section of one wire."""
     if record.is_extension and not {"wire.length", "wire.mass"} & parameters.given:
         raise InputError(f"{record.path}: elongation instead of strain, give wire.length")
     if record.is_force and "wire.diameter" not in parameters.given:
         raise InputError(f"{record.path}: force instead of stress, give wire.diameter")
-    strain, stress, findings = record.strain, record.stress, record.findings
     if record.is_extension:
-        strain, findings = strain / wire_length(parameters), (*findings, about_length(parameters))
+        record = replace(record, strain=record.strain / wire_length(parameters), is_extension=False,
+                         findings=(*record.findings, about_length(parameters)))
     if record.is_force:
-        stress = stress / wire_section(parameters)
-    return replace(record, strain=strain, stress=stress, findings=findings, is_extension=False,
-                   is_force=False)
+        record = replace(record, stress=record.stress / wire_section(parameters), is_force=False)
+    return record
 
 
 def _phase(record: TensileRecord, phases: Mapping[str, Phase], parameters: Parameters) -> Phase:
@@ -296,10 +285,9 @@ def _chosen(phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]],
         return "loading before the plateau", initial
     after = [reading.after for _, reading in group if reading.after is not None]
     cause = "left out" if after else "no rise after the plateau"
-    for record, reading in ((record, own) for record, own in group if own.after is None):
-        where = "shows no detwinning plateau"
-        if reading.plateau:
-            where = f"ends on the detwinning plateau at {reading.plateau[1]:.2%}"
+    for record, own in ((record, own) for record, own in group if own.after is None):
+        where = (f"ends on the detwinning plateau at {own.plateau[1]:.2%}" if own.plateau
+                 else "shows no detwinning plateau")
         findings.append(remark(cause, name=record.path.name, where=where))
     if after:
         return "loading after detwinning (xi = 1 with all of eps_L in it)", after
@@ -307,10 +295,9 @@ def _chosen(phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]],
 
 
 def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord, ...]:
-    """The pulls of a load-frame bag at steady temperature as tensile tests. A row is a mean over a
-    part of a pull: what an extensometer scatters within one would make the wire look softer."""
-    # What tells the temperature: the wire's own, else the room's where nothing heats it. None if
-    # neither was measured; a wire that is heated unseen may have any.
+    """The pulls of a load-frame bag at steady temperature as tensile tests, a row a mean over a
+    part of a pull: an extensometer's scatter would make the wire look softer."""
+    # The temperature is the wire's own, else the room's where nothing heats it, None without.
     wires = record.channels
     heated = any(has_samples(record, f"{c}.{q}") for c in wires for q in ("voltage", "current"))
     names = [*(f"{c}.temperature" for c in wires), *([] if heated else ["ambient.temperature"])]

@@ -1,11 +1,9 @@
 """E5, transition temperatures by calorimetry: tangents on every scan (Fig. 7), cycles and heating
 rates (Table II).
 
-Heat takes time to reach the sample, so onsets move with the rate, in proportion to it; the straight
-line through several rates gives the onset at rate zero (Hoehne et al., Thermochimica Acta 160,
-1990, calibrate the same way). The first heating of a prestrained sample starts later, because its
-detwinned martensite is stabilised; the second does not: that is the prestrain, no error.
-"""
+Onsets move in proportion to the rate: the straight line through several rates gives the onset at
+rate zero (Hoehne et al., Thermochimica Acta 160, 1990, calibrate the same way). The first heating
+of a prestrained sample starts later, the second does not: that is the prestrain, no error."""
 
 import math
 from collections.abc import Sequence
@@ -23,16 +21,14 @@ from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import DscRecord, DscSegment
 
 _ENDS = {"heating": ("A_s", "A_f"), "cooling": ("M_s", "M_f")}  # start and finish
-# A calorimeter is calibrated with indium to some tenths of a kelvin, which melts within seconds; a
-# wire in its pan follows by so many seconds more or less.
+# A calorimeter is calibrated with indium to some tenths of a kelvin; a wire follows within seconds.
 _CALORIMETER_STD, _LAG_STD = 0.5, 5.0  # K, s
 _SAME_RATE = 0.05  # share of a rate
 _SIGNIFICANT = 3.0  # standard errors
 _SMALLEST_SHIFT = 2.0  # K
 _STAYS = 0.25  # of the largest shift: cooling that moves by less stays
 _GRID = 0.05  # K
-# A ruler follows the flank over a few kelvins, not at a point: kinks of 1 K do not turn it. The
-# first choices are reported, the others tell their error.
+# A ruler follows the flank over some kelvins; the first choices count, the others tell the error.
 _SMOOTHINGS = (4.0, 2.0, 6.0)  # K
 _ON_BASELINE, _FACTORS = 0.003, (1.0, 0.3, 3.0)  # of the scan's height
 _BASELINE = 5.0  # K, at least
@@ -45,26 +41,23 @@ _SIGMOID_PASSES = 8
 
 
 class Scan(NamedTuple):
-    """One scan with a whole peak: record by position, cycle from 1 among the scans of its kind,
-    rate in K/s and in K/min, positive. `values` (value, std) in K of those of A_s ... M_f that it
-    shows; `details` and `curves` what else it gives; `peaks` in K, the largest first."""
+    """One scan with a whole peak."""
 
-    run: int
+    run: int  # its place among the records
     segment: DscSegment
-    cycle: int
-    rate: float
-    per_minute: float
-    values: dict[str, tuple[float, float]]
+    cycle: int  # from 1, among the scans of its kind
+    rate: float  # K/s, positive
+    per_minute: float  # K/min
+    values: dict[str, tuple[float, float]]  # K and standard error, of those of A_s ... M_f in it
     details: dict[str, Estimate]
     curves: dict[str, Array]
-    peaks: tuple[float, ...]
+    peaks: tuple[float, ...]  # K, the largest first
 
 
 def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> Scan:
-    """Onset and finish by tangents, peaks, and the area over a baseline. The tangents touch the
-    outermost flank on either side: where a transformation goes in steps (an R-phase, a mixed
-    powder) it starts with the first and ends with the last of them. Raises InputError: too short,
-    nothing straight at its beginning, or no peak stands out."""
+    """Onset and finish by tangents to the outermost flanks (a transformation may go in steps),
+    peaks, and the area over a baseline. Raises InputError: too short, nothing straight at its
+    beginning, or no peak stands out."""
     # Heating takes the latent heat up, cooling gives it back: the peak shall point upward.
     upward = (segment.kind == "heating") == (record.endothermic_up is not False)
     flow = (1.0 if upward else -1.0) * record.specific_heat_flow(segment)
@@ -80,7 +73,6 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     steps = np.arange(reached[0], reached[-1], _GRID)
     stamps, flow = (np.interp(steps, reached[keep], v[keep]) for v in (time, flow))
     measured_rate = float((reached[-1] - reached[0]) / (time[-1] - time[0]))
-
     # From where the next kelvins are straight, as only a settled instrument draws, but for noise.
     width = round(_BASELINE / _GRID)
     limit = max(_STRAIGHT * float(np.ptp(flow[len(flow) // 10 : -len(flow) // 10])), spread)
@@ -99,9 +91,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     (begin, _, before, _, head), (end, _, after, _, tail) = ends.values()
     if (end - begin) * sign <= 0.0:
         raise refusal("tangents in the wrong order", begin=begin, end=end)
-
-    # Base under the peak: by share of the area done (sigmoid), and by a straight chord. Outside
-    # both are the scan itself, so that they add no area there.
+    # Base under the peak, by share of the area done (sigmoid) and a straight chord; outside, flow.
     n = len(flow)
     first = min(round(head / _GRID), n - 2)
     last = max(n - 1 - round(tail / _GRID), first + 1)
@@ -120,7 +110,6 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     found, _ = find_peaks(flow - base, prominence=_PEAK_PROMINENCE * height)
     between = found[(t[found] - begin) * (t[found] - end) < 0.0]
     peaks = tuple(t[between[np.argsort(-(flow - base)[between])]].tolist())
-
     # Its numbers, and everything that a figure needs; lines are cut to where they touch the scan.
     rate, per_minute = abs(segment.rate), abs(segment.rate) * 60.0
     where = f"{segment.kind}, {per_minute:g} K/min, cycle {cycle}"
@@ -144,9 +133,8 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
 
 
 def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Line, float]:
-    """Where the outermost flank's tangent meets the baseline at the beginning of a scan, whose
-    noise stays within `spread`: K, its error from other smoothings and baselines, baseline,
-    tangent, and K to which that is fitted."""
+    """Where the outermost flank's tangent meets the baseline at the beginning of a scan with noise
+    within `spread`: K, its error from other choices, baseline, tangent, and K of the baseline."""
     from scipy.signal import find_peaks, savgol_filter  # half a second to load
     # Lines through the scan's beginning, extended while the scan stays on them.
     height, shortest, baselines = float(np.ptp(flow)), round(_BASELINE / _GRID), []
@@ -162,7 +150,6 @@ def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Li
             count = longer
         baselines.append((line, count * _GRID))
     baseline, extent = baselines[0]
-
     # Tangents at the first inflection met on the way up from the baseline.
     tangents = []
     for smoothing in _SMOOTHINGS:
@@ -187,14 +174,12 @@ def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Li
 
 def identify_transition_temperatures(records: Sequence[DscRecord] | DscRecord) -> Experiment:
     """A_s, A_f, M_s and M_f, stress free, from one DSC run or several of the same material: from
-    the cycles after the first (the first one only where there is no other), extrapolated to zero
-    rate where several runs have two rates or more. In one run whose rates differ, rate and cycle
-    change together: its slowest scan counts, the largest difference to the others is in the error.
+    the cycles after the first, extrapolated to zero rate where several runs have two rates or more.
+    In one run whose rates differ its slowest scan counts, and the others are in the error.
     `details` holds "cycle 1, 5 K/min: A_s" and so on (Table II), "A_s at zero rate", "A_s lag" in
     s, and of every scan "<file>/segment_N/..." (without the file in one run of several rates):
-    start, finish, peak in K and latent_heat in J/kg; `curves` its heat flow in W/kg (transformation
-    upward) over temperature in K with baselines and tangents. Raises InputError: no record, or one
-    without a whole peak."""
+    start, finish, peak in K and latent_heat in J/kg; `curves` its heat flow in W/kg (upward) over
+    temperature in K with baselines and tangents. InputError: no record, or one without a peak."""
     runs = [records] if isinstance(records, DscRecord) else list(records)
     if not runs:
         raise InputError("DSC: no records")
@@ -239,8 +224,8 @@ def identify_transition_temperatures(records: Sequence[DscRecord] | DscRecord) -
         findings.append(remark("no scan of a kind", missing=" and ".join(missing)))
     heated, cooled = (estimates.get(TRANSITIONS[name]) for name in ("A_s", "M_s"))
     if heated and cooled and cooled.value > heated.value:
-        a_s, m_s = heated.value, cooled.value
-        findings.append(remark("ranges overlap", cooled=m_s, heated=a_s, overlap=m_s - a_s))
+        findings.append(remark("ranges overlap", cooled=cooled.value, heated=heated.value,
+                               overlap=cooled.value - heated.value))
     for s in scans:
         number = s.segment.number
         of_run = f"run {s.run + 1}, " if len(runs) > 1 else ""

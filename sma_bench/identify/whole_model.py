@@ -1,7 +1,5 @@
 """E0, E9, E10 and E12: the whole model fitted to any set of a bench's records, as an experiment.
-
-It is the fit that the diagnosis calls recalibration, from more starts.
-"""
+It is the fit that the diagnosis calls recalibration, from more starts."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -15,12 +13,10 @@ from sma_bench.errors import InputError
 from sma_bench.estimation import laws as weighing
 from sma_bench.estimation import unknowns as priors
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.laws import LawFit, starts
 from sma_bench.estimation.observation import MOVED, Observation, observe_all
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of, scale_errors
 from sma_bench.estimation.solver import Fit, fit_imperfect, recalibrate
-from sma_bench.estimation.unknowns import HEAT, PRODUCTS, Unknown
 from sma_bench.findings import Finding, Severity
 from sma_bench.identify.result import Correlation, Experiment, refusal, remark
 from sma_bench.identify.signals import CAMERA_LAG, LAG, LEADS, RESISTANCE, about_length
@@ -44,11 +40,10 @@ _UNITS = {"wire.heat_transfer_coefficient": ("heat_loss", "W/K", "h A_c"),
 def identify_moving_bench(records: Sequence[Record], parameters: Parameters,
                           report: Report = silent) -> Experiment:
     """What the wires pull against (of the composite alpha and beta of each side, else the numbers
-    of `load`), and their own parameters. The baseline model (contract, section 4) is simulated on
-    the measured voltages and held to every other signal that the records have. Priors are the
-    parameters' values and `uncertainty.`; what the records cannot tell stays there and is named in
-    the findings. Records of a single wire in a load frame may join: the same alloy. Raises
-    InputError: no voltage of some channel, or no motion in any record."""
+    of `load`), and their own parameters: the baseline model (contract, section 4) on the measured
+    voltages, held to every other signal. Priors are the parameters' values and `uncertainty.`; what
+    the records cannot tell is named in the findings. Records of one wire in a load frame may join.
+    Raises InputError: no voltage of some channel, or no motion in any record."""
     observations = observe_all(records, parameters)
     if not any(set(MOVED) & set(one.quantities) for one in observations):
         raise refusal("no motion", where=", ".join(str(r.path) for r in records) or "no records")
@@ -78,10 +73,10 @@ def identify_driven_wires(records: Sequence[Record], parameters: Parameters,
     title = "Joint fit of a drive that was made for something else"
     fitted = fit_experiment("E0", title, observations, parameters, report, most_starts=2)
     found = {n: e for n, e in fitted.estimates.items()
-             if n in (*HEAT, CAMERA_LAG) and e.informed >= _UNINFORMED}
+             if n in (*priors.HEAT, CAMERA_LAG) and e.informed >= _UNINFORMED}
     # A product of which nobody knows a factor is found with the default of the other one.
     for name, (what, _, symbol) in _UNITS.items():
-        partner, product = PRODUCTS[name], fitted.details.get(what)
+        partner, product = priors.PRODUCTS[name], fitted.details.get(what)
         if product and product.informed >= _UNINFORMED and partner not in parameters.given:
             own, factor = fitted.estimates[name], parameters[partner]
             value, words = product.value / factor, f"{partner} {factor:.4g} taken as exact"
@@ -101,7 +96,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
     quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
     held = any(one.holds for one in observations)
     moving = any(not one.holds for one in observations)
-    laws: tuple[LawFit, ...] = ()
+    laws: tuple[weighing.LawFit, ...] = ()
     if moving and load_kind(parameters) in priors.LOADS and "deflection" in quantities:
         laws = weighing.weigh_laws(observations, parameters, quantities, report)
         fitted, tried = _with_lag(laws[0].fit, list(laws[0].tried), parameters)
@@ -110,7 +105,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
         unknowns = priors.unknowns_of_records(parameters, quantities, load_frame=held,
                                               own_load=moving, sides_apart=True, unmodelled=True)
         problem = Problem.of(observations, voltage_noise=True)
-        tries = starts(unknowns)[:most_starts]
+        tries = weighing.starts(unknowns)[:most_starts]
         fitted, tried = recalibrate(problem, parameters, unknowns, tries, report, keep_noise=True)
         fitted, tried = _with_lag(fitted, tried, parameters)
     result = result_of(fitted, tried, scale_errors(fitted))
@@ -127,13 +122,11 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
         if n.name == RESISTANCE:
             shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
         shares |= priors.shares_of_factor(n.name, n.value, parameters)
-        # What nobody measured better is not known better: sensors' scales are in what was known.
-        # Numbers that bound each other are as the fit had them together.
+        # Sensors' scales are in what was known; numbers that bound each other are as one fit had.
         bound = n.name in (*priors.TEMPERATURES, priors.SPREAD)
         own = Estimate(fitted.parameters[n.name] if bound else n.value, n.std,
                        BY_NAME[n.name].unit, method + mostly_prior, samples, informed=n.informed)
         estimates[n.name] = own.with_shares(shares).capped(n.prior_std)
-
     # Products that the data know better than their factors, zeros of sensors, delays.
     details = {}
     for number in result.products:
@@ -160,7 +153,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
                       Correlation(tuple(estimates), result.correlation[np.ix_(which, which)]), laws)
 
 
-def _of_laws(laws: Sequence[LawFit]) -> Iterator[Finding]:
+def _of_laws(laws: Sequence[weighing.LawFit]) -> Iterator[Finding]:
     """Which law, the runner-up and what it predicts differently; how the bench repeats."""
     for first, second in pairwise(laws[:2]):
         apart = first.fit.predicted - second.fit.predicted
@@ -173,8 +166,7 @@ def _of_laws(laws: Sequence[LawFit]) -> Iterator[Finding]:
 
 
 def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fit, list[Fit]]:
-    """The fit again with the thermometer's lag as an unknown, where temperatures are missed by more
-    than their noise or a lag is stated, and this tells the records better."""
+    """The fit again with the thermometer's lag, if missed or stated, where that tells it better."""
     mean, std = float(parameters[CAMERA_LAG]), parameters.std(CAMERA_LAG)
     missed = any(float(np.std(fitted.left[block.rows])) > _FLOOR * block.signal.noise
                  for block in fitted.problem.blocks if block.signal.quantity == "temperature")
@@ -183,7 +175,7 @@ def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fi
     if CAMERA_LAG not in parameters.given_uncertainty:  # nobody has measured this thermometer's
         std = max(std, float(BY_NAME[LAG].uncertainty or 0.0))
     own, before = fitted.unknowns, fitted.problem
-    item = Unknown(LAG, mean, std, 0.0, float(BY_NAME[LAG].high or np.inf))
+    item = priors.Unknown(LAG, mean, std, 0.0, float(BY_NAME[LAG].high or np.inf))
     unknowns = replace(own, items=(*own.items, item), baseline=own.baseline + 1)
     first = item.x_of(max(mean, std))
     starts = [np.append(one, first) for one in (own.start(), fitted.x)]
@@ -205,7 +197,7 @@ def _findings(result: Result) -> Iterator[Finding]:
     if which := [n.name for n in told if n.informed < _UNINFORMED]:
         yield remark("mostly the prior", names=", ".join(which), parameters=len(which))
     for first in (number.name.split(" x ")[0] for number in result.products):
-        product, factor = _UNITS[first][2], PRODUCTS[first]
+        product, factor = _UNITS[first][2], priors.PRODUCTS[first]
         yield remark("only the product", subject=first, product=product, factor=factor)
     # Where one statement is contradicted, what drags it along drags others too.
     limit = _FAR_TOO if any(abs(n.moved) > _FAR for n in result.numbers) else _FAR
