@@ -47,8 +47,8 @@ def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] 
             the shared clock `time` (n,) s, or to pairs (time, values); a pandas DataFrame with
             such columns; a simulation, which is then read exactly; a record as it is.
         namespace: where two benches are in one bag, the one to take.
-        units: of a logger's table, by column; it is then read as `sma-bench import` does.
-        params: the rig's parameter file for such a table.
+        units, params: of a logger's table, read as `sma-bench import` does: units by column, and
+            the rig's parameter file.
 
     `record["wire.voltage"]` has `time` (n,) s and `values` (n,); an instrument file is a record of
     its own kind. Raises InputError: nothing readable, or arrays that do not fit each other."""
@@ -172,13 +172,12 @@ def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
     Args:
         records: bags of one bench, one or a list of what `load` takes.
         parameters: as believed, `uncertainty.NAME` as priors; as for `load_parameters`.
-        hold_out: further records of that bench, on which the shrinkage is measured; the last part
-            of each record when empty.
+        hold_out: further ones, to measure the shrinkage on; when empty each record's last part.
         signals: which quantities are compared, of current, temperature, deflection.
 
-    The result has `verdict`, `cause`, `candidates`, `where`, `shrinkage`, `improved`
-    parameters; `to_json()` is the result file of `sma-bench diagnose`. Raises InputError: no
-    record, an instrument's file, or nothing that can be compared."""
+    The result has `verdict`, `cause`, `candidates`, `where`, `shrinkage`, `improved` parameters;
+    `to_json()` is its file. Raises InputError: no record, an instrument's file, or nothing that can
+    be compared."""
     unknown = sorted({signals} if isinstance(signals, str) else set(signals) - set(QUANTITIES))
     if unknown:
         raise InputError(f"diagnose: signals {unknown[0]!r}, expected some of {list(QUANTITIES)}")
@@ -201,11 +200,10 @@ def compare(records: Any, models: Any = ()) -> Overlay:
     def named(given: Any, kind: str) -> dict[str, Any]:
         """Things by name: their own, that of their file, or a number."""
         groups = {"uncertainty", *(name.partition(".")[0] for name in BY_NAME)}
+        things = str | Path | Record | Parameters | Simulation
         if isinstance(given, Mapping) and not set(given) & set(BY_NAME) and all(
-            isinstance(v, str | Path | Record | Parameters | Simulation)
-            or (isinstance(v, Mapping) and name not in groups)
-            for name, v in given.items()
-        ):
+                isinstance(v, things) or (isinstance(v, Mapping) and name not in groups)
+                for name, v in given.items()):
             return dict(given)
         found: dict[str, Any] = {}
         for k, thing in enumerate(given if isinstance(given, list | tuple) else [given], 1):

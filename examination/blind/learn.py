@@ -30,10 +30,10 @@ from examination.blind.make import Sized, make_label, size
 from examination.blind.rigs import RECORDS
 from examination.blind.score import as_markdown, stated_and_right
 from sma_bench.arrays import Array
-from sma_bench.diagnose.facts import Weighed, weighed
+from sma_bench.diagnose.decision import NAMES, SIGNS, Utilities
 from sma_bench.diagnose.result import JOIN
 from sma_bench.diagnose.search import search
-from sma_bench.diagnose.utilities import NAMES, SIGNS, Utilities
+from sma_bench.diagnose.sizes import Weighed, weighed
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe_all
 from sma_bench.parameters import Parameters
@@ -53,7 +53,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
 STORED = Path(__file__).with_name("features.jsonl.gz")
 # What the numbers of a search depend on; the decision is fitted to them.
 _LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
-_NOT_ITS = ("decision.py", "diagnosis.py", "next_experiment.py", "result.py", "utilities.py")
+_NOT_ITS = ("decision.py", "diagnosis.py", "next_experiment.py", "result.py")
 _LOADS = ("beam", "clamped", "force", "beam", "spring", "beam", "antagonist")  # in turn
 _UNSTATED, _LESS_SIGNALS = 1 / 3, 0.35  # of the owners; of the benches that read all
 _PLAIN, _AS_STATED = 0.5, 0.5  # of the benches without an effect; of plain ones with nothing wrong

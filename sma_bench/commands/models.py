@@ -20,7 +20,7 @@ _AT = ("voltage", "temperature", "martensite_fraction", "stress")
 
 @options.command("simulate")
 def run_simulate(args: SimpleNamespace) -> int:
-    from sma_bench.estimation.bands import band_of
+    from sma_bench.estimation.laws import band_of
     from sma_bench.findings import Finding
     from sma_bench.live.virtual_bench import STANDS
     from sma_bench.parameters.parameters import idle_effects, load_kind

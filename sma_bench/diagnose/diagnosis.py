@@ -9,10 +9,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from sma_bench.diagnose import decision
-from sma_bench.diagnose.decision import Candidate
-from sma_bench.diagnose.facts import weighed
+from sma_bench.diagnose.decision import Candidate, Utilities, learnt
+from sma_bench.diagnose.left_over import missed
 from sma_bench.diagnose.next_experiment import next_experiment
-from sma_bench.diagnose.process_noise import missed
 from sma_bench.diagnose.result import (
     NO_GAP,
     RECALIBRATION,
@@ -25,8 +24,14 @@ from sma_bench.diagnose.result import (
     Where,
 )
 from sma_bench.diagnose.search import Progress, Search, held_back, search
-from sma_bench.diagnose.sizes import contribution, locate, sensors_noise, shrinkage, unknown_share
-from sma_bench.diagnose.utilities import Utilities, learnt
+from sma_bench.diagnose.sizes import (
+    contribution,
+    locate,
+    sensors_noise,
+    shrinkage,
+    unknown_share,
+    weighed,
+)
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe_all
@@ -78,18 +83,12 @@ class Diagnosis(DiagnosisResult, Reported):
 def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequence[Record] = (),
              progress: Progress = lambda text: None,
              quantities: Sequence[str] = QUANTITIES) -> Diagnosis:
-    """Diagnose the gap between a bench's records and its model.
-
-    Candidates are weighed on all records together; the shrinkage is measured on the held-out ones
-    (on the last part of the records where none is held out), with a model that has not seen them.
-    Raises InputError: no records, one that cannot be compared, or one both fitted and held out.
-
-    Args:
-        records: bags of one bench; hold_out: further ones.
-        parameters: as believed, `uncertainty.` as priors.
-        progress: called with what is being done.
-        quantities: that are compared, of current, temperature and deflection.
-    """
+    """Diagnose the gap between a bench's records and its model, with the parameters as believed and
+    their `uncertainty.` as priors. Candidates are weighed on all records together; the shrinkage is
+    measured on the held-out ones (on the last part of the records where none is held out), with a
+    model that has not seen them. `progress` is called with what is being done; `quantities`: that
+    are compared. Raises InputError: no records, one that cannot be compared, or one both fitted and
+    held out."""
     if not records:
         raise InputError("diagnose: no record, expected at least one")
     require_distinct(records, hold_out)
@@ -222,11 +221,10 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     """Probability of each stage of the model in which a gap may arise, the most probable first.
 
     An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
-    whose parameters moved further than anyone believed; where all moved as far as believed they
-    tell of no stage (six transition numbers move further than one resistance by their number
-    alone). What nothing explains has the stages at which an unknown input gains something [nats],
-    each in proportion to what its gain weighs; where none does, as recalibration, or the stage of
-    the effect that gains most.
+    whose parameters moved further than anyone believed (by chi squared of their number), if any
+    did. What nothing explains has the stages at which an unknown input gains something [nats], each
+    in proportion to what its gain weighs; where none does, as recalibration, or the stage of the
+    effect that gains most.
     """
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved = defaultdict[str, list[float]](list)
@@ -234,7 +232,7 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     for name, x in zip(names, found.recalibrated.x.tolist(), strict=False):
         moved[_STAGES.get(name, "mechanical")].append(x)
     chances = {stage: float(chdtrc(len(xs), np.sum(np.square(xs)))) for stage, xs in moved.items()}
-    least = min(chances, key=lambda stage: chances[stage])
+    least = min(chances, key=chances.__getitem__)
     beyond_belief = least if chances[least] * len(moved) < _CHANCE else ""
     shares = defaultdict[str, float](float)
     for candidate in candidates:

@@ -1,20 +1,18 @@
 """What to measure next: the drive, the sensor or the test of the paper that settles most.
 
-Each cause that is still possible, with the numbers that its fit gave it, is taken for the truth in
-turn; every rival may refit its own numbers to what that would show, at the price that the records
-have set. The evidence to be expected is half the square of the distance that remains, in noise, and
-what the freedom that it had to use costs a rival (Box and Hill, Technometrics 9, 1967). Direction
-counts: an effect that is there cannot be refitted away by a model without it, one that is not there
-can. A test of one parameter is the same with one reading: the parameter.
-
-What an experiment is worth is the probability that the truth is expected to be given after it, by
-the decision's own rule, less that of now: where no single one settles the matter, the first of
-several is still found.
+Each cause that is still possible, with its fitted numbers, is taken for the truth in turn; every
+rival may refit its own numbers to what that would show, at the price that the records have set. The
+evidence to be expected is half the square of the distance that remains, in noise, and what the
+freedom that it had to use costs a rival (Box and Hill, Technometrics 9, 1967). Direction counts: an
+effect that is there cannot be refitted away by a model without it, one that is not there can. A
+test of one parameter is the same with one reading: the parameter. What an experiment is worth is
+the probability of the truth to be expected after it, by the decision's own rule, less that of now.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import permutations
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,13 +20,12 @@ from scipy.sparse import csr_array
 from scipy.special import ndtri
 
 from sma_bench.arrays import Array
+from sma_bench.border import read_yaml
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose import decision
-from sma_bench.diagnose.decision import Candidate
-from sma_bench.diagnose.drives import KNOWN, LONGER, Drive
+from sma_bench.diagnose.decision import Candidate, Utilities, learnt
 from sma_bench.diagnose.result import NO_GAP, RECALIBRATION, UNEXPLAINED, WORTH, NextExperiment
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.utilities import Utilities, learnt
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
 from sma_bench.estimation.nuisances import of_planned
@@ -54,6 +51,56 @@ _MOUNTED = {"temperature": (0.15, 0.2, 20.0), "current": (2e-3, 0.2, 10.0)}
 _SETUP = 5.0  # minutes until the bench is cold and recorded again
 VISIBLE = 2.0  # standard deviations
 _LUCK = ndtri((np.arange(7) + 0.5) / 7.0)  # of noise, in standard deviations
+_SHARES = {"full": (1.0,), "growing": (0.7, 0.8, 0.9, 1.0), "partial": (0.85, 0.8)}
+_FIRST_REST = 5.0
+LONGER = (8.0, 15.0)  # minutes of the best one
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Equal pulses until `minutes` are over; `seconds` of a pulse's rise, or of its level."""
+
+    order: str
+    shape: str
+    heights: str
+    seconds: float
+    rest: float
+    minutes: float
+
+    def document(self, level: float, sides: Sequence[str]) -> dict[str, Any]:
+        """As a protocol file holds it."""
+        one, other = sides[0], sides[-1]
+        orders = {"one side": (one,), "the other side": (other,), "both sides": ("all",)}
+        targets = orders.get(self.order, (one, other) if one != other else (one,))
+        warmed, triangle = "warmed" in self.order, self.shape == "triangle"
+        pulse = self.seconds * (2.0 if triangle else 1.0) + self.rest
+        pulse += 2.0 * self.seconds if warmed else 0.0
+        steps: list[dict[str, Any]] = [{"kind": "rest", "duration": _FIRST_REST}]
+        left, k, shares = 60.0 * self.minutes - _FIRST_REST, 0, _SHARES[self.heights]
+        while k == 0 or left >= pulse:
+            target = targets[k % len(targets)]
+            volts = round(shares[(k // len(targets)) % len(shares)] * level, 3)
+            if warmed:
+                passive = next((s for s in sides if s != target), target)
+                steps.append({"kind": "step", "drive": passive, "level": round(0.5 * volts, 3),
+                              "duration": 2.0 * self.seconds})
+            stroke: dict[str, Any] = {"kind": "step", "level": volts, "duration": self.seconds}
+            if triangle:
+                stroke = {"kind": "triangle", "peak": volts, "rise": self.seconds,
+                          "fall": self.seconds}
+            steps += [{**stroke, "drive": target}, {"kind": "rest", "duration": self.rest}]
+            left, k = left - pulse, k + 1
+        kind = [f"{self.heights} {'triangles' if triangle else 'steps'}"]
+        order = [self.order] if one != other else ["warmed before"] if warmed else []
+        rests = f"with rests of {self.rest:g} s"
+        return {"name": "_".join([*kind, *order]).replace(" ", "_"),
+                "description": ", ".join([f"{kind[0]} of {self.seconds:g} s", *order, rests]),
+                "steps": steps}
+
+
+_TABLE = read_yaml(Path(__file__).with_name("drives.yaml"), aliases=True)
+KNOWN = tuple(Drive(*numbers) for numbers in _TABLE["drives"])
+FIRST = Drive(*_TABLE["first"])  # of a bench without a record
 
 
 class Telling(NamedTuple):
@@ -116,11 +163,10 @@ def next_experiment(verdict: str, candidates: Sequence[Candidate], search: Searc
                     utilities: Utilities, observations: Sequence[Observation],
                     parameters: Parameters) -> NextExperiment | None:
     """The quickest of what would settle the matter nearly as often as anything. `candidates`: the
-    most probable first; `observations`: the records, for what is measured and how hard the bench
-    was driven. For `unexplained` a drive that shows more of it than all records do. Else None where
-    one candidate makes up the credible set or no experiment could be worth it, and one that does
-    not `settle` where none of those that the bench can do is. Raises InputError: the bench's limits
-    refuse every drive."""
+    most probable first; `observations`: the records. For `unexplained` a drive that shows more of
+    it than all records do. Else None where one candidate makes up the credible set or no experiment
+    could be worth it, and one that does not `settle` where none that the bench can do is. Raises
+    InputError: the bench's limits refuse every drive."""
     matter = Matter(candidates, search, utilities, observations, parameters)
     if verdict == UNEXPLAINED:
         return _showing(search, matter)
@@ -297,8 +343,8 @@ def _planned(document: Mapping[str, Any], fitted: Fit, matter: Matter,
     hottest = float(simulation.temperature.max())
     limit = float(fitted.parameters["bench.maximum_temperature"]) - _COOLER
     if hottest > limit:
-        raise InputError(
-            f"next experiment: the wires would reach {hottest:.0f} K, expected at most {limit:.0f}")
+        raise InputError(f"next experiment: the wires would reach {hottest:.0f} K, expected "
+                         f"at most {limit:.0f}")
     read = np.concatenate(obs.readings(simulation))
     unknown = of_planned(obs, fitted.parameters, read)
     return Problem((obs,), noise | fitted.problem.noise, (unknown,)), read
@@ -331,9 +377,8 @@ class Prospect(NamedTuple):
 def prospect(utilities: Utilities, probability: Mapping[str, float],
              tellings: Tellings) -> Prospect:
     """What the verdict would be after an experiment, whichever cause is true, as noise may fall:
-    from utilities and every candidate's `probability` as they are now. `tellings`: by (truth,
-    rival) of the causes that were simulated; another cause stays as probable beside the truth as it
-    is."""
+    from utilities and every candidate's `probability` now. `tellings`: by (truth, rival) of the
+    causes that were simulated; another stays as probable against the truth as it is."""
     simulated = list(dict.fromkeys(name for pair in tellings for name in pair))
     now = dict(zip(utilities.effects, utilities.gains.tolist(), strict=True))
     named = given = 0.0

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -10,8 +11,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
-from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over
-from sma_bench.diagnose.process_noise import process_noise
+from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over, process_noise
 from sma_bench.estimation.laws import nearest_starts, starts
 from sma_bench.estimation.nuisances import STATE, TICK
 from sma_bench.estimation.observation import MOVED, Observation
@@ -261,9 +261,9 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
         if found.evidence >= recalibrated.evidence - _LOST or kind.forms[0]:
             return found
         without = off(kind)
-        if found.evidence >= without.evidence:
-            return found
-        return max(without, fit_from(kind, without.x), key=by_evidence)
+        if found.evidence < without.evidence:
+            found = max(without, fit_from(kind, without.x), key=by_evidence)
+        return found
 
     worth = [both for both in begun if both[0].forms[0] and both[1].gain > _WORTH_A_FORM]
     worth = [both for both in begun if not both[0].forms[0] or both in worth[:_MOST_FORMS]]
@@ -337,22 +337,19 @@ def _pairs(baseline: Unknowns, singles: dict[str, Fit],
         one, other = sorted(found.unknowns.effects)
         pairs[one, other] = max(pairs.get((one, other), found), found, key=by_evidence)
 
-    def with_partners(alone: Fit) -> list[Fit]:
+    for alone, gain in zip(ranked[:_MOST_PAIRED], gains, strict=False):
+        if gain < max(_WORTH_PAIRING, _HOPELESS * gains[0]):
+            continue
         (name,), (own,) = alone.unknowns.effects, alone.unknowns.forms
-        frozen = alone.derivatives[:, : baseline.baseline]
         kinds = [baseline.with_effects([name, one], {name: own, one: form}) for one in singles
                  if one != name for form in _forms(one, alone.problem.observations)]
-        promising: dict[str, tuple[Unknowns, Start]] = {}
+        promising: dict[str, tuple[Unknowns, Array]] = {}
         for kind, start in _starts(kinds, alone):
-            promising.setdefault(kind.effects[-1], (kind, start))
-        return in_threads(
-            lambda kind, start: fit(alone.problem, kind, start.x, rounds=2, frozen=frozen),
-            list(promising.values())[:_PARTNERS])
-
-    for alone, gain in zip(ranked[:_MOST_PAIRED], gains, strict=False):
-        if gain >= max(_WORTH_PAIRING, _HOPELESS * gains[0]):
-            for found in with_partners(alone):
-                keep(found)
+            promising.setdefault(kind.effects[-1], (kind, start.x))
+        with_partner = partial(fit, alone.problem, rounds=2,
+                               frozen=alone.derivatives[:, : baseline.baseline])
+        for found in in_threads(with_partner, list(promising.values())[:_PARTNERS]):
+            keep(found)
     if pairs:
         keep(_refined(max(pairs.values(), key=by_evidence)))
     return pairs
@@ -367,8 +364,7 @@ class Remainder:
     """What recalibration leaves, with all directions that recalibration can still go taken out."""
 
     def __init__(self, fitted: Fit) -> None:
-        self.fitted = fitted
-        problem = fitted.problem
+        self.fitted, problem = fitted, fitted.problem
         self._rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
         self._normal = cho_factor(self._rows.T @ self._rows + np.eye(self._rows.shape[1]))
         residual = problem.whiten(problem.measured - fitted.predicted)
@@ -378,14 +374,12 @@ class Remainder:
         self._left = residual - self._rows @ cho_solve(self._normal, pull)
         self._before = problem.coarse.predict(fitted.parameters)
 
-    def changes(self, benches: Sequence[Parameters]) -> Array:
-        """(n, p) whitened, of the readings by these benches; 0 of one that cannot be."""
+    def gains(self, benches: Sequence[Parameters]) -> tuple[Array, Array]:
+        """(p,) gains of adding a multiple of what each bench changes (one that cannot be: nothing),
+        and these multiples."""
         problem = self.fitted.problem
         found = problem.coarse.predict_many(benches) - self._before[:, np.newaxis]
-        return problem.whiten(np.where(np.isfinite(found).all(axis=0), found, 0.0))
-
-    def gains(self, changes: Array) -> tuple[Array, Array]:
-        """(p,) gains of adding a multiple of each of `changes` (n, p), and these multiples."""
+        changes = problem.whiten(np.where(np.isfinite(found).all(axis=0), found, 0.0))
         seen, pull = self._rows.T @ changes, changes.T @ self._left
         power = np.sum(changes**2, axis=0) - np.sum(seen * cho_solve(self._normal, seen), axis=0)
         share = np.clip(pull / np.where(power > 0.0, power, np.inf), *_STRETCH)
@@ -423,7 +417,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
             x[k] += sign * size
             trials.append(np.clip(x, *bounds))
 
-    gains, shares = remainder.gains(remainder.changes([unknowns.parameters(x) for x in trials]))
+    gains, shares = remainder.gains([unknowns.parameters(x) for x in trials])
     best = int(np.argmax(gains))
     if gains[best] <= 0.0:
         return Start(off, 0.0)

@@ -3,9 +3,9 @@
     fraction = 1 - sqrt((after^2 - noise^2)/(before^2 - noise^2))
 
 of the part of the gap that is not noise: a perfect model reaches 1, whatever the sensor. The models
-are simulated as by whoever loads their parameters: no zero, delay or moment of a jump that a fit
-has found is taken along, and no more drift counts as noise than the least that a candidate needs,
-or a usual instrument has: what a model misses is slow, too.
+are simulated as by whoever loads their parameters: without zeros, delays or moments of jumps that a
+fit has found, and with no more drift as noise than the least that a candidate needs, or a usual
+instrument has: what a model misses is slow, too.
 
 Other drives keep another share. What is left of the gap scatters from drive to drive by a factor,
 fitted to drives of another kind in the development split of the withheld-effect check.
@@ -13,7 +13,7 @@ fitted to drives of another kind in the development split of the withheld-effect
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sma_bench.arrays import Array
-from sma_bench.diagnose.result import Cell, Shrinkage
+from sma_bench.compiled import in_threads
+from sma_bench.diagnose.result import JOIN, Cell, Shrinkage
+from sma_bench.diagnose.search import Search
 from sma_bench.estimation.noise_model import Noise
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import DRIFT_EFFECT, Block, Problem
@@ -38,6 +40,7 @@ _BETWEEN_DRIVES, _AT_LEAST = 0.4, 0.007
 _STATE_STEP, _MOST_STATES = 0.25, 4000  # s
 _STATE = 4  # numbers of a wire's state
 _KNOWN_STATE = 0.15  # of the fitted records' range
+REMARK = 0.1  # share of the gap below which a partner is a remark, and no second cause
 
 
 def contribution(fitted: Fit, names: Iterable[str]) -> Array:
@@ -45,23 +48,19 @@ def contribution(fitted: Fit, names: Iterable[str]) -> Array:
     problem, chosen = fitted.problem, tuple(names)
     off = {p.name: p.default for name in chosen for p in EFFECTS[name].parameters}
     added = fitted.predicted - problem.predict(fitted.parameters.replace(off))
-    if DRIFT_EFFECT in chosen:
-        for block in problem.of_signal("deflection"):
-            noise = problem.noise["deflection"]
-            added[block.rows] += noise.drift_in(fitted.left[block.rows])
+    for block in problem.of_signal("deflection") if DRIFT_EFFECT in chosen else ():
+        added[block.rows] += problem.noise["deflection"].drift_in(fitted.left[block.rows])
     known = fitted.unknowns.names
     beside = [known.index(p) for n in chosen for p in EFFECTS[n].beside if p in known]
     if beside:
-        columns = fitted.derivatives[:, beside]
-        white = problem.whiten(columns)
-        added -= columns @ np.linalg.lstsq(white, problem.whiten(added), rcond=None)[0]
+        columns, whiten = fitted.derivatives[:, beside], problem.whiten
+        added -= columns @ np.linalg.lstsq(whiten(columns), whiten(added), rcond=None)[0]
     return added
 
 
 def sample_noise(problem: Problem, name: str) -> float:
     """Standard deviation of a sample: what scatters, and drifts unless an effect drifts it."""
-    signal = next(problem.of_signal(name)).signal
-    noise = problem.noise[name]
+    signal, noise = next(problem.of_signal(name)).signal, problem.noise[name]
     white = noise.white * np.sqrt(signal.usual_count)
     return float(white if noise.wanders else np.hypot(white, noise.drift))
 
@@ -102,8 +101,7 @@ def _sides(block: Block) -> NDArray[np.str_]:
         return np.full(len(time), "")
     if block.signal.quantity != "deflection":
         return np.full(len(time), obs.sides[block.signal.wire])
-    names = list(dict.fromkeys(obs.sides))
-    of_wires = np.array(obs.sides)
+    names, of_wires = list(dict.fromkeys(obs.sides)), np.array(obs.sides)
     power = np.column_stack([obs.voltage[:, of_wires == name].max(axis=1) for name in names])
     driven = power.max(axis=1) > 0.02 * max(float(power.max()), 1e-9)
     strongest = np.argmax(power, axis=1)
@@ -153,8 +151,7 @@ def _of(rows: Array) -> Shrinkage:
 
     random = np.random.default_rng(_SEED)
     draws = random.integers(0, len(counts), (_DRAWS, len(counts)))
-    gone = np.array([fraction(drawn) for drawn in draws])
-    value = fraction(slice(None))
+    gone, value = np.array([fraction(drawn) for drawn in draws]), fraction(slice(None))
     factor, more = random.standard_normal((2, _DRAWS))
     left = (1.0 - gone) * np.exp(_BETWEEN_DRIVES * factor) + _AT_LEAST * more
     low, high = np.quantile(1.0 - left, [0.05, 0.95])
@@ -194,3 +191,74 @@ def _states(obs: Observation, parameters: Parameters) -> Array:
     across = [own[:, sides != side].mean(axis=1) if (sides != side).any() else 0.0 * time
               for side in sides]
     return np.stack([own, np.gradient(own, time, axis=0), xi, np.column_stack(across)], axis=2)
+
+
+# --- The numbers that a decision is made of: what every candidate gains, does and leaves.
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Of one candidate: an effect, or two."""
+
+    gain: float  # evidence over recalibration [nats]
+    gap: float  # what it does, in the noise of a sample
+    unsteady: float  # scatter of its size between stretches, of what noise lets it
+    own: float  # largest prior deviation of the effects' own numbers
+    parts: dict[str, float]  # what each of the effects does, in noise
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Of one search."""
+
+    candidates: dict[str, Facts]
+    moved: float  # gap between the parameters as believed and as recalibrated, in noise
+    surprise: float  # of recalibration: squared prior deviations of the bench's parameters
+    as_stated: float  # evidence of the parameters as believed over recalibration [nats]
+    ratio: float  # of the best, in motion against at rest, and its largest outlier: of Left
+    outlier: float
+    beyond: float  # nats that a smooth response gains over the best
+    input: float  # the same of a smooth input to some stage
+    records: int
+
+    def remarks(self) -> dict[str, tuple[str, str]]:
+        """Pairs whose worse half by gain does next to nothing: the better half and that one."""
+        found = {}
+        for pair, facts in self.candidates.items():
+            small, *main = sorted(facts.parts, key=lambda effect: self.candidates[effect].gain)
+            if main and facts.parts[small] < REMARK * facts.parts[main[0]]:
+                found[pair] = main[0], small
+        return found
+
+
+def weighed(search: Search) -> Weighed:
+    """Everything that the decision looks at."""
+    recalibrated, fits = search.recalibrated, effect_fits(search)
+
+    def facts(name: str, fitted: Fit) -> Facts:
+        effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
+        gap, gain = own_gap(fitted), fitted.evidence - recalibrated.evidence
+        parts = {e: own_gap(fitted, (e,)) for e in effects} if len(effects) > 1 else {name: gap}
+        # What gains nothing needs no size, and a zero that wanders has none that stays.
+        unsteady = 1.0
+        if effects != (DRIFT_EFFECT,) and gain > 0.0:
+            unsteady = float(fitted.jackknifed[first] / fitted.std[first])
+        own = float(np.max(np.abs(fitted.x[first:])))
+        return Facts(gain, gap, unsteady, own, parts)
+
+    return Weighed(
+        dict(zip(fits, in_threads(facts, list(fits.items())), strict=True)),
+        largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
+        recalibrated.surprise, search.nominal.evidence - recalibrated.evidence,
+        search.left_by_best.ratio, search.left_by_best.outlier, search.beyond.gain,
+        max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations))
+
+
+def effect_fits(search: Search) -> dict[str, Fit]:
+    """Of every single and pair, by its name."""
+    return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
+
+
+def own_gap(fitted: Fit, names: tuple[str, ...] = ()) -> float:
+    """What the effects of a candidate do, or some of them, the rest of its model as it is."""
+    return largest_gap(fitted.problem, contribution(fitted, names or fitted.unknowns.effects))

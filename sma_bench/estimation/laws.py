@@ -6,23 +6,39 @@ A quarter of the evidence (`log_evidence`) counts: sharp features of a few runs,
 law more surely than the law predicts other runs.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
 
 import numpy as np
+from scipy.special import ndtri
 
 from sma_bench.errors import FitError, InputError
 from sma_bench.estimation.noise_model import Array
-from sma_bench.estimation.nuisances import OFFSET, STATE
-from sma_bench.estimation.observation import MOVED, Observation
+from sma_bench.estimation.nuisances import OFFSET, STATE, STATES, in_state
+from sma_bench.estimation.observation import MOVED, RETURNS, Observation
 from sma_bench.estimation.residual import Problem
-from sma_bench.estimation.solver import Fit, fit_imperfect, independent_readings, log_evidence
-from sma_bench.estimation.unknowns import Unknowns, as_in_the_field, unknowns_of_records
+from sma_bench.estimation.solver import (
+    Fit,
+    fit_imperfect,
+    independent_readings,
+    least_scale,
+    log_evidence,
+)
+from sma_bench.estimation.unknowns import (
+    TEMPERATURES,
+    Unknowns,
+    as_in_the_field,
+    range_of,
+    unknowns_of,
+    unknowns_of_records,
+)
 from sma_bench.parameters import Parameters
+from sma_bench.parameters.parameter import EFFECT_PREFIX
 from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.progress import Report, part, silent
+from sma_bench.records.record import Signal
 
 # How probable a law is before any record: real wires have inner loops and soft ends, and under most
 # loads all martensite is oriented, where brinson is the cosine with numbers that fit anything.
@@ -33,6 +49,8 @@ _TEMPERED = 0.25
 _DIFFERENT = 0.7  # probability that the runs of a bench differ, before any
 _STARTS, _ALL_STARTS, _SEED = 2, 8, 17  # of a fit at least, of all together
 _PAIRS, _FEWEST = 24, 6  # of draws, of all laws and of one fit
+_BENCHES, _BAND_SEED = 40, 43  # that are drawn for a band
+FLOOR = 0.005  # of what a signal spans, that no model predicts
 _NEGLIGIBLE = 0.01  # share of a prediction
 _SPREADS = (0.3, 3.0)  # prior deviations: sharp kinetics can trap a fit that smooth ones let go
 _DRAWN, _DRAWN_FIRST = 2, 12  # further starts, drawn from the prior; of which the best are tried
@@ -100,10 +118,10 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
                                            unmodelled=True)
             tries = nearest_starts(problem, unknowns, _DRAWN_FIRST)[:most]
             if air != usual:  # from where the usual one ended, as far as it has these unknowns
-                one, start = fits[law, usual][0][0], unknowns.start().tolist()
-                ended = dict(zip(one.unknowns.names, one.x.tolist(), strict=True))
-                places = zip(unknowns.names, start, strict=True)
-                tries.append(np.array([ended.get(name, x) for name, x in places]))
+                one, begin = fits[law, usual][0][0], unknowns.start().tolist()
+                ended = dict(zip(unknowns.names, begin, strict=True))
+                ended |= dict(zip(one.unknowns.names, one.x.tolist(), strict=True))
+                tries.append(np.array([ended[name] for name in unknowns.names]))
             share = part(report, done / count, (done + 1) / count, law)
             fits[law, air] = fit_imperfect(problem, own, unknowns, tries, share)
         except (FitError, InputError) as error:  # or not with what else is stated
@@ -116,7 +134,7 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
     readings = max(independent_readings(one) for found, _ in fits.values() for one in found)
     evidence = {law: max(log_evidence(one, readings) for one in found)
                 for (law, _), (found, _) in fits.items()}  # fmt: skip
-    likeliest = max(evidence, key=lambda law: evidence[law])
+    likeliest = max(evidence, key=evidence.__getitem__)
     for law, air in product(dict.fromkeys((likeliest, "cosine")), others):
         if law in evidence:
             fit_with(law, air)
@@ -185,3 +203,103 @@ def repeatability(fitted: Fit) -> float:
             power = (own @ fitted.z[which]) ** 2 + np.einsum("ij,jk,ik->i", own, doubt, own)
             squares.append(float(np.mean(power)) / float(np.ptp(block.signal.value)) ** 2)
     return float(np.sqrt(2.0 * np.mean(squares))) if squares else float("nan")
+
+
+# --- Between which limits a bench will read: by an identification, or as far as a file says.
+# Benches are drawn within what is open of their numbers, each in a run of its own (`STATES`);
+# limits are those of a normal distribution, with a floor of 0.5 % of what the signal spans.
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Mean and limits (n,) of a share of a signal's readings at `time` (n,) s, in its unit."""
+
+    time: Array
+    mean: Array
+    low: Array
+    high: Array
+
+    @classmethod
+    def about(cls, time: Array, mean: Array, variance: Array, reach: float) -> "Band":
+        """Limits that are `reach` standard deviations off."""
+        off = reach * np.sqrt(variance + (FLOOR * float(np.ptp(mean))) ** 2)
+        return cls(time, mean, mean - off, mean + off)
+
+
+def reach_of(probability: float) -> float:
+    """Standard deviations within which that share of readings lies. Raises InputError: no share."""
+    if not 0.0 < probability < 1.0:
+        raise InputError(f"a band of {probability:g}, expected a share between 0 and 1")
+    return float(ndtri(0.5 + probability / 2.0))
+
+
+def predict(laws: Sequence[LawFit], observation: Observation,
+            probability: float = 0.9) -> dict[str, Band]:
+    """What a run with this drive will show, by signal, after an identification of other runs: the
+    mean over the laws, half way from what is most probable to the mean of all that is open, which
+    rounds every corner; the limits as laws and numbers leave them. Raises InputError: `probability`
+    is no share."""
+    reach, random = reach_of(probability), np.random.default_rng(_BAND_SEED)
+    means, weights, variances = [], [], []
+    for weight, fitted, places in (own for one in laws for own in one.drawn):
+        differ = max(fitted.problem.states, least_scale(fitted))
+        runs = differ * random.standard_normal((len(places) // 2, len(STATES)))
+        benches = [_moved(fitted.unknowns, x, off)
+                   for x, off in zip(places, np.vstack([runs, -runs]), strict=True)]
+        readings = observation.predict([fitted.parameters, *benches])
+        best, drawn = readings[:, 0], readings[:, 1:]
+        means.append(0.5 * (best + np.mean(drawn, axis=1)))
+        weights.append(weight)
+        variances.append(np.mean((drawn - means[-1][:, np.newaxis]) ** 2, axis=1))
+    shares, every = np.array(weights) / np.sum(weights), np.array(means)
+    mean = shares @ every
+    variance = shares @ (np.array(variances) + (every - mean) ** 2)
+    bands, ends = {}, np.cumsum([len(signal.time) for signal in observation.signals])[:-1]
+    for signal, own, spread in zip(observation.signals, np.split(mean, ends),
+                                   np.split(variance, ends), strict=True):
+        zero = RETURNS * float(np.ptp(own)) if signal.quantity in MOVED else 0.0
+        bands[signal.name] = Band.about(signal.time, own, spread + zero**2, reach)
+    return bands
+
+
+def band_of(parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
+            probability: float, report: Report = silent) -> dict[str, Band]:
+    """What a run will show, by signal but the voltages, as far as a parameter file says: numbers of
+    wire, room, load and effects with a stated `uncertainty.` are drawn, each by itself
+    (`benches_within`); sensors and all others are as they are. `simulated`: signals of the run that
+    is asked for, on a bench. Raises InputError: `probability` is no share, or no number has a
+    stated uncertainty."""
+    reach, benches = reach_of(probability), benches_within(parameters, _BENCHES)
+    exact, drawn = simulated(parameters), []
+    for number, bench in enumerate(benches):
+        report(number / _BENCHES, f"draw {number + 1} of {_BENCHES}")
+        drawn.append(simulated(bench))
+    return {
+        signal.name: Band.about(
+            signal.time, signal.values,
+            np.mean([(one[i].values - signal.values) ** 2 for one in drawn], axis=0), reach,
+        )
+        for i, signal in enumerate(exact) if not signal.name.endswith("voltage")
+    }
+
+
+def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
+    """Benches as these parameters leave them open, each in a run of its own. Raises InputError: no
+    number of wire, room, load or effects has a stated uncertainty."""
+    stated = [n for n, std in parameters.given_uncertainty.items()
+              if std > 0.0 and not n.startswith("sensor.")]
+    if not stated:
+        raise InputError("a band needs numbers with an uncertainty., the parameters have none")
+    names = [n for n in stated if not n.startswith(EFFECT_PREFIX)]
+    if set(names) & set(TEMPERATURES):
+        names = [*(n for n in names if n not in TEMPERATURES), *TEMPERATURES]
+    shapes = {n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)}
+    unknowns = unknowns_of(parameters, names, shapes=shapes)
+    random, sizes = np.random.default_rng(_BAND_SEED), (len(unknowns.items), len(STATES))
+    return [_moved(unknowns, *map(random.standard_normal, sizes)) for _ in range(count)]
+
+
+def _moved(unknowns: Unknowns, x: Array, off: Array) -> Parameters:
+    """A bench at x (k,), within its bounds, its `STATES` so many times the usual off."""
+    there = unknowns.parameters(np.clip(x, *unknowns.bounds()))
+    return in_state(there, dict(zip(STATES, off.tolist(), strict=True)))

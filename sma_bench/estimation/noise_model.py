@@ -98,9 +98,8 @@ def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
 def estimate_noise(residuals: Sequence[Array], white: float, period: float, usual: float = np.inf,
                    wanders: bool = False) -> Noise:
     """Most likely noise of residuals (b_i,), one a record, of the same sensor; the white part is at
-    least nearly `white`, that of a bin from sample to sample, which no fit can lower. A sensor that
-    wanders slowly by many times the `usual` is not noisy, it is faulty, and what it seems to do may
-    be the bench's doing."""
+    least nearly `white`, that of a bin from sample to sample, which no fit can lower. What wanders
+    slowly by many times the `usual` may be the bench's doing."""
     shapes, (drifts, times), whitening = _shapes(period)
     powers = np.zeros(len(shapes))
     for residual in residuals:
@@ -184,9 +183,8 @@ def noise_floor(values: Array) -> float:
 def resolution(values: Array) -> float:
     """Step of a quantised signal (n,) in its own unit; 0 when none is seen.
 
-    The step is what all distinct values are whole multiples apart. A quiet signal at a few levels
-    shows the levels' spacing only: that counts as a step if samples often move by just one of it,
-    or if it is finer than the closest two levels.
+    The step is what all distinct values are whole multiples apart. The mere spacing of a few levels
+    counts if samples often move by just one of it, or if it is finer than the closest two levels.
     """
     levels = np.unique(np.round(values, 9))
     if len(levels) < 2 or len(levels) > _FEW_LEVELS * len(values):

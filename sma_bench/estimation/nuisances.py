@@ -7,7 +7,7 @@ held. A fit takes them along; those of a sensor are worth telling when they are 
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,13 +49,19 @@ class Nuisances:
     about: Array | float = 0.0
 
 
-def offsets(signals: Sequence[BinnedSignal]) -> Nuisances:
-    """Only the sensors' zeros."""
+Column = tuple[Nuisance, Array]  # with what it does to a record's rows (n,)
+
+
+def _zeros(signals: Sequence[BinnedSignal]) -> list[Column]:
     rows = np.repeat(np.arange(len(signals)), [len(s.time) for s in signals])
-    own = [(k, s) for k, s in enumerate(signals) if s.sensor.zero_std > 0.0]
-    items = tuple(Nuisance(OFFSET, s.name, s.sensor.zero_std, UNITS[s.quantity]) for _, s in own)
-    columns = [s.sensor.zero_std * (rows == k) for k, s in own]
-    return Nuisances(items, np.column_stack([np.zeros((len(rows), 0)), *columns]))
+    return [(Nuisance(OFFSET, s.name, s.sensor.zero_std, UNITS[s.quantity]),
+             s.sensor.zero_std * (rows == k))
+            for k, s in enumerate(signals) if s.sensor.zero_std > 0.0]
+
+
+def _gathered(found: Sequence[Column], rows: int) -> Nuisances:
+    columns = [np.zeros((rows, 0)), *(column for _, column in found)]
+    return Nuisances(tuple(item for item, _ in found), np.column_stack(columns))
 
 
 def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = BENT,
@@ -91,19 +97,16 @@ def nuisances_about(observation: Observation, parameters: Parameters, voltage_no
         there = observation.simulate(parameters, voltage, loads)
         return np.concatenate(observation.readings(there)) - base
 
-    zeros = offsets(observation.signals)
-    items, columns = [*zeros.items], [zeros.columns]
-    rates = observation.rates(simulation)
+    found, rates = _zeros(observation.signals), observation.rates(simulation)
     for quantity in observation.quantities:
         std = next(s.sensor.clock_std for s in observation.signals if s.quantity == quantity)
         if std > 0.0:
             late = [-std * rate if s.quantity == quantity else np.zeros_like(rate)
                     for s, rate in zip(observation.signals, rates, strict=True)]
-            items.append(Nuisance(DELAY, quantity, std, "s"))
-            columns.append(np.concatenate(late)[:, np.newaxis])
+            found.append((Nuisance(DELAY, quantity, std, "s"), np.concatenate(late)))
 
-    # Each jump once, not the drives, of which an hour has hundreds; held levels of which the
-    # converter's steps hide something; what noise hides of straight stretches.
+    # Each jump once, of which an hour has hundreds; levels of which the converter's steps hide
+    # something; what noise hides of straight stretches.
     drive = observation.drive
     moves = [_Move(JUMP, early, late, place=JUMP_STD * (np.arange(len(drive.early)) == k))
              for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True))]
@@ -113,40 +116,34 @@ def nuisances_about(observation: Observation, parameters: Parameters, voltage_no
         pairs = zip(drive.channels, errors, strict=True)
         at = np.concatenate([polygon.time[error != 0.0] for polygon, error in pairs])
         moves.append(_Move(kind, at.min(), at.max(), errors=errors))
-    items += [Nuisance(move.kind) for move in moves]
-    columns.append(_responses(observation, moves, lambda drive: moved(drive, None)))
+    responses = _responses(observation, moves, lambda drive: moved(drive, None))
+    found += [(Nuisance(move.kind), own) for move, own in zip(moves, responses.T, strict=True)]
     jumps, apart = len(drive.early), drive.late - drive.early
     if jumps > 1 and np.median(apart) > _SLOW:
-        items.append(Nuisance(TICK))
-        columns.append(columns[-1][:, :jumps].sum(axis=1, keepdims=True))
+        found.append((Nuisance(TICK), responses[:, :jumps].sum(axis=1)))
 
     # One standard error of each held load in turn.
     loads = [(None, row) for row in np.diag([hold.std for hold in observation.holds]) if row.any()]
-    items += [Nuisance(LOAD)] * len(loads)
-    columns += [column[:, np.newaxis] for column in in_threads(moved, loads)]
-    if states:
-        run = _states_of_run(observation, parameters, states, base)
-        items, columns = [*items, *run.items], [*columns, run.columns]
-    return Nuisances(tuple(items), np.hstack(columns))
+    found += [(Nuisance(LOAD), column) for column in in_threads(moved, loads)]
+    found += _states_of_run(observation, parameters, states, base) if states else []
+    return _gathered(found, len(base))
 
 
 def of_planned(observation: Observation, parameters: Parameters, predicted: Array) -> Nuisances:
     """Of a record that is planned, with readings (n,): zeros, and the state of its run."""
-    zeros = offsets(observation.signals)
     run = _states_of_run(observation, parameters, 1.0, predicted)
-    return Nuisances((*zeros.items, *run.items), np.hstack([zeros.columns, run.columns]))
+    return _gathered([*_zeros(observation.signals), *run], len(predicted))
 
 
 def _states_of_run(observation: Observation, parameters: Parameters, states: float,
-                   base: Array) -> Nuisances:
+                   base: Array) -> list[Column]:
     there = {name: in_state(parameters, {name: states}) for name in STATES}
-    items = tuple(Nuisance(STATE, name, bench[name] - parameters[name], BY_NAME[name].unit)
-                  for name, bench in there.items())
-    return Nuisances(items, observation.predict([*there.values()]) - base[:, np.newaxis])
+    columns = observation.predict([*there.values()]) - base[:, np.newaxis]
+    return [(Nuisance(STATE, name, bench[name] - parameters[name], BY_NAME[name].unit), own)
+            for (name, bench), own in zip(there.items(), columns.T, strict=True)]
 
 
-@dataclass(frozen=True, eq=False)
-class _Move:
+class _Move(NamedTuple):
     """One thing of the voltages that may be off, from `begin` to `end` [s]: what is added to the
     places of the jumps, (e,), or to the knots of the channels, (k,) V each."""
 
@@ -161,8 +158,8 @@ def _responses(observation: Observation, moves: Sequence[_Move],
                change: Callable[[tuple[Any, ...]], Array]) -> Array:
     """(n, m): `change` (n,) of the readings by each of the moves (m,) of the voltages.
 
-    An hour has hundreds, so those far apart are made at once, and each has the readings from it to
-    the next. Where one is not forgotten by then, all of these are made alone.
+    Of hundreds those far apart are made at once, and each has the readings from it to the next.
+    Where one is not forgotten by then, all of these are made alone.
     """
     bins = [len(s.time) for s in observation.signals]
     rows = np.repeat(np.arange(len(bins)), bins)
@@ -178,15 +175,13 @@ def _responses(observation: Observation, moves: Sequence[_Move],
         return change((place, errors or None))
 
     # Groups in which none begins before another is forgotten.
-    groups: list[list[int]] = []
+    groups, alone = list[list[int]](), list[int]()
     for k in sorted(range(len(moves)), key=lambda k: moves[k].begin):
         far = [g for g in groups if moves[k].begin - moves[g[-1]].end >= _FORGOTTEN]
         if far:
             far[0].append(k)
         else:
             groups.append([k])
-
-    alone: list[int] = []
     if len(groups) >= _FEWER * len(moves):
         groups, alone = [], list(range(len(moves)))
     found = in_threads(together, [(group,) for group in groups])

@@ -1,8 +1,7 @@
 """A record as the engine sees it: the drive on a grid of cells, every signal in bins of time.
 
-Each bin of each signal is a row of an averaging matrix on what the simulation does on the grid. The
-loads or clamps of a load frame are boundaries of the simulation, on the same grid; what a testing
-machine imposed is an input, as the drive.
+Each bin of each signal is a row of an averaging matrix on what the simulation does on the grid.
+Loads or clamps are boundaries of the simulation; what a testing machine imposed is an input.
 """
 
 import math
@@ -17,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.sparse import block_diag, csr_array
 
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import LOAD_FRAME, Hold
 from sma_bench.estimation.noise_model import Array, noise_floor
-from sma_bench.estimation.rig import DRIVEN, Measured, Rig, begins_warm, find_rig
+from sma_bench.estimation.rig import DRIVEN, LOAD_FRAME, Hold, Measured, Rig, begins_warm, find_rig
 from sma_bench.estimation.voltage import AppliedVoltage, alike_by_side
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
@@ -164,19 +162,18 @@ class Observation:
     @property
     def remarks(self) -> list[str]:
         """What of it is not compared, and in which state its run was."""
-        found, name = [], Path(self.path).name
+        found = [f"{signal} is {off:+.3g} m at rest, taken for 0"
+                 for signal, off in self.zeros.items()]
         if self.skipped:
             text = f"its first {self.skipped:.3g} s are left out"
-            found.append(f"{name}: begins before the bench has settled: {text}")
-        for signal, off in self.zeros.items():
-            found.append(f"{name}: {signal} is {off:+.3g} m at rest, taken for 0")
+            found.insert(0, f"begins before the bench has settled: {text}")
         far = [f"{what} {away * STATES[name] * factor:+.2g} {unit}"
                for name, away in self.away.items()
                if abs(away) > max(_WORTH_SAYING, 2.0 * self.within.get(name, 0.0))
                for what, factor, unit in [_OF_A_RUN[name]]]
         if far:
-            found.append(f"{name}: its run differs from the first record's: {', '.join(far)}")
-        return found
+            found.append(f"its run differs from the first record's: {', '.join(far)}")
+        return [f"{Path(self.path).name}: {text}" for text in found]
 
     @cached_property
     def coarse(self) -> "Observation":
@@ -238,8 +235,8 @@ class Observation:
         ends = [*begins[1:].tolist(), len(self.grid)]
         parts = list[Simulation]()
         bench: Bench | None = None
-        numbers = zip(self.holds, errors.tolist(), begins.tolist(), ends, strict=True)
-        for hold, error, begin, end in numbers:
+        for hold, error, begin, end in zip(self.holds, errors.tolist(), begins.tolist(), ends,
+                                           strict=True):
             span = slice(begin - 1 if parts else 0, end)
             if end <= span.start + bool(parts):
                 continue
@@ -250,8 +247,6 @@ class Observation:
                 bench.pull_against(load)
             parts.append(bench.follow(self.grid[span], volts[span]))
         first, *others = parts
-        if not others:
-            return first
         joined: dict[str, Any] = {
             name: np.concatenate([getattr(first, name), *(getattr(p, name)[1:] for p in others)])
             for name in _HISTORIES}
@@ -363,18 +358,16 @@ def shared_bin(records: Sequence[Record], parameters: Parameters, shortest: floa
 
 def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
             quantities: Collection[str] = QUANTITIES) -> Observation:
-    """Prepare a record of the composite rig, or of one wire with or without a load frame; the
-    parameters as believed, `shortest_bin` in s of `shared_bin`. Raises InputError: no voltage of
-    some channel, nothing to compare with, or a load frame that neither holds a load nor the
-    clamps."""
+    """Prepare a record of the composite rig, or of one wire with or without a load frame, as far as
+    the parameters believe; `shortest_bin` in s of `shared_bin`. InputError: no voltage of some
+    channel, nothing to compare with, a load frame that holds neither a load nor the clamps."""
     rig = find_rig(record, parameters)
 
-    # Times that are simulated: an even grid (n,), with only every so many points where voltages
-    # have been held for long.
+    # Times that are simulated: an even grid (n,), sparser where voltages have been held for long.
     start, stop = rig.start, rig.stop
-    cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
     sampled = sum(len(measured.time) for measured in rig.measured)
     most = min(_MOST_CELLS + _CELLS_A_SAMPLE * sampled, _END_OF_CELLS)
+    cell = min(max(_CELL, (stop - start) / _MOST_CELLS), _LONG_CELL)
     cell = max(cell, (stop - start) / most)
     even = start + cell * np.arange(int(np.ceil((stop - start) / cell)) + 1.0)
     volts = np.column_stack([rig.voltage.at(k, even) for k in range(len(rig.voltage.channels))])
@@ -386,8 +379,7 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     stride = max(1, round(_LONG_CELL / cell))
     even = even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
 
-    # Finer behind a jump, on both sides of it, and between two samples far apart: heat before a
-    # jump has cooled off after it.
+    # Finer behind a jump, on both sides of it, and between two samples far apart.
     forgets = time_constant(parameters)
     fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(forgets / _CELLS, 2.0 * _NARROW)))
     loads = [hold.start for hold in rig.holds]
@@ -405,8 +397,7 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
     grid = grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
 
-    # What was measured; of a record that begins under voltage, or with wires that still cool, after
-    # that has been forgotten.
+    # What was measured, once a voltage or a warmth that it begins with has been forgotten.
     known, skipped = list(rig.measured), 0.0
     level = np.array([c.voltage[0] for c in rig.voltage.channels])
     if np.max(np.abs(level)) > DRIVEN * max(np.max(c.voltage) for c in rig.voltage.channels):
@@ -419,17 +410,17 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     if rig.moved is not None and "deflection" in quantities:  # of which the force tells instead
         quantities = {*quantities, "force"}
     known = [m for m in known if m.quantity in quantities]
-    if not known and any(m.quantity in quantities for m in rig.measured):
-        raise InputError(
-            f"{record.path}: begins under voltage or warm, expected a rest first, or more than the "
-            f"{skipped:.3g} s in which a wire of the stated time constant forgets what was before")
-    if not known:
-        held = ", ".join(m.name for m in rig.measured)
-        raise InputError(f"{record.path}: only {held}, expected {' or '.join(quantities)}")
     signals = tuple(_binned(m, rig, grid, shortest_bin) for m in known)
     if not any(len(signal.value) for signal in signals):
-        few = ", ".join(m.name for m in known)
-        raise InputError(f"{record.path}: too few samples of {few} to compare with a model")
+        names = ", ".join(m.name for m in known or rig.measured)
+        wrong = f"only {names}, expected {' or '.join(quantities)}"
+        if known:
+            wrong = f"too few samples of {names} to compare with a model"
+        elif any(m.quantity in quantities for m in rig.measured):
+            wrong = ("begins under voltage or warm, expected a rest first, or more than the "
+                     f"{skipped:.3g} s in which a wire of the stated time constant forgets what "
+                     "was before")
+        raise InputError(f"{record.path}: {wrong}")
     return Observation(str(record.path), rig.channels, rig.sides, grid,
                        rig.voltage.on_grid(grid, np.zeros(len(early))), rig.voltage, signals,
                        tuple(m.name for m in rig.measured if m.quantity not in quantities),

@@ -49,8 +49,8 @@ class Problem:
     observations: tuple[Observation, ...]
     noise: dict[str, Noise]  # by signal name
     nuisances: tuple[Nuisances, ...]  # one per record
-    # Whether the voltmeter's noise is carried along, which takes two simulations a straight
-    # stretch, and differences are taken on the records' own cells: for estimates whose errors count
+    # Whether the voltmeter's noise is carried along (two simulations a straight stretch), and
+    # differences are taken on the records' own cells: for estimates whose errors count
     voltage_noise: bool = False
     # of problems that differ in their noise only: what does not depend on it
     shared: dict[tuple[Nuisances, ...], Array] = field(default_factory=dict)
@@ -88,12 +88,12 @@ class Problem:
 
     def moved(self, parameters: Parameters, z: Array, kinds: Collection[str] = BENT) -> Self:
         """Nuisances of these kinds about where a fit has found them (q,), all linear there."""
-        observations, nuisances, first = [], list[Nuisances](), 0
-        for observation, own in zip(self.observations, self.nuisances, strict=True):
+        observations, nuisances = [], list[Nuisances]()
+        ends = np.cumsum([len(own.items) for own in self.nuisances])[:-1]
+        for observation, own, here in zip(self.observations, self.nuisances, np.split(z, ends),
+                                          strict=True):
             differs = self.later if nuisances else 0.0
-            here = z[first : first + len(own.items)]
             there, about = moved_to(observation, own, here, kinds, differs)
-            first += len(own.items)
             found = nuisances_about(there, parameters, self.voltage_noise, differs)
             observations.append(there)
             nuisances.append(replace(found, about=about))
@@ -113,15 +113,13 @@ class Problem:
     def with_weights(self, residual: Array | None = None, repeated: bool = False) -> Self:
         """What an imperfect model leaves (n,), counted for as many readings as it is worth.
 
-        A misfit is no noise: neighbours share it. Of n bins whose residuals have the correlation
-        rho from one to the next, n (1 - rho)/(1 + rho) are independent, and one bin counts for as
-        little. Its size s is what was left, and what is usual, for two readings more: laws of wires
-        leave 1.5 % of a stroke, and unless each run has its own states it differs by 2 % from the
-        next, which few runs do not show. Before anything is fitted: 3 %, ten readings a record;
-        where more than 6 % was left the fit has not arrived, and a smaller weight would keep it
-        there.
-        `repeated`: every stroke shows the misfit again, so what exceeds the noise counts as in one
-        of the strokes; for errors, not for the fit, which would lean on priors alone.
+        A misfit is no noise: of n bins whose residuals have the correlation rho from one to the
+        next, n (1 - rho)/(1 + rho) are independent, and one bin counts for as little. Its size is
+        what was left, and what is usual, for two readings more: laws of wires leave 1.5 % of a
+        stroke, and unless each run has its own states it differs by 2 % from the next. Before
+        anything is fitted: 3 %, ten readings a record; where more than 6 % was left the fit has not
+        arrived, and a smaller weight would keep it there. `repeated`: every stroke shows the misfit
+        again, so what exceeds the noise counts as in one of the strokes; for errors only.
         """
         found, rho = [], [] if residual is None else self.correlations(residual)
         for number, block in enumerate(self.blocks):
@@ -217,11 +215,10 @@ class Problem:
         """d(readings)/dx (n, k) of the `which` unknowns, where the readings are `predicted`.
         `rough` ones, of cells of a whole bin, point the way only.
 
-        Differences of so small a step that they agree with derivatives: across a valley where
-        several of these all but cancel, what a large step is off by is information that the records
-        do not hold (0.02 prior deviations: a supply's resistance known six times as well as it is).
-        They are taken on coarse cells: a quarter of a bin is off by hundredths of a nat (half a
-        bin by up to 0.9, which let a rival in).
+        Differences of so small a step that they agree with derivatives: across a narrow valley a
+        large one is off by what the records do not hold (0.02 prior deviations: a supply's
+        resistance known six times as well as it is). They are taken on coarse cells: a quarter of a
+        bin is off by hundredths of a nat (half a bin by up to 0.9, which let a rival in).
         """
         if not len(which):
             return np.empty((len(predicted), 0))
@@ -245,8 +242,7 @@ class Problem:
         if self.voltage_noise:
             return self
         seen = tuple(o.coarse for o in self.observations)
-        same = all(a is b for a, b in zip(seen, self.observations, strict=True))
-        return self if same else replace(self, observations=seen)
+        return self if seen == self.observations else replace(self, observations=seen)
 
     @cached_property
     def rough(self) -> "Problem":

@@ -115,13 +115,11 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
         for i, ((k, item), at, error) in found)
 
     # Of what the records know better than its factors.
-    deviations = np.sqrt(np.diag(fitted.covariance)).tolist()
-    products = []
-    for k, item in enumerate(unknowns.items):
-        if item.partner:
-            name, times = f"{item.name} x {item.partner}", float(unknowns.base[item.partner])
-            whole = Unknown(name, item.mean * times, item.std * times, log=True)
-            products.append(_number(whole, float(fitted.x[k]), deviations[k], False))
+    deviations, products = np.sqrt(np.diag(fitted.covariance)).tolist(), []
+    for k, item in ((k, unknowns.items[k]) for k in split):
+        name, times = f"{item.name} x {item.partner}", float(unknowns.base[item.partner])
+        whole = Unknown(name, item.mean * times, item.std * times, log=True)
+        products.append(_number(whole, float(fitted.x[k]), deviations[k], False))
 
     # Zeros and delays.
     errors = np.sqrt(np.diag(fitted.joint))[len(fitted.x) :]

@@ -5,14 +5,27 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sma_bench.arrays import Array
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import Hold, find_holds
-from sma_bench.estimation.noise_model import noise_floor
+from sma_bench.estimation.noise_model import (
+    Array,
+    autocorrelation,
+    inflation,
+    noise_floor,
+    white_noise_level,
+)
 from sma_bench.estimation.unknowns import LOADS
-from sma_bench.estimation.voltage import AppliedVoltage, applied_voltage, commands_of
+from sma_bench.estimation.voltage import (
+    FEWEST_SAMPLES,
+    AppliedVoltage,
+    VoltageSegment,
+    applied_voltage,
+    commands_of,
+    find_segments,
+)
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameters import load_kind
+from sma_bench.parameters.parameters import load_kind, wire_length
+from sma_bench.physics import Boundary
+from sma_bench.physics.bending import channel_section
 from sma_bench.physics.boundary import moves_tip
 from sma_bench.records.record import (
     Record,
@@ -34,6 +47,33 @@ _SETTLES = {"temperature": (2.0, 0.0), "deflection": (0.0, 0.02)}
 _CLEAR, _WARM, _SOME = 10.0, 15.0, 5  # times the noise; K; samples
 _AFTER = 0.1  # s that the last voltage is held for
 _MARGIN = 0.3  # s about a change of load, in which the wire follows a force known too roughly
+# What a load frame does to a wire: loads that it holds, or clamps that stay.
+LOAD_FRAME = ("elongation", "force")
+_MOSTLY = 0.7  # of a record, that is held
+_PULL, _SHORTEST_PULL = 0.5, 5.0  # of the range of the force; s
+_SHORTEST_HOLD, _RAMP_PIECE = 2.0, 0.25  # s; of a changing load the pieces
+_NARROW = 1e-3  # s
+_STILL = 1.5  # of its noise: an elongation that stands still scatters no more
+
+
+@dataclass(frozen=True)
+class Hold:
+    """A boundary of a load frame, from `start` s to the next one: `value` is the force [N] held, or
+    the elongation [m] where `clamped`, `std` its error; `steady` is False for the short pieces by
+    which a changing load is followed."""
+
+    start: float
+    stop: float
+    clamped: bool
+    value: float
+    std: float
+    steady: bool = True
+
+    def boundary(self, error: float, parameters: Parameters) -> Boundary:
+        """What the wire pulls against, `error` (m or N) off."""
+        if self.clamped:
+            return Boundary.clamped(-(self.value + error) / wire_length(parameters))
+        return Boundary.held_stress((self.value + error) / channel_section(parameters))
 
 
 @dataclass(frozen=True)
@@ -59,7 +99,7 @@ class Measured:
 
 @dataclass(frozen=True)
 class Rig:
-    """What a record holds of a rig: its wires, what drives them, and everything measured."""
+    """Wires, what drives and holds them, and everything measured."""
 
     record: Record
     channels: tuple[str, ...]
@@ -121,14 +161,12 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         # The tip's position from the range sensors that look at it from both sides.
         time = samples(record, f"{looking[0]}.range")[0]
         signs = {"front": -1.0, "back": 1.0}
-        signed = [signs[side] * np.interp(time, *samples(record, f"{side}.range"))
-                  for side in looking]
-        away: Array = np.asarray(np.mean(signed, axis=0), dtype=np.float64)
+        away: Array = np.mean([signs[side] * np.interp(time, *samples(record, f"{side}.range"))
+                               for side in looking], axis=0)
         found.append(Measured("deflection", "deflection", 0, time, away - away[0]))
 
-    # What is read when no voltage is any more cannot be compared. A current read while the voltage
-    # jumps says nothing, as only the jump's bounds are known; nor does an elongation while the load
-    # changes, as the wire follows a force known too roughly.
+    # What is read after the last voltage cannot be compared, nor a current while the voltage jumps,
+    # of which only bounds are known, nor an elongation while the load changes (`_MARGIN`).
     measured = []
     for one in found:
         if len(one.time) < _FEWEST_SAMPLES:
@@ -137,10 +175,9 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         if one.quantity == "current":
             known &= ~voltage.is_jumping(one.time)
         elif one.quantity == "elongation":
-            for hold in holds:
-                if not hold.steady:
-                    begin, end = hold.start - _MARGIN, hold.stop + _MARGIN
-                    known &= (one.time < begin) | (one.time > end)
+            for hold in (hold for hold in holds if not hold.steady):
+                begin, end = hold.start - _MARGIN, hold.stop + _MARGIN
+                known &= (one.time < begin) | (one.time > end)
         measured.append(one.where(known))
     if not measured:
         raise InputError(
@@ -173,5 +210,88 @@ def begins_warm(rig: Rig, parameters: Parameters) -> bool:
 def pulls_a_load(record: Record, parameters: Parameters) -> bool:
     """Whether wires move a load of their own: no beam, no clamps, no frame that measures it."""
     kind = load_kind(parameters)
-    held = kind == "force" and has_samples(record, "force")
-    return kind in LOADS and not held
+    return kind in LOADS and not (kind == "force" and has_samples(record, "force"))
+
+
+def has_load_frame(record: Record) -> bool:
+    """Whether the record holds what a load frame measures."""
+    return any(has_samples(record, name) for name in LOAD_FRAME)
+
+
+def is_clamped(record: Record) -> bool:
+    """Whether the length is held: the elongation stands still, or nobody measured it."""
+    if not has_samples(record, "elongation"):
+        return True
+    elongation = samples(record, "elongation")[1]
+    return float(np.std(elongation)) <= max(_STILL * white_noise_level(elongation), 1e-9)
+
+
+def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
+    """Held loads, or the clamped length, from `start` to `stop` s: a frame that holds its clamps
+    shows one elongation; one that holds loads shows plateaus of force, between which the force is
+    followed in short pieces. Raises InputError: neither."""
+    if not has_load_frame(record):
+        return ()
+    if is_clamped(record):
+        held = has_samples(record, "elongation")
+        mean = _mean(samples(record, "elongation")[1]) if held else (0.0, 0.0)
+        return (Hold(start, stop, True, *mean),)
+    if not has_samples(record, "force"):
+        raise InputError(f"{record.path}: elongation without force, expected the load held")
+    time, force = samples(record, "force")
+    plateaus, held_for = _plateaus(record)
+    if held_for < _MOSTLY * (time[-1] - time[0]):
+        raise InputError(f"{record.path}: the force is held for {held_for:.0f} of "
+                         f"{time[-1] - time[0]:.0f} s and the elongation not at all, expected held "
+                         "loads or a clamped wire")
+    holds, here = list[Hold](), start
+    for plateau in plateaus:
+        first, last = max(plateau.start, here), min(plateau.stop, stop)
+        inside = (time >= plateau.start) & (time <= plateau.stop)
+        holds += _followed(time, force, here, first)
+        holds.append(Hold(first, last, False, *_mean(force[inside])))
+        here = last
+    return (*holds, *_followed(time, force, here, stop))
+
+
+def _plateaus(record: Record) -> tuple[list[VoltageSegment], float]:
+    """Where the force is held, and for how long in all (s)."""
+    every = find_segments(*samples(record, "force")).plateaus
+    found = [plateau for plateau in every if plateau.duration >= _SHORTEST_HOLD]
+    return found, sum(plateau.duration for plateau in found)
+
+
+def find_pulls(record: Record) -> tuple[tuple[float, float], ...]:
+    """From when to when (s) a frame pulls evenly that mostly neither holds nor stands still."""
+    if is_clamped(record) or not has_samples(record, "force"):
+        return ()
+    time, force = samples(record, "force")
+    if len(time) < FEWEST_SAMPLES or _plateaus(record)[1] >= _MOSTLY * (time[-1] - time[0]):
+        return ()
+    least = _PULL * float(np.ptp(force))
+    return tuple((ramp.start, ramp.stop) for ramp in find_segments(time, force).ramps
+                 if ramp.voltage_stop - ramp.voltage_start > least
+                 and ramp.duration >= _SHORTEST_PULL)
+
+
+def _mean(values: Array) -> tuple[float, float]:
+    """Mean and its standard error, coloured noise counted."""
+    centred = values - values.mean()
+    factor = inflation(autocorrelation([centred]))
+    return float(values.mean()), float(np.std(centred) * np.sqrt(factor / len(values)))
+
+
+def _followed(time: Array, force: Array, start: float, stop: float) -> list[Hold]:
+    """Pieces short enough for the force to be one number in each; one where nobody measured it."""
+    if stop - start < _NARROW:
+        return []
+    edges = np.linspace(start, stop, int(np.ceil((stop - start) / _RAMP_PIECE)) + 1)
+    measured = np.diff(np.searchsorted(time, edges)) > 0
+    edges = edges[np.append(True, measured) | np.append(measured, True)]
+    pieces = []
+    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        middle = 0.5 * (first + last)
+        near = np.abs(time - middle) <= 0.5 * _RAMP_PIECE
+        value = float(np.mean(force[near])) if near.any() else float(np.interp(middle, time, force))
+        pieces.append(Hold(first, last, False, value, 0.0, steady=False))
+    return pieces

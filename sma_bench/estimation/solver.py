@@ -7,14 +7,15 @@ noise of every sensor is estimated anew from what the model itself leaves, so th
 structure it leaves only as far as noise cannot be that. The evidence is Laplace's: the fit, less
 what its freedom was worth.
 
-scipy.optimize.least_squares ended at the same place after two to eight times as many simulations:
-it cannot keep the derivatives of what hardly moves, nor stop at a fraction of a nat.
+scipy.optimize.least_squares took two to eight times as many simulations to the same place: it
+cannot keep the derivatives of what hardly moves, nor stop at a fraction of a nat.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from operator import attrgetter
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cho_solve
@@ -132,12 +133,11 @@ class Fit:
     def jackknifed(self) -> Array:
         """(k,) standard errors as large as what the model leaves asks for, the prior's at most.
 
-        A misfit is no noise: it is the same in every bin of a pulse. So the records are cut into
-        stretches, and the numbers are estimated once without each (the jackknife over groups; Shao
-        and Tu, The Jackknife and Bootstrap, 1995), by a straight line from the optimum. Where noise
-        is all that is left, the squares of these moves sum up to the variances that they add; by as
-        much as they sum up to more, the variance of a number is larger. The pull of the priors,
-        of which a stretch is no sample, is taken off before.
+        A misfit is the same in every bin of a pulse. So the records are cut into stretches, and the
+        numbers are estimated once without each (the jackknife over groups; Shao and Tu, The
+        Jackknife and Bootstrap, 1995), by a straight line from the optimum. By as much as the
+        squares of these moves exceed what noise would move, the variance of a number is larger. The
+        pull of the priors, of which a stretch is no sample, is taken off before.
         """
         rows = np.hstack([self.problem.whiten(self.derivatives), self.problem.white_nuisances])
         information, k = rows.T @ rows + np.eye(rows.shape[1]), len(self.x)
@@ -190,21 +190,28 @@ def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
     return state.finished()
 
 
+def _from_starts(problem: Problem, unknowns: Unknowns, starts: Sequence[Array], report: Report,
+                 **how: Any) -> list[Fit]:
+    """A fit from each start (k,), reported as one step less than the whole."""
+
+    def from_start(number: int, x: Array) -> Fit:
+        report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
+        return fit(problem, unknowns, x, **how)
+
+    tried = in_threads(from_start, list(enumerate(starts)))
+    report(len(starts) / (len(starts) + 1), "from the best start to the end")
+    return tried
+
+
 def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
                 starts: Sequence[Array], report: Report = silent,
                 keep_noise: bool = False) -> tuple[Fit, list[Fit]]:
     """The model fitted from several starts (k,) each, the best of them carried to its end; and all
-    of them. About the parameters as believed nuisances are linear at first. `keep_noise`: begin the
-    last fit with the noise that the best start left. Begun with the first guess it may end some
-    nats before its optimum; the diagnosis' thresholds were found so."""
+    of them. `keep_noise`: begin the last fit with the noise that the best start left. Begun with
+    the first guess it may end some nats before its optimum; the diagnosis' thresholds were found
+    so."""
     first = problem.with_nuisances(parameters)
-
-    def from_start(number: int, x: Array) -> Fit:
-        report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
-        return fit(first, unknowns, x, far=True)
-
-    tried = in_threads(from_start, list(enumerate(starts)))
-    report(len(starts) / (len(starts) + 1), "from the best start to the end")
+    tried = _from_starts(first, unknowns, starts, report, far=True)
     best = max(tried, key=by_evidence)
     if first.of_kind(TICK).any():
         # No straight line goes from a jump that comes late to one that comes early.
@@ -227,13 +234,7 @@ def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
     and each with states of its own (`STATES`), as different as they show."""
     several = float(len(problem.observations) > 1)
     first = problem.with_nuisances(parameters, several).with_weights()
-
-    def from_start(number: int, x: Array) -> Fit:
-        report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
-        return fit(first, unknowns, x, rounds=2, keep_noise=True)
-
-    tried = in_threads(from_start, list(enumerate(starts)))
-    report(len(starts) / (len(starts) + 1), "from the best start to the end")
+    tried = _from_starts(first, unknowns, starts, report, rounds=2, keep_noise=True)
     best, found = max(tried, key=by_evidence), []
     for states in (0.0, 1.0) if several else (0.0,):
         fitted = best
@@ -252,7 +253,7 @@ def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
 
 
 def independent_readings(fitted: Fit) -> float:
-    """How many independent readings its records are worth."""
+    """How many its records are worth."""
     rho = np.array(fitted.problem.correlations(fitted.left))
     bins = np.array([len(block.signal.time) for block in fitted.problem.blocks])
     return float(np.sum(np.maximum(bins * (1.0 - rho) / (1.0 + rho), 1.0)))
@@ -327,9 +328,8 @@ class _State:
         self.kept: tuple[Problem, Array, Array, Array, Array] | None = None
         self.slopes_of: tuple[Array | None, Array | None] = None, None
         self.x = np.clip(x, *unknowns.bounds())
-        if predicted is None:
-            predicted = self.problem.predict(unknowns.parameters(self.x))
-        self.predicted = predicted
+        known = predicted is not None
+        self.predicted = predicted if known else self.problem.predict(unknowns.parameters(self.x))
         self.z = self._best_nuisances()
 
     def linearise(self, rough: bool = False) -> None:
@@ -435,22 +435,18 @@ class _State:
 
     def _step(self, normal: Array, force: Array, damping: float, low: Array, high: Array) -> Array:
         """(k,) damped in the unknowns, in their prior deviations (Levenberg)."""
-        k = len(self.x)
-        damped = normal.copy()
+        k, damped = len(self.x), normal.copy()
         damped[range(k), range(k)] += damping
         free = np.ones(len(force), dtype=bool)
-        step = np.zeros(len(force))
         for _ in range(4):
-            step[:] = 0.0
+            step = np.zeros(len(force))
             step[free] = np.linalg.solve(damped[np.ix_(free, free)], force[free])
             outward = ((self.x <= low) & (step[:k] < 0.0)) | ((self.x >= high) & (step[:k] > 0.0))
             if not (outward & free[:k]).any():
                 break
             free[:k] &= ~outward
         longest = float(np.max(np.abs(step[:k]), initial=0.0))
-        if longest > _RADIUS:
-            step *= _RADIUS / longest
-        return step[:k]
+        return step[:k] * (_RADIUS / longest) if longest > _RADIUS else step[:k]
 
     def _best_nuisances(self) -> Array:
         problem = self.problem
@@ -464,6 +460,6 @@ class _State:
         freedom = float(np.linalg.slogdet(information)[1])
         evidence = -0.5 * self.cost() - 0.5 * freedom - self.problem.log_scale()
         evidence += self.problem.log_prior()
-        problem = replace(self.problem)  # without its whitened columns, which are large
-        return Fit(problem, self.unknowns, self.x, self.z, joint, evidence, self.predicted,
-                   self.slopes, self.left())
+        # The problem without its whitened columns, which are large.
+        return Fit(replace(self.problem), self.unknowns, self.x, self.z, joint, evidence,
+                   self.predicted, self.slopes, self.left())

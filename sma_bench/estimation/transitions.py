@@ -53,9 +53,8 @@ class Transitions:
         A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
 
     of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
-    and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is stated of the
-    four is the prior of these; of the others it is that of wires of the field, given what is
-    stated, and so is their mean.
+    and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is not stated
+    of the four has mean and prior of wires of the field, given what is stated.
     """
 
     mean: Array  # (4,) K, as believed
@@ -106,13 +105,11 @@ class Transitions:
         straight = self.mean.copy()
         straight[self.moving] += self.turn @ x
         centre, *widths = (_COORDINATES @ straight).tolist()
+        believed = (_COORDINATES[1:] @ self.mean).tolist()
         half, austenite, martensite = (
             width if known <= 0.0  # an impossible hysteresis is left as it is
             else known * math.exp(min(max(width / known - 1.0, -_FARTHEST), most))
-            for width, known, most in zip(
-                widths, (_COORDINATES[1:] @ self.mean).tolist(), _WIDEST, strict=True
-            )
-        )
+            for width, known, most in zip(widths, believed, _WIDEST, strict=True))
         branches = [[centre + half, 0.5 * austenite], [centre - half, 0.5 * martensite]]
         exact = [k for k in range(4) if k not in self.moving]
         for number in exact:

@@ -74,9 +74,8 @@ OPTIONAL = (("wire.transition_skew",),
 UNMODELLED = ("effect.latent_heat.heat", "effect.temperature_dependent_convection.rise",
               "effect.phase_dependent_resistance.austenite_change", "effect.residual_strain.share")
 # Typical wires, for what a file does not state: mean and one standard deviation. NiTi has 450 to
-# 550 J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat and a martensite of 0 to 30 % more
-# resistance than austenite (Ikuta 1991); a correlation of free convection is good to 30 % in a
-# room; hystereses are 20 to 40 K wide, their branches about as much, about a centre of 65 degC.
+# 550 J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat, a martensite of 0 to 30 % more
+# resistance than austenite (Ikuta 1991); a correlation of free convection is good to 30 %.
 FIELD = {
     "wire.specific_heat": (500.0, 75.0),
     "wire.thermal_expansion_factor": (-3.5e5, 1.5e5),
@@ -131,11 +130,10 @@ class Unknown:
 
     def value(self, x: float) -> float:
         """In its unit, `x` prior deviations from the mean, within its range."""
+        moved = self.mean + self.std * x
         if self.log:
             exponent = self.std / self.mean * x
             moved = self.mean * math.exp(min(max(exponent, -_MOST_LOG), _MOST_LOG))
-        else:
-            moved = self.mean + self.std * x
         return float(min(max(moved, self.low), self.high))
 
     def x_of(self, value: float) -> float:
@@ -216,8 +214,8 @@ class Unknowns:
                 moved = [np.subtract(self._four(x + d), self._four(x - d)) for d in steps]
                 columns = np.column_stack(moved) / (2.0 * _TINY * std)
                 own, turn[self._together, spread] = columns[:, :-1], columns[:, -1]
-            still = np.linalg.norm(own, axis=1) < _STILL
             # At an end of the range, where x moves it no more, one is as unknown as it was.
+            still = np.linalg.norm(own, axis=1) < _STILL
             own[still] = np.eye(len(own))[still]
             turn[self._together, self._together] = own
         return turn
@@ -268,8 +266,8 @@ class Unknowns:
     @cached_property
     def _grains_apart(self) -> bool:
         """Whether nothing is stated of the branches of a law of grains: centres and widths of their
-        hystereses are then known apart, and the ranges follow from both. A fit that moves ranges
-        and spread would go to grains that differ in nothing but their widths, at no cost."""
+        hystereses are then apart, ranges follow from both. A fit that moves ranges and spread would
+        go to grains that differ in nothing but their widths, at no cost."""
         return SPREAD in self.names and not self.base.given.intersection(TEMPERATURES)
 
     def _four(self, x: Array) -> list[float]:
@@ -317,22 +315,17 @@ class Unknowns:
 def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
                         load_frame: bool = False, own_load: bool = True, sides_apart: bool = False,
                         unmodelled: bool = False, other_laws: bool = False) -> Unknowns:
-    """Everything of the baseline that records of these quantities can depend on.
-
-    Args:
-        load_frame: records of a wire under held loads or between clamps are among them;
-            own_load: so are some of wires that move what `load.kind` names.
-        sides_apart: front and back are two numbers even where they are believed alike.
-        unmodelled: of wires with a load, what the paper's model leaves out of every one; what of
-            it is believed in is unknown in any case.
-        other_laws: grains may follow other laws than the cosine.
-    """
+    """Everything of the baseline that records of these quantities can depend on. `load_frame`:
+    records of a wire under held loads or between clamps are among them; `own_load`: so are some of
+    wires that move what `load.kind` names; `sides_apart`: front and back are two numbers even where
+    they are believed alike; `unmodelled`: of wires with a load, what the paper's model leaves out
+    of every one, believed in or not; `other_laws`: grains may follow other laws than the cosine."""
 
     def of_table(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
         return {name: (parameters.std(name), *range_of(name)) for name in names}
 
-    own = LOADS.get(load_kind(parameters), ()) if own_load else ()
-    own = tuple(name for name in own if name not in IF_STATED or is_stated(parameters, name))
+    own = [name for name in LOADS.get(load_kind(parameters), ()) if own_load
+           if name not in IF_STATED or is_stated(parameters, name)]
     load_frame |= load_kind(parameters) == "displacement"
     names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
     shapes |= OTHER_LAWS if other_laws else {}
@@ -398,10 +391,9 @@ def stated_effects(parameters: Parameters) -> list[str]:
 def unknowns_of(parameters: Parameters, names: Sequence[str], *,
                 shapes: Mapping[str, tuple[float, float, float]] = SHAPES,
                 sides_apart: bool = False) -> Unknowns:
-    """Unknowns from the values and the `uncertainty.` of a parameter set. A parameter with
-    uncertainty 0 is exact and none of them. Bending coefficients which are derived from the
-    geometry start there, with 30 % unless their uncertainty is given. All four transition
-    temperatures or none of them are among the names."""
+    """Unknowns from the values and the `uncertainty.` of a parameter set; 0 is exact, and none.
+    Bending coefficients that are derived from the geometry start there, with 30 % unless their
+    uncertainty is given. All four transition temperatures or none are among the names."""
     derived = dict(zip(BENDING, bending_coefficients(parameters), strict=True))
     together = Transitions.of(parameters) if TEMPERATURES[0] in names else None
     stds = together.stds if together else {}
@@ -446,8 +438,7 @@ def unknowns_of(parameters: Parameters, names: Sequence[str], *,
         if std > 0.0:
             extra.append(Unknown(name, mean, std, low, high, log=bool(BY_NAME[name].default)))
     items = (*found.values(), *extra)
-    moving = together if stds else None
-    return Unknowns(base, items, len(found), len(items), transitions=moving)
+    return Unknowns(base, items, len(found), len(items), transitions=together if stds else None)
 
 
 def range_of(name: str) -> tuple[float, float]:

@@ -9,11 +9,11 @@ import numpy as np
 
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.load_frame import find_pulls, is_clamped
 from sma_bench.estimation.noise_model import noise_floor
 from sma_bench.estimation.nuisances import UNITS
 from sma_bench.estimation.observation import Observation, observe, observe_all, shared_bin
 from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.rig import find_pulls, is_clamped
 from sma_bench.estimation.solver import fit
 from sma_bench.estimation.unknowns import Unknowns
 from sma_bench.findings import Finding

@@ -20,7 +20,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.results import Carded, card_rows, decoded, sentences
 
 if TYPE_CHECKING:
-    from sma_bench.estimation.bands import Band
+    from sma_bench.estimation.laws import Band
     from sma_bench.records.record import Record
 
 FitVerdict = Literal["ok", "imperfect", "misfit"]
@@ -122,7 +122,7 @@ class Identification(Carded, Reported):
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
             raise refusal("nothing to predict from")
-        from sma_bench.estimation.bands import predict
+        from sma_bench.estimation.laws import predict
         from sma_bench.estimation.observation import observe
         return predict(laws, observe(record, laws[0].fit.parameters), probability)
 

@@ -9,8 +9,7 @@ import numpy as np
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation import noise_model
-from sma_bench.estimation.load_frame import has_load_frame, is_clamped
-from sma_bench.estimation.rig import pulls_a_load
+from sma_bench.estimation.rig import has_load_frame, is_clamped, pulls_a_load
 from sma_bench.estimation.voltage import Segments, VoltageSegment, find_segments, protocol_spans
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import straight_line

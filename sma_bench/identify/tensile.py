@@ -17,8 +17,8 @@ import numpy as np
 from sma_bench.arrays import Array, IntArray
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
-from sma_bench.estimation.load_frame import find_pulls
 from sma_bench.estimation.noise_model import autocorrelation, inflation
+from sma_bench.estimation.rig import find_pulls
 from sma_bench.findings import Finding
 from sma_bench.identify import estimate
 from sma_bench.identify.branches import Bins

@@ -17,7 +17,7 @@ from typing import Any
 
 from sma_bench.border import MEGABYTE, read_json, read_text
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.drives import FIRST
+from sma_bench.diagnose.next_experiment import FIRST
 from sma_bench.diagnose.result import NO_GAP, RECALIBRATION, UNEXPLAINED, diagnosis_from
 from sma_bench.errors import InputError, errors_in
 from sma_bench.estimation.observation import QUANTITIES

@@ -19,8 +19,7 @@ if TYPE_CHECKING:  # who wants the one need not load the other
     from sma_bench.identify import Identification
 
 _TOLD = 0.9  # of the spread that a number has which nobody stated
-# Shares of the time, about, that reading takes.
-_READING, _READING_BAGS = 0.2, 0.05
+_READING, _READING_BAGS = 0.2, 0.05  # shares of the time, about
 # Seconds that each step takes of a composite record, as `diagnose` names them.
 _PLAN = {
     "records": 0.1,
@@ -29,7 +28,6 @@ _PLAN = {
     "effects instead of surprising parameters": 1.5,
     "the best again, carefully": 0.6,
     "pairs": 1.0,
-    "parameters that may be far off": 0.1,
     "what is left": 0.3,
     "shrinkage on data that no fit saw": 0.2,
     "the next experiment": 0.8,
@@ -48,10 +46,8 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
     from sma_bench.identify import identify
 
     load_aside(core.run, run_once)
-    records = [
-        record
-        for path in in_turn(paths, part(report, 0.0, _READING), lambda path: f"reading {path}")
-        for record in open_records(path, namespace, stated)]
+    reading = in_turn(paths, part(report, 0.0, _READING), "reading {}".format)
+    records = [record for path in reading for record in open_records(path, namespace, stated)]
     return identify(records, parameters, experiments, part(report, _READING, 1.0), phases)
 
 
@@ -63,11 +59,9 @@ def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Pa
     from sma_bench.diagnose import diagnose
 
     load_aside(core.run, run_once)
-    reading = part(report, 0.0, _READING_BAGS)
-    records = [read_record(path)
-               for path in in_turn([*paths, *hold_out], reading, lambda path: f"reading {path}")]
+    reading = in_turn([*paths, *hold_out], part(report, 0.0, _READING_BAGS), "reading {}".format)
+    records, seen = [read_record(path) for path in reading], len(paths)
     reporter = by_name(part(report, _READING_BAGS, 1.0), _PLAN)
-    seen = len(paths)
     return diagnose(records[:seen], parameters, records[seen:], reporter, quantities)
 
 

@@ -10,7 +10,7 @@ from typing import Self
 import numpy as np
 
 from sma_bench.arrays import Array, IntArray
-from sma_bench.estimation.bands import FLOOR, reach_of
+from sma_bench.estimation.laws import FLOOR, reach_of
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import Bench
@@ -190,7 +190,7 @@ class FreeRun:
 
 class Doubt:
     """How far a sound bench may be from the prediction, its sensors' noise not counted: benches
-    within what is open of the parameters run along, each by itself (estimation/bands.py)."""
+    within what is open of the parameters run along, each by itself (estimation/laws.py)."""
 
     def __init__(self, run: FreeRun, benches: Sequence[Parameters], probability: float) -> None:
         self._run, self._reach = run, reach_of(probability)

@@ -13,7 +13,7 @@ import numpy as np
 
 from sma_bench.arrays import Array
 from sma_bench.errors import InputError
-from sma_bench.estimation.bands import benches_within
+from sma_bench.estimation.laws import benches_within
 from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind

@@ -17,7 +17,7 @@ from examination.blind.learn import (
     right_names,
     stored,
 )
-from sma_bench.diagnose.utilities import NAMES, learnt
+from sma_bench.diagnose.decision import NAMES, learnt
 
 GAIN, ONE, RIVALS = (NAMES.index(f"effect.{name}") for name in ("gain", "one", "rivals"))
 

@@ -8,11 +8,18 @@ import numpy as np
 import pytest
 
 from sma_bench.diagnose import decision
-from sma_bench.diagnose.decision import Candidate, named, verdict_of
+from sma_bench.diagnose.decision import (
+    NAMES,
+    SIGNS,
+    Candidate,
+    Utilities,
+    learnt,
+    named,
+    verdict_of,
+)
 from sma_bench.diagnose.diagnosis import stages_of
-from sma_bench.diagnose.facts import Facts, Weighed
 from sma_bench.diagnose.next_experiment import Telling, prospect
-from sma_bench.diagnose.utilities import NAMES, SIGNS, Utilities, learnt
+from sma_bench.diagnose.sizes import Facts, Weighed
 from sma_bench.parameters.parameter import TRANSITIONS
 
 # How much more it scatters in motion than at rest, and the largest outlier.

@@ -11,8 +11,8 @@ from planted import ALL, ONE_WIRE, believed, drive, few_effects, planted_record
 from examination.bags import in_sqlite3
 from examination.blind.case_files import checked_answer
 from sma_bench.diagnose import decision, diagnose, diagnosis
+from sma_bench.diagnose.decision import learnt
 from sma_bench.diagnose.result import NextExperiment
-from sma_bench.diagnose.utilities import learnt
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.protocols import parse_protocol

@@ -24,9 +24,9 @@ from planted import (
 )
 
 from sma_bench.diagnose import diagnose
-from sma_bench.diagnose.facts import weighed
+from sma_bench.diagnose.decision import Utilities
 from sma_bench.diagnose.next_experiment import next_experiment
-from sma_bench.diagnose.utilities import Utilities
+from sma_bench.diagnose.sizes import weighed
 from sma_bench.estimation.observation import STATES, observe_all
 from sma_bench.estimation.unknowns import LAW_EFFECT
 from sma_bench.physics import simulate

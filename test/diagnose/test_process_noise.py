@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planted import ALL, planted_record, true_bench
 
-from sma_bench.diagnose.process_noise import missed, process_noise
+from sma_bench.diagnose.left_over import missed, process_noise
 from sma_bench.estimation.observation import observe
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit

@@ -8,7 +8,7 @@ from planted import moving_lab, strokes
 
 from sma_bench.cli import main
 from sma_bench.errors import InputError
-from sma_bench.estimation.bands import band_of
+from sma_bench.estimation.laws import band_of
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.physics import simulate
 from sma_bench.synthetic.bench_records import signals_of

@@ -11,7 +11,7 @@ pytest.importorskip("numba", reason="fits of the whole model take minutes uncomp
 from examination.check.identification import draw_bench, measured
 from examination.check.rigs import FINE, WORK, draw_record, draw_rig, try_rig
 from sma_bench.errors import InputError
-from sma_bench.estimation.load_frame import Hold, find_holds
+from sma_bench.estimation.rig import Hold, find_holds
 from sma_bench.identify import identify
 from sma_bench.identify.isobaric import isobaric_tests
 from sma_bench.identify.signals import holds_frame

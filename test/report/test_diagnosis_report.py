@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from planted import believed
 
+from sma_bench.diagnose.left_over import missed
 from sma_bench.diagnose.next_experiment import NextExperiment
-from sma_bench.diagnose.process_noise import missed
 from sma_bench.report.plots import missing_pictures, next_experiment_picture
 from sma_bench.report.reports import improvements, write_diagnosis_report
 from sma_bench.results import card
