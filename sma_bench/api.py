@@ -175,9 +175,8 @@ def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
         hold_out: further ones, to measure the shrinkage on; when empty each record's last part.
         signals: which quantities are compared, of current, temperature, deflection.
 
-    The result has `verdict`, `cause`, `candidates`, `where`, `shrinkage`, `improved` parameters;
-    `to_json()` is its file. Raises InputError: no record, an instrument's file, or nothing that can
-    be compared."""
+    The result has `verdict`, `cause`, `candidates`, `where`, `shrinkage`, `improved` parameters,
+    `to_json()`. Raises InputError: no record, an instrument's file, nothing to compare."""
     unknown = sorted({signals} if isinstance(signals, str) else set(signals) - set(QUANTITIES))
     if unknown:
         raise InputError(f"diagnose: signals {unknown[0]!r}, expected some of {list(QUANTITIES)}")

@@ -291,8 +291,8 @@ def run_investigate(args: SimpleNamespace) -> int:
         terminal.say(f"{case.summary()}; page {case.write_page(args.command_line)}")
         if case.state == TEST:
             terminal.say(f"next: {case.chapters[-1].proposed['why']}; put what it gives into "
-                f"{case.folder}/believed.yaml, or record with the sensor and give the bag, then go "
-                "on with the same command")
+                         f"{case.folder}/believed.yaml, or record with the sensor and give the "
+                         "bag, then go on with the same command")
     terminal.write_json(args.json, case.to_json())
     return 0
 

@@ -74,7 +74,6 @@ def run_demo(args: SimpleNamespace) -> int:
     write_parameters(out / "truth.yaml", truth, "What the simulated bench is made of.")
     hidden_file = gap / "hidden.yaml"
     write_parameters(hidden_file, hidden_bench(lab, seed), "The truth of the simulated bench.")
-
     # What each step takes, about: the time left is that of the whole demo.
     pace = min(speed, _REACHED)
     plan = {COMPILING: 0.0 if is_compiled(core.run) else _COMPILING}
@@ -84,7 +83,6 @@ def run_demo(args: SimpleNamespace) -> int:
     plan |= {"diagnose": _DIAGNOSING}
     state = terminal.WorkState()
     steps = {step: part(state.report, *ends) for step, ends in shares(plan).items()}
-
     # The first act.
     console.print("[bold]1. From a commanded volt to Table I[/]")
     with terminal.progress("demo", state):
@@ -120,7 +118,6 @@ def run_demo(args: SimpleNamespace) -> int:
                  f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")
     loaded = out / "identified.yaml"
     terminal.say(f"report     {page}\nbags       {out / 'bags'}\nnodes load {loaded}")
-
     # The second: the card and the candidates, then the truth, which only the bench has read so far.
     console.print("\n[bold]2. The gap between simulation and bench[/]")
     terminal.say("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")

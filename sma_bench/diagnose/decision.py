@@ -34,7 +34,7 @@ from sma_bench.diagnose.result import (
     inclusion,
 )
 from sma_bench.diagnose.search import Search
-from sma_bench.diagnose.sizes import REMARK, Facts, Weighed, effect_fits, own_gap
+from sma_bench.diagnose.sizes import REMARK, Weighed, effect_fits, own_gap
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.unknowns import LAW_EFFECT, OTHER_LAWS
@@ -44,29 +44,23 @@ from sma_bench.physics.effects import EFFECTS
 BENIGN = (RECALIBRATION, NO_GAP)  # names of candidates without a cause
 NAMED = 0.6  # probability from which what is at work is named
 WORTH_SAYING = 0.02  # probability
-# Of the noise: less of another law is what every bench has. And the nats by which its two shares
-# are sure, which is a chance of one in 250.
-LAW_SHOWS, LAW_SURE = 2.0, 5.5
+LAW_SHOWS, LAW_SURE = 2.0, 5.5  # of the noise: every bench has less; nats, one in 250 by chance
 # Feature by kind of explanation, and the sign that its weight must have, 0 for either.
 SIGNS: dict[str, dict[str, int]] = {
-    "effect": {
-        "one": 0, "gain": 1, "lead": 1, "size": 1, "own": 0, "unsteady": -1, "rivals": -1,
-    },
+    "effect": {"one": 0, "gain": 1, "lead": 1, "size": 1, "own": 0, "unsteady": -1, "rivals": -1},
     "pair": {"two": 0, "extra": 1, "partner_size": 1},
     "recalibration": {"surprise": -1},
     "no_gap": {"one": 0, "moved": -1, "as_stated": 1},
-    "unexplained": {
-        "one": 0, "beyond_share": 1, "ratio": 1, "outlier": 1, "input": 1, "best_gain": 0,
-    },
-}  # fmt: skip
+    "unexplained": {"one": 0, "beyond_share": 1, "ratio": 1, "outlier": 1, "input": 1,
+                    "best_gain": 0},
+}
 NAMES = tuple(f"{kind}.{name}" for kind, features in SIGNS.items() for name in features)
 _AT = {name: k for k, name in enumerate(NAMES)}
 _WEIGHTS = Path(__file__).with_name("weights.yaml")
 _LIBRARY = 18  # effects that were learnt from; of more each has a smaller share
 _NEAR, _CLOSE = 5.0, 0.1  # nats, and share of the gain, within which others are rivals
 _NOISY = 4.0  # standard deviations that the largest of many samples has by chance
-# What the model misses of a bench is the same in all records, and an effect that takes some of it
-# up gains by every one: beyond two, gains count as if half of the noise were of that kind.
+# What the model misses is the same in all records: beyond two, gains count by their root.
 _USUAL_RECORDS = 2
 
 
@@ -111,28 +105,21 @@ class Utilities:
         # Log odds by the library's size: N candidates bring N chances of a false alarm.
         self.fixed = np.zeros(len(self.names))
         self.fixed[: len(facts)] = -np.log(max(len(singles), _LIBRARY) / _LIBRARY)
-        rows = [*map(self._of_effect, facts, facts.values()), *self._of_none()]
+        # What does not depend on gains.
+        rows: list[dict[str, Any]] = []
+        for name, one in facts.items():
+            unsteady = max(_log(one.unsteady, 1.0), 0.0) if one.gain > 0.0 else 0.0
+            rows.append({"effect.one": 1.0, "effect.size": _small(one.gap),
+                         "effect.own": _nats(one.own, 1.0), "effect.unsteady": unsteady})
+            if JOIN in name:
+                rows[-1] |= {"pair.two": 1.0, "pair.partner_size": _small(min(one.parts.values()))}
+        rows += [{"recalibration.surprise": _nats(found.surprise, 16.0)},
+                 {"no_gap.one": 1.0, "no_gap.moved": _log(found.moved, 0.1),
+                  "no_gap.as_stated": _signed(found.as_stated)},
+                 {"unexplained.one": 1.0, "unexplained.ratio": _nats(found.ratio),
+                  "unexplained.outlier": _nats(found.outlier - _NOISY),
+                  "unexplained.input": _nats(found.input)}]
         self._plain = np.array([[row.get(name, 0.0) for name in NAMES] for row in rows], float)
-
-    def _of_effect(self, name: str, facts: Facts) -> dict[str, float]:
-        """What does not depend on gains."""
-        unsteady = max(_log(facts.unsteady, 1.0), 0.0) if facts.gain > 0.0 else 0.0
-        row = {"effect.one": 1.0, "effect.size": _small(facts.gap),
-               "effect.own": float(_nats(facts.own, 1.0)), "effect.unsteady": unsteady}
-        if JOIN in name:
-            row |= {"pair.two": 1.0, "pair.partner_size": _small(min(facts.parts.values()))}
-        return row
-
-    def _of_none(self) -> tuple[dict[str, Any], ...]:
-        found = self.found
-        return (
-            {"recalibration.surprise": _nats(found.surprise, 16.0)},
-            {"no_gap.one": 1.0, "no_gap.moved": _log(found.moved, 0.1),
-             "no_gap.as_stated": _signed(found.as_stated)},
-            {"unexplained.one": 1.0, "unexplained.ratio": _nats(found.ratio),
-             "unexplained.outlier": _nats(found.outlier - _NOISY),
-             "unexplained.input": _nats(found.input)},
-        )  # fmt: skip
 
     def features(self, gains: Array | None = None) -> Array:
         """(m, n, k) of every explanation, where the effects gain so much (m, c) [nats]."""
@@ -167,11 +154,10 @@ class Utilities:
 
     def nats(self) -> dict[str, dict[str, float]]:
         """Of every explanation the sum that its log odds are, by feature."""
-        sums = self.features()[0] * learnt().values
-        rows = zip(self.names, sums, self.fixed.tolist(), strict=True)
-        return {name: {NAMES[k].partition(".")[2]: float(row[k])
-                       for k in np.flatnonzero(row)} | ({"library": fixed} if fixed else {})
-                for name, row, fixed in rows}
+        short = [*(name.partition(".")[2] for name in NAMES), "library"]
+        sums = np.column_stack([self.features()[0] * learnt().values, self.fixed])
+        return {name: {feature: nats for feature, nats in zip(short, row, strict=True) if nats}
+                for name, row in zip(self.names, sums.tolist(), strict=True)}
 
 
 def _nats(value: Array | float, scale: float = 4.0) -> Array:
@@ -224,9 +210,8 @@ def decide(search: Search, weighed: Utilities) -> tuple[Candidate, ...]:
 
 
 def with_law(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
-    """The same, another law of the phase named where it shows: it is free in every candidate, as
-    real kinetics are never quite a cosine. Alone it is a cause in recalibration's place, with an
-    effect a second one, or a remark."""
+    """The same, another law of the phase named where it shows, which is free in every candidate:
+    alone a cause in recalibration's place, with an effect a second one, or a remark."""
     found, emptied = [], list[Candidate]()
     for one in candidates:
         if one.fit is None or one.probability < WORTH_SAYING or one.name == NO_GAP:

@@ -58,8 +58,7 @@ _STAGES = {
     **dict.fromkeys((*TRANSITIONS.values(), "wire.stress_influence_austenite",
                      "wire.stress_influence_martensite"), "transformation"),
 }  # fmt: skip
-# What is left is said to be no noise from so many nats of a smooth response of free form, and so
-# many standard deviations of a signal in motion against rest, and of its largest sample.
+# From which what is left is no noise: nats of a smooth response; deviations in motion, of a sample.
 _FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
 _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
 
@@ -86,13 +85,11 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     """Diagnose the gap between a bench's records and its model, with the parameters as believed and
     their `uncertainty.` as priors. Candidates are weighed on all records together; the shrinkage is
     measured on the held-out ones (on the last part of the records where none is held out), with a
-    model that has not seen them. `progress` is called with what is being done; `quantities`: that
-    are compared. Raises InputError: no records, one that cannot be compared, or one both fitted and
-    held out."""
+    model that has not seen them. `progress` is called with what is being done. Raises InputError:
+    no records, one that cannot be compared, or one both fitted and held out."""
     if not records:
         raise InputError("diagnose: no record, expected at least one")
     require_distinct(records, hold_out)
-
     # Clocks are mended; signals under suspicion are named, and hold effects back.
     progress("records")
     ready = prepare((*records, *hold_out), parameters, quantities)
@@ -100,7 +97,6 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     if held := held_back(ready.doubted):
         more = ", ..." * (len(held) > 3)
         lines.append(f"held back for that: {len(held)} effects, {', '.join(held[:3])}{more}")
-
     # The verdict, and the most probable model that can be simulated.
     observed = observe_all(ready.records, parameters, quantities)
     found = search(observed, parameters, progress, ready.doubted)
@@ -124,7 +120,6 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     shrinks = shrinkage(
         unfitted, parameters, moved.parameters, parameters if no_gap else blind.parameters,
         sensors_noise(model, [recalibrated, *found.singles.values(), *found.pairs.values()]))
-
     # A proposal that the bench's limits refuse costs no diagnosis.
     following, remarks = None, []
     if not no_gap:
@@ -143,9 +138,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
                 remarks = [Finding("info", "next experiment", text)]
         except InputError as error:
             remarks = [Finding("warning", "next experiment", f"none is proposed: {error}")]
-
-    # Where the gap lies: what the effects do, what no candidate explains, or what separates belief
-    # and recalibration.
+    # Where the gap lies: what effects do, what none explains, or what separates belief and fit.
     stages = {} if no_gap else stages_of(candidates, found)
     stage, smooth_input = next(iter(found.inputs.items()))
     if verdict == UNEXPLAINED:
@@ -156,9 +149,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     else:
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
     top = cells[0]
-
-    # What was not tried: kinds of drives, and quantities that no record holds. Of a clamped wire
-    # there is no motion to miss.
+    # What was not tried: kinds of drives, and quantities that no record holds, if there are any.
     share = unknown_share(fitted, unfitted, improved)
     text = (f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had "
             "one (temperature, its rate, martensite, the other side's temperature)")
@@ -222,9 +213,8 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
 
     An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
     whose parameters moved further than anyone believed (by chi squared of their number), if any
-    did. What nothing explains has the stages at which an unknown input gains something [nats], each
-    in proportion to what its gain weighs; where none does, as recalibration, or the stage of the
-    effect that gains most.
+    did. What nothing explains has the stages at which an unknown input gains something, by what its
+    gain weighs; where none does, as recalibration, or the stage of the effect that gains most.
     """
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved = defaultdict[str, list[float]](list)
@@ -273,7 +263,6 @@ def _facts(verdict: Verdict, candidates: Sequence[Candidate], found: Search,
     numbers = zip(unknowns.items[: unknowns.bench], values, deviations, strict=False)
     moved = [Moved(item.name, value - item.mean, BY_NAME[item.name].unit, deviation)
              for item, value, deviation in numbers if abs(deviation) > SURPRISING]
-
     # Where the two most probable models differ most; one that only adds to the first is no rival.
     models = [(c, c.fit) for c in candidates if c.fit is not None and c.name != NO_GAP]
     differ = None
@@ -284,7 +273,6 @@ def _facts(verdict: Verdict, candidates: Sequence[Candidate], found: Search,
         rival, other = (rivals or others)[0]
         cell = locate(one.problem, one.predicted - other.predicted)[0]
         differ = Difference((first.name, rival.name), cell)
-
     # What the best model leaves, its signs that are no noise apart.
     left, gain, by = found.left, found.flexible.gain, RECALIBRATION
     if unknowns.effects:

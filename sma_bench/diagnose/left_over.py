@@ -1,10 +1,9 @@
 """Whether what a fit leaves is noise: noise does not know when the bench moves.
 
 Looks at the whitened residual: whether it scatters more while the signal moves than while it rests;
-what a rival explains of it that names nothing, any smooth response to drive, temperature, bending
-and time (linear in many features of the simulation with independent Gaussian weights of the most
-likely size: what a physical effect leaves is found again in another stretch, a sensor's drift is
-not); and at which stage a smooth unknown input would explain most of it.
+what any smooth response to drive, temperature, bending and time explains of it (linear in features
+of the simulation with independent Gaussian weights of the most likely size: what an effect leaves
+is found again elsewhere, drift is not); and at which stage an unknown input explains most of it.
 """
 
 from collections.abc import Mapping
@@ -198,9 +197,8 @@ def _unit(history: Array) -> Array:
 # --- At which stage of the model something is missing: a smooth unknown input for each, in turn.
 #
 # An input of 30 knots a record is let into one stage of the model (`_inputs`), linearised about a
-# fit. What the best of a stage gains over the fit, with the likeliest size, says how well a term of
-# that stage would explain what is left (stochastic grey-box models point at the deficient equation
-# likewise: N. R. Kristensen, H. Madsen, S. B. Jorgensen, Automatica 40, 2004). It names no cause.
+# fit: what it gains says how well a term of that stage would explain what is left (as stochastic
+# grey-box models do: N. R. Kristensen, H. Madsen, S. B. Jorgensen, Automatica 40, 2004).
 
 
 def process_noise(fitted: Fit) -> dict[str, Flexible]:

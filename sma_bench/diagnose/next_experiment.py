@@ -112,8 +112,7 @@ class Telling(NamedTuple):
 
 
 Tellings = dict[tuple[str, str], Telling]  # by (truth, rival)
-# Of the most that any drive tells. One that tells much more settles less: of a large gain equations
-# are off by their share.
+# Of the most that any drive tells: one that tells much more settles less, as equations are off.
 _PLAIN = (Telling(10.0, 4.5), Telling(30.0, 7.7), Telling(100.0, 14.0))
 
 
@@ -244,7 +243,6 @@ def _driven(document: Mapping[str, Any], matter: Matter, mounted: Sequence[str] 
     (first, fitted), *others = fits.items()
     planned, known = _planned(document, fitted, matter, mounted)
     readings = {first: known, **{name: planned.predict(f.parameters) for name, f in others}}
-
     # What the bench's own numbers do is much the same under every cause.
     own_numbers = range(fitted.unknowns.baseline)
     shared = planned.derivatives(fitted.unknowns, fitted.x, known, own_numbers)
@@ -263,8 +261,7 @@ def _driven(document: Mapping[str, Any], matter: Matter, mounted: Sequence[str] 
         if pair[0] == RECALIBRATION:  # a bench that is not quite the model
             less = max(telling.evidence - _TAKEN_UP, min(telling.evidence, 0.0))
             tellings[pair] = telling._replace(evidence=less)
-        # Whether a zero wanders, no model predicts: another record tells as much as one of the
-        # records has, and a longer one no more, for it may only wander more slowly.
+        # Whether a zero wanders, no model predicts: another record tells as much as one has.
         steady, wanders = sorted(pair, key=lambda name: len(fits[name].unknowns.effects))
         one, other = (set(fits[name].unknowns.effects) for name in (steady, wanders))
         if other - one == {DRIFT_EFFECT} and one < other:
@@ -311,9 +308,8 @@ def _test(name: str, matter: Matter) -> NextExperiment | None:
 
 def _planned(document: Mapping[str, Any], fitted: Fit, matter: Matter,
              mounted: Sequence[str]) -> tuple[Problem, Array]:
-    """The bench on a protocol that it has not run: the same sensors at the same rates, and new ones
-    of the quantities that are `mounted`; and what they would read (n,). Raises InputError: the
-    wires would get too hot."""
+    """The bench on a protocol that it has not run: the same sensors at the same rates, and those
+    `mounted` anew; and what they would read (n,). Raises InputError: the wires get too hot."""
     protocol = parse_protocol(dict(document), matter.parameters, "next experiment")
     time, commanded = protocol.sample(_PERIOD)
     voltage = heating_voltage(commanded, matter.parameters)

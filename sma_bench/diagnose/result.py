@@ -105,8 +105,7 @@ def inclusion(candidates: Sequence[Explanation]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Where:
-    """The place of the gap: its largest cell, all cells in `table`, and stages with their
-    probabilities, the most probable first."""
+    """The place of the gap: its largest cell, all in `table`; stages, the most probable first."""
 
     signal: str
     phase: str

@@ -41,8 +41,7 @@ _DRAWN, _STARTED = 60, 2  # benches that are tried where the believed one stands
 _LOST = 5.0  # nats below recalibration: the fit may have gone astray
 _FIRST = 2  # effects, the most promising
 _MOST_FORMS = 4  # beyond the usual ones that are fitted
-# What a start promises is off by factors of three; where the lead is beyond ten promises and this
-# many nats more, an effect gets no fit.
+# Where the lead is beyond ten promises and this many nats more, an effect gets no fit.
 _PROMISES, _BEYOND = 10.0, 30.0
 _WORTH_A_FORM = 2.0  # nats that a start promises
 _STUCK = 5.0  # nats that show a fit had not arrived
@@ -51,12 +50,9 @@ _SURPRISING = 2.5  # prior deviations of a recalibrated parameter
 _WORTH_PAIRING = 8.0  # nats of a single
 # What an effect adds to 1/C beside C itself: its fit can stay on the way from one to the other.
 _MOVED = 0.3  # prior deviations that are worth another fit
-_INSTEAD = {
-    "stress_dependent_transition": {
-        f"effect.stress_dependent_transition.{phase}": f"wire.stress_influence_{phase}"
-        for phase in ("austenite", "martensite")
-    }
-}
+_INSTEAD = {"stress_dependent_transition": {
+    f"effect.stress_dependent_transition.{phase}": f"wire.stress_influence_{phase}"
+    for phase in ("austenite", "martensite")}}
 
 # Prior deviations of the number that switches an effect on: large ones say little about small ones.
 _SIZES = (0.012, 0.06, 0.3, 1.5)
@@ -126,9 +122,8 @@ class Search:
 
 def search(observations: Sequence[Observation], parameters: Parameters,
            progress: Progress = lambda text: None, doubted: Collection[str] = ()) -> Search:
-    """Fit everything to all records, those held out as well (their shares are told apart later).
-    `doubted`: quantities whose readings are under suspicion; effects of their sensors, or all
-    effects where the drive's are, are held back."""
+    """Fit everything to all records, those held out as well (their shares are parted later).
+    `doubted`: quantities whose readings are under suspicion, for which effects are `held_back`."""
     quantities = tuple(dict.fromkeys(q for obs in observations for q in obs.quantities))
     baseline = unknowns_of_records(parameters, quantities, other_laws=True)
     progress("recalibration")
@@ -153,8 +148,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
         progress("recalibration was stuck: once more")
         singles = _singles(kinds, recalibrated, progress)
     if _surprises(recalibrated):
-        # From surprising parameters the way back to those believed can be long and winding, so the
-        # most promising effects are fitted from these.
+        # The way back to believed parameters can be winding: the most promising begin at these.
         progress("effects instead of surprising parameters")
         away, alike = problem.of_kind(STATE), problem
         if away.any():
@@ -190,8 +184,7 @@ def search(observations: Sequence[Observation], parameters: Parameters,
 
 
 def held_back(doubted: Collection[str]) -> list[str]:
-    """Effects that a doubted signal may feign: those of its sensor, and all where the voltage or
-    the current itself is doubted."""
+    """Effects that a doubted signal may feign: of its sensor; of voltage or current all."""
     everything = bool({"voltage", "current"} & set(doubted))
     return [name for name, effect in EFFECTS.items()
             if everything or (effect.stage == "sensor" and set(effect.acts_on) & set(doubted))]
@@ -327,8 +320,7 @@ def _handed_over(found: Fit) -> Fit:
 
 def _pairs(baseline: Unknowns, singles: dict[str, Fit],
            recalibrated: Fit) -> dict[tuple[str, str], Fit]:
-    """The best singles, each with the partners that promise most beside it; the best pair again
-    with its own nuisances, as the best singles."""
+    """The best singles with the partners that promise most; the best pair once more, refined."""
     ranked = sorted(singles.values(), key=by_evidence, reverse=True)
     gains = [found.evidence - recalibrated.evidence for found in ranked]
     pairs: dict[tuple[str, str], Fit] = {}
@@ -355,9 +347,8 @@ def _pairs(baseline: Unknowns, singles: dict[str, Fit],
     return pairs
 
 
-# --- Where the fit of an effect begins: sizes tried against what recalibration leaves. A score test
-# at zero is blind to effects whose number acts only together with another (a time constant of a
-# relaxation that is not there yet), so whole differences are tried, not slopes.
+# --- Where the fit of an effect begins: sizes tried against what recalibration leaves. Slopes at
+# zero are blind to numbers that act only together with another, so whole differences are tried.
 
 
 class Remainder:
@@ -375,8 +366,7 @@ class Remainder:
         self._before = problem.coarse.predict(fitted.parameters)
 
     def gains(self, benches: Sequence[Parameters]) -> tuple[Array, Array]:
-        """(p,) gains of adding a multiple of what each bench changes (one that cannot be: nothing),
-        and these multiples."""
+        """(p,) gains of adding a multiple of what each bench changes, and these multiples."""
         problem = self.fitted.problem
         found = problem.coarse.predict_many(benches) - self._before[:, np.newaxis]
         changes = problem.whiten(np.where(np.isfinite(found).all(axis=0), found, 0.0))
@@ -386,26 +376,20 @@ class Remainder:
         return np.where(power > 0.0, share * pull - 0.5 * share**2 * power, 0.0), share
 
 
-def _of_records(fitted: Fit) -> dict[str, tuple[float, ...]]:
-    """As _SHAPES, of numbers whose range is that of the records."""
-    seen, ohms = fitted.problem.observations, fitted.parameters["wire.resistance"]
-    longest = max(float(np.ptp(obs.grid)) for obs in seen)
-    volts = max(float(np.max(obs.voltage)) for obs in seen)
-    amperes = volts * fitted.parameters["wire.count"] / ohms
-    return {"effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS),
-            "effect.supply_drop.knee": tuple(amperes * p for p in _KNEES)}
-
-
 def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
     """Best of the tried sizes of the last effect, added to the fit that the remainder is of."""
     fitted, bounds, effect = remainder.fitted, unknowns.bounds(), EFFECTS[unknowns.effects[-1]]
     own = effect.numbers(unknowns.forms[-1])
     first = len(unknowns.names) - len(own)
     switches = [first + k for k, p in enumerate(own) if p in effect.switches]
-
     # One switch at a time, every shape.
     numbers, off = [number_of_effect(p) for p in own], start_off(fitted, unknowns)
-    known = _SHAPES | _of_records(fitted)
+    seen, bench = fitted.problem.observations, fitted.parameters
+    longest = max(float(np.ptp(obs.grid)) for obs in seen)
+    volts = max(float(np.max(obs.voltage)) for obs in seen)
+    amperes = volts * bench["wire.count"] / bench["wire.resistance"]
+    known = {**_SHAPES, "effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS),
+             "effect.supply_drop.knee": tuple(amperes * p for p in _KNEES)}
     shapes = [[off[first + k]] if first + k in switches
               else [number.x_of(value) for value in known.get(number.name, (number.mean,))]
               for k, number in enumerate(numbers)]

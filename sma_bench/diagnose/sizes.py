@@ -7,8 +7,7 @@ are simulated as by whoever loads their parameters: without zeros, delays or mom
 fit has found, and with no more drift as noise than the least that a candidate needs, or a usual
 instrument has: what a model misses is slow, too.
 
-Other drives keep another share. What is left of the gap scatters from drive to drive by a factor,
-fitted to drives of another kind in the development split of the withheld-effect check.
+Other drives keep another share: by a factor that was fitted in the withheld-effect check.
 """
 
 from collections import defaultdict
@@ -73,8 +72,7 @@ def largest_gap(problem: Problem, difference: Array) -> float:
 
 
 def locate(problem: Problem, difference: Array) -> list[Cell]:
-    """Where a difference (n,), in the signals' units, lies; the largest share first, of equal ones
-    what comes first in time."""
+    """Where a difference (n,) in the signals' units lies; the largest share first, then by time."""
     squares = defaultdict[tuple[str, str, str], list[tuple[float, float, float]]](list)
     for block in problem.blocks:
         signal, part = block.signal, difference[block.rows]

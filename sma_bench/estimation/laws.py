@@ -1,9 +1,7 @@
 """Which law a wire follows: the whole model fitted under each, all with one thermal part, and the
-laws weighed by their evidence. Where nothing is stated of h, that is the free convection of still
-air; the likeliest law and the paper's cosine are fitted with a constant h too, as in moving air.
-
-A quarter of the evidence (`log_evidence`) counts: sharp features of a few runs, all alike, choose a
-law more surely than the law predicts other runs.
+laws weighed by a quarter of their evidence, as sharp features of a few runs choose a law more
+surely than it predicts other runs. Where nothing is stated of h, that is the free convection of
+still air; the likeliest law and the paper's cosine are fitted with a constant h too.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -61,22 +59,19 @@ Fits = dict[tuple[str, str], tuple[list[Fit], list[Fit]]]
 
 @dataclass(frozen=True, eq=False)
 class LawFit:
-    """The model under one law, and how probable this law is; `others`: its less probable fits, with
-    runs that differ or are alike, and with another h. `shares`: what `fit` and each of these counts
-    in a prediction. Fits whose runs differ and are alike count the same: what fitted runs differ
-    by, which tells such fits apart, says nothing of another run."""
+    """The model under one law, and how probable this law is. `weighed`: what each of its fits
+    counts in a prediction, the most probable fit first; with runs that differ or are alike, which
+    count the same, as what fitted runs differ by says nothing of another, and with another h."""
 
     law: str
     probability: float
-    fit: Fit
+    weighed: tuple[tuple[float, Fit], ...]
     tried: tuple[Fit, ...]
-    others: tuple[Fit, ...]
-    shares: tuple[float, ...]
 
     @property
-    def weighed(self) -> tuple[tuple[float, Fit], ...]:
-        """Every fit with its share of the prediction."""
-        return tuple(zip(self.shares, (self.fit, *self.others), strict=True))
+    def fit(self) -> Fit:
+        """The most probable one."""
+        return self.weighed[0][1]
 
     @cached_property
     def drawn(self) -> tuple[tuple[float, Fit, Array], ...]:
@@ -94,9 +89,8 @@ class LawFit:
 
 def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
                quantities: Sequence[str], report: Report = silent) -> tuple[LawFit, ...]:
-    """The laws that the wire may follow, the most probable first: the one that a file states, else
-    all; `extended` only where a number of its own is stated. Raises InputError: no law goes with
-    what is stated, or leads to a fit."""
+    """The laws that the wire may follow, the most probable first: the stated one, else all, but
+    `extended` only with a number of its own. InputError: none fits, or goes with what is stated."""
     stated = "wire.law" in parameters.given
     known = [n for n in PRIOR if n != "extended" or parameters.given & {*ORIENTING[n]}]
     laws = [parameters["wire.law"]] if stated else known
@@ -159,9 +153,8 @@ def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[La
             share = sum(w for w, _ in own) / len(own)
             rows += [(w, share, air, one.with_repeated_misfit()) for w, one in own]
         rows.sort(key=lambda row: -row[0])
-        (_, _, air, best), *rest = rows
-        laws.append(LawFit(law, sum(w for w, *_ in rows), best, tuple(fits[law, air][1]),
-                           tuple(one for *_, one in rest), tuple(share for _, share, *_ in rows)))
+        laws.append(LawFit(law, sum(w for w, *_ in rows), tuple((s, one) for _, s, _, one in rows),
+                           tuple(fits[law, rows[0][2]][1])))
     return tuple(sorted(laws, key=lambda one: -one.probability))
 
 
@@ -178,8 +171,7 @@ def starts(unknowns: Unknowns, drawn: int = _DRAWN) -> list[Array]:
 
 
 def nearest_starts(problem: Problem, unknowns: Unknowns, drawn: int) -> list[Array]:
-    """The same, those first that move most as the records do: where a wire stands still no small
-    step shows a motion."""
+    """The same, those first that move as the records do: no small step sets a still wire off."""
     tries = starts(unknowns, drawn)
     benches = [unknowns.parameters(np.clip(x, *unknowns.bounds())) for x in tries]
     readings = problem.coarse.predict_many(benches)
@@ -190,8 +182,7 @@ def nearest_starts(problem: Problem, unknowns: Unknowns, drawn: int) -> list[Arr
 
 
 def repeatability(fitted: Fit) -> float:
-    """By how much one run of this bench predicts another of the same input, root mean square as a
-    share of the stroke: what the states of its runs differ by; nan of a single run."""
+    """By how much runs of the same input differ, root mean square in strokes; nan of one run."""
     problem, squares = fitted.problem, []
     if len(problem.observations) < 2:
         return float("nan")
@@ -236,9 +227,8 @@ def reach_of(probability: float) -> float:
 def predict(laws: Sequence[LawFit], observation: Observation,
             probability: float = 0.9) -> dict[str, Band]:
     """What a run with this drive will show, by signal, after an identification of other runs: the
-    mean over the laws, half way from what is most probable to the mean of all that is open, which
-    rounds every corner; the limits as laws and numbers leave them. Raises InputError: `probability`
-    is no share."""
+    mean over the laws, half way from what is most probable to the mean of all that is open; the
+    limits as laws and numbers leave them. Raises InputError: `probability` is no share."""
     reach, random = reach_of(probability), np.random.default_rng(_BAND_SEED)
     means, weights, variances = [], [], []
     for weight, fitted, places in (own for one in laws for own in one.drawn):
@@ -265,10 +255,9 @@ def predict(laws: Sequence[LawFit], observation: Observation,
 def band_of(parameters: Parameters, simulated: Callable[[Parameters], Sequence[Signal]],
             probability: float, report: Report = silent) -> dict[str, Band]:
     """What a run will show, by signal but the voltages, as far as a parameter file says: numbers of
-    wire, room, load and effects with a stated `uncertainty.` are drawn, each by itself
-    (`benches_within`); sensors and all others are as they are. `simulated`: signals of the run that
-    is asked for, on a bench. Raises InputError: `probability` is no share, or no number has a
-    stated uncertainty."""
+    wire, room, load and effects with a stated `uncertainty.` are drawn (`benches_within`), all
+    others are as they are. `simulated`: signals of the run that is asked for, on a bench. Raises
+    InputError: `probability` is no share, or no number has a stated uncertainty."""
     reach, benches = reach_of(probability), benches_within(parameters, _BENCHES)
     exact, drawn = simulated(parameters), []
     for number, bench in enumerate(benches):

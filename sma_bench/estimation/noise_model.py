@@ -117,8 +117,7 @@ def estimate_noise(residuals: Sequence[Array], white: float, period: float, usua
 
 @cache
 def _shapes(period: float) -> tuple[tuple[Noise, ...], Array, tuple[Array, ...]]:
-    """Noises of white level 1 that are tried; drift and time of each; and what whitens with it:
-    phi, theta, 1/innovation and the first sample's factor."""
+    """Noises of white level 1 that are tried; drift and time of each; what `_add_powers` takes."""
     drifting = (Noise(1.0, float(r), float(tau), period) for r in _RATIOS for tau in _TIMES)
     shapes = (Noise(1.0, 0.0, float(_TIMES[0]), period), *drifting)
     phi, theta, innovation, total = np.array([(*s.arma, s.total) for s in shapes]).T
@@ -191,8 +190,7 @@ def resolution(values: Array) -> float:
         return 0.0
     gaps = np.diff(levels)
     # Greatest common divisor of measured gaps (Euclid), 0 where there is none to speak of.
-    smallest = _EXACT * float(gaps.min())
-    step = float(gaps[0])
+    smallest, step = _EXACT * float(gaps.min()), float(gaps[0])
     for gap in np.unique(np.round(gaps, 9)):
         a, b = max(step, float(gap)), min(step, float(gap))
         while b > smallest:
@@ -209,8 +207,7 @@ def resolution(values: Array) -> float:
 
 def coherence(inputs: Array, step: float, shape: Array | float = 1.0) -> Array:
     """(50,) how much of each harmonic of a converter's error is left in the mean over `inputs` (n,)
-    times `shape`: 1 where an input stands still or climbs by whole steps, 0 where it meets all
-    parts of a step alike."""
+    times `shape`: 1 where an input stands still, 0 where it meets all parts of a step alike."""
     k = np.arange(1, _HARMONICS + 1)
     turns = np.exp(2j * np.pi * np.outer(k, inputs / step))
     return np.asarray(np.abs(np.mean(shape * turns, axis=1)))

@@ -1,8 +1,7 @@
 """What may be off in a record beside the model's numbers: columns of unit prior, linear.
 
-Zeros of sensors, delays of their clocks, moments of jumps between two samples, levels that a
-converter holds between two of its steps, straight stretches of a noisy voltage, loads that were
-held. A fit takes them along; those of a sensor are worth telling when they are found.
+Zeros of sensors, delays of their clocks, moments of jumps between two samples, levels between two
+steps of a converter, straight stretches of a noisy voltage, loads that were held, a run's state.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -67,8 +66,7 @@ def _gathered(found: Sequence[Column], rows: int) -> Nuisances:
 def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = BENT,
              states: float = 0.0) -> tuple[Observation, Array]:
     """The record with its jumps, its stamps and the state of its run, or only those `kinds` of
-    them, where a fit has found them, which no straight line goes to from where they were; and
-    these values, 0 for what is linear. `states`: deviations that one of a state's stands for."""
+    them, where a fit has found them; and these values, 0 for what is linear."""
     kept = np.array([item.kind in kinds for item in own.items], dtype=bool) * z
     places = {kind: [k for k, i in enumerate(own.items) if i.kind == kind] for kind in BENT}
     if STATE in kinds:
@@ -86,9 +84,8 @@ def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collecti
 
 def nuisances_about(observation: Observation, parameters: Parameters, voltage_noise: bool = False,
                     states: float = 0.0) -> Nuisances:
-    """All of a record, linear about the model at these parameters; `voltage_noise`: with what the
-    voltmeter's noise leaves open of every straight stretch; `states`: with those of the run, so
-    many times as far off as usual."""
+    """All of a record, linear about the model at these parameters; `voltage_noise`: with what that
+    leaves open of straight stretches; `states`: with those of the run, so many times the usual."""
     simulation = observation.simulate(parameters)
     base = np.concatenate(observation.readings(simulation))
 
@@ -104,9 +101,7 @@ def nuisances_about(observation: Observation, parameters: Parameters, voltage_no
             late = [-std * rate if s.quantity == quantity else np.zeros_like(rate)
                     for s, rate in zip(observation.signals, rates, strict=True)]
             found.append((Nuisance(DELAY, quantity, std, "s"), np.concatenate(late)))
-
-    # Each jump once, of which an hour has hundreds; levels of which the converter's steps hide
-    # something; what noise hides of straight stretches.
+    # Each jump; levels of which the converter's steps hide something; straight stretches in noise.
     drive = observation.drive
     moves = [_Move(JUMP, early, late, place=JUMP_STD * (np.arange(len(drive.early)) == k))
              for k, (early, late) in enumerate(zip(drive.early, drive.late, strict=True))]
@@ -121,7 +116,6 @@ def nuisances_about(observation: Observation, parameters: Parameters, voltage_no
     jumps, apart = len(drive.early), drive.late - drive.early
     if jumps > 1 and np.median(apart) > _SLOW:
         found.append((Nuisance(TICK), responses[:, :jumps].sum(axis=1)))
-
     # One standard error of each held load in turn.
     loads = [(None, row) for row in np.diag([hold.std for hold in observation.holds]) if row.any()]
     found += [(Nuisance(LOAD), column) for column in in_threads(moved, loads)]

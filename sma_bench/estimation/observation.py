@@ -55,22 +55,18 @@ _SOME, RETURNS = 3, 0.012  # bins; of a stroke, to which a bench returns from ru
 JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 _NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is right to less
-# What differs from run to run of one bench, one standard deviation: K of its room, shares of its
-# draught and stroke.
+# What differs from run to run of one bench, one standard deviation: K, and shares.
 STATES = {
     "environment.ambient_temperature": 1.5,
     "wire.heat_transfer_coefficient": 0.07,
     "wire.maximum_recoverable_strain": 0.025,
 }
-_OF_A_RUN = dict(
-    zip(STATES, (("room", 1.0, "K"), ("draught", 100.0, "%"), ("stroke", 100.0, "%")), strict=True)
-)
+_SAID = ("room", 1.0, "K"), ("draught", 100.0, "%"), ("stroke", 100.0, "%")
+_OF_A_RUN = dict(zip(STATES, _SAID, strict=True))
 _UNSET = 5.0  # of what a zero that was set is off by
 _WORTH_SAYING = 0.5  # standard deviations
-_HISTORIES = (
-    "time", "voltage", "temperature", "martensite_fraction", "stress", "contraction", "bending",
-    "temperature_reading",
-)
+_HISTORIES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
+              "bending", "temperature_reading")
 
 
 def in_state(parameters: Parameters, away: Mapping[str, float]) -> Parameters:
@@ -177,8 +173,7 @@ class Observation:
 
     @cached_property
     def coarse(self) -> "Observation":
-        """On cells of a quarter of a bin, for differences, of which what coarse cells are off by
-        drops out; this one where little would be gained."""
+        """On cells of a quarter of a bin, for differences; itself where that gains little."""
         return self._on_cells(0.25)
 
     @cached_property
@@ -205,9 +200,8 @@ class Observation:
 
     def simulate(self, parameters: Parameters, voltage: Array | None = None,
                  loads: Array | None = None) -> Simulation:
-        """The model on this record's drive, with its own channels; a bench too warm for martensite
-        leaves it at once. `voltage`: (n, w) V, another one; `loads`: (h,) errors of the holds, m
-        or N."""
+        """The model on this drive, with its own channels; too warm for martensite it leaves it at
+        once. `voltage`: (n, w) V, another one; `loads`: (h,) errors of the holds, m or N."""
         if tuple(parameters["bench.channels"]) != self.channels:
             own = {"bench.channels": self.channels, "bench.channel_sides": self.sides}
             parameters = parameters.replace(own)
@@ -296,8 +290,7 @@ class Observation:
         return np.where(time < first, "initial", np.where(driven[at], "drive", "rest"))
 
     def zeroed(self) -> "Observation":
-        """Motions as from where they were before the drive, to which a bench returns within 1.2 %
-        of its stroke; of a record that begins so, else this one."""
+        """Motions as from before the drive, where a bench returns within 1.2 % of its stroke."""
         signals = {s.name: s for s in self.signals}
         for name, zero in self._rests().items():
             value, sensor = signals[name].value, signals[name].sensor
@@ -362,7 +355,6 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     the parameters believe; `shortest_bin` in s of `shared_bin`. InputError: no voltage of some
     channel, nothing to compare with, a load frame that holds neither a load nor the clamps."""
     rig = find_rig(record, parameters)
-
     # Times that are simulated: an even grid (n,), sparser where voltages have been held for long.
     start, stop = rig.start, rig.stop
     sampled = sum(len(measured.time) for measured in rig.measured)
@@ -378,7 +370,6 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     moving = (even - last < _SETTLED) | (first - even < _LONG_CELL)
     stride = max(1, round(_LONG_CELL / cell))
     even = even[moving | (np.arange(len(even)) % stride == 0) | (even == even[-1])]
-
     # Finer behind a jump, on both sides of it, and between two samples far apart.
     forgets = time_constant(parameters)
     fine = np.arange(0.0, _FINE_SPAN, min(_FINE_CELL, max(forgets / _CELLS, 2.0 * _NARROW)))
@@ -396,7 +387,6 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
     near[others <= start] = np.inf
     grid = np.unique(np.concatenate([others[near > _NARROW], jumps]))
     grid = grid[np.insert(np.diff(grid) > _NARROW, 0, True) | np.isin(grid, jumps)]
-
     # What was measured, once a voltage or a warmth that it begins with has been forgotten.
     known, skipped = list(rig.measured), 0.0
     level = np.array([c.voltage[0] for c in rig.voltage.channels])
@@ -430,8 +420,7 @@ def observe(record: Record, parameters: Parameters, shortest_bin: float = _BIN,
 
 def observe_all(records: Sequence[Record], parameters: Parameters,
                 quantities: Collection[str] = EVERYTHING) -> list[Observation]:
-    """Records of one bench, in bins that suit all; each knows the one before it by the clock of
-    the day. Raises InputError: as `observe`."""
+    """Records of one bench, in bins that suit all; each knows the one before it. As `observe`."""
     shortest = shared_bin(records, parameters) if records else 0.0
     found = [observe(record, parameters, shortest, quantities) for record in records]
     ends = [one.epoch + one.grid[-1] for one in found]

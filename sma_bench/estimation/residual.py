@@ -9,7 +9,7 @@ import itertools
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +33,7 @@ _LEAST_COUNT, _MOST_MISFIT = 8.0, 0.06
 DRIFT_EFFECT = "deflection_drift"
 
 
-@dataclass(frozen=True, eq=False)
-class Block:
+class Block(NamedTuple):
     """The rows of one signal of one record."""
 
     observation: Observation
@@ -69,8 +68,7 @@ class Problem:
         return cls(tuple(observations), noise, none, voltage_noise, later=later)
 
     def with_nuisances(self, parameters: Parameters, states: float = 0.0) -> Self:
-        """Nuisances about the model at these parameters, and about where they were `moved`;
-        `states`: as the attribute."""
+        """Nuisances about the model at these parameters, and about where they were `moved`."""
         asked = [(o, parameters, self.voltage_noise, states or (self.later if k else 0.0))
                  for k, o in enumerate(self.observations)]
         pairs = zip(in_threads(nuisances_about, asked), self.nuisances, strict=True)
@@ -197,8 +195,7 @@ class Problem:
         return self.predict_many([parameters])[:, 0]
 
     def predict_many(self, benches: Sequence[Parameters]) -> Array:
-        """(n, p) readings of p benches, which are simulated together. Raises FitError: these are no
-        numbers of a bench, where unknowns should never go."""
+        """(n, p) readings of p benches. Raises FitError: these are no numbers of a bench."""
         parts = max(1, min(threads_to_spare(), len(benches) // 2))
         ends = np.linspace(0, len(benches), parts + 1).astype(int).tolist()
 

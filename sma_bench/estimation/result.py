@@ -109,18 +109,15 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
     low, high = unknowns.bounds()
     at_end = (fitted.x - low < _AT_END) | (high - fitted.x < _AT_END)
     shifts = {name: apart[:, : len(x)] @ turn @ x for name, x in (scales or {}).items()}
-    found = enumerate(zip(items, moved.tolist(), sigma.tolist(), strict=True))
-    numbers = tuple(
-        _number(item, at, error, bool(at_end[k]), {n: float(x[i]) for n, x in shifts.items()})
-        for i, ((k, item), at, error) in found)
-
+    numbers = tuple(_number(item, float(moved[i]), float(sigma[i]), bool(at_end[k]),
+                            {name: float(x[i]) for name, x in shifts.items()})
+                    for i, (k, item) in enumerate(items))
     # Of what the records know better than its factors.
     deviations, products = np.sqrt(np.diag(fitted.covariance)).tolist(), []
     for k, item in ((k, unknowns.items[k]) for k in split):
         name, times = f"{item.name} x {item.partner}", float(unknowns.base[item.partner])
         whole = Unknown(name, item.mean * times, item.std * times, log=True)
         products.append(_number(whole, float(fitted.x[k]), deviations[k], False))
-
     # Zeros and delays.
     errors = np.sqrt(np.diag(fitted.joint))[len(fitted.x) :]
     pairs = zip(fitted.problem.observations, fitted.problem.nuisances, strict=True)
@@ -129,9 +126,7 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
         Off(item.kind, path, item.subject, z * item.std, error * item.std, item.std, item.unit)
         for (path, item), z, error in zip(named, fitted.z.tolist(), errors.tolist(), strict=True)
         if item.kind in (OFFSET, DELAY))
-
-    # A start has ended where the best one did if it is as probable, or within half a standard
-    # deviation, where a few nats are soon lost among hundreds of thousands.
+    # A start has ended where the best one did if it is as probable, or as near.
     best = max(tried, key=lambda one: one.evidence)
     near = _NEAR * np.sqrt(np.diag(best.covariance))
     agreed = sum(one.evidence > best.evidence - _SAME or bool(np.all(np.abs(one.x - best.x) < near))
@@ -151,8 +146,7 @@ def _number(item: Unknown, moved: float, sigma: float, at_end: bool,
 
 def scale_errors(fitted: Fit) -> dict[str, Array]:
     """(k,) by sensor's scale or zero: how far the unknowns go, in prior deviations, with one
-    standard deviation of it, when every signal of its quantity is off alike; what of a zero a
-    record's own zeros take up is not left to the unknowns."""
+    standard deviation of it, when every signal of its quantity is off alike."""
     problem, parameters = fitted.problem, fitted.parameters
 
     def with_volts(factor: float, offset: float) -> Array:

@@ -140,9 +140,7 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         holds: tuple[Hold, ...] = (Hold(start, stop, True, 0.0, _ZERO_STD),)
     else:
         holds = find_holds(record, start, stop) if len(channels) == 1 and not moves else ()
-
-    # What is measured. Of a record with one wire of a beam, or a bare one of the same alloy, the
-    # tip is not asked.
+    # What is measured; of one wire of a beam, or a bare one of the same alloy, not the tip.
     wanted = [(f"{channel}.{quantity}", quantity, wire)
               for wire, channel in enumerate(channels) for quantity in ("current", "temperature")]
     tip = moves_tip(parameters) and channels == tuple(parameters["bench.channels"])
@@ -164,7 +162,6 @@ def find_rig(record: Record, parameters: Parameters) -> Rig:
         away: Array = np.mean([signs[side] * np.interp(time, *samples(record, f"{side}.range"))
                                for side in looking], axis=0)
         found.append(Measured("deflection", "deflection", 0, time, away - away[0]))
-
     # What is read after the last voltage cannot be compared, nor a current while the voltage jumps,
     # of which only bounds are known, nor an elongation while the load changes (`_MARGIN`).
     measured = []
@@ -227,9 +224,8 @@ def is_clamped(record: Record) -> bool:
 
 
 def find_holds(record: Record, start: float, stop: float) -> tuple[Hold, ...]:
-    """Held loads, or the clamped length, from `start` to `stop` s: a frame that holds its clamps
-    shows one elongation; one that holds loads shows plateaus of force, between which the force is
-    followed in short pieces. Raises InputError: neither."""
+    """The clamped length, or held loads, from `start` to `stop` s: plateaus of force, between which
+    the force is followed in short pieces. Raises InputError: neither."""
     if not has_load_frame(record):
         return ()
     if is_clamped(record):

@@ -3,9 +3,7 @@
     maximise  log p(records | x, z, noise) + log p(x) + log p(z)
 
 by Gauss-Newton steps within bounds, damped where they must be, the nuisances z eliminated; the
-noise of every sensor is estimated anew from what the model itself leaves, so that it is charged for
-structure it leaves only as far as noise cannot be that. The evidence is Laplace's: the fit, less
-what its freedom was worth.
+noise of every sensor is estimated anew from what the model leaves. The evidence is Laplace's.
 
 scipy.optimize.least_squares took two to eight times as many simulations to the same place: it
 cannot keep the derivatives of what hardly moves, nor stop at a fraction of a nat.
@@ -107,7 +105,7 @@ class Fit:
 
     def within_reach(self, steps: Array) -> Array:
         """Steps (p, k) from x, drawn by its covariance, each halved until the records cost no more
-        than sixteen times what they should: along a curved valley they allow far less."""
+        than sixteen times what they should."""
         problem = self.problem.with_weights(self.left, repeated=True)
         low, high = self.unknowns.bounds()
 
@@ -171,8 +169,7 @@ def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
         frozen: (n, baseline) derivatives of the baseline's unknowns, taken as they are: quick and a
             little off; else computed anew in every round. Those of effects are at every step.
         keep_noise: take the problem's noise as it is.
-        far: from the optimum: at first every step takes all derivatives anew, and for noise what
-            the model leaves there, so that none trusts a model that does not fit yet.
+        far: at first every step takes all derivatives anew, and for noise what the model leaves.
         predicted: (n,) readings at x, where they are known.
     """
     state = _State(problem, unknowns, x, frozen, predicted)
@@ -207,9 +204,8 @@ def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
                 starts: Sequence[Array], report: Report = silent,
                 keep_noise: bool = False) -> tuple[Fit, list[Fit]]:
     """The model fitted from several starts (k,) each, the best of them carried to its end; and all
-    of them. `keep_noise`: begin the last fit with the noise that the best start left. Begun with
-    the first guess it may end some nats before its optimum; the diagnosis' thresholds were found
-    so."""
+    of them. `keep_noise`: begin the last fit with the noise that the best start left; the first
+    guess may end it some nats before its optimum, as the diagnosis' thresholds were found."""
     first = problem.with_nuisances(parameters)
     tried = _from_starts(first, unknowns, starts, report, far=True)
     best = max(tried, key=by_evidence)
@@ -260,10 +256,8 @@ def independent_readings(fitted: Fit) -> float:
 
 
 def log_evidence(fitted: Fit, readings: float) -> float:
-    """ln Z of the model, of N readings that are worth one each; constants left out.
-
-    A model of a wire is never quite right, so the size of its misfit is integrated out: with a mean
-    square m (in strokes), and 1.5 % as good as two readings more,
+    """ln Z of the model, of N readings that are worth one each, constants left out; the size of its
+    misfit is integrated out: with a mean square m (in strokes), and 1.5 % as good as two readings,
 
         ln Z = -(2 + N)/2 ln(2 0.015^2 + N m) - q^2/2 - ln|H|/2
 
@@ -279,8 +273,7 @@ def log_evidence(fitted: Fit, readings: float) -> float:
 
 
 def _with_common_states(fitted: Fit) -> Array:
-    """(k,) where it ended, and what all its runs differ by alike in the bench's own numbers: no
-    step of a fit goes so far, as what the one takes the other has to give back exactly."""
+    """(k,) where it ended, what all its runs differ by alike moved into the bench's own numbers."""
     unknowns, runs, x = fitted.unknowns, len(fitted.problem.observations), fitted.x.copy()
     own = {item.name: (k, item) for k, item in enumerate(unknowns.items)}
     items = [item for nuisances in fitted.problem.nuisances for item in nuisances.items]
@@ -309,8 +302,7 @@ def _scale_of_states(fitted: Fit) -> float:
 
 
 def least_scale(fitted: Fit) -> float:
-    """By how many times the usual the states of a further run may differ at least: 1 after one
-    run, less the more runs have been compared."""
+    """By how many times the usual the states of a further run may differ at least: 1 after one."""
     compared = len(STATES) * (len(fitted.problem.observations) - 1)
     return float(np.sqrt(_USUAL_STATES / (_USUAL_STATES + compared)))
 

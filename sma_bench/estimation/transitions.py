@@ -17,8 +17,7 @@ TEMPERATURES = tuple(TRANSITIONS.values())  # A_s, A_f, M_s, M_f
 _A_S = BY_NAME[TEMPERATURES[0]]
 FIELD_TEMPERATURES = (339.0, 367.0, 337.0, 309.0)  # K, of wires of which nothing is stated
 _FIELD_HALF_WIDTH = 0.3  # of the half width's logarithm, about theirs
-# Of the centre c in K and of the logarithms of h, w_A and w_M where nothing is stated. The
-# paper's h is 1.7 K, most wires have 5 to 20 K.
+# Of the centre c in K and of the logarithms of h (most wires have 5 to 20 K), w_A and w_M.
 _SPREADS = np.array([25.0, 1.2, 0.5, 0.5])
 _COORDINATES = np.array([[0.25, 0.25, 0.25, 0.25], [0.25, 0.25, -0.25, -0.25],
                          [-1.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, -1.0]])
@@ -34,8 +33,7 @@ _TINY = 1e-4  # prior deviations, of a difference
 
 
 def _covariance(mean: Array, as_usual: bool) -> Array:
-    """(4, 4) K2, by which the temperatures of wires differ about those of one; `as_usual`: with a
-    hysteresis as most of them have."""
+    """(4, 4) K2, by which those of wires differ about one's; `as_usual`: its hysteresis is."""
     coordinates = _COORDINATES @ mean
     scale = np.where(coordinates > 0.0, coordinates, 1.0) * _SPREADS
     scale[0] = _SPREADS[0]
@@ -53,15 +51,12 @@ class Transitions:
         A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
 
     of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
-    and w_M of the two ranges; h, w_A and w_M are moved by their logarithms. What is not stated
-    of the four has mean and prior of wires of the field, given what is stated.
+    and w_M of the two ranges, moved by their logarithms. What is not stated is as in the field.
     """
 
     mean: Array  # (4,) K, as believed
     moving: NDArray[np.intp]  # (m,) which of them
-    # (m, m) K, the root of the prior's covariance, symmetric but for units: x[k] is mostly the k-th
-    # one's deviation
-    turn: Array
+    turn: Array  # (m, m) K, the root of the prior's covariance, symmetric but for units
 
     @classmethod
     def of(cls, parameters: Parameters) -> Self:

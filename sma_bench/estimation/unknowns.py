@@ -63,14 +63,12 @@ SHAPES = {
 }
 # Other laws than the cosine: grains that follow them, a nuisance where they are few.
 OTHER_LAWS = {p.name: (0.3, 0.0, 1.0) for p in EFFECTS[LAW_EFFECT].parameters}
-# Beside a load motion shows the kinetics themselves: grains decide how flat an inner loop starts,
-# between the contract's rule and the full loop's.
+# Under a load grains decide how flat an inner loop starts, from the contract's rule to the full's.
 LOADED_SHAPES = {"effect.partial_transformation.memory": (0.4, -0.1, 1.0)}
 # Of a law's options, of which only who states one has it; its first number switches it on.
 OPTIONAL = (("wire.transition_skew",),
             ("wire.r_phase_strain", "wire.r_phase_temperature", "wire.r_phase_range"))
-# What every wire in air or under a load has and the paper's model leaves out: in a fit to motion it
-# would pass for other numbers, and predict other drives wrongly. Priors are the table's.
+# What every wire in air or under a load has and the paper's model leaves out. Priors: the table's.
 UNMODELLED = ("effect.latent_heat.heat", "effect.temperature_dependent_convection.rise",
               "effect.phase_dependent_resistance.austenite_change", "effect.residual_strain.share")
 # Typical wires, for what a file does not state: mean and one standard deviation. NiTi has 450 to
@@ -96,11 +94,8 @@ _LEAST_HALF_WIDTH = 0.1  # K, of the law that is made of hystereses
 # Products: what is known of the second factor is carried by the first, which the fit moves.
 PRODUCTS = {"wire.heat_transfer_coefficient": "wire.surface_area",
             "wire.specific_heat": "wire.mass"}
-_TIMES = {
-    f"{EFFECT_PREFIX}{effect.name}.{number}": other
-    for effect in EFFECTS.values()
-    for number, other in (effect.times or {}).items()
-}
+_TIMES = {f"{EFFECT_PREFIX}{effect.name}.{number}": other
+          for effect in EFFECTS.values() for number, other in (effect.times or {}).items()}
 _STRAIGHT = {*TEMPERATURES, "environment.ambient_temperature", "wire.thermal_expansion_factor",
              "load.force", "load.preload"}
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
@@ -150,8 +145,7 @@ class Unknown:
 
 @dataclass(frozen=True)
 class Unknowns:
-    """Numbers of the bench, shapes of its kinetics, then the numbers of some effects, moved as
-    x (k,), in prior deviations."""
+    """Numbers of the bench, shapes of its kinetics, then of effects, as x (k,) prior deviations."""
 
     base: Parameters  # all the others
     items: tuple[Unknown, ...]  # in this order
@@ -159,9 +153,7 @@ class Unknowns:
     baseline: int  # with the shapes, how many every candidate has
     effects: tuple[str, ...] = ()  # names, in the order of the numbers
     forms: tuple[str, ...] = ()  # of each of these, the usual one being ""
-    # Of the temperatures among the items, which are moved together: each has the deviation of its
-    # own in its item, but is no function of its own x.
-    transitions: Transitions | None = None
+    transitions: Transitions | None = None  # of the temperatures, which are moved together
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -299,10 +291,7 @@ class Unknowns:
 
     def start(self, spread: float = 0.3) -> Array:
         """What is believed, effects off; `spread` in deviations, at 0 of which it is flat."""
-        x = np.zeros(len(self.items))
-        if "wire.transition_spread" in self.names:
-            x[self.names.index("wire.transition_spread")] = spread
-        return x
+        return np.array([spread if n == "wire.transition_spread" else 0.0 for n in self.names])
 
     def with_effects(self, names: Iterable[str], forms: Mapping[str, str] = {}) -> "Unknowns":
         """The same baseline with the numbers of these effects, in their `forms` if any."""
@@ -424,7 +413,6 @@ def unknowns_of(parameters: Parameters, names: Sequence[str], *,
         del found[BACK]
     fixed = {n: v for n, v in derived.items() if n not in found and parameters[n] != v}
     base = parameters.replace(fixed)
-
     # Shapes of the kinetics; what is believed is within the range.
     extra = []
     for name, (std, low, high) in shapes.items():

@@ -115,9 +115,8 @@ def _on_cluster(address: str) -> Iterator[None]:
     try:
         import distributed
     except ImportError:
-        raise InputError(
-            "a cluster needs dask.distributed, which is not installed: pip install distributed"
-        ) from None
+        missing = "dask.distributed, which is not installed: pip install distributed"
+        raise InputError(f"a cluster needs {missing}") from None
 
     async def asked() -> Any:
         async with distributed.rpc(address) as scheduler:

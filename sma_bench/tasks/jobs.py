@@ -1,8 +1,7 @@
 """Identification, diagnosis and investigation as the work of a process of its own, for nodes.
 
 A task takes a node's own parameters (`settings`), the contract's, and a reporter; it returns JSON.
-Whoever may set a ROS parameter must not read or write any file: tasks read below `record_root` and
-write below `output_root`."""
+Who may set a ROS parameter has no file but those below `record_root` (read) and `output_root`."""
 
 import multiprocessing
 import os

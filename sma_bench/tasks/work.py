@@ -22,14 +22,9 @@ _TOLD = 0.9  # of the spread that a number has which nobody stated
 _READING, _READING_BAGS = 0.2, 0.05  # shares of the time, about
 # Seconds that each step takes of a composite record, as `diagnose` names them.
 _PLAN = {
-    "records": 0.1,
-    "recalibration": 0.7,
-    **dict.fromkeys(EFFECTS, 0.13),
-    "effects instead of surprising parameters": 1.5,
-    "the best again, carefully": 0.6,
-    "pairs": 1.0,
-    "what is left": 0.3,
-    "shrinkage on data that no fit saw": 0.2,
+    "records": 0.1, "recalibration": 0.7, **dict.fromkeys(EFFECTS, 0.13),
+    "effects instead of surprising parameters": 1.5, "the best again, carefully": 0.6,
+    "pairs": 1.0, "what is left": 0.3, "shrinkage on data that no fit saw": 0.2,
     "the next experiment": 0.8,
 }
 
