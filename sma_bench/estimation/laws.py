@@ -59,19 +59,21 @@ Fits = dict[tuple[str, str], tuple[list[Fit], list[Fit]]]
 
 @dataclass(frozen=True, eq=False)
 class LawFit:
-    """The model under one law, and how probable this law is. `weighed`: what each of its fits
-    counts in a prediction, the most probable fit first; with runs that differ or are alike, which
-    count the same, as what fitted runs differ by says nothing of another, and with another h."""
+    """The model under one law, and how probable this law is; `others`: its less probable fits, with
+    runs that differ or are alike, which count the same in a prediction, as what fitted runs differ
+    by says nothing of another, and with another h. `shares`: what `fit` and each of these count."""
 
     law: str
     probability: float
-    weighed: tuple[tuple[float, Fit], ...]
+    fit: Fit
     tried: tuple[Fit, ...]
+    others: tuple[Fit, ...]
+    shares: tuple[float, ...]
 
     @property
-    def fit(self) -> Fit:
-        """The most probable one."""
-        return self.weighed[0][1]
+    def weighed(self) -> tuple[tuple[float, Fit], ...]:
+        """Every fit with its share of the prediction."""
+        return tuple(zip(self.shares, (self.fit, *self.others), strict=True))
 
     @cached_property
     def drawn(self) -> tuple[tuple[float, Fit, Array], ...]:
@@ -153,8 +155,9 @@ def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[La
             share = sum(w for w, _ in own) / len(own)
             rows += [(w, share, air, one.with_repeated_misfit()) for w, one in own]
         rows.sort(key=lambda row: -row[0])
-        laws.append(LawFit(law, sum(w for w, *_ in rows), tuple((s, one) for _, s, _, one in rows),
-                           tuple(fits[law, rows[0][2]][1])))
+        (_, _, air, best), *rest = rows
+        laws.append(LawFit(law, sum(w for w, *_ in rows), best, tuple(fits[law, air][1]),
+                           tuple(one for *_, one in rest), tuple(share for _, share, *_ in rows)))
     return tuple(sorted(laws, key=lambda one: -one.probability))
 
 
@@ -285,7 +288,7 @@ def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
     shapes = {n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)}
     unknowns = unknowns_of(parameters, names, shapes=shapes)
     random, sizes = np.random.default_rng(_BAND_SEED), (len(unknowns.items), len(STATES))
-    return [_moved(unknowns, *map(random.standard_normal, sizes)) for _ in range(count)]
+    return [_moved(unknowns, *(random.standard_normal(n) for n in sizes)) for _ in range(count)]
 
 
 def _moved(unknowns: Unknowns, x: Array, off: Array) -> Parameters:

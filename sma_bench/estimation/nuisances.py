@@ -66,7 +66,7 @@ def _gathered(found: Sequence[Column], rows: int) -> Nuisances:
 def moved_to(observation: Observation, own: Nuisances, z: Array, kinds: Collection[str] = BENT,
              states: float = 0.0) -> tuple[Observation, Array]:
     """The record with its jumps, its stamps and the state of its run, or only those `kinds` of
-    them, where a fit has found them; and these values, 0 for what is linear."""
+    them, where a fit has found them (`states` times the usual); and these values, else 0."""
     kept = np.array([item.kind in kinds for item in own.items], dtype=bool) * z
     places = {kind: [k for k, i in enumerate(own.items) if i.kind == kind] for kind in BENT}
     if STATE in kinds:

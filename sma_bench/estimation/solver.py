@@ -320,8 +320,9 @@ class _State:
         self.kept: tuple[Problem, Array, Array, Array, Array] | None = None
         self.slopes_of: tuple[Array | None, Array | None] = None, None
         self.x = np.clip(x, *unknowns.bounds())
-        known = predicted is not None
-        self.predicted = predicted if known else self.problem.predict(unknowns.parameters(self.x))
+        if predicted is None:
+            predicted = self.problem.predict(unknowns.parameters(self.x))
+        self.predicted = predicted
         self.z = self._best_nuisances()
 
     def linearise(self, rough: bool = False) -> None:
