@@ -1,8 +1,7 @@
 """Bending of the composite: eqs. (12) to (17), (22), (23), corrected (printed: paper/printed.py).
 
 The active layer's modulus in EI and in the curvature is the martensite's: both describe the
-specimen as it lies at rest, and are constants of the model while E(xi) of eq. (7) is not.
-"""
+specimen as it lies at rest, and are constants of the model while E(xi) of eq. (7) is not."""
 
 from dataclasses import dataclass, replace
 
@@ -27,12 +26,10 @@ class Beam:
     @classmethod
     def of(cls, p: Parameters) -> "Beam":
         """The beam of a parameter set, martensite in its active layer."""
-        return cls(
-            p["composite.length"], p["composite.width"], p["composite.thickness"],
-            p["composite.modulus"], p["composite.wire_layer_thickness"],
-            p["wire.martensite_modulus"], wire_layer_width(p), p["composite.wire_offset"],
-            channel_section(p),
-        )
+        return cls(p["composite.length"], p["composite.width"], p["composite.thickness"],
+                   p["composite.modulus"], p["composite.wire_layer_thickness"],
+                   p["wire.martensite_modulus"], wire_layer_width(p), p["composite.wire_offset"],
+                   channel_section(p))
 
 
 def channel_section(parameters: Parameters) -> float:
@@ -50,9 +47,8 @@ def wire_layer_width(parameters: Parameters) -> float:
 
 
 def bending_stiffness(beam: Beam) -> float:
-    """EI [N m2] of eq. (14), corrected: two layers about their neutral axis. The width multiplies
-    every term, the whole of 12 (E_c h_c + E h) divides them; a layer of another width is one of the
-    matrix's width and a modulus that is E w_s/w_c."""
+    """EI [N m2] of eq. (14), corrected: two layers about the neutral axis, the width at each term,
+    12 (E_c h_c + E h) below all; a layer of another width is one of modulus E w_s/w_c."""
     beam = _of_one_width(beam)
     matrix, layer = beam.modulus * beam.thickness, beam.layer_modulus * beam.layer_thickness
     return beam.width * stiffness_terms(beam, 1.0) / (12.0 * (matrix + layer))
@@ -67,18 +63,13 @@ def curvature(strain: float, beam: Beam) -> float:
 
 
 def deflection(strain: float, beam: Beam) -> float:
-    """Deflection [m] at l, eq. (17) corrected: eq. (16) integrated twice gives kappa l^2/2."""
+    """Deflection [m] at l, eq. (17) corrected: eq. (16) integrated twice gives kappa l^2/2; of a
+    strain of 1 alpha [m] of eq. (22), corrected: l^2 kappa/(2 eps)."""
     return 0.5 * beam.length**2 * curvature(strain, beam)
 
 
-def deflection_per_strain(beam: Beam) -> float:
-    """alpha [m] of eq. (22), corrected: l^2 kappa/(2 eps)."""
-    return deflection(1.0, beam)
-
-
 def stress_per_deflection(beam: Beam) -> float:
-    """beta [Pa/m] of eq. (23) with the corrected EI: 2 EI/(a A l^2); the stress is summed over the
-    wires of a side, P = A sum(sigma) in eqs. (12), (13)."""
+    """beta [Pa/m] of eq. (23), corrected: 2 EI/(a A l^2), P = A sum(sigma) over a side's wires."""
     return 2.0 * bending_stiffness(beam) / (beam.offset * beam.wire_section * beam.length**2)
 
 
@@ -90,7 +81,7 @@ def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
         return alpha, front, back
     beam = Beam.of(parameters)
     beta = stress_per_deflection(beam)
-    return alpha or deflection_per_strain(beam), front or beta, back or beta
+    return alpha or deflection(1.0, beam), front or beta, back or beta
 
 
 def _of_one_width(beam: Beam) -> Beam:

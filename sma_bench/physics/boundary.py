@@ -1,7 +1,6 @@
 """What the wires of each side pull against: the load of the bench, or what an experiment holds."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self
 
@@ -14,15 +13,13 @@ from sma_bench.parameters.parameters import load_kind, wire_length
 from sma_bench.physics.bending import bending_coefficients, channel_section
 
 SIDE_SIGNS = {"front": 1.0, "back": -1.0}  # of the deflection, contract section 4
-
 PerSide = float | tuple[float, ...]
 
 
 @dataclass(frozen=True)
 class Boundary:
     """sum sigma_i = load + stiffness e over the wires of a side, or e = -(eps - eps_0), which they
-    share, prescribed. Each field is one number for all sides, or one a side in the order of
-    `side_names`."""
+    share, prescribed. A field is one number for all sides, or one a side as in `side_names`."""
 
     stiffness: PerSide = 0.0  # Pa, sum of stresses per contraction
     load: PerSide = 0.0  # Pa, sum of stresses at zero contraction
@@ -51,11 +48,6 @@ class Boundary:
         return cls(load=stress)
 
     @classmethod
-    def imposed(cls, parameters: Parameters, elongation: float) -> Self:
-        """A testing machine, `load.kind` displacement, at the start of a motion: elongation [m]."""
-        return replace(cls.of(parameters), contraction=-elongation / wire_length(parameters))
-
-    @classmethod
     def of(cls, parameters: Parameters) -> Self:
         """The rig's own load, `load.kind`: by default one wire is clamped, several bend a beam."""
         kind = load_kind(parameters)
@@ -76,25 +68,20 @@ class Boundary:
         stiffness = parameters["load.stiffness"] * length / section
         modulus, rubs = parameters["wire.martensite_modulus"], parameters["load.friction"] / section
         # Two sides on a slider: A (sum_front sigma_i - sum_back sigma_i) = F + k x, x = l e_front.
-        # Mounted so that in the middle, at rest, each pulls with the preload; the slider's own
-        # spring and force draw it to the back.
+        # At rest in the middle each pulls with the preload; spring and force draw it to the back.
         if kind == "antagonist":
             wires = np.bincount(side_of_channels(parameters))
             pulled = tuple((preload / (section * wires * modulus)).tolist())
-            return cls(
-                stiffness, held / section, lever=(0.5 * length, -0.5 * length), coupled=True,
-                prestretch=pulled, friction=rubs,
-            )
+            return cls(stiffness, held / section, lever=(0.5 * length, -0.5 * length), coupled=True,
+                       prestretch=pulled, friction=rubs)
         # A weight, or a frame that holds a force; with a spring A sum sigma_i = F_0 + F + k l e, or
         # F_0 + F + k (exp(b l e) - 1)/b of one that stiffens by b. Elongation is counted from the
         # bench at rest, where martensite already bears the load.
         held, stiffness = (preload + held, stiffness) if kind == "spring" else (held, 0.0)
         stretch = held / section / (len(parameters["bench.channels"]) * modulus)
         stiffening = parameters["load.stiffening"] * length if stiffness else 0.0
-        return cls(
-            stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs,
-            stiffening=stiffening,
-        )
+        return cls(stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs,
+                   stiffening=stiffening)
 
     def levers(self, parameters: Parameters) -> Array:
         """(s,) m, deflection per contraction of each side."""
@@ -131,12 +118,10 @@ def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
 
 def per_side(name: str, value: PerSide, sides: int) -> Array:
     """(s,) array of a field of Boundary; InputError: wrong number of sides, or not finite."""
-    if isinstance(value, float) and math.isfinite(value):
-        return np.full(sides, value)
     array = np.array(value, dtype=np.float64)
     if array.shape not in ((), (sides,)):
         shapes = f"{array.shape}, expected one or {sides} values"
         raise InputError(f"boundary: {name} has shape {shapes}")
-    if not all(map(math.isfinite, array.flat)):
+    if not np.isfinite(array).all():
         raise InputError(f"boundary: {name} is {value}, expected finite numbers")
-    return array if array.shape else np.full(sides, array)
+    return np.full(sides, array)

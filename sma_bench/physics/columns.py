@@ -4,13 +4,11 @@ Plain arrays because calls with many arguments cost more than the physics, and b
 cache on disk would hold on to classes of an older version.
 
 Columns are numbered here, from the core's own lists and from what the effects declare of theirs:
-first what a bench is, then its state, then what is noted within a step.
-"""
+first what a bench is, then its state, then what is noted within a step."""
 
 from sma_bench.parameters.parameter import EFFECTS
 
 PLAYS = 8  # at most, of laws/normal.py
-
 _WIRE = {
     "constants": (  # reciprocals spare the core divisions
         "AMBIENT", "HEATING", "TIME_CONSTANT", "LATENT_RISE",  # K, K/V2, s, K
@@ -39,8 +37,7 @@ _WIRE = {
                 "FOLLOWS", "BEGUN", "DETWINS"),
 }
 _SIDE = {
-    # sum of stresses = LOAD + STIFFNESS e, or e is PRESCRIBED; if COUPLED, the sum less that
-    # of the other side, which is stretched by e
+    # sum of stresses, if COUPLED less the other side's, = LOAD + STIFFNESS e, or e is PRESCRIBED
     "constants": (
         "PRESCRIBED", "COUPLED", "STIFFNESS", "LOAD", "OWN_STIFFNESS", "OWN_LOAD",
         "PULLS_OTHERWISE", "FRICTION",  # of the sum of stresses, Pa, against the motion

@@ -22,8 +22,7 @@ of the innermost loops are compiled into it: together that halves its time.
 
 Wires and sides that an effect marks take the longer way of a step. A side's regime (wires taut,
 hanging or pushing; passive wires elastic or yielding) and a wire's (at its most austenite so far or
-not) are tried as they were last, and changed where the solution contradicts.
-"""
+not) are tried as they were last, and changed where the solution contradicts."""
 
 import math
 from functools import reduce
@@ -71,21 +70,10 @@ def of_effects(place, both):
     return reduce(both, [getattr(module, place) for module in modules if hasattr(module, place)])
 
 
-def sum_of(first, second):
-    return inlined(lambda wires, i: first(wires, i) + second(wires, i))
-
-
-def both_of(first, second):
-    @inlined
-    def one_after_the_other(wires, i, fraction_before, step):
-        first(wires, i, fraction_before, step)
-        second(wires, i, fraction_before, step)
-
-    return one_after_the_other
-
-
-added_strain = of_effects("added_strain", sum_of)
-after_step = of_effects("after_step", both_of)
+added_strain = of_effects("added_strain", lambda first, second: inlined(
+    lambda wires, i: first(wires, i) + second(wires, i)))
+after_step = of_effects("after_step", lambda first, second: inlined(
+    lambda wires, i, xi, step: (first(wires, i, xi, step), second(wires, i, xi, step))))
 
 
 @borrowing
@@ -153,8 +141,7 @@ def change_regime(wires, sides, side):
     """After a solution: take another regime where it contradicts this one; whether it did."""
     changed = False
     for i in range(wires.shape[0]):
-        mine = wires[i, at.SIDE] == side or sides[side, at.COUPLED] > 0.0
-        if mine and passes_most(wires, i):
+        if pull_sign(wires, sides, i, side) != 0.0 and passes_most(wires, i):
             changed = True
     if changed or sides[side, at.PRESCRIBED] > 0.0:
         return changed
@@ -263,9 +250,7 @@ def solve_wire(wires, i, contraction):
 @inlined
 def pull_sign(wires, sides, i, side):
     """1 for a wire of the side, 0 for others, -1 for those that pull the same slider back."""
-    if wires[i, at.SIDE] == side:
-        return 1.0
-    return -sides[side, at.COUPLED]
+    return 1.0 if wires[i, at.SIDE] == side else -sides[side, at.COUPLED]
 
 
 @inlined
@@ -346,15 +331,6 @@ def solve_nested(wires, sides, side, contraction):
     return contraction
 
 
-@inlined
-def set_step(wires, step):
-    """Constants of a step of this length [s]."""
-    for i in range(wires.shape[0]):
-        exponent = -step / wires[i, at.TIME_CONSTANT]
-        wires[i, at.DECAY] = math.exp(exponent)
-        wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
-
-
 @borrowing
 def turn_by_drive(wires, i, excess):
     """Turn a wire whose ends are moved when T - sigma/C_A, did it only stretch, has gone back."""
@@ -422,8 +398,7 @@ def solve_side(wires, sides, side, start):
 def solve(wires, sides):
     """Fractions, stresses and contractions of all sides at the end of the step."""
     for i in range(wires.shape[0]):
-        guess = wires[i, at.FRACTION] + wires[i, at.CHANGE]
-        wires[i, at.GUESS] = min(max(guess, 0.0), 1.0)
+        wires[i, at.GUESS] = min(max(wires[i, at.FRACTION] + wires[i, at.CHANGE], 0.0), 1.0)
     for side in range(sides.shape[0]):
         if side > 0 and sides[0, at.COUPLED] > 0.0:
             sides[side, at.CONTRACTION] = -sides[0, at.CONTRACTION]
@@ -493,7 +468,10 @@ def run(time, voltage, wires, sides, history, strain):
             step = time[k] - time[k - 1]
             if step != last_step:
                 last_step = step
-                set_step(wires, step)
+                for i in range(wires.shape[0]):
+                    exponent = -step / wires[i, at.TIME_CONSTANT]
+                    wires[i, at.DECAY] = math.exp(exponent)
+                    wires[i, at.LAG] = wires[i, at.LATENT_RISE] * math.expm1(exponent) / exponent
             if effects:
                 look_across(wires)
                 for side in range(sides.shape[0]):

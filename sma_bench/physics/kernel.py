@@ -23,8 +23,7 @@ from sma_bench.physics.material import heat_loss, heated_resistance, heating_vol
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """All that the future of a bench depends on, apart from the voltages to come; carried from one
-    simulation into the next, it continues to the last bit."""
+    """All that a bench's future depends on but voltages: continues a run to the last bit."""
 
     temperature: Array  # (w,) K
     martensite_fraction: Array  # (w,)
@@ -39,10 +38,8 @@ class State:
         return float(self.memory[0][0, at.CLOCK - at.WIRE_STATE]) if self.memory else 0.0
 
 
-def initial_state(
-    parameters: Parameters, *, temperature: ArrayLike | None = None,
-    martensite_fraction: ArrayLike = 1.0, boundary: Boundary | None = None,
-) -> State:
+def initial_state(parameters: Parameters, *, temperature: ArrayLike | None = None,
+                  martensite_fraction: ArrayLike = 1.0, boundary: Boundary | None = None) -> State:
     """State without history: at rest, or at one or (w,) K (`temperature`) and fractions (0 to 1).
     `boundary`: the rig's own when not given; it decides stress and contraction. Raises InputError:
     wrong shape, or a fraction that cannot be at that temperature and stress."""
@@ -137,8 +134,8 @@ _MARKS: dict[str, list[tuple[int, str, bool]]] = {"wire": [], "side": []}
 for _row, _names in (("wire", at.WIRE_NAMES), ("side", at.SIDE_NAMES)):
     for _effect in EFFECTS.values():
         if _effect.row == _row:
-            _own = {c: _effect.named(n).name for n, c in _effect.columns.items()}
-            _NUMBERS[_row] += [(_names[column], number) for column, number in _own.items()]
+            _own = _effect.columns.items()
+            _NUMBERS[_row] += [(_names[column], _effect.named(n).name) for n, column in _own]
         for _mark in filter(_names.__contains__, _effect.marks):
             _MARKS[_row] += [(_names[_mark], p.name, _effect.row == _row) for p in _effect.switches]
 _PLACES = [column for column, _ in _NUMBERS["wire"]]
@@ -179,9 +176,8 @@ def wire_rows(p: Parameters, boundary: Boundary) -> Array:
     row[at.CAPACITY] = p["wire.mass"] * p["wire.specific_heat"]
     row[at.MODULUS_CHANGE] = p["wire.martensite_modulus"] - p["wire.austenite_modulus"]
     for phase, hot, cold in (("austenite", "finish", "start"), ("martensite", "start", "finish")):
-        spread, slope, shift = (
-            at.WIRE_NAMES[f"{phase.upper()}_{of}"] for of in ("SPREAD", "SLOPE", "SHIFT")
-        )
+        spread, slope, shift = (at.WIRE_NAMES[f"{phase.upper()}_{of}"]
+                                for of in ("SPREAD", "SLOPE", "SHIFT"))
         width = p[f"wire.{phase}_{hot}_temperature"] - p[f"wire.{phase}_{cold}_temperature"]
         row[slope], row[spread] = 1.0 / width, p["wire.transition_spread"] / width
         added = p[f"effect.stress_dependent_transition.{phase}"]
@@ -202,9 +198,8 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides = np.zeros((count, at.SIDE_COLUMNS))
     sides[:, at.PRESCRIBED] = boundary.contraction is not None
     sides[:, at.COUPLED] = boundary.coupled
-    stiffness, load, sides[:, at.FRICTION] = (
-        per_side(name, getattr(boundary, name), count) for name in ("stiffness", "load", "friction")
-    )
+    stiffness, load, sides[:, at.FRICTION] = (per_side(name, getattr(boundary, name), count)
+                                              for name in ("stiffness", "load", "friction"))
     sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
     sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
     sides[:, at.STIFFENING] = boundary.stiffening
@@ -287,10 +282,8 @@ class Kernel:
         for column in range(at.RELAXED, at.RELAXED + 3):
             sides[:, column] = sides[:, at.CONTRACTION]
 
-    def run(
-        self, time: Array, voltage: Array, memory: tuple[Array, Array],
-        contraction: Array | None = None,
-    ) -> tuple[Array, Array]:
+    def run(self, time: Array, voltage: Array, memory: tuple[Array, Array],
+            contraction: Array | None = None) -> tuple[Array, Array]:
         """Advance `memory` in place; history (6, n, w) and strain (2, n, s) as of core.run. Sides
         that are held stay where they are, or go through `contraction` (n,) from sample 1 on."""
         wires, sides = memory
@@ -318,7 +311,6 @@ class Kernel:
     def state(self, memory: tuple[Array, Array]) -> State:
         """Snapshot of the kernel's state."""
         wires, sides = memory[0].copy(), memory[1].copy()
-        return State(
-            wires[:, at.TEMPERATURE], wires[:, at.FRACTION], wires[:, at.STRESS],
-            sides[:, at.CONTRACTION], (wires[:, at.WIRE_STATE :], sides[:, at.SIDE_STATE :]),
-        )
+        return State(wires[:, at.TEMPERATURE], wires[:, at.FRACTION], wires[:, at.STRESS],
+                     sides[:, at.CONTRACTION],
+                     (wires[:, at.WIRE_STATE :], sides[:, at.SIDE_STATE :]))

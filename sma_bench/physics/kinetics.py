@@ -1,5 +1,4 @@
-"""The martensite fraction of a wire by its law, compiled: the rule of material.py since its last
-reversal, or a law's own."""
+"""The martensite fraction of a wire by its law, compiled: by the rule of material.py or its own."""
 
 import math
 
@@ -61,9 +60,7 @@ def any_ramp(wires, i, position, spread):
         return logistic.ramp(position)
     if law == NORMAL:
         return normal.ramp(position)
-    if law == EXTENDED:
-        return extended.ramp(position)
-    return cosine_ramp(wires, i, position, spread)
+    return extended.ramp(position) if law == EXTENDED else cosine_ramp(wires, i, position, spread)
 
 
 @inlined
@@ -127,9 +124,7 @@ def rule_of(ramp, shifting):
                 left, by_own, by_other = share, share_slope, 0.0
             elif bound > left:
                 left, by_own, by_other = bound, 0.0, -rest_slope / other_reversed
-        if left > 1.0:
-            return 1.0, 0.0, 0.0
-        return left, by_own, by_other
+        return (1.0, 0.0, 0.0) if left > 1.0 else (left, by_own, by_other)
 
     @inlined
     def by_rule(wires, i, temperature, stress):
@@ -167,8 +162,7 @@ def of_other_law(wires, i, temperature, stress):
 
 @inlined
 def fraction(wires, i, temperature, stress):
-    """xi of wire i by its law, d xi/dT and d xi/d sigma. The baseline's is compiled into the
-    innermost loops, the others are called."""
+    """xi of wire i, d xi/dT, d xi/d sigma; only the baseline is compiled into innermost loops."""
     if wires[i, at.LAW] != 0.0:
         return of_other_law(wires, i, temperature, stress)
     return by_cosine(wires, i, temperature, stress)

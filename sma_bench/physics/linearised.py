@@ -6,8 +6,7 @@ by per kelvin, the simulated bench says itself, led through temperatures along t
 
     m c_p dT_i/dt = -h A_c T_i + (2 V_i*/R) v_i + m Delta_h dxi_i/dt                      (1), (19)
 
-The printed coefficients, and the corrected ones beside them, are in paper/printed.py.
-"""
+The printed coefficients, and the corrected ones beside them, are in paper/printed.py."""
 
 import math
 from dataclasses import dataclass
@@ -33,7 +32,6 @@ from sma_bench.physics.orientation import as_oriented
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 Branch = Literal["heating", "cooling"]
-
 BEYOND = (*SMOOTHER, "wire.law", "wire.convection", "wire.r_phase_strain", "load.friction",
           "load.stiffening")
 _AUSTENITE = 1000.0  # K, where every wire is, under any stress that it can have
@@ -49,8 +47,7 @@ _NO_TANGENT = 0.3  # of a fraction's change: where half the step differs so much
 @dataclass(frozen=True)
 class SideModel:
     """n equal wires that pull together against a boundary that gives. Along a branch xi = s f
-    (heating) or 1 - xi = s g (cooling), with the ramps f, g of material.py and a share s that is
-    constant between two reversals, 1 on a full loop."""
+    (heating) or 1 - xi = s g (cooling), f, g of material.py, s constant between reversals."""
 
     parameters: Parameters  # of the wires
     wires: int  # n
@@ -103,11 +100,9 @@ class SideModel:
         ramp = float(law(temperature, sigma, self.parameters))
         return (xi if branch == "heating" else 1.0 - xi) / ramp if ramp > 0.0 else 1.0
 
-    def at_contraction(
-        self, contraction: float, branch: Branch, share: float = 1.0
-    ) -> tuple[float, float]:
-        """T [K] and xi at a contraction along a branch; the end of the transformation beyond it,
-        and before it what the thermal stress alone does."""
+    def at_contraction(self, contraction: float, branch: Branch,
+                       share: float = 1.0) -> tuple[float, float]:
+        """T [K] and xi at a contraction along a branch; beyond it its end, before it cold."""
         start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
         heating, stress = branch == "heating", self.wire_stress(contraction)
         shift = shifting_stress(stress, self.parameters)[0 if heating else 1] / influence
@@ -157,10 +152,9 @@ class OperatingPoint(State):
         return float(self.contraction @ self.boundary.levers(self.parameters))
 
     @classmethod
-    def of_state(
-        cls, parameters: Parameters, temperature: ArrayLike, martensite_fraction: ArrayLike,
-        branch: Branch, boundary: Boundary | None = None,
-    ) -> Self:
+    def of_state(cls, parameters: Parameters, temperature: ArrayLike,
+                 martensite_fraction: ArrayLike, branch: Branch,
+                 boundary: Boundary | None = None) -> Self:
         """Any state, within a partial loop too: one or (w,) K and fractions; InputError: as
         `initial_state`, or a temperature that no voltage holds."""
         p, boundary = parameters, boundary or Boundary.of(parameters)
@@ -176,10 +170,8 @@ class OperatingPoint(State):
         return cls(parameters=p, boundary=boundary, branch=branch, voltage=voltage, **vars(state))
 
     @classmethod
-    def at_temperature(
-        cls, parameters: Parameters, temperature: ArrayLike, branch: Branch,
-        boundary: Boundary | None = None,
-    ) -> Self:
+    def at_temperature(cls, parameters: Parameters, temperature: ArrayLike, branch: Branch,
+                       boundary: Boundary | None = None) -> Self:
         """On the full loop, eq. (10) or (11), at one or (w,) K; InputError: as `of_state`."""
         wires = len(parameters["bench.channels"])
         kelvin = np.array(np.broadcast_to(np.asarray(temperature, dtype=float), (wires,)))
@@ -188,19 +180,16 @@ class OperatingPoint(State):
         return cls.of_state(parameters, kelvin, state.martensite_fraction, branch, boundary)
 
     @classmethod
-    def at_voltage(
-        cls, parameters: Parameters, voltage: ArrayLike, branch: Branch,
-        boundary: Boundary | None = None,
-    ) -> Self:
+    def at_voltage(cls, parameters: Parameters, voltage: ArrayLike, branch: Branch,
+                   boundary: Boundary | None = None) -> Self:
         """On the full loop where one or (w,) held voltages [V] lead to."""
         heating = material.heating_voltage(voltage, parameters)
         kelvin = material.steady_temperature(heating, parameters)
         return cls.at_temperature(parameters, kelvin, branch, boundary)
 
     @classmethod
-    def at_deflection(
-        cls, parameters: Parameters, deflection: float | None, branch: Branch
-    ) -> Self:
+    def at_deflection(cls, parameters: Parameters, deflection: float | None,
+                      branch: Branch) -> Self:
         """On the full loop at a deflection [m], half of the first side's largest when None: its
         side driven evenly, the other at rest; InputError: no bending, no wires there, too far."""
         first = side_names(parameters)[0]
@@ -284,9 +273,8 @@ class Linearised:
 
 
 def linearise(point: OperatingPoint, latent_heat: float = 0.0) -> Linearised:
-    """The linearised model about an operating point, for changes along its branch, with Delta_h of
-    eq. (1) [J/kg]; InputError: the stresses do not determine the state (a vertical tangent), or an
-    effect or a smoother ramp than eqs. (10), (11) is on."""
+    """Linearised about a point, along its branch, with Delta_h of eq. (1) [J/kg]. InputError:
+    a vertical tangent, an effect or a smoother ramp than eqs. (10), (11) is on."""
     parameters, start = point.parameters, point
     beyond = [f"{name} is on" for name in active_effects(parameters)]
     beyond += [f"{n} is {parameters[n]}" for n in BEYOND if parameters[n] != BY_NAME[n].default]

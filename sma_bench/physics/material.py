@@ -20,8 +20,7 @@ the first with the phases and the ramps exchanged.
 Three details keep it continuous in every case. xi stays within [0, 1]. Above A_f, where f_r = 0,
 some martensite can be left if M_s lies higher still: then f/f_r is replaced by (1 - g)/(1 - g_r),
 the cooling curve traced back; mirrored below M_f. Where M_s (with stress) lies above A_f,
-eqs. (10) and (11) contradict "xi = 0 above A_f", and the equations win on cooling.
-"""
+eqs. (10) and (11) contradict "xi = 0 above A_f", and the equations win on cooling."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -108,10 +107,8 @@ def clamped_stress(temperature: ArrayLike, parameters: Parameters) -> Array:
     return np.asarray(parameters["wire.thermal_expansion_factor"] * rise)
 
 
-def stress(
-    temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: ArrayLike,
-    parameters: Parameters,
-) -> Array:
+def stress(temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: ArrayLike,
+           parameters: Parameters) -> Array:
     """sigma [Pa], eq. (6) from sigma = 0, xi = 1 and ambient temperature at rest; T [K], xi and the
     contraction -(eps - eps_0) broadcast against each other."""
     xi = np.asarray(martensite_fraction, float)
@@ -123,19 +120,15 @@ def stress(
 # --- Heat, and what drives it.
 
 
-def current(
-    parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike,
-    sag: ArrayLike = 0.0,
-) -> Array:  # fmt: skip
+def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike,
+            sag: ArrayLike = 0.0) -> Array:
     """I = n (V - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by u
-    [V]; with all effects off eq. (3). The voltage is as the driver reads it or is commanded
-    (`heating_voltage`); any shape. A current source holds it whatever the resistance, one of power
-    sqrt(P/R); of a duty it is the mean."""
+    [V]; eq. (3) with all effects off. `voltage`: as read or commanded, any shape; a source of
+    current holds it whatever the resistance, one of power sqrt(P/R); of a duty it is the mean."""
     volts, kelvin, xi = (np.asarray(a, dtype=np.float64) for a in (voltage, temperature, fraction))
     names = ("austenite_change", "hump", "temperature_coefficient", "martensite_coefficient")
-    change, hump, growth, of_martensite = (
-        parameters[f"effect.phase_dependent_resistance.{name}"] for name in names
-    )
+    change, hump, growth, of_martensite = (parameters[f"effect.phase_dependent_resistance.{name}"]
+                                           for name in names)
     count, shape = parameters["wire.count"], np.broadcast_shapes(kelvin.shape, xi.shape)
     resistance = np.full(shape, parameters["wire.resistance"])
     if parameters["bench.drive"] == "current":
@@ -187,9 +180,8 @@ def power_per_volt(voltage: ArrayLike, parameters: Parameters) -> Array:
     return 2.0 * volts / heated_resistance(parameters)
 
 
-def direct_reading(
-    parameters: Parameters, voltage: ArrayLike, current: ArrayLike
-) -> tuple[Array, Array]:
+def direct_reading(parameters: Parameters, voltage: ArrayLike,
+                   current: ArrayLike) -> tuple[Array, Array]:
     """What a record holds of a drive of V and A (of a duty the means; any shape): the direct
     voltage and current of the same heat, whose quotient is the resistance."""
     mean, amperes = (np.asarray(a, dtype=np.float64) for a in (voltage, current))
@@ -216,8 +208,7 @@ def heat_loss(parameters: Parameters) -> float:
 
 def time_constant(parameters: Parameters) -> float:
     """m c_p/(h A_c) [s]."""
-    capacity = parameters["wire.mass"] * parameters["wire.specific_heat"]
-    return float(capacity / heat_loss(parameters))
+    return float(parameters["wire.mass"] * parameters["wire.specific_heat"] / heat_loss(parameters))
 
 
 def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
@@ -232,8 +223,7 @@ def steady_temperature(voltage: ArrayLike, parameters: Parameters) -> Array:
 #
 # x = T - T_inf in K, rounded within 2 K; n by the wire's diameter (parameters/parameters.py); e =
 # 0.4, s Stefan and Boltzmann's constant. C is what is left of `wire.heat_transfer_coefficient` A_c,
-# which holds 60 K above ambient. Source: Churchill and Chu 1975; Morgan 1975 has n of 0.15 for
-# wires as thin.
+# which holds 60 K above ambient. Source: Churchill and Chu 1975; Morgan 1975: n 0.15 if as thin.
 
 _ROUNDED = 2.0  # K
 _MOST = 0.9  # of a small coefficient, that radiation can be

@@ -9,8 +9,7 @@ Of the fraction xi the part xi_S has the strain eps_L, the rest none:
 Within a step xi_S is straight in xi, and in sigma where it detwins, about where the step began: the
 core solves what it solves of every wire, with other moduli and strains. At rest a wire that bears a
 weight, a spring or an antagonist is as that stress has oriented it; one that is clamped or bends a
-beam was stretched before it was mounted: xi_S = xi = 1, as the contract has it.
-"""
+beam was stretched before it was mounted: xi_S = xi = 1, as the contract has it."""
 
 import numpy as np
 
@@ -90,9 +89,8 @@ def after_step(wires, i):
 #
 # It shows on cooling, before martensite forms, and where A_s lies below T_R on heating too. C_R is
 # so steep, and its hysteresis of 1 to 5 K so narrow (left out here), that it moves with T alone.
-# Its heat (5 J/g) and its resistance are not modelled. Source: Otsuka and Ren 2005. Parameters:
-# eps_R (`wire.r_phase_strain`; 0: none), T_R (`wire.r_phase_temperature`), w
-# (`wire.r_phase_range`).
+# Its heat (5 J/g) and resistance are not modelled. Source: Otsuka and Ren 2005. Parameters: eps_R
+# (`wire.r_phase_strain`; 0: none), T_R (`wire.r_phase_temperature`), w (`wire.r_phase_range`).
 
 STRESS_INFLUENCE = 16e6  # C_R, Pa/K: 13 to 20 MPa/K
 

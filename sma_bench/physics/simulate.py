@@ -1,6 +1,6 @@
 """Simulate a bench: whole voltage records at once, or live, step by step, with the same kernel."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -48,8 +48,7 @@ class Readings:
 
     @property
     def deflection(self) -> Any:
-        """(...) m, positive toward the front; elongation of a wire that moves its load; zeros where
-        nothing moves."""
+        """(...) m, positive toward the front; a moving wire's elongation; 0 where none moves."""
         return self.bending @ self.boundary.levers(self.parameters)
 
     @property
@@ -103,10 +102,9 @@ class Simulation(Readings, Drawn):
         return material.current(self.parameters, self.voltage, *states)
 
 
-def simulate(
-    parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *, initial: State | None = None,
-    boundary: Boundary | None = None, elongation: ArrayLike | None = None,
-) -> Simulation:
+def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,
+             initial: State | None = None, boundary: Boundary | None = None,
+             elongation: ArrayLike | None = None) -> Simulation:
     """Solve the baseline model (contract section 4) with the law and effects that are named.
 
     Temperatures are exact for the held voltages; phase, stress and contraction are solved
@@ -123,20 +121,17 @@ def simulate(
         initial: state at time[0], at rest when not given; `Simulation.final` continues a run.
         boundary: the rig's own load when not given.
         elongation: (n,) m that is imposed under `load.kind` displacement, even between samples; 0
-            when not given.
-    """
+            when not given."""
     if elongation is not None and boundary is None and np.size(elongation):
-        boundary = Boundary.imposed(parameters, float(np.ravel(elongation)[0]))
+        start = -float(np.ravel(elongation)[0]) / wire_length(parameters)
+        boundary = replace(Boundary.of(parameters), contraction=start)
     return Bench(parameters, initial=initial, boundary=boundary).follow(time, voltage, elongation)
 
 
-def simulate_from_rest(
-    parameters: Parameters, time: Array, voltage: Array, boundary: Boundary,
-    most_austenite: Array | None = None,
-) -> Simulation:
-    """As `simulate`, of a bench at rest, possible or not, and of arrays that are known to be right:
-    a fit simulates one record thousands of times. `most_austenite` (w,): how far its wires have
-    transformed before, not at all when not given."""
+def simulate_from_rest(parameters: Parameters, time: Array, voltage: Array, boundary: Boundary,
+                       most_austenite: Array | None = None) -> Simulation:
+    """As `simulate`, of a bench at rest, possible or not, and of arrays known to be right (fits).
+    `most_austenite` (w,): how far its wires have transformed before, not at all when not given."""
     kernel = Kernel(parameters, boundary)
     memory = kernel.memory(None)
     if most_austenite is not None:
@@ -145,10 +140,8 @@ def simulate_from_rest(
     return _simulated(kernel, time, voltage, courses, kernel.state(memory), 0.0)
 
 
-def _simulated(
-    kernel: Kernel, time: Array, voltage: Array, courses: tuple[Array, Array], final: State,
-    started: float,
-) -> Simulation:
+def _simulated(kernel: Kernel, time: Array, voltage: Array, courses: tuple[Array, Array],
+               final: State, started: float) -> Simulation:
     history, strain = courses
     rest: Any = (*history[:3], *strain, *history[3:], time, voltage, final, started)
     return Simulation(kernel.parameters, kernel.boundary, *rest)
@@ -174,13 +167,10 @@ def _require_finite(name: str, array: Array) -> None:
 class Bench(Readings):
     """The same bench stepped live, with the readings of now."""
 
-    state: State
-    """the present one, to carry into another Bench or `simulate`"""
+    state: State  # the present one, to carry into another Bench or `simulate`
 
-    def __init__(
-        self, parameters: Parameters, *, initial: State | None = None,
-        boundary: Boundary | None = None,
-    ) -> None:
+    def __init__(self, parameters: Parameters, *, initial: State | None = None,
+                 boundary: Boundary | None = None) -> None:
         """A bench at rest, or in the state `initial`; arguments as for `simulate`."""
         self._kernel = Kernel(parameters, boundary)
         if initial is None:
@@ -190,9 +180,8 @@ class Bench(Readings):
         self._settle()
 
     def advance(self, voltage: ArrayLike, dt: float, elongation: float | None = None) -> State:
-        """Hold `voltage` (w,) V for `dt` s, at the end of which the imposed elongation is that [m],
-        or as it was; the state after it; InputError: wrong shape, a number that is not finite, dt
-        not above 0, or an elongation that another load is to decide."""
+        """Hold `voltage` (w,) V for `dt` s, to an imposed elongation [m] or as it was: the state.
+        InputError: wrong shape, not finite, dt not above 0, an elongation that the load decides."""
         if not 0.0 < dt < np.inf:
             raise InputError(f"bench step: dt is {dt} s, expected above 0")
         volts = np.ascontiguousarray(voltage, dtype=float)
@@ -212,11 +201,9 @@ class Bench(Readings):
         _require_finite("elongation", metres)
         return -metres / wire_length(self.parameters)
 
-    def follow(
-        self, time: ArrayLike, voltage: ArrayLike, elongation: ArrayLike | None = None
-    ) -> Simulation:
-        """Go on over samples as `simulate` takes them; time[0], and its elongation, is that of the
-        present state; InputError: as `simulate`."""
+    def follow(self, time: ArrayLike, voltage: ArrayLike,
+               elongation: ArrayLike | None = None) -> Simulation:
+        """Go on over samples as `simulate` takes them, the first that of the present state."""
         seconds = np.ascontiguousarray(time, dtype=float)
         volts = np.ascontiguousarray(voltage, dtype=float)
         if seconds.ndim != 1 or seconds.size == 0:
@@ -254,11 +241,10 @@ class Bench(Readings):
     def _settle(self) -> State:
         self.state = now = self._kernel.state(self._memory)
         wires, sides = self._memory
-        super().__init__(
-            self._kernel.parameters, self._kernel.boundary, now.temperature,
-            now.martensite_fraction, now.stress, now.contraction, sides[:, at.BENDING].copy(),
-            wires[:, at.READING].copy(), wires[:, at.MOUNT].copy(), wires[:, at.SAG].copy(),
-        )
+        super().__init__(self._kernel.parameters, self._kernel.boundary, now.temperature,
+                         now.martensite_fraction, now.stress, now.contraction,
+                         sides[:, at.BENDING].copy(), wires[:, at.READING].copy(),
+                         wires[:, at.MOUNT].copy(), wires[:, at.SAG].copy())
         self.clock = now.clock  # type: ignore[misc]
         return now
 
@@ -275,9 +261,8 @@ _RAMP_STEP = 1e-3  # s
 class TemperatureDriven:
     """Transformation, stress and bending of a bench whose temperatures are given."""
 
-    def __init__(
-        self, parameters: Parameters, initial: State | None = None, boundary: Boundary | None = None
-    ) -> None:
+    def __init__(self, parameters: Parameters, initial: State | None = None,
+                 boundary: Boundary | None = None) -> None:
         """At rest, or in the state `initial`; effects on the heating are left out."""
         heating = [e for e in EFFECTS.values() if e.stage in ("electrical", "thermal")]
         plain = {p.name: p.default for effect in heating for p in effect.parameters}
@@ -295,8 +280,7 @@ class TemperatureDriven:
 
     def run(self, time: ArrayLike, temperature: ArrayLike) -> tuple[Array, Array]:
         """Pass through temperatures (n, w) K, ambient at least, at times (n + 1,) s, the first that
-        of the present state; deflection (n,) m, zeros for a rig that does not bend, and force
-        (n, w) N as sensors read them."""
+        of the present state; deflection (n,) m, 0 where none bends, and force (n, w) N as read."""
         seconds, kelvin = np.asarray(time, dtype=float), np.asarray(temperature, dtype=float)
         clock = float(self._memory[0][0, at.CLOCK])
         volts = np.sqrt(np.maximum(kelvin - self._ambient, 0.0))
@@ -312,12 +296,9 @@ class TemperatureDriven:
         return self._kernel.state(self._memory)
 
 
-def warmed_from_rest(
-    parameters: Parameters, temperature: Array, boundary: Boundary | None = None,
-    by_way_of: float | None = None,
-) -> State:
-    """The state of a bench that was heated from rest to temperatures (w,) K, ambient at least, or
-    cooled to them from `by_way_of` K."""
+def warmed_from_rest(parameters: Parameters, temperature: Array, boundary: Boundary | None = None,
+                     by_way_of: float | None = None) -> State:
+    """The state of a bench heated from rest to (w,) K, ambient at least; first to `by_way_of` K."""
     start = np.full_like(temperature, parameters["environment.ambient_temperature"])
     bench, share = TemperatureDriven(parameters, None, boundary), np.linspace(0.0, 1.0, 201)
     hot = [] if by_way_of is None else [np.full_like(temperature, by_way_of)]

@@ -225,7 +225,7 @@ def test_the_active_layer_is_as_wide_as_its_wires_and_not_as_the_beam():
     rig = WIRE.replace(by_hand.FOUR)
     assert bending.wire_layer_width(rig) == pytest.approx(2 * np.pi * 0.3e-3 / 4)
     assert bending.bending_coefficients(rig)[0] == pytest.approx(1.714, abs=5e-4)
-    printed = bending.deflection_per_strain(printed_forms.as_printed(Beam.of(rig)))
+    printed = bending.deflection(1.0, printed_forms.as_printed(Beam.of(rig)))
     assert printed == pytest.approx(1.0557, abs=1e-4)
     sheet = rig.replace({"composite.wire_layer_width": 0.03})
     assert bending.bending_coefficients(sheet)[0] == pytest.approx(1.0557, abs=1e-4)

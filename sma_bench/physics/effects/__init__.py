@@ -4,8 +4,7 @@ An effect's numbers (parameters/effects.yaml) are ordinary parameters, which eve
 and file takes:
 
     parameters = with_effect(parameters, "side_heat_coupling", 0.01)
-    simulate(parameters, time, voltage).temperature_reading
-"""
+    simulate(parameters, time, voltage).temperature_reading"""
 
 from collections.abc import Mapping
 from typing import Any

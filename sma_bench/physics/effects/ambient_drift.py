@@ -4,8 +4,7 @@
 
 The parameter `environment.ambient_temperature` is that of the start. Source: a room, an enclosure
 that warms; two terms of its series. A gust (a door, a fan, a room that settles): what two heat
-capacities do after one event.
-"""
+capacities do after one event."""
 
 import math
 

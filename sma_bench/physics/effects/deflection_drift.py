@@ -5,8 +5,7 @@
 
 Source: warming electronics, a creeping mount: two terms of its series; electronics that settle
 after they were switched on; a mount that warms with the wires. `Readings.deflection_reading`
-applies it.
-"""
+applies it."""
 
 import math
 

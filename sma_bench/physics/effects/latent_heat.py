@@ -5,8 +5,7 @@
 On heating the wire takes up dh, on cooling it gives it back; d: the first martensite to go takes
 more than the last, as skewed peaks of calorimetry have it. Source: eq. (1), whose last term the
 paper drops; Otsuka and Ren 2005. `core.heat` solves it together with the fractions, d at those of
-the step's start.
-"""
+the step's start."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at

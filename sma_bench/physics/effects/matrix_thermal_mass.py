@@ -9,8 +9,7 @@ A clamp takes heat too, off the wire or, where there is any, the silicone:
 G and G_a in series are the paper's h A_c, so that steady temperatures stay. `inner_share` is the
 share of 1/(h A_c) that is 1/G. With heat coupling between the sides, the silicone carries it; an h
 that depends on temperature acts on G_a. Source: two-node model of a wire in an elastomer, solved
-exactly over a step in which heat, air and the other side's silicone stay.
-"""
+exactly over a step in which heat, air and the other side's silicone stay."""
 
 import math
 

@@ -13,8 +13,7 @@ Wires that lie buckled at rest resist once a bending g has straightened them: e 
 and F = 0 as long as k (e - g) < p.
 Wires that only rub in their channels hold the sum of stresses back by +- sigma_f, as a slider does.
 Source: balance of both sides; Coulomb's friction; plasticity with linear kinematic hardening, H of
-NiTi from Brinson (1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067.
-"""
+NiTi from Brinson (1993), whose martensite detwins from 100 to 170 MPa over a strain of 0.067."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at

@@ -18,8 +18,7 @@ then forgotten, and the outer one goes on (return-point memory; Mayergoyz 1986):
 
     xi = m xi_b + (xi_r - m xi_b) (f(T) - m f_b)/(f_r - m f_b)       down to f_b
 
-With `wire.law` normal, which has inner loops of its own, it is refused.
-"""
+With `wire.law` normal, which has inner loops of its own, it is refused."""
 
 import math
 

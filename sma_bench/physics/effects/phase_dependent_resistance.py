@@ -5,8 +5,7 @@
 R is the martensite's at ambient temperature; the brackets stay above 0. w: an intermediate phase
 (R-phase); b_M: martensite's own rise.
 Source: mixture rule of the phases' resistivities (Ikuta 1990; Furst and Seelecke 2012); the
-strain's part of the geometry is within a.
-"""
+strain's part of the geometry is within a."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at

@@ -5,5 +5,4 @@
 
 Source: wires that do not lie alike in the matrix (the paper finds its two sides to differ); l: one
 side nearer to the middle, where the same strain bends more and meets more stiffness, eq. (16).
-`Boundary.of` applies it.
-"""
+`Boundary.of` applies it."""

@@ -6,8 +6,7 @@
 Where one side has more wires than the other, they share the G of the fewer. The plume reaches the
 back where p is above 0, the front below.
 Source: conduction between parallel wires in a slab, G' of 0.15 to 0.24 W/(m K) at 2 to 10 mm; free
-convection off a wire below.
-"""
+convection off a wire below."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at
@@ -17,15 +16,13 @@ from sma_bench.physics import columns as at
 def look_across(wires):
     """Note for every wire the mean temperature of wire and silicone opposite."""
     for i in range(wires.shape[0]):
-        wire, matrix, count = 0.0, 0.0, 0
+        matrix, count = 0.0, 0
         for j in range(wires.shape[0]):
             if wires[j, at.SIDE] != wires[i, at.SIDE]:
-                wire += wires[j, at.TEMPERATURE]
                 matrix += wires[j, at.MATRIX_RISE] + wires[j, at.AMBIENT]
                 count += 1
-        if count > 0:
-            wires[i, at.OPPOSITE] = wire / count
-            wires[i, at.OPPOSITE_MATRIX] = matrix / count
+        wires[i, at.OPPOSITE] = opposite_temperature(wires, i, 0.0)
+        wires[i, at.OPPOSITE_MATRIX] = matrix / max(count, 1)
 
 
 @borrowing
@@ -43,6 +40,4 @@ def opposite_temperature(wires, i, alone):
 def in_plume(wires, i, air):
     """Temperature [K] of the air around wire i, which the wires opposite warm."""
     plume = wires[i, at.PLUME] if wires[i, at.SIDE] > 0.0 else -wires[i, at.PLUME]
-    if plume <= 0.0:
-        return air
-    return air + plume * (opposite_temperature(wires, i, air) - air)
+    return air if plume <= 0.0 else air + plume * (opposite_temperature(wires, i, air) - air)

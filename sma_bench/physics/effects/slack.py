@@ -13,8 +13,7 @@ and slides at +- sigma_f.
 Wires that a spring's preload or a weight draws straight at rest have none.
 Source: a dead zone between wire and matrix (sleeves, crimps), in series with the wire; fibres of a
 strand, or stretches of a sleeve, that come straight evenly over 0 to 2 q (Lanir 1983); play with
-Coulomb's friction (Armstrong-Helouvry et al. 1994).
-"""
+Coulomb's friction (Armstrong-Helouvry et al. 1994)."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at

@@ -6,8 +6,7 @@
 The first are lines that are wrong, the second are bent: of slope 1/C at no stress, and of (1 + r)/C
 far above sigma_k. Below 0 a wire that is held would transform in one snap, by its own stress.
 Source: Clausius and Clapeyron, eqs. (10), (11) with C_A, C_M that are wrong, or absent; lines that
-start at a critical stress: Brinson 1993.
-"""
+start at a critical stress: Brinson 1993."""
 
 import math
 

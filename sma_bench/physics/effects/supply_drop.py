@@ -4,8 +4,7 @@
     tau du/dt = R_b I - u
 
 Source: Ohm's law; R_o, I_k: a supply or a driver that gives way beyond a current; R_b, tau: a
-battery, whose drop comes and goes (Thevenin's model: Plett, Battery Management Systems 1, 2015).
-"""
+battery, whose drop comes and goes (Thevenin's model: Plett, Battery Management Systems 1, 2015)."""
 
 import math
 
@@ -15,8 +14,7 @@ from sma_bench.physics import columns as at
 
 @borrowing
 def power(wires, i, voltage, resistance, step):
-    """Heat in wire i [W] over a step when the driver reads `voltage`; a source of current holds
-    voltage / R, one of power voltage^2 / R."""
+    """Heat in wire i [W] over a step at a `voltage`; sources hold voltage / R, voltage^2 / R."""
     if wires[i, at.SOURCE] > 1.0:
         return voltage * voltage / wires[i, at.RESISTANCE]
     if wires[i, at.SOURCE] > 0.0:

@@ -3,8 +3,7 @@
     h(T) = h [1 + c (T - T_inf)]
 
 Linear in the excess: over 20 to 120 K natural convection (Churchill and Chu 1975, Ra^(1/6) and up)
-and radiation (T^4) are within a few percent of a line.
-"""
+and radiation (T^4) are within a few percent of a line."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at

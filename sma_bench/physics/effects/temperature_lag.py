@@ -4,8 +4,7 @@
 
 Source: first-order sensor; a slow share s, where a junction is warmed by its leads and its glue too
 (Moffat 1988). With an exposure t_e the reading goes through L(t_e/6) three times more, which has
-mean delay and width of an average over t_e.
-"""
+mean delay and width of an average over t_e."""
 
 import math
 

@@ -5,8 +5,7 @@
 The background is the air's temperature or, with thermal mass of the matrix, the silicone's. w: a
 spot that the wire leaves as the beam bends (e: contraction that bends it); o: wires opposite that
 lie in the spot.
-Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K.
-"""
+Source: radiance of a grey body in the 8 to 14 um band, about T^4.5 near 330 K."""
 
 from sma_bench.compiled import borrowing
 from sma_bench.physics import columns as at

@@ -6,8 +6,7 @@ and likewise g: shares of the grains that follow the logistic law, soft at both 
 exponential, which starts sharply and fades out, each with the mean and the deviation that the
 cosine's temperatures have; together they are 1 at most: of larger ones their ratio counts. Source:
 Ikuta et al. 1991; Tanaka 1986. Normal tails are `wire.transition_tail`, and inner loops
-`partial_transformation`.
-"""
+`partial_transformation`."""
 
 import math
 

@@ -6,8 +6,7 @@ Martensite's two temperatures move by c + c_M.
 
 The temperatures of a branch are those of the cycles done when it began: a transformation does not
 move the range that it is in.
-Source: functional fatigue of NiTi wires, saturating with the number of transformations.
-"""
+Source: functional fatigue of NiTi wires, saturating with the number of transformations."""
 
 import math
 

@@ -5,8 +5,7 @@
 K is the stiffness that stays (the paper's beta alpha), nu K the part that relaxes. Spread: two such
 parts, half of it each, with tau/8 and 8 tau, between which a power law's relaxation lies.
 Source: Zener's three-parameter solid and Prony's series, solved for an e that goes straight over a
-step.
-"""
+step."""
 
 import math
 

@@ -17,8 +17,7 @@ Laws of which the load decides the strain (`ORIENTING`, orientation.py) have bes
     orients(wires, i, stress) -> D, slope    compiled: the share of new martensite with a strain
     shifting(wires, i, stress)               what stands for sigma above, and its slope, both ways
 
-and the same of arrays, `oriented` and `shifting_stress`.
-"""
+and the same of arrays, `oriented` and `shifting_stress`."""
 
 from collections.abc import Mapping
 from importlib import import_module

@@ -13,8 +13,7 @@ vanish in proportion (orientation.py).
 
 Source: Brinson 1993. Simpler than hers: above M_s a wire at held stress transforms over M_s - M_f,
 not over (sigma_f - sigma_s)/C_M; a stress that was there before detwins nothing more. Parameters:
-sigma_s, and sigma_f - sigma_s (`wire.detwinning_stress_range`).
-"""
+sigma_s, and sigma_f - sigma_s (`wire.detwinning_stress_range`)."""
 
 from collections.abc import Mapping
 from typing import Any

@@ -2,8 +2,7 @@
 
     share = sin^2(pi/2 position)
 
-Source: eqs. (10), (11); Liang and Rogers 1990. No parameters but the four temperatures.
-"""
+Source: eqs. (10), (11); Liang and Rogers 1990. No parameters but the four temperatures."""
 
 import math
 

@@ -9,8 +9,7 @@ in temperatures, on heating and on cooling,
 
 A_s and M_s are where they start, A_f and M_f where 97.5 % is done. The rate of Tanaka's rule is in
 proportion to what is left, so that an inner loop follows the contract's rule. Source: Tanaka 1986,
-whose ends are at 99 %. No parameters but the four temperatures.
-"""
+whose ends are at 99 %. No parameters but the four temperatures."""
 
 import math
 

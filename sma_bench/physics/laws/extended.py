@@ -14,8 +14,7 @@ What has formed keeps its strain; on heating it vanishes with the fraction (orie
 
 Source: Lagoudas, Hartl et al. 2012, whose hardening with the exponents n = 1/2 gives the share; E9
 has the same H (identify/constitutive.py). Parameters: r (`wire.least_strain_share`: 0 untrained, 1
-fully trained), sigma_o (`wire.orientation_stress`).
-"""
+fully trained), sigma_o (`wire.orientation_stress`)."""
 
 import math
 from collections.abc import Mapping

@@ -8,8 +8,7 @@ rate along a branch is in proportion to what is left of the phase that vanishes,
     dxi = xi d(ln f)   while T rises,      d(1 - xi) = (1 - xi) d(ln g)   while it falls
 
 which is the contract's rule. Source: logistic branches Ikuta et al. 1991, Duhem's rule for wires
-Dutta and Ghorbel 2005. No parameters but the four temperatures.
-"""
+Dutta and Ghorbel 2005. No parameters but the four temperatures."""
 
 import math
 

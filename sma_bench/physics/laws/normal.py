@@ -31,8 +31,7 @@ Their variance stays s^2, and the four temperatures to half a kelvin where 2.5 a
 
 The clamps keep the ends of a wire cold (`wire.end_length` L, about sqrt(k d/4h)): at x from a clamp
 it is 1 - exp(-x/L) as warm above the room as in the middle. Each end is three pieces of length L
-with one play each, of the mean half width, at 0.25, 0.6 and 0.9 of the rise.
-"""
+with one play each, of the mean half width, at 0.25, 0.6 and 0.9 of the rise."""
 
 import math
 from collections.abc import Mapping
@@ -132,8 +131,7 @@ def cumulative(x):
 
 @borrowing
 def skewed(wires, i, away):
-    """Share of a group's grains at `away` deviations from the peak of their centres, and
-    exp(-x^2/2) as its density has it."""
+    """Share of a group's grains at `away` deviations from the centres' peak; exp(-x^2/2) there."""
     skew = wires[i, at.SKEW]
     wide, less = (1.0 + skew, skew) if away > 0.0 else (1.0 - skew, 0.0)
     share, density = cumulative(away / wide)
@@ -150,9 +148,7 @@ def pushed(wires, i, j, hot, cold, rise):
     half, play = wires[i, at.HALF_WIDTHS + j], wires[i, at.PLAY + j]
     if hot - half >= play:
         return hot - half, 1.0
-    if cold + half < play:
-        return max(cold + half, hot - half), -1.0
-    return play, 0.0
+    return (max(cold + half, hot - half), -1.0) if cold + half < play else (play, 0.0)
 
 
 @inlined
@@ -214,8 +210,7 @@ def begin(row: Array) -> None:
     low, high = float(least.min()), float(most.max())
     for _ in range(_HALVINGS):
         level = 0.5 * (low + high)
-        levels = np.maximum(least, np.minimum(level, most))
-        away = (levels - centres) * row[at.SHARPNESS]
+        away = (np.maximum(least, np.minimum(level, most)) - centres) * row[at.SHARPNESS]
         skew = np.where(away > 0.0, row[at.SKEW], -row[at.SKEW])
         done = (1.0 + skew) * ndtr(away / (1.0 + skew)) - np.where(away > 0.0, skew, 0.0)
         if 1.0 - done @ shares > row[at.FRACTION]:
