@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 from sma_bench.findings import Finding, Severity
@@ -19,24 +18,20 @@ NITI_SPECIFIC_HEAT = (400.0, 650.0)
 NITI_WORKING_STRESS = 250e6  # Pa, data sheets advise 170 to 200 for many cycles
 NITI_STRENGTH = 800e6  # Pa, where austenite of most wires slips
 LENGTH_TOLERANCE = 0.10
+_TEXTS: dict[str, dict[str, Any]] = read_declarations("audit.yaml")
 
 
 def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
-    """Check a lab's own numbers against each other and against correlations: a "warning" where
-    numbers clash (the text says which and by how much), "info" where a check passed. `papers_own`:
-    whether findings on numbers that are all the paper's stand one by one; else they are one line.
-    Warnings on the paper's numbers: PAPER_NOTES, 7 to 10 and 16."""
+    """Check a lab's numbers against each other and correlations: a "warning" where they clash (its
+    text says which and by how much), else "info". `papers_own`: whether findings on numbers all the
+    paper's stand one by one, or in one line. Warnings of these: PAPER_NOTES, 7 to 10 and 16."""
     thermal = _thermal(parameters)
-    checked = [
-        *_wire(parameters), *thermal[:2], _explanations(parameters, thermal), *thermal[2:],
-        *_material(parameters), *_drive_and_load(parameters),
-    ]
+    checked = [*_wire(parameters), *thermal[:2], _explanations(parameters, thermal), *thermal[2:],
+               *_material(parameters), *_drive_and_load(parameters)]
     found = [finding for finding in checked if finding is not None]
     if not papers_own:
-        papers = [
-            finding for finding in found
-            if all(parameters[n] == BY_NAME[n].default for n in _texts()[finding.subject]["of"])
-        ]
+        papers = [finding for finding in found if all(parameters[n] == BY_NAME[n].default
+                                                      for n in _TEXTS[finding.subject]["of"])]
         clashes = _clashing(papers)
         found = [finding for finding in found if finding not in papers]
         if papers:
@@ -53,16 +48,10 @@ def _clashing(findings: Sequence[Finding]) -> list[str]:
     return [finding.subject for finding in findings if finding.severity != "info"]
 
 
-@cache
-def _texts() -> dict[str, dict[str, Any]]:
-    return read_declarations("audit.yaml")
-
-
-def _judged(
-    parameters: Parameters, subject: str, clash: str, numbers: dict[str, float], **facts: Any
-) -> Finding:
+def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str, float],
+            **facts: Any) -> Finding:
     """A warning where numbers clash, in the words of audit.yaml, with numbers and facts in them."""
-    texts = _texts()[subject]
+    texts = _TEXTS[subject]
     facts["wire"] = f"{parameters['wire.diameter'] * 1e3:.2g} mm NiTi wire"
     text = texts["text"] + (texts[clash] if clash else texts.get("passed", ": plausible"))
     severity: Severity = "warning" if clash else "info"
@@ -102,12 +91,9 @@ def _wire(p: Parameters) -> list[Finding]:
     return [lengths, _judged(p, "resistivity", clash, numbers, verdicts=said, **facts)]
 
 
-def _against(
-    p: Parameters, subject: str, name: str, value: float, low: float, high: float,
-    of_air: float = 1.0,
-) -> Finding:
-    """A number against what is usual, which may be off by a factor where it is that of still air;
-    `factor` is how far beyond."""
+def _against(p: Parameters, subject: str, name: str, value: float, low: float, high: float,
+             of_air: float = 1.0) -> Finding:
+    """A number against what is usual, off by `of_air` in still air; `factor`: how far beyond."""
     ends = ("low", "high") if of_air == 1.0 else ("still_air_low", "still_air_high")
     clash, numbers = "", {name: value, **dict(zip(ends, (low, high), strict=True))}
     if not low / of_air <= value <= high * of_air:
@@ -139,9 +125,7 @@ def _thermal(p: Parameters) -> list[Finding]:
 
 
 def _explanations(p: Parameters, thermal: Sequence[Finding]) -> Finding | None:
-    """What would explain a heat transfer coefficient that still air does not give: each error is
-    undone in the numbers and all are checked again."""
-
+    """What explains a heat transfer unlike still air's: each error is undone, all checked again."""
     def listed(names: Sequence[str]) -> str:
         return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
 
@@ -179,11 +163,9 @@ def _explanations(p: Parameters, thermal: Sequence[Finding]) -> Finding | None:
 def _material(p: Parameters) -> list[Finding]:
     """Order of the transition temperatures, and thermal expansion against that of NiTi."""
     kelvin = {symbol: p[name] for symbol, name in TRANSITIONS.items()}
-    clashes = [
-        f"{upper} lies {kelvin[upper] - kelvin[lower]:.2f} K above {lower}"
-        for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
-        if kelvin[upper] >= kelvin[lower]
-    ]
+    clashes = [f"{upper} lies {kelvin[upper] - kelvin[lower]:.2f} K above {lower}"
+               for upper, lower in (("M_s", "A_s"), ("M_s", "A_f"), ("M_f", "A_s"))
+               if kelvin[upper] >= kelvin[lower]]
     numbers, said = {"overlap": kelvin["M_s"] - kelvin["A_s"]}, ", ".join(clashes)
     clash = "overlap" if clashes else ""
     order = _judged(p, "transition order", clash, numbers, clashes=said, **kelvin)

@@ -1,5 +1,4 @@
-"""Each node's own parameters, besides the contract's: what nodes.yaml declares; and the pages of
-documentation that the tables of parameters and effects generate."""
+"""Each node's own parameters (nodes.yaml); the generated pages of parameters and effects."""
 
 from collections.abc import Collection, Iterable
 from pathlib import Path

@@ -22,10 +22,8 @@ class Test(NamedTuple):
 
     def stds(self, parameters: Parameters) -> dict[str, float]:
         """What it leaves, in the parameters' units."""
-        return {
-            name: std if name.endswith("_temperature") else std * abs(parameters[name])
-            for name, std in self.leaves.items()
-        }
+        return {name: std if name.endswith("_temperature") else std * abs(parameters[name])
+                for name, std in self.leaves.items()}
 
 
 TESTS = {name: Test(**row) for name, row in read_yaml(Path(__file__).with_suffix(".yaml")).items()}

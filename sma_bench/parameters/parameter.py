@@ -4,8 +4,7 @@ the declarations of effects, what the paper's model leaves out.
 An effect is one file, `physics/effects/<name>.py`, whose docstring is title, equation and source
 and below which stands the compiled equation, and one entry of effects.yaml: everything else that is
 to be known of it. The docstrings are read out of the files' text, without importing them: a
-parameter file is read without loading the compiler.
-"""
+parameter file is read without loading the compiler."""
 
 import inspect
 import math
@@ -21,7 +20,6 @@ from sma_bench.errors import InputError
 
 Kind = Literal["double", "integer", "bool", "string", "strings"]
 Value = float | int | bool | str | tuple[str, ...]
-
 _EXPECTED: dict[str, tuple[type | tuple[type, ...], str]] = {
     "double": ((int, float), "a number"),
     "integer": (int, "a whole number"),
@@ -44,8 +42,7 @@ class Parameter:
     provenance: str  # paper table or equation, or "assumed: why"
     low: Any = None  # inclusive range of a number, in its unit; None of a text
     high: Any = None
-    # standard deviation, in its unit, of a value that a file states without one: what a careful lab
-    # knows such a number to
+    # standard deviation, in its unit, of a value stated without one: as a careful lab knows it
     uncertainty: float | None = None
     # of a value that nobody stated: how far such numbers lie apart between the wires and benches of
     # the field, by spread_source; None: as uncertainty (a sensor's data sheet, an effect's number)
@@ -60,8 +57,7 @@ class Parameter:
         return self.uncertainty if self.spread is None else self.spread
 
     def validated(self, value: Any, where: str = "") -> Value:
-        """The value in its own type. Raises InputError: wrong type, not finite, or outside the
-        range; `where` leads the line."""
+        """The value in its own type. InputError, after `where`: wrong type, infinite, outside."""
         prefix = f"{where}: " if where else ""
         types, expected = _EXPECTED[self.kind]
         fits = isinstance(value, types) and isinstance(value, bool) == (self.kind == "bool")
@@ -104,9 +100,8 @@ def declared(tree: Mapping[str, Any], prefix: str = "") -> tuple[Parameter, ...]
         kind, default = _KINDS[own.pop("type")], own.pop("default_value")
         low, high = own.pop("validation", {}).get("bounds<>", (None, None))
         unit, said, source = (own.pop(key) for key in ("unit", "description", "source"))
-        found.append(
-            Parameter(prefix + name, unit, default, said, source, low, high, kind=kind, **own)
-        )
+        found.append(Parameter(prefix + name, unit, default, said, source, low, high, kind=kind,
+                               **own))
     return tuple(found)
 
 
@@ -114,9 +109,8 @@ class _Loader(yaml.CSafeLoader):
     """Takes lists as tuples."""
 
 
-_Loader.add_constructor(
-    "tag:yaml.org,2002:seq", lambda self, node: tuple(self.construct_sequence(node, deep=True))
-)
+_Loader.add_constructor("tag:yaml.org,2002:seq",
+                        lambda self, node: tuple(self.construct_sequence(node, deep=True)))
 
 
 def read_declarations(name: str) -> dict[str, Any]:
@@ -129,7 +123,6 @@ def read_declarations(name: str) -> dict[str, Any]:
 
 EFFECT_PREFIX = "effect."
 EFFECT_FILES = Path(__file__).resolve().parents[1] / "physics" / "effects"
-
 Stage = Literal["electrical", "thermal", "transformation", "mechanical", "sensor"]
 LOAD_KINDS = ("clamped", "displacement", "force", "spring", "antagonist", "beam")
 LAWS = ("cosine", "exponential", "logistic", "normal", "brinson", "extended")
@@ -232,9 +225,8 @@ EFFECT_TABLE: tuple[Parameter, ...] = tuple(p for e in EFFECTS.values() for p in
 TABLE: tuple[Parameter, ...] = (*declared(read_declarations("parameters.yaml")), *EFFECT_TABLE)
 BY_NAME: dict[str, Parameter] = {parameter.name: parameter for parameter in TABLE}
 # Uncertainties of sensors whose scales are known, as those of a simulated bench are.
-EXACT_SENSORS = {
-    p.name: 0.0 for p in TABLE if p.name.startswith("sensor.") and not p.name.endswith(".lag")
-}
+EXACT_SENSORS = {p.name: 0.0 for p in TABLE if p.name.startswith("sensor.")
+                 and not p.name.endswith(".lag")}
 TRANSITIONS = {
     "A_s": "wire.austenite_start_temperature",
     "A_f": "wire.austenite_finish_temperature",

@@ -23,8 +23,7 @@ _LONGEST_LIST = 800  # characters of what stands for a set of parameters
 _SPREAD = "wire.hysteresis_spread"
 _DEFAULTS: dict[str, Any] = {p.name: p.default for p in TABLE}
 _CHANNEL_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*\Z")
-# What must hold between numbers, beside the range of each in the table: the first below the second,
-# and what a load cannot be without, above 0.
+# What must hold between numbers: the first below the second, what a load cannot be without above 0.
 ORDERED = ((TRANSITIONS["A_s"], TRANSITIONS["A_f"]), (TRANSITIONS["M_f"], TRANSITIONS["M_s"]))
 # Laws of which the load decides the strain: from which stress on, or how much without; how fast.
 ORIENTING = {
@@ -50,11 +49,9 @@ def load_kind(parameters: Mapping[str, Any]) -> str:
 def idle_effects(parameters: Mapping[str, Any]) -> dict[str, str]:
     """Effects that are on under a load that cannot have them, with what was expected."""
     kind = load_kind(parameters)
-    return {
-        name: f"effect {name} with load.kind {kind}, expected {' or '.join(effect.loads)}"
-        for name, effect in EFFECTS.items()
-        if kind not in effect.loads and effect.is_on(parameters)
-    }
+    return {name: f"effect {name} with load.kind {kind}, expected {' or '.join(effect.loads)}"
+            for name, effect in EFFECTS.items() if kind not in effect.loads
+            and effect.is_on(parameters)}
 
 
 def hysteresis(parameters: Mapping[str, Any]) -> tuple[float, float, float]:
@@ -78,17 +75,13 @@ def nearest_spread(parameters: Mapping[str, Any], wanted: float) -> float:
 
 
 class Parameters(Mapping[str, Value]):
-    """Values of all contract parameters in SI units, each with a standard deviation. `given` holds
-    the names whose value or uncertainty someone stated: what is not in it is a default, which fills
-    gaps and is no knowledge of this bench."""
+    """Values of all contract parameters in SI units, each with a standard deviation. `given`: names
+    whose value or uncertainty someone stated; others are defaults, no knowledge of this bench."""
 
-    def __init__(
-        self, values: Mapping[str, Any] | None = None,
-        uncertainty: Mapping[str, float] | None = None, where: str = "",
-    ) -> None:
+    def __init__(self, values: Mapping[str, Any] | None = None,
+                 uncertainty: Mapping[str, float] | None = None, where: str = "") -> None:
         """Defaults of the table, overridden by `values` (names with `uncertainty.` among them) and
-        `uncertainty`. Raises InputError: unknown name, wrong type, out of range or contradicting
-        values; `where` (a file, say) leads the line."""
+        `uncertainty`. InputError, led by `where`: unknown name, wrong type, outside, at odds."""
         self._values: dict[str, Value] = dict(_DEFAULTS)
         self._std: dict[str, float] = {}
         self.given: frozenset[str] = frozenset()
@@ -122,92 +115,87 @@ class Parameters(Mapping[str, Value]):
                     self._values[lower] = self[upper] - width
                 else:
                     self._values[upper] = self[lower] + width
-        unstated = _SPREAD not in self.given
-        if self["wire.law"] == "normal" and unstated and hysteresis(self)[2] > 0.0:
+        if self["wire.law"] == "normal" and _SPREAD not in self.given and hysteresis(self)[2] > 0.0:
             self._values[_SPREAD] = nearest_spread(self, _DEFAULTS[_SPREAD])
         if "wire.heat_transfer_coefficient" not in self.given:
             h = _DEFAULTS["wire.heat_transfer_coefficient"]
             if self["wire.convection"] == "free":
-                h = free_coefficient(self["wire.diameter"], self["environment.ambient_temperature"])
+                ambient = self["environment.ambient_temperature"]
+                surface = ambient + REFERENCE_EXCESS
+                h = natural_convection(self["wire.diameter"], surface, ambient)
+                h += radiation(OXIDISED, surface, ambient)
             self._values["wire.heat_transfer_coefficient"] = h
-        if fault := self._fault():
+        if fault := next(self._faults(), ""):
             raise InputError(lead + fault)
 
-    def _fault(self) -> str:
-        """What does not fit together, or ""."""
+    def _faults(self) -> Iterator[str]:
+        """What does not fit together."""
         for lower, upper in ORDERED:
             if self[lower] >= self[upper]:
-                return f"{lower} {self[lower]:g} K must lie below {upper} {self[upper]:g} K"
-        channels, sides = self["bench.channels"], self["bench.channel_sides"]
+                yield f"{lower} {self[lower]:g} K must lie below {upper} {self[upper]:g} K"
+        channels, sides, law = self["bench.channels"], self["bench.channel_sides"], self["wire.law"]
         if not channels:
-            return "bench.channels is empty, expected one name or more"
+            yield "bench.channels is empty, expected one name or more"
         for channel in channels:
             if not _CHANNEL_NAME.match(channel):
                 rule = "(a letter, then letters, digits, underscores)"
-                return f"bench.channels: {channel!r} is not a ROS name {rule}"
+                yield f"bench.channels: {channel!r} is not a ROS name {rule}"
         if len(set(channels)) != len(channels):
-            return f"bench.channels: {list(channels)} has a name twice"
+            yield f"bench.channels: {list(channels)} has a name twice"
         if len(sides) != len(channels):
             entries = f"{len(sides)} entries, expected {len(channels)} as bench.channels"
-            return f"bench.channel_sides has {entries}"
+            yield f"bench.channel_sides has {entries}"
         for side in sides:
             if side not in SIDES:
-                return f"bench.channel_sides: {side!r}, expected front or back"
+                yield f"bench.channel_sides: {side!r}, expected front or back"
         for name, choices in CHOICES.items():
             if self[name] not in choices:
-                return f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
-        if self["wire.law"] != "cosine" and (fault := self._fault_of_law()):
-            return fault
-        for name in OF_NORMAL if self["wire.law"] != "normal" else ():
+                yield f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
+        if law != "cosine":
+            yield from self._faults_of_law(law)
+        for name in OF_NORMAL if law != "normal" else ():
             if self[name] != 0.0:
                 value = f"{name} is {self[name]:g}{' m' * (BY_NAME[name].unit == 'm')}"
-                return f"{value} with wire.law {self['wire.law']}, expected 0, or law normal"
+                yield f"{value} with wire.law {law}, expected 0, or law normal"
         kind, used = load_kind(self), len(set(sides))
         for name in LOAD_NEEDS.get(kind, ()):
             if self[name] <= 0.0:
                 value = f"{self[name]:g} {BY_NAME[name].unit}"
-                return f"{name} is {value}, expected above 0 with load.kind {kind}"
+                yield f"{name} is {value}, expected above 0 with load.kind {kind}"
         wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
         if used != wanted:
             wants = f"{kind}, expected {'front and back' if wanted == 2 else 'one side'}"
-            return f"bench.channel_sides: {list(sides)} with load.kind {wants}"
+            yield f"bench.channel_sides: {list(sides)} with load.kind {wants}"
         # Where a load can rub or stiffen: its ends move, and no wire hangs.
-        for name, loads in (
-            ("load.friction", ("clamped", "force", "spring", "antagonist")),
-            ("load.stiffening", ("clamped", "spring")),
-        ):
+        for name, loads in (("load.friction", ("clamped", "force", "spring", "antagonist")),
+                            ("load.stiffening", ("clamped", "spring"))):
             if self[name] != 0.0 and (kind not in loads or EFFECTS["slack"].is_on(self)):
                 against = "effect slack, expected one of them at 0"
                 against = against if kind in loads else f"load.kind {kind}, expected 0"
-                return f"{name} is {self[name]:g} {BY_NAME[name].unit} with {against}"
-        # What is imposed neither drifts nor hangs.
-        return next(iter(idle_effects(self).values()), "") if kind == "displacement" else ""
+                yield f"{name} is {self[name]:g} {BY_NAME[name].unit} with {against}"
+        if kind == "displacement":  # what is imposed neither drifts nor hangs
+            yield from idle_effects(self).values()
 
-    def _fault_of_law(self) -> str:
-        """What cannot be beside `wire.law`, or ""."""
-        law = self["wire.law"]
+    def _faults_of_law(self, law: str) -> Iterator[str]:
+        """What cannot be beside `wire.law`."""
         for effect in EFFECTS.values():
             if law not in effect.laws and effect.is_on(self):
-                others = ", ".join(effect.laws)
-                return f"effect {effect.name} with wire.law {law}, expected {others}"
+                yield f"effect {effect.name} with wire.law {law}, expected {', '.join(effect.laws)}"
         for smoother in SMOOTHER:
             if self[smoother] != 0.0:
-                return f"{smoother} is {self[smoother]:g}, expected 0 with wire.law {law}"
-        if law != "normal":
-            return ""
-        heating, cooling, mean = hysteresis(self)
-        width = f"{2.0 * mean:.4g} K"
-        if mean <= 0.0:
-            return f"wire.law normal: the mean hysteresis is {width} wide, expected above 0 K"
-        low, high = possible_spread(self)
-        spread, high = self[_SPREAD], min(high, BY_NAME[_SPREAD].high)
-        if low - 1e-9 <= spread <= high + 1e-9:
-            return ""
-        ranges = f"ranges of {heating * BRANCH:.4g} and {cooling * BRANCH:.4g} K"
-        return (
-            f"{_SPREAD} is {spread:.3g}, expected {low:.3g} to {high:.3g}: {ranges} about a "
-            f"hysteresis of {width} leave no covariance of grains beyond that"
-        )
+                yield f"{smoother} is {self[smoother]:g}, expected 0 with wire.law {law}"
+        if law == "normal":
+            heating, cooling, mean = hysteresis(self)
+            width = f"{2.0 * mean:.4g} K"
+            if mean <= 0.0:
+                yield f"wire.law normal: the mean hysteresis is {width} wide, expected above 0 K"
+            low, high = possible_spread(self)
+            spread, high = self[_SPREAD], min(high, BY_NAME[_SPREAD].high)
+            if not low - 1e-9 <= spread <= high + 1e-9:
+                ranges = f"ranges of {heating * BRANCH:.4g} and {cooling * BRANCH:.4g} K"
+                wants = f"expected {low:.3g} to {high:.3g}: {ranges} about a hysteresis of {width}"
+                beyond = "leave no covariance of grains beyond that"
+                yield f"{_SPREAD} is {spread:.3g}, {wants} {beyond}"
 
     @classmethod
     def defaults(cls) -> "Parameters":
@@ -238,9 +226,8 @@ class Parameters(Mapping[str, Value]):
         return f"<Parameters: {len(self.given)} stated: {stated}>"
 
     def std(self, name: str) -> float:
-        """One standard deviation of `name`, absolute, in its unit: the stated one, else the table's
-        uncertainty of a stated value, else the table's spread. Raises InputError: the parameter is
-        unknown or has no uncertainty (a name, a limit)."""
+        """Standard deviation of `name`, absolute, in its unit: the stated one, else the table's of
+        a stated value, else its spread. InputError: unknown, or without one (a name, a limit)."""
         self[name]
         std = BY_NAME[name].uncertainty if name in self.given else BY_NAME[name].default_std
         if std is None:
@@ -252,10 +239,8 @@ class Parameters(Mapping[str, Value]):
         """Standard deviations that were set by someone."""
         return dict(self._std)
 
-    def replace(
-        self, values: Mapping[str, Any] | None = None,
-        uncertainty: Mapping[str, float] | None = None, where: str = "",
-    ) -> "Parameters":
+    def replace(self, values: Mapping[str, Any] | None = None,
+                uncertainty: Mapping[str, float] | None = None, where: str = "") -> "Parameters":
         """A new set with some values and uncertainties replaced; raises as the constructor does."""
         # What is here has been checked: a fit makes thousands of sets.
         other = copy(self)
@@ -314,19 +299,12 @@ def natural_convection(diameter: float, surface: float, ambient: float) -> float
     resisted = film * (viscosity / density) * diffusivity
     rayleigh = GRAVITY * (surface - ambient) * diameter**3 / resisted
     shape = (1.0 + (0.559 / prandtl) ** (9 / 16)) ** (8 / 27)
-    nusselt = (0.60 + 0.387 * rayleigh ** (1 / 6) / shape) ** 2
-    return nusselt * conductivity / diameter
+    return (0.60 + 0.387 * rayleigh ** (1 / 6) / shape) ** 2 * conductivity / diameter
 
 
 def radiation(emissivity: float, surface: float, ambient: float) -> float:
     """Heat transfer coefficient [W/(m2 K)] of grey radiation to surroundings at `ambient` [K]."""
     return emissivity * STEFAN_BOLTZMANN * (surface**2 + ambient**2) * (surface + ambient)
-
-
-def free_coefficient(diameter: float, ambient: float) -> float:
-    """h [W/(m2 K)] of a bare wire of that diameter [m] in still air, 60 K above ambient [K]."""
-    surface = ambient + REFERENCE_EXCESS
-    return natural_convection(diameter, surface, ambient) + radiation(OXIDISED, surface, ambient)
 
 
 def free_exponent(diameter: float, ambient: float) -> float:

@@ -18,9 +18,8 @@ WILDCARD = "/**"
 
 
 def read_parameter_names(path: str | Path, node: str | None = None) -> dict[str, Any]:
-    """Dotted names and raw values that a node loads from a ROS parameter file. `node`: its full
-    name, `/bench/simulator`; None for what every node loads. Raises InputError: unreadable, not
-    YAML, no section for the node, or two for it that disagree."""
+    """Dotted names, raw values that a node (`/bench/simulator`; None: every) loads from a ROS file.
+    InputError: unreadable, not YAML, no section for it, or two that disagree."""
     document = read_yaml(path)
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected a ROS parameter file ('{WILDCARD}: ros__parameters:')")
@@ -79,8 +78,7 @@ def read_parameters(path: str | Path) -> Parameters:
 
 
 def stated_names(named: Mapping[str, Any]) -> Mapping[str, Any]:
-    """What of dotted names someone stated: all of them, but of a node's dump, which has every
-    parameter, only what is not as the node would declare it."""
+    """What of dotted names someone stated: all, but of a node's dump what is no default."""
     if not named.keys() >= BY_NAME.keys():
         return named
 
@@ -92,11 +90,10 @@ def stated_names(named: Mapping[str, Any]) -> Mapping[str, Any]:
     return {n: v for n, v in named.items() if n.removeprefix(UNCERTAINTY_PREFIX) not in left}
 
 
-def write_parameters(
-    path: str | Path, parameters: Parameters, comment: str = "", names: Iterable[str] | None = None,
-    *, sources: Mapping[str, str] | None = None, template: str | Path | None = None,
-    explain: bool = False,
-) -> None:
+def write_parameters(path: str | Path, parameters: Parameters, comment: str = "",
+                     names: Iterable[str] | None = None, *,
+                     sources: Mapping[str, str] | None = None, template: str | Path | None = None,
+                     explain: bool = False) -> None:
     """Write a ROS parameter file that every node loads as it is, with units, ranges and sources.
 
     The file appears whole or not at all. What nobody stated stands in it as a comment, but the
@@ -154,8 +151,7 @@ _OWN = " | "  # between a person's comment and what is written beside it anew
 
 
 def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str]], dict[str, str]]:
-    """What a person wrote into a parameter file: at its head, and by dotted name above and beside a
-    value; nothing where there is none."""
+    """What a person wrote into a file, if there is one: at its head, above and beside values."""
     head: list[str] = []
     above: dict[str, list[str]] = {}
     beside: dict[str, str] = {}
@@ -188,13 +184,10 @@ def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str
     return head, above, beside
 
 
-def _write(
-    path: str | Path, named: Mapping[str, Any], comment: str, template: str | Path | None,
-    notes: Mapping[str, str] | None = None, explained: Mapping[str, str] | None = None,
-    unstated: AbstractSet[str] = frozenset(),
-) -> None:
-    """One value a line, those of `unstated` behind a #; what a person wrote into the template
-    stands first, above and beside it."""
+def _write(path: str | Path, named: Mapping[str, Any], comment: str, template: str | Path | None,
+           notes: Mapping[str, str] | None = None, explained: Mapping[str, str] | None = None,
+           unstated: AbstractSet[str] = frozenset()) -> None:
+    """One value a line, those of `unstated` behind a #; with what a person put in the template."""
     head, above, beside = _comments_of(template)
     body: dict[str, Any] = {}
     for name, value in named.items():
@@ -230,8 +223,7 @@ def _write(
 
 
 def write_text_atomically(path: str | Path, text: str) -> None:
-    """Write a file whole or not at all; one that is replaced keeps its mode, a link stays one.
-    Raises InputError: the folder cannot be written."""
+    """Write a file whole or not at all, mode and link kept; InputError: it cannot be written."""
     with errors_in(f"{path}: cannot write"):
         write_files({Path(path): text.encode("utf-8", "backslashreplace")})
 
