@@ -31,7 +31,6 @@ _STRAIN = 0.01  # at which laws of the beam are compared
 _THERMAL_EXPANSION = 23.91e6
 _PRINTED_STRESS = 13e6  # Pa, section III.B.1
 _CURRENT_RANGE, _VOLTAGE_RANGE = 3.0, 10.0  # A, V, section IV
-
 Facts = dict[int, dict[str, object]]
 """numbers by the number of the erratum and a name of errata.yaml; "check" in it: from elsewhere"""
 
@@ -78,23 +77,18 @@ def _beam(beam: Beam) -> Facts:
     millimetres = replace(beam, **{n: unit * getattr(beam, n) for n, unit in units.items()})
     # EI of two layers about their common neutral axis, from first principles.
     passive, active = beam.thickness, beam.layer_thickness
-    layers = (
-        (beam.width * beam.modulus, passive, 0.5 * passive),
-        (beam.layer_width * beam.layer_modulus, active, passive + 0.5 * active),
-    )
+    layers = ((beam.width * beam.modulus, passive, 0.5 * passive),
+              (beam.layer_width * beam.layer_modulus, active, passive + 0.5 * active))
     neutral = sum(e * h * z for e, h, z in layers) / sum(e * h for e, h, _ in layers)
     parallel = sum(e * (h**3 / 12.0 + h * (z - neutral) ** 2) for e, h, z in layers)
     x = np.linspace(0.0, beam.length, 2001)
     stiffnesses: dict[str, object] = {"check": parallel}
-    for form, law in (
-        ("printed", paper.bending_stiffness_as_printed), ("corrected", bending.bending_stiffness)
-    ):  # fmt: skip
+    for form, law in (("printed", paper.bending_stiffness_as_printed),
+                      ("corrected", bending.bending_stiffness)):
         stiffnesses |= {form: law(beam), f"{form}_mm": 1e-6 * law(millimetres)}
-    return {1: stiffnesses, 2: {
-        "printed": paper.deflection_as_printed(_STRAIN, beam),
-        "corrected": bending.deflection(_STRAIN, beam),
-        "check": trapezoid(bending.curvature(_STRAIN, beam) * x, x),
-    }}  # fmt: skip
+    return {1: stiffnesses, 2: {"printed": paper.deflection_as_printed(_STRAIN, beam),
+                                "corrected": bending.deflection(_STRAIN, beam),
+                                "check": trapezoid(bending.curvature(_STRAIN, beam) * x, x)}}
 
 
 def _linearised(point: OperatingPoint) -> Facts:
@@ -130,11 +124,10 @@ def _linearised(point: OperatingPoint) -> Facts:
             found[4][f"{where}_check"] = law(xi - away)
     # 5, the heating.
     ohm, at, per = parameters["wire.resistance"], table["heating at V*"], table["heating per volt"]
-    found[5] = {
-        "volt": volt, "at_printed": at.printed, "at_corrected": at.corrected,
-        "at_check": volt**2 / ohm, "per_printed": per.printed, "per_corrected": per.corrected,
-        "per_check": ((volt + small) ** 2 - (volt - small) ** 2) / (2.0 * small * ohm),
-    }  # fmt: skip
+    found[5] = {"volt": volt, "at_printed": at.printed, "at_corrected": at.corrected,
+                "at_check": volt**2 / ohm, "per_printed": per.printed,
+                "per_corrected": per.corrected,
+                "per_check": ((volt + small) ** 2 - (volt - small) ** 2) / (2.0 * small * ohm)}
     # 6, the kinetics, on heating at the point and in the middle of an unloaded cooling.
     ends_of = (parameters[f"wire.martensite_{end}_temperature"] for end in ("start", "finish"))
     found[6] = {}
@@ -204,8 +197,7 @@ def _loads(numbers: Parameters) -> Facts:
 
 def _history(numbers: Parameters) -> Facts:
     """17, eq. (6) from a reference that carries stress; 18, eqs. (10), (11) without fractions."""
-    # From xi_0 and a contraction c_0 to xi, c. eps and xi count from rest, where the wire is
-    # martensite: eps_L (xi - 1) of its length.
+    # From xi_0, a contraction c_0 to xi, c; both count from rest, martensite: eps_L (xi - 1).
     limit, xi_0, c_0, xi, c = numbers["wire.maximum_recoverable_strain"], 0.6, 0.02, 0.2, 0.03
     states = ((xi_0, c_0), (xi, c))
     begun, at_once = (float(material.stress(340.0, *state, numbers)) for state in states)
@@ -235,8 +227,7 @@ def _layers(rig: Parameters) -> dict[str, object]:
     sheet, real = bending.deflection(1.0, paper.as_printed(beam)), bending.deflection(1.0, beam)
 
     def by_energy(width: float) -> float:
-        """alpha [m]: layers of one curvature and of strains that differ by the curvature times
-        their distance; the energy is least."""
+        """alpha [m] by least energy: one curvature, strains apart by it times their distance."""
         matrix, wires = beam.modulus * beam.width * thick, beam.layer_modulus * width * layer
         own = (matrix * thick**2 + wires * layer**2) / 12.0
         apart, series = 0.5 * top, matrix * wires / (matrix + wires)
@@ -254,11 +245,9 @@ def _layers(rig: Parameters) -> dict[str, object]:
     beta = bending.stress_per_deflection(paper.as_printed(beam))
     stiff = front * rig["wire.austenite_modulus"] / sheet
     twice, once = _STRAIN * sheet * stiff / (beta + stiff), _STRAIN * sheet
-    return {
-        "sheet_width": 1e3 * beam.width, "width": 1e3 * beam.layer_width,
-        "width_check": 1e3 * section / layer,
-        "sheet": sheet, "real": real, "real_check": by_energy(beam.layer_width),
-        "neutral": 1e3 * (neutral - 0.5 * thick), "neutral_check": 1e3 * (sliced - 0.5 * thick),
-        "twice": twice, "once": once, "once_check": _STRAIN * by_energy(beam.width),
-        "low": 1e3 * thick, "high": 1e3 * top, "lost": 1.0 - twice / once,
-    }  # fmt: skip
+    return {"sheet_width": 1e3 * beam.width, "width": 1e3 * beam.layer_width,
+            "width_check": 1e3 * section / layer, "sheet": sheet, "real": real,
+            "real_check": by_energy(beam.layer_width), "neutral": 1e3 * (neutral - 0.5 * thick),
+            "neutral_check": 1e3 * (sliced - 0.5 * thick), "twice": twice, "once": once,
+            "once_check": _STRAIN * by_energy(beam.width), "low": 1e3 * thick, "high": 1e3 * top,
+            "lost": 1.0 - twice / once}

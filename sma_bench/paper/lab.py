@@ -38,9 +38,8 @@ _SAME_STRESS = 5e6  # Pa
 _MEASURED, _SYNTHESISED = 0.1, 0.9
 
 
-def paper_page(
-    records: Sequence[object], parameters: Parameters, report: Report = silent
-) -> PaperPage:
+def paper_page(records: Sequence[object], parameters: Parameters,
+               report: Report = silent) -> PaperPage:
     """Identify the given records, simulate the paper's for what they do not hold, compare.
 
     `records`: the user's, already read; none for a page of synthetic data. `parameters`: what is
@@ -77,9 +76,8 @@ def paper_page(
     return PaperPage(outcomes, pictures, tables, paper_errata(), notes)
 
 
-def sort_records(
-    records: Sequence[object], parameters: Parameters
-) -> tuple[LabRecords, list[Finding]]:
+def sort_records(records: Sequence[object],
+                 parameters: Parameters) -> tuple[LabRecords, list[Finding]]:
     """A laboratory's records by the figures that they feed; a warning for each that feeds nothing.
 
     A bag with several driven wires and a deflection is of the composite; one with a force and
@@ -133,12 +131,10 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
     return uses
 
 
-def identify_lab(
-    records: LabRecords, parameters: Parameters, *, synthetic: bool
-) -> tuple[dict[str, ExperimentResults], list[Finding]]:
-    """Run every experiment that the records allow. `parameters`: what is known beforehand;
-    `synthetic`: whether the records are. Returns outcomes by kind ("E1" to "E3", "E5" to "E8", "E6
-    stresses"), and why others are missing."""
+def identify_lab(records: LabRecords, parameters: Parameters, *,
+                 synthetic: bool) -> tuple[dict[str, ExperimentResults], list[Finding]]:
+    """Run all experiments that records, `synthetic` or not, allow, knowing `parameters`: outcomes
+    by kind ("E1" to "E3", "E5" to "E8", "E6 stresses"), and why others are missing."""
     found: dict[str, ExperimentResults] = {}
     notes: list[Finding] = []
     for group, kinds in KINDS.items():
@@ -170,9 +166,8 @@ def _identified(parameters: Parameters, outcomes: Iterable[ExperimentResults]) -
     return parameters.replace(values, {n: e.std for n, e in estimates.items()}, "identified")
 
 
-def _synthetic_outcomes(
-    paper: Parameters, measured: Mapping[str, ExperimentResults], report: Report
-) -> dict[str, ExperimentResults]:
+def _synthetic_outcomes(paper: Parameters, measured: Mapping[str, ExperimentResults],
+                        report: Report) -> dict[str, ExperimentResults]:
     """Outcomes of the kinds of experiment that no measured record gave."""
     groups = [g for g, kinds in KINDS.items() if not set(kinds) <= set(measured)]
     found: dict[str, ExperimentResults] = {}
@@ -181,10 +176,9 @@ def _synthetic_outcomes(
     return {kind: outcome for kind, outcome in found.items() if kind not in measured}
 
 
-def _validation(
-    records: LabRecords, parameters: Parameters, outcomes: Mapping[str, ExperimentResults],
-    notes: list[Finding], *, synthetic: bool = False,
-) -> Picture | None:
+def _validation(records: LabRecords, parameters: Parameters,
+                outcomes: Mapping[str, ExperimentResults], notes: list[Finding], *,
+                synthetic: bool = False) -> Picture | None:
     """Fig. 6, simulated with what was identified from data of the same origin."""
     if not records.get("validation"):
         return None
@@ -199,9 +193,8 @@ def _validation(
         return None
 
 
-def _runs(
-    records: LabRecords, rig: Parameters, notes: list[Finding], *, synthetic: bool = False
-) -> list[CompositeRun]:
+def _runs(records: LabRecords, rig: Parameters, notes: list[Finding], *,
+          synthetic: bool = False) -> list[CompositeRun]:
     found = []
     for record in records.get("composite", ()):
         try:

@@ -1,5 +1,4 @@
-"""The paper redrawn as one page: its figures, its Tables I to III and numbers outside them against
-identified values, its errata."""
+"""The paper redrawn as one page: figures, tables and numbers against identified ones, errata."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -37,8 +36,7 @@ _PAGE: dict[str, Any] = read_yaml(Path(__file__).with_name("page.yaml"))
 
 @dataclass(frozen=True)
 class ExperimentResults:
-    """Results of one kind of experiment: `experiments` one a record, `estimates` joined over them,
-    `synthetic` whether the records are."""
+    """Of one kind of experiment: one a record, estimates joined over all, whether synthetic."""
 
     experiments: tuple[Experiment, ...]
     estimates: dict[str, Estimate]
@@ -74,8 +72,7 @@ class Row:
 
     @property
     def cells(self) -> tuple[str, str, str]:
-        """The paper's number with its deviation, the identified one, and its standard error: as
-        many decimals as two digits of the error need."""
+        """The paper's number with its deviation, the identified one, its error to two digits."""
         std = "" if math.isnan(self.printed_std) else f" ± {self.printed_std:g}"
         paper = "none" if math.isnan(self.printed) else f"{self.printed:g}{std}"
         if self.estimate is None:
@@ -106,10 +103,8 @@ def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
                 value = scale * known.default  # type: ignore[operator]
             rows.append(Row(printed=value, printed_std=std, **row))
         found[table] = content["title"], tuple(rows)
-    cycles = [
-        Row(symbol, f"heat cycle {k}", "K", value, math.nan, "E5", f"cycle {k}, *: {symbol}")
-        for k, values in enumerate(DSC_CYCLES, 1) for symbol, value in values.items()
-    ]  # fmt: skip
+    cycles = [Row(symbol, f"heat cycle {k}", "K", value, math.nan, "E5", f"cycle {k}, *: {symbol}")
+              for k, values in enumerate(DSC_CYCLES, 1) for symbol, value in values.items()]
     loaded = "E6, under a held load, stress free"
     cycles += [Row(k, loaded, "K", math.nan, math.nan, "E6", n) for k, n in TRANSITIONS.items()]
     return found | {"table_2": (found["table_2"][0], tuple(cycles))}
@@ -127,10 +122,8 @@ def table_rows(name: str, outcomes: Mapping[str, ExperimentResults]) -> list[Row
             rows.append(replace(row, source="not identified" if row.kind else "taken as given"))
             continue
         head, star, tail = row.name.partition("*")
-        details = (
-            estimate for e in outcome.experiments for key, estimate in e.details.items()
-            if (key.startswith(head) and key.endswith(tail) if star else key == head)
-        )  # fmt: skip
+        details = (estimate for e in outcome.experiments for key, estimate in e.details.items()
+                   if (key.startswith(head) and key.endswith(tail) if star else key == head))
         estimate = outcome.estimates.get(row.name) or next(details, None)
         source = "; ".join(dict.fromkeys(e.source for e in outcome.experiments))
         rows.append(replace(row, estimate=estimate, synthetic=outcome.synthetic, source=source))
@@ -201,9 +194,8 @@ def _at_the_end(time: Array, values: Array, rest: tuple[float, float]) -> float:
     return float(np.mean(values[inside])) if inside.any() else float("nan")
 
 
-def composite_run(
-    record: Record, parameters: Parameters, *, with_rest_deflection: bool = False
-) -> CompositeRun:
+def composite_run(record: Record, parameters: Parameters, *,
+                  with_rest_deflection: bool = False) -> CompositeRun:
     """Simulate the voltages of a record next to what it measured. `parameters`: of the rig,
     bench.channels those of the record; `with_rest_deflection`: whether to simulate the specimen
     with RESTS_BENT too. Raises InputError: a channel without voltage, or no deflection."""
@@ -259,10 +251,9 @@ def composite_pictures(runs: Sequence[CompositeRun]) -> tuple[Picture, Picture]:
     return pictured("figure_15_voltage", volts, source=source), deflection_picture
 
 
-def paper_pictures(
-    outcomes: Mapping[str, ExperimentResults], validation: Picture, runs: Sequence[CompositeRun],
-    synthetic: Collection[int],
-) -> dict[int, list[Picture | Drawing]]:
+def paper_pictures(outcomes: Mapping[str, ExperimentResults], validation: Picture,
+                   runs: Sequence[CompositeRun],
+                   synthetic: Collection[int]) -> dict[int, list[Picture | Drawing]]:
     """Pictures by figure number of the paper, captions with equation and data source; `validation`
     is Fig. 6, `synthetic` says which of figures 6, 15 and 16 are of synthetic data."""
     voltage, deflection = composite_pictures(runs)
@@ -311,22 +302,19 @@ class PaperPage:
         sections = [Section("", [_PAGE["head"]], [str(note) for note in self.notes])]
         for title, numbers, name in _PAGE["sections"]:
             kinds = {EXPERIMENT_FIGURES[n][0] for n in numbers if n in EXPERIMENT_FIGURES}
-            findings = dict.fromkeys(
-                f"{finding.subject}: {finding.text}"
-                for kind in kinds for experiment in self.outcomes[kind].experiments
-                for finding in experiment.findings
-                if finding.severity != "info" or finding.subject == "prestrain"
-            )  # fmt: skip
+            findings = dict.fromkeys(f"{finding.subject}: {finding.text}" for kind in kinds
+                                     for experiment in self.outcomes[kind].experiments
+                                     for finding in experiment.findings
+                                     if finding.severity != "info"
+                                     or finding.subject == "prestrain")
             title = TABLES[name][0] if name and not numbers else title
             tables = [html_table(name, self.tables[name])] if name else []
             pictures = [picture for number in numbers for picture in self.pictures[number]]
             sections.append(Section(title, notes=[*findings], tables=tables, pictures=pictures))
         # C_A and C_M, which the paper uses and does not give; the errata.
         stresses = self.outcomes["E6 stresses"]
-        pictures = [
-            _captioned(draw.stress_temperature_picture(experiment), stresses.synthetic)
-            for experiment in stresses.experiments if draw.has_diagram(experiment)
-        ]  # fmt: skip
+        pictures = [_captioned(draw.stress_temperature_picture(experiment), stresses.synthetic)
+                    for experiment in stresses.experiments if draw.has_diagram(experiment)]
         sections.append(Section(_PAGE["stress"], pictures=pictures))
         sections.append(Section("Errata", [_PAGE["errata"]]))
         for e in self.errata:
@@ -346,9 +334,7 @@ class PaperPage:
         def of_picture(p: Picture | Drawing) -> dict[str, str]:
             return {"title": p.title, "caption": p.caption, "file": f"{p.name}.{p.kind}"}
 
-        return {
-            "figures": {str(n): [*map(of_picture, own)] for n, own in self.pictures.items()},
-            "tables": {name: [*map(of_row, rows)] for name, rows in self.tables.items()},
-            "errata": [asdict(erratum) for erratum in self.errata],
-            "warnings": [f"{note.subject}: {note.text}" for note in self.notes],
-        }
+        return {"figures": {str(n): [*map(of_picture, own)] for n, own in self.pictures.items()},
+                "tables": {name: [*map(of_row, rows)] for name, rows in self.tables.items()},
+                "errata": [asdict(erratum) for erratum in self.errata],
+                "warnings": [f"{note.subject}: {note.text}" for note in self.notes]}

@@ -8,8 +8,7 @@ The derivation, from rest (sigma_0 = 0, xi_0 = 1, T_0 = T_inf) and about a point
 
 so that a_2 = (E_M - E_A) [eps_L (xi_0 - 2 xi*) + eps* - eps_0], and a_3 makes the line pass through
 the point. xi = b_1 (T* - T + (sigma - sigma*)/C_A) + b_2 is eq. (10) to first order, eq. (21)
-likewise with C_M.
-"""
+likewise with C_M."""
 
 import math
 from dataclasses import dataclass, replace
@@ -40,11 +39,9 @@ def deflection_as_printed(strain: float, beam: Beam) -> float:
     return beam.length**2 * bending.curvature(strain, as_printed(beam))
 
 
-def kinetics_slopes(
-    branch: Branch, kelvin: float, sigma: float, parameters: Parameters
-) -> tuple[float, float, float]:
-    """b_1 of eq. (20) or b_3 of eq. (21): as printed, a number times kelvin and pascal; corrected
-    for kelvin [1/K] and for pascal [1/Pa]."""
+def kinetics_slopes(branch: Branch, kelvin: float, sigma: float,
+                    parameters: Parameters) -> tuple[float, float, float]:
+    """b_1 of eq. (20) or b_3 of eq. (21): as printed [1]; corrected for K [1/K] and Pa [1/Pa]."""
     phase, ramp = {"heating": ("austenite", material.austenite_ramp),
                    "cooling": ("martensite", material.martensite_ramp)}[branch]  # fmt: skip
     share = float(ramp(kelvin, sigma, parameters))
@@ -67,8 +64,7 @@ class Coefficient:
 
 
 def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]:
-    """Every coefficient of eqs. (18) to (23), printed beside corrected, for one wire at a point.
-    Raises InputError: no such wire."""
+    """Every coefficient of eqs. (18) to (23) for one wire at a point; InputError: no such wire."""
     if not 0 <= wire < point.temperature.size:
         raise InputError(f"wire {wire}, expected 0 to {point.temperature.size - 1}")
     parameters, number = point.parameters, int(side_of_channels(point.parameters)[wire])
@@ -80,10 +76,8 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     change = parameters["wire.martensite_modulus"] - parameters["wire.austenite_modulus"]
     limit = parameters["wire.maximum_recoverable_strain"]
     modulus = float(material.modulus(xi, parameters))
-    a2, a3 = (
-        [change * factor * (limit * of_xi + sign * strain) for sign in signs]
-        for factor, of_xi, signs in ((1.0, 1.0 - 2.0 * xi, (-1, 1)), (xi, xi, (1, -1)))
-    )
+    a2, a3 = ([change * factor * (limit * of_xi + sign * strain) for sign in signs]
+              for factor, of_xi, signs in ((1.0, 1.0 - 2.0 * xi, (-1, 1)), (xi, xi, (1, -1))))
     # Eq. (19), of the heating V^2/R: as printed it cools and adds a number to a voltage. Corrected
     # it is that of the drive, of a duty V V_supply/R.
     ohm = heated_resistance(parameters)

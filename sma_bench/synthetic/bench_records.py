@@ -40,13 +40,10 @@ _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress"
                "bending", "temperature_reading", "mount", "sag")
 
 
-def simulate_finely(
-    parameters: Parameters, time: ArrayLike, voltage: ArrayLike,
-    elongation: ArrayLike | None = None,
-) -> Simulation:
-    """`simulate` at the samples time (n,) s and voltage (n, w) V, held to the next sample, in steps
-    between them that are short enough for effects; elongation (n,) m as there. Raises InputError:
-    as `simulate`."""
+def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike,
+                    elongation: ArrayLike | None = None) -> Simulation:
+    """`simulate` at samples time (n,) s and voltage (n, w) V, held to the next, in steps between
+    them short enough for effects; elongation (n,) m as there. InputError: as `simulate`."""
     fine, volts, first = _refined(parameters, time, voltage)
     if elongation is not None and len(fine) > np.size(time) == np.size(elongation):
         elongation = np.interp(fine, np.asarray(time), np.asarray(elongation))
@@ -54,9 +51,8 @@ def simulate_finely(
     return replace(run, **{name: getattr(run, name)[first] for name in _OF_SAMPLES})
 
 
-def _refined(
-    parameters: Parameters, time: ArrayLike, voltage: ArrayLike
-) -> tuple[Array, Array, IntArray]:
+def _refined(parameters: Parameters, time: ArrayLike,
+             voltage: ArrayLike) -> tuple[Array, Array, IntArray]:
     """Time and voltage in short enough steps, and where the given samples are among these."""
     seconds, volts = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
     gaps = np.diff(seconds) if seconds.ndim == 1 else np.zeros(1)
@@ -70,9 +66,8 @@ def _refined(
 
 
 def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float) -> Simulation:
-    """A protocol on the bench that runs it, sampled every `period` s; a frame pulls as its steps
-    say: elongation then counts from the wire without any force. Raises InputError: steps with
-    forces on a bench whose load is no held force."""
+    """A protocol on the bench that runs it, read every `period` s; elongation counts from a wire
+    without any force where a frame pulls. InputError: forces on a load that is no held force."""
     bench = protocol.bench(parameters)
     time, voltage = played(protocol, bench, period)
     if not protocol.pulls:
@@ -165,9 +160,8 @@ def read_signals(signals: Sequence[Signal], seed: int, report: Report = silent) 
 
 
 def _read(seeds: np.random.SeedSequence, signal: Signal, celsius: float = 0.0) -> list[Signal]:
-    """A signal as instruments with noise of their own read it; a deflection after the two distances
-    whose difference it is half of. An elongation that never changes is clamped. The steps of a
-    temperature count from `celsius` K."""
+    """A signal as instruments with noise read it; a deflection after the two distances whose half
+    difference it is. An elongation that never changes is clamped; `celsius` [K]: a reading's 0."""
     quantity, true = signal.name.rpartition(".")[2], np.asarray(signal.values)
 
     def read(sensor: str, values: Array, zero: float = 0.0) -> Array:
@@ -203,11 +197,10 @@ def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
     name = "temperature_staircase"
     course = load_protocol(name, parameters, TEMPERATURE)
     controller = TemperatureController(parameters, COMMAND_PERIOD, delay=COMMAND_PERIOD)
-    closed = run_loop(
-        parameters, lambda bench: np.array(bench.temperature), course.level,
-        lambda wanted, read, _: controller.step(wanted, read, COMMAND_PERIOD), course.duration,
-        COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1, seed=seed,
-    )
+    closed = run_loop(parameters, lambda bench: np.array(bench.temperature), course.level,
+                      lambda wanted, read, _: controller.step(wanted, read, COMMAND_PERIOD),
+                      course.duration, COMMAND_PERIOD, late=1, noise=0.08, resolution=0.1,
+                      seed=seed)
 
     def volts(t: Array) -> Array:
         index = np.clip(np.round(t / COMMAND_PERIOD).astype(int), 0, len(closed.time) - 1)
@@ -217,10 +210,8 @@ def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
     return _record(title, parameters, volts, course.duration, seed + 1, clamps)
 
 
-def _record(
-    title: str, parameters: Parameters, voltage: Callable[[Array], Array], duration: float,
-    seed: int, clamped: Boundary | None = None,
-) -> Record:
+def _record(title: str, parameters: Parameters, voltage: Callable[[Array], Array], duration: float,
+            seed: int, clamped: Boundary | None = None) -> Record:
     """Simulated at every command and every reading, so that nothing is interpolated, and read."""
     # Whole nanoseconds, as ROS has them: clocks of several rates meet exactly where they meet.
     rates = [_SETTINGS[f"rate.{kind}"] for kind in ("power", "temperature", "mechanics")]
@@ -229,8 +220,7 @@ def _record(
     ticks = [np.round(t * 1e9) / 1e9 for t in ticks]
     time, (_, power, camera, mechanics) = np.unique(np.concatenate(ticks)), ticks
     commanded = np.floor(time / COMMAND_PERIOD + _ROUNDING) * COMMAND_PERIOD
-    run = simulate(parameters, time, voltage(commanded), boundary=clamped)
-    signals = signals_of(run)
+    signals = signals_of(simulate(parameters, time, voltage(commanded), boundary=clamped))
     if clamped:  # the force's noise is drawn first
         signals = [signals[-1], *signals[:-2]]
     elif load_kind(parameters) == "clamped":  # without a load frame
@@ -257,20 +247,18 @@ class ClosedLoopRun(NamedTuple):
     voltage: Array
 
 
-def run_loop(
-    parameters: Parameters, observe: Callable[[Bench], Array],
-    reference: Callable[[float], ArrayLike], control: Callable[[Array, Array, Array], Array],
-    duration: float, period: float = COMMAND_PERIOD, late: int = 0, noise: float = 0.0,
-    resolution: float = 0.0, seed: int = 1,
-) -> ClosedLoopRun:
+def run_loop(parameters: Parameters, observe: Callable[[Bench], Array],
+             reference: Callable[[float], ArrayLike],
+             control: Callable[[Array, Array, Array], Array], duration: float,
+             period: float = COMMAND_PERIOD, late: int = 0, noise: float = 0.0,
+             resolution: float = 0.0, seed: int = 1) -> ClosedLoopRun:
     """Run a controller on a simulated bench, whose parameters it may not know.
 
     `parameters`: what the bench really is; `observe`: what is controlled, of it; `reference`: at a
     time in s; `control`: voltages (w,) for the reference, a reading of what is observed, and the
     reference a period later; `period`: s between commands; `late`: periods from a reading to the
     command that answers it; `noise`, `resolution`: standard deviation and step of a reading, in its
-    unit, 0 for none.
-    """
+    unit, 0 for none."""
     plant, random = Bench(parameters), np.random.default_rng(seed)
     waiting = [np.zeros(len(parameters["bench.channels"]))] * late
     time: Array = period * np.arange(round(duration / period), dtype=np.float64)

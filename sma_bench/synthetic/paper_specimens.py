@@ -46,8 +46,7 @@ _START_UP = 12.0  # s
 
 
 def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
-    """One heating and one cooling for each of the two cycles of Table II; of another wire than the
-    paper's both have its own transition temperatures."""
+    """A heating and a cooling for each cycle of Table II; of another wire twice its own."""
     cycles = [parameters, parameters]
     if _is_papers_wire(parameters):
         own = [{TRANSITIONS[end]: kelvin for end, kelvin in cycle.items()} for cycle in DSC_CYCLES]
@@ -58,8 +57,7 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
     for wire in cycles:
         for sign in (1.0, -1.0):
             temperature = (COLDEST if sign > 0.0 else HOTTEST) + sign * RATE * time
-            fraction = heated_fraction if sign > 0.0 else cooled_fraction
-            xi = fraction(temperature, 0.0, wire)
+            xi = (heated_fraction if sign > 0.0 else cooled_fraction)(temperature, 0.0, wire)
             settled = sign * RATE * (1.0 - np.exp(-time / _START_UP))
             sensible = wire["wire.specific_heat"] * settled
             heat = SAMPLE_MASS * (sensible - LATENT_HEAT * np.gradient(xi, time))
@@ -79,8 +77,7 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
 # Fig. 8).
 #
 # The frame keeps the force and records the travel; the wire is led through a triangle of
-# temperature that is slow against its time constant. Not a measurement: the model behind
-# instruments.
+# temperature, slow against its time constant. No measurement: the model behind instruments.
 
 _RATE = 0.5  # K/s
 _ABOVE_FINISH = 25.0  # K
@@ -91,9 +88,8 @@ _STRAIN_NOISE = 2e-5  # 4 micrometres of traverse on 0.2 m of wire
 _COSINE_WIDTH = 0.5 * math.pi
 
 
-def isobaric_test(
-    parameters: Parameters, stress: float, name: str, seed: int = 1
-) -> instruments.IsobaricRecord:
+def isobaric_test(parameters: Parameters, stress: float, name: str,
+                  seed: int = 1) -> instruments.IsobaricRecord:
     """One heating and cooling of the wire of `parameters` under a held stress [Pa]."""
     random = np.random.default_rng(seed)
     # The voltage that eq. (2) asks for a triangle of temperature.
@@ -131,11 +127,9 @@ _STRESS_NOISE = 0.6e6  # Pa, 0.04 N of a 500 N load cell on a 0.3 mm wire
 _POINTS = 1500
 
 
-def tensile_test(
-    parameters: Parameters, temperature: float, name: str, seed: int
-) -> instruments.TensileRecord:
-    """One test of the wire of `parameters`: martensite below M_f, austenite above A_f.
-    `temperature`: K; `name`: of the specimen."""
+def tensile_test(parameters: Parameters, temperature: float, name: str,
+                 seed: int) -> instruments.TensileRecord:
+    """One test of a wire at K (`temperature`): martensite below M_f, austenite above A_f."""
     phase: instruments.Phase = "austenite"
     if temperature <= parameters["wire.martensite_finish_temperature"]:
         phase, e_m = "martensite", parameters["wire.martensite_modulus"]
@@ -146,14 +140,12 @@ def tensile_test(
     else:  # eqs. (6), (7), (9), (11) loaded from austenite
         load = np.linspace(0.0, 2e9, 20001)
         xi = cooled_fraction(temperature, load, parameters)
-        transformed = parameters["wire.maximum_recoverable_strain"] * xi
-        curve = load / modulus(xi, parameters) + transformed
+        curve = load / modulus(xi, parameters) + parameters["wire.maximum_recoverable_strain"] * xi
     # Its corners rounded by a moving mean, and what a load cell makes of it.
     fine = np.linspace(0.0, 1.5 * _LARGEST_STRAIN, 20001)
     width = int(_ROUNDING / (fine[1] - fine[0]))
     padded = np.pad(np.interp(fine, curve, load), width, mode="reflect", reflect_type="odd")
-    window = np.ones(2 * width + 1) / (2 * width + 1)
-    rounded = np.convolve(padded, window, mode="valid")
+    rounded = np.convolve(padded, np.ones(2 * width + 1) / (2 * width + 1), mode="valid")
     strain = np.linspace(0.0, _LARGEST_STRAIN, _POINTS)
     stress = np.interp(np.maximum(strain - _TOE, 0.0), fine, rounded)
     noise = _STRESS_NOISE * np.random.default_rng(seed).standard_normal(_POINTS)
@@ -171,8 +163,7 @@ STRESSES = (10e6, 50e6, 100e6, 150e6, 200e6)
 
 def _is_papers_wire(parameters: Parameters) -> bool:
     """Whether the transition temperatures are those of Table II, cycle 2."""
-    second = DSC_CYCLES[1]
-    return all(parameters[name] == second[symbol] for symbol, name in TRANSITIONS.items())
+    return all(parameters[name] == DSC_CYCLES[1][end] for end, name in TRANSITIONS.items())
 
 
 def wire_rig(parameters: Parameters) -> Parameters:
@@ -225,8 +216,7 @@ def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
     shift = stress / wire["wire.stress_influence_austenite"]
     start, finish = UPFR_START[0], UPFR_FINISH[0]
     if _is_papers_wire(wire):
-        first = DSC_CYCLES[0]
-        wire = wire.replace({TRANSITIONS[end]: first[end] for end in ("M_s", "M_f")})
+        wire = wire.replace({TRANSITIONS[end]: DSC_CYCLES[0][end] for end in ("M_s", "M_f")})
     else:
         start, finish = wire[TRANSITIONS["A_s"]], wire[TRANSITIONS["A_f"]]
         inward = (0.5 - 1.0 / math.pi) * (finish - start)
@@ -243,8 +233,7 @@ def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
 
 
 def _tensile_tests(parameters: Parameters) -> tuple[instruments.TensileRecord, ...]:
-    """E7: specimens that deviate as Table III says, at its temperatures as far as this wire is
-    martensite and austenite there."""
+    """E7: specimens that deviate as Table III says, at its temperatures or well in the phase."""
     cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE
     hot = float(parameters["wire.austenite_finish_temperature"]) + _WELL_INSIDE
     temperatures = {"martensite": min(_COLD_TEST, cold), "austenite": max(_HOT_TEST, hot)}
