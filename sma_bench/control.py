@@ -16,10 +16,8 @@ from sma_bench.physics import Bench, linearised, side_names
 from sma_bench.physics.linearised import Branch, OperatingPoint, SideModel
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
 
-TEMPERATURE_MARGIN = 10.0
-"""K below the bench's limit, which switches off: room for a model that errs by some percent"""
-CURRENT_SHARE = 0.9
-"""of the bench's largest current, which switches off: room for the noise of its sensor"""
+# Room below the bench's limits, which switch off, for the model's error [K], for a sensor's noise.
+TEMPERATURE_MARGIN, CURRENT_SHARE = 10.0, 0.9
 
 
 def require(subject: str, name: str, value: float, unit: str = "", zero: bool = False) -> None:
@@ -34,8 +32,7 @@ def require(subject: str, name: str, value: float, unit: str = "", zero: bool = 
 #     u = sat[u_ff + K (r - y) + I],   dI/dt = K/T_i (r - y) + (sat[u] - u)/T_i
 #
 # sat limits the output and its rate. The second term (back-calculation) leads the integral back to
-# what the output can do. I is kept in units of the output, so that gains may change without a
-# bump.
+# what the output can do. I has units of the output, so that gains may change without a bump.
 
 
 class Gains(NamedTuple):
@@ -45,17 +42,15 @@ class Gains(NamedTuple):
     integral_time: float
 
     @classmethod
-    def simc(
-        cls, gain: float, time_constant: float, delay: float, closed_loop_time: float = 0.0
-    ) -> Self:
+    def simc(cls, gain: float, time_constant: float, delay: float,
+             closed_loop_time: float = 0.0) -> Self:
         """Tuned for gain e^(-delay s)/(time_constant s + 1) by Skogestad's rule (SIMC, 2003).
 
         K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). The reference step response
         then is that of a lag tau_c after the delay, without overshoot while T_i = tau. `gain`: k;
         `time_constant`: tau [s]; `delay`: theta [s]; `closed_loop_time`: tau_c [s], 0 for half the
         time constant, or the delay if longer: slow enough for T_i = tau, fast enough to halve the
-        time. Raises InputError: a number that no plant has.
-        """
+        time. Raises InputError: a number that no plant has."""
         require("tuning", "time_constant", time_constant)
         require("tuning", "gain", abs(gain))
         require("tuning", "delay", delay, " s", zero=True)
@@ -164,13 +159,11 @@ class TemperatureController:
     """Reference and measured temperatures in, voltages out: one PI a wire, to power, in which the
     wire is a lag, 1/(h A_c) over m c_p/(h A_c): gains follow by Skogestad's rule."""
 
-    def __init__(
-        self, parameters: Parameters, period: float, *, delay: float = 0.0,
-        closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
-    ) -> None:
-        """Tuned for steps of `period` s. `delay`: s from a temperature to the power that answers
-        it, beyond half a period, which the held output is late by itself; others: as `Gains.simc`,
-        `Heating`. InputError: a number out of range."""
+    def __init__(self, parameters: Parameters, period: float, *, delay: float = 0.0,
+                 closed_loop_time: float = 0.0, maximum_power: float = 0.0,
+                 power_rate: float = 0.0) -> None:
+        """For steps of `period` s. `delay`: s from a temperature to the power that answers it, and
+        half a period more; others: as `Gains.simc`, `Heating`. InputError: one out of range."""
         require("temperature control", "period", period, " s")
         self.heating = Heating(parameters, maximum_power, power_rate)
         gain, late = 1.0 / self.heating.loss, 0.5 * period + delay
@@ -178,9 +171,8 @@ class TemperatureController:
         self._loops: list[PI | None] = [None] * len(parameters["bench.channels"])  # all off
 
     def step(self, reference: ArrayLike, measured: ArrayLike, dt: float) -> Array:
-        """Voltages (w,) [V] from now until `dt` s later. `reference`, `measured`: (w,) K; NaN
-        switches a wire off, and so does a reference that needs no heat: ambient temperature or
-        less. Raises InputError: wrong shape, or dt not above 0."""
+        """Voltages (w,) [V] for the next `dt` s. `reference`, `measured`: (w,) K; NaN, or ambient
+        or less as a reference, switches a wire off. InputError: wrong shape, or dt not above 0."""
         wanted, kelvin = (np.asarray(values, float) for values in (reference, measured))
         expected = (len(self._loops),)
         for name, values in (("reference", wanted), ("measured", kelvin)):
@@ -205,8 +197,7 @@ class TemperatureController:
 
     @staticmethod
     def reference_fault(reference: Sequence[float], parameters: Parameters) -> str:
-        """Why wire temperatures [K], one a channel, cannot be followed, or "": ambient temperature
-        or less only means that a wire is not heated."""
+        """Why wire temperatures [K], one a channel, cannot be followed, or ""; ambient: off."""
         channels = len(parameters["bench.channels"])
         highest = parameters["bench.maximum_temperature"] - TEMPERATURE_MARGIN
         if len(reference) != channels:
@@ -236,15 +227,13 @@ class TemperatureController:
 
 # Operating points of the gain schedule, as parts of the largest deflection.
 _SCHEDULE = np.linspace(0.02, 0.98, 13)
-# Near both ends of the transformation the gain goes to zero: there the loop is let slow down
-# rather than asked for as much more power.
+# Near both ends, where the gain goes to zero, the loop may slow down, not ask for more power.
 _LOWEST_PART = 0.5
 _LAST_REACHABLE = 0.999
 
 
 class _Side(NamedTuple):
-    """What is known of a side before it moves: its wires (w,), and by branch deflections and the
-    gain there, m/W of each wire."""
+    """A side before it moves: its wires (w,); deflections [m] and gains there [m/W], by branch."""
 
     name: str
     sign: float
@@ -254,8 +243,7 @@ class _Side(NamedTuple):
 
     @classmethod
     def of(cls, parameters: Parameters, name: str, loss: float) -> Self:
-        # The linear model is the paper's; effects and another law are the nominal bench's, whose
-        # law the inverse has too.
+        # The linear model is the paper's; effects are the nominal bench's, as the inverse's law is.
         beyond = (*EFFECT_TABLE, *(BY_NAME[name] for name in SMOOTHER))
         parameters = parameters.replace({p.name: p.default for p in beyond})
         model = SideModel.of(parameters, name)
@@ -268,8 +256,7 @@ class _Side(NamedTuple):
             gains = np.empty(len(_SCHEDULE))
             for k, part in enumerate(_SCHEDULE):
                 point = OperatingPoint.at_deflection(parameters, sign * part * largest, branch)
-                per_kelvin = linearised.linearise(point).deflection_per_kelvin
-                gains[k] = np.abs(per_kelvin[wires]).sum()
+                gains[k] = np.abs(linearised.linearise(point).deflection_per_kelvin[wires]).sum()
             floor = np.maximum(gains, _LOWEST_PART * gains[len(gains) // 2])
             schedule[branch] = (_SCHEDULE * largest, floor / loss)
         return cls(name, sign, model, wires, schedule)
@@ -278,11 +265,9 @@ class _Side(NamedTuple):
 class DeflectionController:
     """Reference and measured deflection in, voltages out."""
 
-    def __init__(
-        self, parameters: Parameters, period: float, *, delay: float = 0.0,
-        closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
-        feedback: bool = True,
-    ) -> None:
+    def __init__(self, parameters: Parameters, period: float, *, delay: float = 0.0,
+                 closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
+                 feedback: bool = True) -> None:
         """Designed for steps of `period` s. `delay`, `closed_loop_time`, `maximum_power`,
         `power_rate`: as `TemperatureController`; `feedback`: False leaves the feed-forward alone,
         an open loop. Raises InputError: the rig does not move, or a number out of range."""
@@ -303,9 +288,8 @@ class DeflectionController:
         """Deflection [m] of the nominal bench, which the feedback follows."""
         return self._nominal.deflection
 
-    def step(
-        self, reference: float, measured: float, dt: float, upcoming: float | None = None
-    ) -> Array:
+    def step(self, reference: float, measured: float, dt: float,
+             upcoming: float | None = None) -> Array:
         """Voltages (w,) [V] for the next `dt` s. `reference`: m, positive toward the front, wanted
         now; `measured`: m, NaN leaves the feed-forward alone; `upcoming`: m, wanted dt later; the
         reference when not known. InputError: one that is not finite, or dt not above 0."""

@@ -9,8 +9,7 @@ over time, read from YAML, every mistake in one line.
 
 A reference, what a controller shall follow, has `unit: K` (wire temperatures, rest at ambient) or
 `unit: m` (deflection of the tip, positive toward the front) instead of a load. How far a bench can
-go is not known here: controllers refuse what it cannot reach.
-"""
+go is not known here: controllers refuse what it cannot reach."""
 
 import math
 from collections import deque
@@ -67,8 +66,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Protocol:
-    """Named sequence of segments for `channels`; `rest` before its start and after its end. `load`
-    is the load.kind of a bench whose own is not given."""
+    """Named segments for `channels`, `rest` before and after; `load`: load.kind if none given."""
 
     name: str
     channels: tuple[str, ...]
@@ -78,8 +76,7 @@ class Protocol:
     load: str = ""
 
     def bench(self, parameters: Parameters) -> Parameters:
-        """The bench that runs it: one without a stated load holds what the protocol asks for,
-        `load.force`, or the paper's 1 N."""
+        """The bench that runs it; one without a load holds `load.force`, or the paper's 1 N."""
         if not self.load or parameters["load.kind"] or len(parameters["bench.channels"]) > 1:
             return parameters
         held = {"load.force": parameters["load.force"] or _PAPER_FORCE}
@@ -136,8 +133,7 @@ class Protocol:
         return np.where(inside[:, None], start + fraction[:, None] * (stop - start), self.rest)
 
     def sample(self, period: float) -> tuple[Array, Array]:
-        """Time (n,) in s from 0 to past the end every `period` s, and voltage (n, w) in V, the last
-        at rest. ValueError where the period is not positive."""
+        """Time (n,) s from 0 past the end, voltage (n, w) V; ValueError: `period` [s] not > 0."""
         if not period > 0.0:
             raise ValueError(f"sample period is {period} s, expected more than 0")
         count = int(np.ceil(self.duration / period - _TIME_ROUNDING)) + 1
@@ -249,9 +245,8 @@ def is_path(name_or_path: str) -> bool:
     return path.suffix in (".yaml", ".yml") or path.parent != Path(".")
 
 
-def load_protocol(
-    name_or_path: str | Path, parameters: Parameters, quantity: Quantity = VOLTAGE
-) -> Protocol:
+def load_protocol(name_or_path: str | Path, parameters: Parameters,
+                  quantity: Quantity = VOLTAGE) -> Protocol:
     """Read a protocol, or a reference, by its name (`staircase`, in the share folder's config) or
     by the path of its file, for a bench of these parameters. Raises InputError: no such file, not
     YAML, or a step that is wrong or above the bench's limits; the line names file and step."""
@@ -274,10 +269,8 @@ MAXIMUM_SECONDS = 7 * 24 * 3600.0
 _LARGEST_FORCE = 1e4  # N
 
 
-def parse_protocol(
-    document: Any, parameters: Parameters, where: str = "", name: str = "",
-    quantity: Quantity = VOLTAGE,
-) -> Protocol:
+def parse_protocol(document: Any, parameters: Parameters, where: str = "", name: str = "",
+                   quantity: Quantity = VOLTAGE) -> Protocol:
     """A Protocol from what a protocol's or reference's YAML file holds. `where` leads every error
     line, `name` is the protocol's where the document has none; InputError as `load_protocol`."""
     with errors_in(where or quantity.what):
@@ -326,9 +319,8 @@ _KINDS = {
 _STEP_KEYS = ("kind", "name", "drive", "repeat", "until", "force")
 
 
-def _segments(
-    step: Mapping[str, Any], label: str, parameters: Parameters, quantity: Quantity
-) -> list[Segment]:
+def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
+              quantity: Quantity) -> list[Segment]:
     # Its kind, and the numbers that such a step has.
     kind = step.get("kind")
     _text(step, "name")
