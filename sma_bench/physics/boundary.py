@@ -1,6 +1,6 @@
 """What the wires of each side pull against: the load of the bench, or what an experiment holds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Self
 
@@ -46,6 +46,11 @@ class Boundary:
     def held_stress(cls, stress: PerSide) -> Self:
         """A weight or a force controller: sum of stresses of a side [Pa]."""
         return cls(load=stress)
+
+    @classmethod
+    def imposed(cls, parameters: Parameters, elongation: float) -> Self:
+        """A testing machine, `load.kind` displacement, at the start of a motion: elongation [m]."""
+        return replace(cls.of(parameters), contraction=-elongation / wire_length(parameters))
 
     @classmethod
     def of(cls, parameters: Parameters) -> Self:

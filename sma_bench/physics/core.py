@@ -63,7 +63,6 @@ TURN = 0.3  # K, by which what drives the phase goes back before it is no error 
 
 # --- What effects change of a step; a new one's `added_strain` and `after_step` are found here.
 
-
 def of_effects(place, both):
     """The functions called `place` of all effects as one: what is compiled goes through no list."""
     modules = [import_module(f"sma_bench.physics.effects.{name}") for name in sorted(EFFECTS)]
@@ -202,7 +201,6 @@ def see(wires, sides, i):
 
 
 # --- The step that all wires and sides share.
-
 
 @inlined
 def constitutive(wires, i, contraction, xi):

@@ -20,7 +20,6 @@ from sma_bench.physics.material import heat_loss, heated_resistance, heating_vol
 
 # --- The state of a bench between two samples, and the state it starts from.
 
-
 @dataclass(frozen=True, eq=False)
 class State:
     """All that a bench's future depends on but voltages: continues a run to the last bit."""

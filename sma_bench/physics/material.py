@@ -119,7 +119,6 @@ def stress(temperature: ArrayLike, martensite_fraction: ArrayLike, contraction: 
 
 # --- Heat, and what drives it.
 
-
 def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, fraction: ArrayLike,
             sag: ArrayLike = 0.0) -> Array:
     """I = n (V - u)/(R(xi, T) + n R_s) through the n wires of a channel whose battery sags by u

@@ -1,6 +1,6 @@
 """Simulate a bench: whole voltage records at once, or live, step by step, with the same kernel."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -123,8 +123,7 @@ def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,
         elongation: (n,) m that is imposed under `load.kind` displacement, even between samples; 0
             when not given."""
     if elongation is not None and boundary is None and np.size(elongation):
-        start = -float(np.ravel(elongation)[0]) / wire_length(parameters)
-        boundary = replace(Boundary.of(parameters), contraction=start)
+        boundary = Boundary.imposed(parameters, float(np.ravel(elongation)[0]))
     return Bench(parameters, initial=initial, boundary=boundary).follow(time, voltage, elongation)
 
 
