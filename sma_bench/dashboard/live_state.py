@@ -23,11 +23,9 @@ class Trace:
     """Readings over their time of arrival, s of a clock that never goes back."""
 
     def __init__(self) -> None:
-        self.latest = math.nan
-        self.heard = -math.inf
-        self._closed: deque[tuple[float, float]] = deque(maxlen=round(2 * SPAN / BUCKET))
-        self._count = 0
-        self._bucket = -1
+        self.latest, self.heard = math.nan, -math.inf
+        self._closed = deque[tuple[float, float]](maxlen=round(2 * SPAN / BUCKET))
+        self._count, self._bucket = 0, -1
         self._least = self._largest = (0.0, 0.0)
 
     def add(self, time: float, value: float) -> None:
@@ -71,13 +69,11 @@ class ShownQuantity:
 QUANTITIES = {  # in the page's order
     "voltage": ShownQuantity("Voltage", "V", limit="bench.maximum_voltage"),
     "current": ShownQuantity("Current", "A", limit="bench.maximum_current"),
-    "temperature": ShownQuantity("Temperature", "°C", 1.0, CELSIUS_ZERO,
-                                 "bench.maximum_temperature"),
+    "temperature": ShownQuantity("Temperature", "°C", 1, CELSIUS_ZERO, "bench.maximum_temperature"),
     "deflection": ShownQuantity("Deflection", "mm", 1e3),
     "elongation": ShownQuantity("Elongation", "mm", 1e3),
     "force": ShownQuantity("Force", "N"),
-    "distance": ShownQuantity("Distance", "mm", 1e3),
-}
+    "distance": ShownQuantity("Distance", "mm", 1e3)}
 _ORDER = list(QUANTITIES)
 LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)
 FLOWING = "still flowing"
@@ -187,8 +183,7 @@ class LiveState:
         with self._lock:
             signals = []
             for key in sorted(self._traces, key=lambda key: (_ORDER.index(key[0]), *key[1:])):
-                trace, (quantity, place, kind) = self._traces[key], key
-                shape = QUANTITIES[quantity]
+                trace, (quantity, place, kind), shape = self._traces[key], key, QUANTITIES[key[0]]
                 seen.points[key], points = trace.since(seen.points.get(key, 0))
                 signals.append({"quantity": quantity, "place": place, "kind": kind,
                                 "latest": shape.shown(trace.latest), "heard": round(trace.heard, 4),
@@ -213,8 +208,7 @@ def result_summary(node: str, text: str) -> dict[str, Any]:
     try:
         found = read_fields(text, fields, where)
         card = found["card"]
-        if not card or not all(isinstance(r, list) and list(map(type, r)) == [str, str]
-                               for r in card):
+        if not card or any(not isinstance(r, list) or [*map(type, r)] != [str, str] for r in card):
             raise InputError(f"{where}: card is not pairs of texts")
     except InputError as error:
         return {"problem": shown(str(error))}

@@ -45,8 +45,7 @@ _HEADERS = {
     # Not no-referrer: a form without JavaScript would be sent from the origin "null".
     "Referrer-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
-    "Cross-Origin-Resource-Policy": "same-origin",
-}
+    "Cross-Origin-Resource-Policy": "same-origin"}
 
 
 class Access:
@@ -183,11 +182,11 @@ class _Page(_Guarded):
 
 class _File(_Guarded):
     def get(self, _: str, name: str) -> None:
-        if name not in _FILES:
+        if kind := _FILES.get(name):
+            self.set_header("Content-Type", f"{kind}; charset=utf-8")
+            self.finish(_read(name))
+        else:
             self.refuse(404, "no such file")
-            return
-        self.set_header("Content-Type", f"{_FILES[name]}; charset=utf-8")
-        self.finish(_read(name))
 
 
 class _Stop(_Guarded):

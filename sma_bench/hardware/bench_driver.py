@@ -146,8 +146,7 @@ class BenchDriver:
 
     def stop(self, reason: str) -> None:
         """Outputs off, at once and until a reset."""
-        self.enabled = False
-        self._tested = -1
+        self.enabled, self._tested = False, -1
         self._link.stop()
         self.gate.clear()
         self._stopped = self._stopped or reason

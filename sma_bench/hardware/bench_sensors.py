@@ -110,15 +110,15 @@ class BenchSensors:
                 raise InputError(f"range.sensors: {sensor!r}, expected front or back")
         # Sides that are mounted; one clamped wire bends nothing.
         self.range_sensors: tuple[str, ...] = settings["range.sensors"] if len(sides) > 1 else ()
-        boards = (tuple(k for k, channel in enumerate(self.channels) if channel // _PER_SIDE == n)
-                  for n in range(len(SIDES)))
         # Bench channels whose currents one sensor measures together.
-        self.shared = tuple(board for board in boards if len(board) > 1)
+        boards = [channel // _PER_SIDE for channel in self.channels]
+        self.shared = tuple(tuple(k for k, board in enumerate(boards) if board == n)
+                            for n in range(len(SIDES)) if boards.count(n) > 1)
 
     def _calibrated(self, quantity: str, telemetry: Telemetry) -> tuple[float, float]:
         """Of the front's and the back's sensor."""
         front, back = (self._calibrations[name].apply(SENSORS[name].reading(telemetry))
-                       for name in (f"{side}_{quantity}" for side in SIDES))
+                       for name in (f"front_{quantity}", f"back_{quantity}"))
         return front, back
 
     def board_currents(self, telemetry: Telemetry) -> tuple[float, float]:
@@ -133,8 +133,7 @@ class BenchSensors:
             for rest, ampere in zip(self._at_rest, self.board_currents(telemetry), strict=True))
 
     def reading(self, telemetry: Telemetry) -> BenchReading:
-        """What a window says. Two driven wires of a board share its current like their duties:
-        equal resistances."""
+        """What a window says. Two driven wires of a board share its current like their duties."""
         duties = telemetry.duty
         supply, currents = self.supply.apply(telemetry.supply), self.board_currents(telemetry)
         wires = [ampere - rest if abs(rest) < MOST_CURRENT_AT_REST else ampere
@@ -143,11 +142,10 @@ class BenchSensors:
         powers = []
         for channel in self.channels:
             duty, board = duties[channel], channel // _PER_SIDE
+            current = math.nan
             if duty == 0.0:  # not driven: a sensor common to both wires could not distinguish it
                 current = 0.0 if totals[board] > 0.0 else wires[board]
-            elif duty < _LEAST_DUTY:
-                current = math.nan
-            else:
+            elif duty >= _LEAST_DUTY:
                 current = wires[board] * duty / totals[board] / math.sqrt(duty)
             drop = self.supply.gain * telemetry.drop[board]  # by a pulse of the wire's own board
             powers.append(ChannelPower(math.sqrt(duty) * (supply - drop), current))
@@ -248,8 +246,8 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
     kind, std = SENSORS[name], dict[str, float]()
     x, y = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
     if x.shape != y.shape:
-        raise InputError(f"calibration: {x.size} readings for {y.size} known loads, expected as "
-                         "many")
+        raise InputError(
+            f"calibration: {x.size} readings for {y.size} known loads, expected as many")
     if kind.is_range and not (y + shift > 0.0).all():
         raise InputError(f"calibration: distance {y.min():g} m with shift {shift:g} m, expected "
                          "positive")

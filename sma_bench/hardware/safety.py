@@ -331,9 +331,8 @@ def power_rules(wire: Wire, x: Limits, timeout: float = 0.0,
     return {
         "current": Rule(abs(ampere), x.maximum_current, lambda: (
             f"over-current: {name} at {ampere:.2f} A, limit {x.maximum_current:g} A")),
-        "voltage": Rule(volt, x.highest_reading, lambda: (
-            f"over-voltage: {name} gets {volt:.2f} V, limit "
-            f"{x.reading(x.maximum_voltage):.4g} V")),
+        "voltage": Rule(volt, x.highest_reading, lambda:
+            f"over-voltage: {name} gets {volt:.2f} V, limit {x.reading(x.maximum_voltage):.4g} V"),
         "power": Rule(volt * ampere, x.maximum_power, lambda: (
             f"over-power: {name} takes {volt * ampere:.1f} W, limit {x.maximum_power:g} W")),
         "heat": Rule(hottest, x.maximum_temperature, lambda: (
@@ -348,14 +347,13 @@ def power_rules(wire: Wire, x: Limits, timeout: float = 0.0,
 
 
 def temperature_rules(wire: Wire, x: Limits, timeout: float = 0.0) -> dict[str, Rule]:
-    name, kelvin, modelled = wire.name, wire.kelvin, wire.modelled + wire.room
+    name, kelvin, rise, modelled = wire.name, wire.kelvin, wire.rise, wire.modelled + wire.room
     return {
         "temperature": Rule(kelvin, x.maximum_temperature, lambda: (
             f"over-temperature: {name} at {_celsius(kelvin)}, limit "
             f"{_celsius(x.maximum_temperature)}")),
-        "rate": Rule(wire.rise, x.maximum_heating_rate, lambda: (
-            f"heating rate: {name} rises by {wire.rise:.0f} K/s, limit "
-            f"{x.maximum_heating_rate:g} K/s")),
+        "rate": Rule(rise, x.maximum_heating_rate, lambda:
+            f"heating rate: {name} rises by {rise:.0f} K/s, limit {x.maximum_heating_rate:g} K/s"),
         "warms": Rule(abs(kelvin - modelled), x.temperature_tolerance, lambda: (
             f"disagreement: {name} measured at {_celsius(kelvin, 0)}, the model says "
             f"{_celsius(modelled, 0)}, tolerance {x.temperature_tolerance:g} K"), timeout)}

@@ -24,7 +24,6 @@ import serial
 
 from sma_bench.errors import InputError
 from sma_bench.hardware import serial_messages as messages
-from sma_bench.hardware.device_clock import DeviceClock
 from sma_bench.hardware.serial_messages import NUMBERS, DeviceState, Named, Refused, Telemetry
 
 BY_ID = Path("/dev/serial/by-id")
@@ -205,8 +204,8 @@ class SerialLink:
         # The connection: port, what is read from it, and the question that is open.
         self._port: serial.Serial | None = None
         self._writing = threading.Lock()
-        self._splitter, self._clock, self._ping = messages.Splitter(), DeviceClock(), (0, 0.0)
-        self._ended = -math.inf  # of the last window, s
+        self._splitter, self._clock = messages.Splitter(), messages.DeviceClock()
+        self._ping, self._ended = (0, 0.0), -math.inf  # the latter of the last window, s
         self._one_question, self._asked = threading.Lock(), ""
         self._answers: dict[str, messages.Answer] = {}
         self._overdue: dict[str, float] = {}  # letters of answers that were late, s
@@ -381,7 +380,7 @@ class SerialLink:
 
     def _connect(self) -> None:
         status = self._status
-        self._splitter, self._clock = messages.Splitter(), DeviceClock()
+        self._splitter, self._clock = messages.Splitter(), messages.DeviceClock()
         status.not_understood, status.unasked = 0, ""
         self._port = self._open_port()
         # Opening may have reset the device; asking its bootloader would hold it there.
@@ -435,9 +434,9 @@ class SerialLink:
             if now >= next_ping:
                 next_ping = now + self._options.ping_period
                 number = (self._ping[0] + 1) % NUMBERS
-                on_cable = self._say("P", number)
                 # Its last byte leaves when the cable has carried all of them.
-                self._ping = (number, self._now() + on_cable)
+                on_cable = self._say("P", number)
+                self._ping = number, self._now() + on_cable
             # Not together with a ping: at 500 Hz there is no time for two answers in a window.
             if now >= next_count and next_ping - now < 0.5 * self._options.ping_period:
                 next_count = now + self._options.counters_period

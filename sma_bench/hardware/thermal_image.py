@@ -50,8 +50,7 @@ def decode_frame(size: tuple[int, int], encoding: str, width: int, height: int, 
         ((width, height) != size, f"is {width} x {height}, expected {size[0]} x {size[1]}"),
         (step < 2 * width, f"has step {step}, expected {2 * width} or more"),
         (flat.size < height * step,
-         f"has {flat.size} bytes, expected {height * step} ({height} x {step})"),
-    ):
+         f"has {flat.size} bytes, expected {height * step} ({height} x {step})")):
         if wrong:
             raise InputError(f"thermal_image {said}")
     rows = flat[: height * step].reshape(height, step)[:, : 2 * width]
@@ -110,9 +109,8 @@ class Surface:
     def of(cls, parameters: Parameters, settings: Mapping[str, Any]) -> "Surface":
         """From the parameters of `ir_camera` or `synthetic_camera`."""
         ambient = parameters["environment.ambient_temperature"]
-        return cls(settings["emissivity"], settings["reflected_temperature"] or ambient,
-                   settings.get("emissivity_std", 0.0),
-                   settings.get("reflected_temperature_std", 0.0))
+        stds = (settings.get(name, 0.0) for name in ("emissivity_std", "reflected_temperature_std"))
+        return cls(settings["emissivity"], settings["reflected_temperature"] or ambient, *stds)
 
     @cached_property
     def _reflected(self) -> float:

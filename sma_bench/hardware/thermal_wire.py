@@ -429,15 +429,12 @@ class CameraReport:
         self._arrived, self._good, self._ever = now, now, False
         self._readings = [WireReading(reason="no frame yet") for _ in channels]
         # Counts since the start by kind of hold and by channel, and those of this period.
-        self._held, self._held_readings = Counter[str](), Counter[str]()
-        self._last_hold = ""
+        self._held, self._held_readings, self._last_hold = Counter[str](), Counter[str](), ""
         self._begin_period(now)
 
     def _begin_period(self, now: float) -> None:
-        self._since = now
-        self._frames = self._period_held = 0
-        self._latencies: list[float] = []
-        self._published: Counter[str] = Counter()
+        self._since, self._frames, self._period_held = now, 0, 0
+        self._latencies, self._published = list[float](), Counter[str]()
 
     def arrived(self, now: float) -> None:
         self._arrived, self._ever = now, True

@@ -71,10 +71,9 @@ class BenchNode(OverridableNode):
                 own, about = UNCERTAINTY_PREFIX + p.name, f"Standard deviation of {p.name}."
                 self._contract[own] = Parameter(own, p.unit, std or 0.0, about, "table", 0.0, 1e15)
         for p in (*self._contract.values(), *self._own.values()):
-            unit = f" [{p.unit}]" if p.unit else ""
-            descriptor = rcl.ParameterDescriptor(
-                description=f"{p.description}{unit} Source: {p.provenance}.",
-                read_only=self.frozen or p.read_only)
+            about = f"{p.description}{f' [{p.unit}]' if p.unit else ''} Source: {p.provenance}."
+            descriptor = rcl.ParameterDescriptor(description=about,
+                                                 read_only=self.frozen or p.read_only)
             if p.low is not None and p.high is not None:
                 ends = {"from_value": p.low, "to_value": p.high}
                 if p.kind == "integer":
@@ -128,8 +127,7 @@ class BenchNode(OverridableNode):
             return response
 
         for name, act in acts.items():
-            heard = partial(answered, act)
-            self.create_service(Trigger, f"~/{name}", heard, callback_group=group)
+            self.create_service(Trigger, f"~/{name}", partial(answered, act), callback_group=group)
 
     def fail(self, error: InputError) -> None:
         """End the node after this callback, which must not raise it, with its line and status 2."""
@@ -181,8 +179,7 @@ class BenchNode(OverridableNode):
         for claim in self.claims:
             claim.close()
 
-    def set_parameters_atomically(
-            self, parameter_list: list[RosParameter]) -> rcl.SetParametersResult:
+    def set_parameters_atomically(self, parameter_list: Any) -> rcl.SetParametersResult:
         """As rclpy; but, that what `ros2 param dump` wrote may be loaded, what stays is no change,
         read-only or not, and 8e-06, of which that command makes a text, is a number."""
         changes = []

@@ -110,11 +110,11 @@ def filled(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
         if name not in arguments:
             raise InputError(f"unknown argument {name}{did_you_mean(name, list(arguments))}")
     values: dict[str, Any] = {}
-    for name, argument in arguments.items():
-        value = given.get(name, argument.default)
-        if argument.choices and value not in argument.choices:
-            raise InputError(f"{name} is {value!r}, expected {', '.join(argument.choices)}")
-        values[name] = value.lower() == "true" if argument.choices == SWITCH else value
+    for name, (default, _, choices) in arguments.items():
+        value = given.get(name, default)
+        if choices and value not in choices:
+            raise InputError(f"{name} is {value!r}, expected {', '.join(choices)}")
+        values[name] = value.lower() == "true" if choices == SWITCH else value
         if name in ("speed", "rate"):
             try:
                 values[name] = float(value)
@@ -153,14 +153,12 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
         stated = read_parameter_names(values["params"], f"{above}/ir_camera")
         picture: dict[str, Any] = dict(_WIRE_PICTURE if len(channels) == 1 else _COMPOSITE_PICTURE)
         picture |= {name: stated[name] for name in picture if name in stated}
-        size = picture["image_width"], picture["image_height"]
-        read = {**picture, "read_cold_wires": True,
-                "pixel_size_std": _PIXEL_ERROR * float(picture["pixel_size"]),
-                "regions": regions_side_by_side(len(channels), *size)}
-        nodes = [
-            PlannedNode("simulator", {"speed": speed, **_EXACT}, aside),
-            PlannedNode("synthetic_camera", {**picture, "rate": _PICTURE_RATE}),
-            PlannedNode("ir_camera", {n: value for n, value in read.items() if n not in stated})]
+        width, height, pixel = picture.values()
+        read = {**picture, "read_cold_wires": True, "pixel_size_std": _PIXEL_ERROR * float(pixel),
+                "regions": regions_side_by_side(len(channels), width, height)}
+        nodes = [PlannedNode("simulator", {"speed": speed, **_EXACT}, aside),
+                 PlannedNode("synthetic_camera", {**picture, "rate": _PICTURE_RATE}),
+                 PlannedNode("ir_camera", {n: v for n, v in read.items() if n not in stated})]
     else:
         nodes = [PlannedNode("simulator", {"speed": speed})]
     # What drives and records it, and what works beside.
@@ -270,10 +268,9 @@ def _description(arguments: Mapping[str, Argument],
             given = {name: given[name] for name in arguments}
         return actions(given)
 
-    declared = []
-    for name, (default, description, choices) in arguments.items():
-        description += f" One of {', '.join(choices)}." if choices else ""
-        declared.append(DeclareLaunchArgument(name, default_value=default, description=description))
+    declared = [DeclareLaunchArgument(name, default_value=default, description=said + (
+                    f" One of {', '.join(choices)}." if choices else ""))
+                for name, (default, said, choices) in arguments.items()]
     return LaunchDescription([*declared, OpaqueFunction(function=start)])
 
 

@@ -32,8 +32,7 @@ NODES = {  # by the executable's name: module and class
     "investigation": "job_nodes.InvestigationNode",
     "twin": "twin.TwinNode",
     "temperature_controller": "experiment.TemperatureControllerNode",
-    "deflection_controller": "experiment.DeflectionControllerNode",
-}
+    "deflection_controller": "experiment.DeflectionControllerNode"}
 # The executable of several nodes. What holds the hardware keeps a process of its own.
 CONTAINER, _APART = "bench", frozenset({"serial_bridge"})
 # These drive, and say at their start what holds them back, and where each limit is from.

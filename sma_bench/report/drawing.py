@@ -88,7 +88,7 @@ def cell_texts(ax: Axes, texts: Mapping[tuple[int, int], tuple[str, bool]], size
     """Numbers in the cells of a map, by row and column: text, and whether its colour is dark."""
     for (row, column), (text, is_dark) in texts.items():
         ax.text(column, row, text, ha="center", va="center", fontsize=size,
-                color="white" if is_dark else "black")  # fmt: skip
+                color="white" if is_dark else "black")
     ax.spines[:].set_visible(False)
 
 
@@ -157,7 +157,7 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
                 bands.append([float(f"{end:.5g}") for end in (up.min(), up.max())])
         if lines:
             curves.append({"title": _title(ax), "x_label": ax.get_xlabel(), "lines": lines,
-                           "marks": marks, "bands": bands})  # fmt: skip
+                           "marks": marks, "bands": bands})
     return curves
 
 

@@ -28,8 +28,7 @@ _PLATEAUS = {
     # Figs. 2 and 3: name, quantity, its axis, parameter, symbol and unit.
     "E1": ("figure_02_resistance", "current", "current [A]", "wire.resistance", "R", "ohm"),
     "E2": ("figure_03_heat_transfer", "temperature", "steady temperature [K]",
-           "wire.heat_transfer_coefficient", "h", "W/(m² K)"),
-}  # fmt: skip
+           "wire.heat_transfer_coefficient", "h", "W/(m² K)")}
 _JUMP = 0.2  # V between two samples
 # Transitions: parameters at zero stress and of the line, colour, marker.
 _AUSTENITE = ("wire.stress_influence_austenite", SECOND)
@@ -38,8 +37,7 @@ _TRANSITIONS = {
     "A_s": ("wire.austenite_start_temperature", *_AUSTENITE, "o"),
     "A_f": ("wire.austenite_finish_temperature", *_AUSTENITE, "s"),
     "M_s": ("wire.martensite_start_temperature", *_MARTENSITE, "^"),
-    "M_f": ("wire.martensite_finish_temperature", *_MARTENSITE, "v"),
-}
+    "M_f": ("wire.martensite_finish_temperature", *_MARTENSITE, "v")}
 _SEVERAL = 4  # tests, beyond which each has its colour
 _DRAWN = 2000  # points of a curve
 _LINE_STRAIN, _BEYOND = 0.012, 0.9  # length of a modulus' line, and of the highest stress
@@ -86,9 +84,8 @@ def slope_picture(e3: Experiment) -> Picture:
     ends = np.array([0.0, float(np.nanmax(force))])
     curves: list[Curve] = [(force, rate, _marks(".", FAINT, "differentiator filter"))]
     for estimate, style, colour, name in (
-        (e3.details["differentiator"], "--", SECOND, "slope as in the paper"),
-        (e3.estimates["wire.specific_heat"], "-", MODEL, "most likely c_p"),
-    ):
+            (e3.details["differentiator"], "--", SECOND, "slope as in the paper"),
+            (e3.estimates["wire.specific_heat"], "-", MODEL, "most likely c_p")):
         label = f"{name}: {with_error(estimate.value, estimate.std)} J/(kg K)"
         curves.append((ends, ends / estimate.value, {"ls": style, "color": colour, "label": label}))
     figure, _ = graph("f(T, V) [W/kg]", "dT/dt [K/s]", curves)
@@ -129,8 +126,7 @@ def dsc_picture(e5: Experiment) -> Picture:
         # The curves have their peaks upward; a graph of the run has cooling below.
         is_cooling = onsets["start"] >= onsets["finish"]
         symbols, sign = (("M_s", "M_f"), -1.0) if is_cooling else (("A_s", "A_f"), 1.0)
-        counts[sign] += 1
-        number = counts[sign]
+        number = counts[sign] = counts[sign] + 1
         colour = colours[(number - 1) % len(colours)]
         label = f"cycle {number}" if sign > 0.0 else None
         ax.plot(of["temperature"], sign * of["heat_flow"], lw=1.2, color=colour, label=label)
@@ -209,7 +205,7 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
         stress, kelvin, std = (e6.curves[f"diagram/{name}/{quantity}"]
                                for quantity in ("stress", "temperature", "std"))
         ax.errorbar(kelvin, stress / 1e6, xerr=std, fmt=marker, color=colour, mfc="none", ms=6,
-                    capsize=2, label=f"${name}$")  # fmt: skip
+                    capsize=2, label=f"${name}$")
         if {at_zero, influence} <= set(e6.estimates) and len(stress):
             ends = np.array([0.0, float(stress.max())])
             line = e6.estimates[at_zero].value + ends / e6.estimates[influence].value
@@ -252,7 +248,7 @@ def tensile_picture(e7: Experiment) -> Picture:
     if begin is not None and end is not None:
         ax.axvspan(100.0 * begin.value, 100.0 * end.value, color=FAINT, alpha=0.12, lw=0)
         ax.text(50.0 * (begin.value + end.value), 0.02, "detwinning", ha="center", fontsize=8,
-                color=FAINT, transform=ax.get_xaxis_transform())  # fmt: skip
+                color=FAINT, transform=ax.get_xaxis_transform())
     return pictured("figure_09_tensile", figure, source=e7.source)
 
 
@@ -279,7 +275,7 @@ def constitutive_picture(e9: Experiment) -> Picture:
         curves.append((kelvin, strain, _marks(".", f"C{k % 10}", loop, rasterized=True)))
         curves.append((kelvin, model, {"color": "black", "lw": 0.8}))
     figure, _ = graph("temperature [K]", "strain [%]", curves, 4.6, fontsize=7, markerscale=4,
-                      ncols=2 if len(loops) > 6 else 1)  # fmt: skip
+                      ncols=2 if len(loops) > 6 else 1)
     return pictured("constitutive_fit", figure, source=e9.source)
 
 
@@ -290,8 +286,7 @@ def bench_fit_pictures(e10: Experiment) -> list[Picture]:
     records: dict[str, list[tuple[str, str]]] = {}  # signals with their quantity
     for signal in (key.removesuffix(".model") for key in e10.curves if key.endswith(".model")):
         head, _, rest = signal.partition(".")
-        quantity = signal.rpartition(".")[2]
-        quantity = quantity if quantity in _FITTED else "current"
+        quantity = last if (last := signal.rpartition(".")[2]) in _FITTED else "current"
         records.setdefault(head if head.isdecimal() and rest else "", []).append((quantity, signal))
     pictures = []
     for head, signals in records.items():
@@ -345,8 +340,7 @@ def operating_point_picture(model: Linearised) -> Picture:
 _PICTURES: dict[str, tuple[Callable[[Experiment], Picture], ...]] = {
     "E1": (plateau_picture,), "E2": (plateau_picture,), "E3": (ramp_picture, slope_picture),
     "E5": (dsc_picture,), "E6": (upfr_picture,), "E7": (tensile_picture,),
-    "E8": (thermal_expansion_picture,),
-}  # fmt: skip
+    "E8": (thermal_expansion_picture,)}
 
 
 def experiment_pictures(experiment: Experiment) -> list[Picture]:

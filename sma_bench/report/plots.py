@@ -39,8 +39,7 @@ _QUANTITIES = ("voltage_command", "voltage", "current", "temperature", "deflecti
 _STATES = {
     "voltage": ("voltage\n[V]", 1.0), "current": ("current\n[A]", 1.0),
     "temperature": ("temperature\n[K]", 1.0), "martensite_fraction": ("martensite\nfraction", 1.0),
-    "stress": ("stress\n[MPa]", 1e-6), "deflection": ("deflection\n[mm]", 1e3),
-}
+    "stress": ("stress\n[MPa]", 1e-6), "deflection": ("deflection\n[mm]", 1e3)}
 _FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
 STAGE_COLOURS = {"electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
                  "mechanical": "#2a7f62", "sensor": "#1f4e79"}
@@ -303,7 +302,7 @@ def _bars(ax: Axes, names: Sequence[str], values: Sequence[float],
             legend.setdefault(" and ".join(own), bar)
     if legend:
         ax.legend(legend.values(), legend.keys(), fontsize=8, loc="lower right", title="stage",
-                  title_fontsize=8)  # fmt: skip
+                  title_fontsize=8)
     return place
 
 
@@ -439,11 +438,11 @@ def _missing(result: Diagnosis, name: str) -> Picture:
     across = ("simulated temperature of the wire [K]", "voltage of the wire [V]")
     if name == "deflection":
         across = ("simulated temperature, front less back [K]",
-                  "voltage, back counted negative [V]")  # fmt: skip
+                  "voltage, back counted negative [V]")
     for ax, label in zip((over_time, temperature, voltage), ("time [s]", *across), strict=True):
         ax.set(xlabel=label, ylabel=f"missing [{unit}]")
     return pictured("diagnosis_missing", figure, f"diagnosis_missing_{name.replace('.', '_')}",
-                    signal=name, shown=shown)  # fmt: skip
+                    signal=name, shown=shown)
 
 
 # Parts of a result by name, the one that matters most first.
@@ -452,9 +451,7 @@ _PARTS: dict[type, dict[str, Callable[[Any], Picture | None]]] = {
     Diagnosis: {
         "signals": lambda result: signal_pictures(result)[0], "where": gap_picture,
         "candidates": candidate_picture, "evidence": evidence_picture,
-        "next": lambda result: next_experiment_picture(result, result.parameters),
-    },
-}
+        "next": lambda result: next_experiment_picture(result, result.parameters)}}
 
 
 def picture_of(thing: Any, *what: str) -> Picture:

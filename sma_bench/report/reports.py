@@ -98,11 +98,9 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
 
 def improvements(result: Diagnosis) -> Table:
     """The parameters of the best model against what was believed."""
-    unknowns = result.model.unknowns
-    values, stds = unknowns.values(result.model.x), result.model.errors
-    deviations = unknowns.deviations(result.model.x)
-    rows = []
-    for item, x, value, std in zip(unknowns.items, deviations, values, stds, strict=True):
+    unknowns, at, rows = result.model.unknowns, result.model.x, []
+    for item, x, value, std in zip(unknowns.items, unknowns.deviations(at), unknowns.values(at),
+                                   result.model.errors, strict=True):
         name, believed = item.name, item.value(0.0)  # of what the geometry gives: from there
         moved = "" if name.startswith("effect.") or not item.std else signed(float(x), ".1f")
         rows.append((name, f"{believed:.6g}", with_error(value, std), BY_NAME[name].unit, moved))
@@ -125,7 +123,7 @@ class ReportedInput:
 
     def to_json(self) -> dict[str, Any]:
         return {"path": self.path, "kind": self.kind, "says": self.said, "sha256": self.sha256,
-                "bytes": self.size, "warnings": list(self.warnings)}  # fmt: skip
+                "bytes": self.size, "warnings": list(self.warnings)}
 
 
 def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
@@ -136,11 +134,10 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
         described = describe(record)
         said = record_line(described)
         lines = [(f["severity"], f"{f['subject']}: {f['text']}") for f in described["findings"]]
-        notes = [f"{severity}: {text}" for severity, text in lines]
         worth = [f"{path}: {text}" for severity, text in lines if severity != "info"]
-        pictures = _present(plots.record_picture(record, name))
-        tables = record_tables(described, name)
-        section = Section(f"Record {path}", [f"{said}."], notes, tables, pictures)
+        section = Section(f"Record {path}", [f"{said}."], [": ".join(line) for line in lines],
+                          record_tables(described, name),
+                          _present(plots.record_picture(record, name)))
         kind = "bag" if isinstance(record, Record) else "instrument file"
         return ReportedInput(path, kind, said, section, worth, *digest(of_file))
 
@@ -149,15 +146,14 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
         # How numbers agree with what is known, how errors correlate, what else was given.
         kind, warnings = "identification", [*result.warnings]
         tables = [table_of(result, "plain_numbers", result.estimates, name=f"{name}_parameters",
-                           title="Parameters")]  # fmt: skip
+                           title="Parameters")]
         shown = {key: (n.value, n.std) for key, n in result.estimates.items()}
         for k, e in enumerate(result.experiments, 1):
             own = {key: n for key, n in {**e.estimates, **e.details}.items()
-                   if (n.value, n.std) != shown.get(key)}  # fmt: skip
+                   if (n.value, n.std) != shown.get(key)}
             if own:
-                title = f"{e.name} {e.title}, from {e.source}"
-                own_name = f"{name}_experiment_{k}"
-                tables.append(table_of(result, "plain_numbers", own, name=own_name, title=title))
+                tables.append(table_of(result, "plain_numbers", own, name=f"{name}_experiment_{k}",
+                                       title=f"{e.name} {e.title}, from {e.source}"))
         pictures = _present(plots.agreement_picture(result, f"{name}_agreement"),
                             plots.correlation_picture(result, f"{name}_correlation"))
         section = Section(f"Identification {path}", [], warnings, tables, pictures)
@@ -189,18 +185,16 @@ def write_collected_report(directory: str | Path, title: str, shown: Sequence[Re
     sections = [*cards, summary, *(one.section for one in shown)]
     if parameters.given:
         rows = []
-        for p in TABLE:
-            if p.name in parameters.given:
-                known = p.uncertainty is not None or p.name in parameters.given_uncertainty
-                std = f"{parameters.std(p.name):.2g}" if known else ""
-                rows.append((p.name, value_cell(parameters[p.name]), std, p.unit))
+        for p in (p for p in TABLE if p.name in parameters.given):
+            known = p.uncertainty is not None or p.name in parameters.given_uncertainty
+            std = f"{parameters.std(p.name):.2g}" if known else ""
+            rows.append((p.name, value_cell(parameters[p.name]), std, p.unit))
         header = ("parameter", "value", "standard deviation", "unit")
         table = Table(header, rows, frozenset({1, 2}), "parameters")
         text = f"As given in {given}; all others as in docs/parameters.md."
         sections.append(Section("Parameters", [text], tables=[table]))
-    sources = "; ".join(dict.fromkeys(one.path for one in shown))
-    return write_report(directory, title, f"From {sources}.", sections, made, column=column,
-                        report=report)
+    summary = f"From {'; '.join(dict.fromkeys(one.path for one in shown))}."
+    return write_report(directory, title, summary, sections, made, column=column, report=report)
 
 
 def read_result(path: str | Path) -> Identification | DiagnosisResult:
@@ -208,7 +202,7 @@ def read_result(path: str | Path) -> Identification | DiagnosisResult:
     document = read_json(read_text(path, LARGEST), str(path), LARGEST)
     if not isinstance(document, dict) or not {"verdict", "parameters"} & {*document}:
         raise InputError(f"{path}: not a result of identify or diagnose: neither parameters nor "
-                         "verdict in it")  # fmt: skip
+                         "verdict in it")
     read = diagnosis_from if "verdict" in document else identification_from
     return read(document, str(path))
 

@@ -18,8 +18,7 @@ from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics.boundary import side_names
-from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, Comparison
-from sma_bench.twin.free_run import Doubt, FreeRun, MeasuredVoltages
+from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, Comparison, Doubt, FreeRun, Voltages
 
 Settings = Mapping[str, Any]
 
@@ -101,7 +100,7 @@ class Twin:
         self._parameters = as_recorded(parameters)  # readings are direct volts, whatever switches
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]
-        self._voltages = MeasuredVoltages(len(self._channels))
+        self._voltages = Voltages(len(self._channels))
         self._share = math.nan  # of readings, between the limits that are asked for
         self.tune(settings)
         self._judge = Judge(side_names(parameters))
@@ -143,8 +142,7 @@ class Twin:
 
     def power(self, wire: int, stamp: int, volt: float, ampere: float) -> None:
         """A reading of a channel's voltage [V] and current [A], NaN for what is not measured."""
-        time = self._time(stamp)
-        if reason := self._voltages.take(wire, time, volt):
+        if reason := self._voltages.take(wire, self._time(stamp), volt):
             self._begin_anew()
             self.restarts, self.reason = self.restarts + 1, reason
         if math.isfinite(ampere) and math.isfinite(volt):
@@ -377,9 +375,8 @@ def stage_states(comparison: Comparison, settings: Settings,
         energy = float(np.mean([reading.energy for reading in known]))
         gap = float(max(np.nanmax(reading.gap) for reading in known))
         # (signals, sides) their gaps, as far as they are no noise.
-        counted = np.array([
-            np.nan_to_num(r.gap) if r and r.surprise >= SURPRISING else np.zeros(sides)
-            for r in readings[stage]])
+        counted = np.array([np.nan_to_num(r.gap) if r and r.surprise >= SURPRISING
+                            else np.zeros(sides) for r in readings[stage]])
         # The thermal gap that is left when a wire is heated in proportion to its current error:
         # once where the resistance is wrong, twice where the voltage is; the smaller rest counts.
         for k, heat in enumerate(readings[stage] if stage == THERMAL else ()):

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from sma_bench.hardware.device_clock import DeviceClock
+from sma_bench.hardware.serial_messages import DeviceClock
 
 WRAP = 1 << 32
 STEP = 1e-4
