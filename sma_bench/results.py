@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
@@ -170,9 +171,8 @@ def card(result: Any, asked: Invocation | None = None, numbers: bool = False) ->
     if numbers and getattr(result, "estimates", None):
         lines[1:1] = sentences(result, "number_lines")
     (_, title), *rows = ([part.strip() for part in line.split("|", 1)] for line in lines)
-    above = ["", *(label for label, _ in rows)]
-    return Card(title, tuple(("" if label == last else label, text)
-                             for last, (label, text) in zip(above, rows, strict=False)))
+    return Card(title, tuple(("" if label == above else label, text)
+                             for (above, _), (label, text) in pairwise([("", ""), *rows])))
 
 
 def card_rows(result: Any) -> list[list[str]]:

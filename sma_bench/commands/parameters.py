@@ -12,7 +12,7 @@ from sma_bench.parameters import write_parameters
 from sma_bench.parameters.audit import audit
 from sma_bench.parameters.node_tables import effects_page, parameter_page, range_of
 from sma_bench.parameters.parameter import EFFECTS, TABLE
-from sma_bench.report.tables import Table, value_cell
+from sma_bench.report.tables import Table, cell_of
 
 
 @options.command("example")
@@ -55,7 +55,7 @@ def run_parameters(args: SimpleNamespace) -> int:
                          explain=True)
         print(args.out)
     else:
-        rows = [(p.name, value_cell(parameters[p.name]), p.unit, p.provenance) for p in TABLE]
+        rows = [(p.name, cell_of(parameters[p.name]), p.unit, p.provenance) for p in TABLE]
         print_table(Table(("parameter", "value", "unit", "source"), rows))
     return 0
 

@@ -105,13 +105,11 @@ class LiveState:
     """Newest of everything; `clock` is in s and never goes back."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self.clock = clock
-        self._lock = threading.Lock()
+        self.clock, self._lock = clock, threading.Lock()
         self._traces: dict[tuple[str, str, str], Trace] = {}
         self._fresh: dict[tuple[str, str, str], Freshness] = {}
         self._panels: dict[str, Any] = {}
-        self._voltages: dict[str, WireVoltage] = {}
-        self._stopped: dict[str, float] = {}
+        self._voltages, self._stopped = dict[str, WireVoltage](), dict[str, float]()
 
     def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED,
                 stamp: float | None = None) -> None:
@@ -153,8 +151,7 @@ class LiveState:
     def stop_asked(self) -> None:
         """A stop was asked for: what came of the last one is over."""
         with self._lock:
-            self._stopped = {}
-            self._panels["again"] = None
+            self._stopped, self._panels["again"] = {}, None
 
     def stop_confirmed(self, places: Iterable[str]) -> None:
         """Wires were commanded off: the panel `again` names the first that gets a voltage."""

@@ -304,12 +304,10 @@ class Wires:
 
 
 async def stop(bench: Any) -> dict[str, Any]:
-    """Stop a bench, which has what `ros.dashboard.DashboardNode` has, and say what came of it. 0 V
-    is commanded until the voltages are gone: a bench stops, too, whose commander has no service.
-
-    Returns `stopped`: True only where every live wire was read at 0 V and stayed there, and no node
-    says that current still flows; `said`: one sentence; `seconds` until 0 V (None: never);
-    `voltages` (V) by wire; `answers` of the nodes."""
+    """Stop a bench, as `ros.dashboard.DashboardNode` is one, and say what came of it. 0 V is
+    commanded until the voltages are gone: a bench stops, too, whose commander has no service.
+    Returns `stopped`: every live wire was read at 0 V and stayed there, and no node says current
+    still flows; `said`: a sentence; `seconds` to 0 V or None; `voltages` [V]; nodes' `answers`."""
     clock = bench.state.clock
     begin = commanded = clock()
     before = bench.state.voltages()
@@ -336,8 +334,8 @@ async def stop(bench: Any) -> dict[str, Any]:
     answers = []
     for node, future in sorted(futures.items()):
         answer = future.result() if future.done() else None
-        answers.append({"node": node, "success": bool(answer and answer.success),
-                        "message": str(answer.message) if answer else "no answer",
+        said = str(answer.message) if answer else "no answer"
+        answers.append({"node": node, "success": bool(answer and answer.success), "message": said,
                         "seconds": answered.get(node)})
     flowing = ", ".join(bench.state.flowing())
     plug = f"PULL THE PLUG: current still flows with every output off, says {flowing}."

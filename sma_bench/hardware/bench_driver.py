@@ -1,8 +1,7 @@
 """Whether, and with what, the device may drive the bench. No ROS, no thread of its own.
 
 `idle` until someone enables it, `enabled` until someone stops it or a rule of safety.py breaks,
-`stopped`, with the first reason kept, until someone resets it. Outputs other than 0 V exist only
-while it is enabled and fresh commands come."""
+`stopped`, for the first reason, until a reset. Outputs are 0 V unless enabled and freshly set."""
 
 import contextlib
 import math
@@ -27,8 +26,7 @@ T = TypeVar("T")
 NEEDED = ("connection", "supply", "currents", "relay", "stop")
 _TRIES, _MOST_CLOCK_UNCERTAINTY = 3, 2e-3
 _CLOSED_FOR = 0.12  # s; the relay closes within 30 ms, the mean of the current needs as long
-# s of the device's clock from the last frame before the stop (half a second of frames may wait in
-# buffers); of this computer's, in which such frames come.
+# s of the device's clock from the last frame before the stop; of ours, in which such frames come.
 _STOP_WITHIN, _PATIENCE, _LOOK_EVERY = 0.6, 2.0, 0.005
 
 
@@ -170,8 +168,7 @@ class BenchDriver:
                         for wires in self._sensors.shared]
 
     def self_test(self) -> list[CheckResult]:
-        """Check what can be checked without driving, in about a second; ends disabled, at 0 V. What
-        is late is asked again; what is wrong has failed."""
+        """Check what can be without driving; ends disabled, at 0 V. What is late is asked again."""
         self._require_stopped()
         self._tested = -1
         status, newest = self._link.status, self.newest
@@ -293,9 +290,8 @@ class BenchDriver:
 
 
 def device_limits(limits: Limits, device: messages.DeviceIdentity, supply: float) -> list[int]:
-    """What the device is to allow this rig: the numbers of its command C. Its own limits are
-    ceilings. The heat that it allows is what holds a wire of the model a tenth in volts above its
-    highest temperature, forgotten as fast as that wire cools."""
+    """Numbers of the device's command C, what it is to allow this rig, below its own limits: of
+    heat what holds a wire a tenth in volts above its highest temperature, lost as it cools."""
     least = max(device.least_resistance, limits.least_resistance)
     rise = max(limits.maximum_temperature - limits.ambient, 1.0)
     hot = _HOTTER * math.sqrt(rise * limits.heat_loss * limits.heated)

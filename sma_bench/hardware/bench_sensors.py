@@ -126,8 +126,7 @@ class BenchSensors:
         return self._calibrated("current", telemetry)
 
     def rest(self, telemetry: Telemetry) -> None:
-        """A window in which nothing is driven: what the boards' sensors say then, if it is little,
-        is no wire's current. At a small duty it would look like one."""
+        """A window with nothing driven: the little that the boards' sensors say is no current."""
         self._at_rest = tuple(
             rest + _RECENT * (ampere - rest)
             for rest, ampere in zip(self._at_rest, self.board_currents(telemetry), strict=True))
@@ -141,8 +140,7 @@ class BenchSensors:
         totals = sum(duties[:_PER_SIDE]), sum(duties[_PER_SIDE:])
         powers = []
         for channel in self.channels:
-            duty, board = duties[channel], channel // _PER_SIDE
-            current = math.nan
+            duty, board, current = duties[channel], channel // _PER_SIDE, math.nan
             if duty == 0.0:  # not driven: a sensor common to both wires could not distinguish it
                 current = 0.0 if totals[board] > 0.0 else wires[board]
             elif duty >= _LEAST_DUTY:
@@ -259,9 +257,7 @@ def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
     else:
         del found["shift"]
         std, digit = dict(zip(found, stds, strict=True)), _last_digit(readings)
-    # What stays open of a calibrated reading: by the scatter, and by the last digits of readings
-    # and known loads where these scatter less.
-    uncertainty = {}
+    uncertainty = {}  # of a calibrated reading: by the scatter, at least by the last digits
     if len(x) >= _FEWEST and math.isfinite(scatter):
         digits = math.hypot(gain * digit, _last_digit(known)) / math.sqrt(12.0)
         if scatter := max(scatter, digits):

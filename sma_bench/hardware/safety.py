@@ -1,9 +1,8 @@
 """Rules that keep a heated wire safe. No ROS, no clock of its own: time comes in as seconds.
 
 Every rule answers with a reason, one line for people, or "": whoever asked puts the outputs to 0 V.
-Those about readings are three tables, evaluated by `broken`: limits, broken at once, and what a
-wire should do by the model, which it must fail to do for a while (a broken or shorted wire, a
-camera that looks elsewhere, a cooling fan that stopped)."""
+Those about readings are three tables, evaluated by `broken`: limits, broken at once, and what the
+model expects, which must fail for a while (a broken wire, a camera that looks elsewhere)."""
 
 import math
 from collections import deque
@@ -34,8 +33,7 @@ _OFF_CURRENT = 0.3  # A; an uncalibrated ACS712 may be 0.4 A off, a calibrated o
 
 @dataclass(frozen=True)
 class Limits:
-    """What a bench allows, and its wires' model: Ohm's law and eq. (1) of one channel, its wires as
-    one, and what may differ from them."""
+    """What a bench allows, its wires' model (Ohm's law, eq. (1); a channel as one), tolerances."""
 
     maximum_voltage: float
     maximum_current: float
@@ -167,8 +165,7 @@ class CommandGate:
 
     def __init__(self, channels: int, limits: Limits) -> None:
         self._limits = limits
-        self._watchdog = Watchdog(limits.command_timeout)
-        self._zeroed = Watchdog(limits.command_timeout)
+        self._watchdog, self._zeroed = (Watchdog(limits.command_timeout) for _ in range(2))
         self._zero = self._outputs = (0.0,) * channels
         self._commander: str | None = None  # while it is not silent
         self.accepted = self.rejected = self.timeouts = 0
@@ -306,8 +303,7 @@ class Wire:
 
 
 class Rule(NamedTuple):
-    """Broken by a `value` above the `limit`, when every one for `hold` s is. NaN is no reading: it
-    shows nothing, and does not end what lasts."""
+    """Broken by `value`s above the `limit` for `hold` s. NaN shows nothing, and ends nothing."""
 
     value: float
     limit: float
@@ -373,8 +369,7 @@ def board_rules(side: str, ampere: float, volts: float, x: Limits) -> dict[str, 
 
 def broken(rules: Mapping[str, Rule], now: float = 0.0,
            since: Lasting | None = None) -> dict[str, str]:
-    """The rules that are broken at `now` s, with their reasons; `since` is kept by the caller: when
-    readings began to break a rule, and how many did."""
+    """Rules broken at `now` s and why; the caller keeps `since` when, by how many readings."""
     since, reasons = {} if since is None else since, {}
     for name, (value, limit, said, hold) in rules.items():
         if math.isnan(value):

@@ -220,8 +220,7 @@ class Trip(NamedTuple):
 
 @dataclass(frozen=True)
 class DeviceIdentity:
-    """A device's name, build and limits (V, A, s, ohm), as its handshake says; `hot_voltage` is the
-    root mean square of a wire's volts over about `hot_time`."""
+    """Name, build and limits (V, A, s, ohm) of a handshake; `hot_voltage`: rms over `hot_time`."""
 
     name: str
     build: str
@@ -277,13 +276,11 @@ class DeviceClock:
 
     def __init__(self) -> None:
         self._last_us: int | None = None
-        self._turns = 0
-        self._frames, self._answers = _Points(), _Points()
+        self._turns, self._frames, self._answers = 0, _Points(), _Points()
         self._pings: deque[tuple[float, float, float, float]] = deque(maxlen=_PINGS)
         self._origin = (math.nan, math.nan)
         self.drift = 0.0  # host seconds per device second, less one
-        # s, bound of the error: half of what the quickest ways there and back took.
-        self.uncertainty = math.inf
+        self.uncertainty = math.inf  # s: half of what the quickest ways there and back took
 
     def heard(self, time_us: int, heard: float) -> None:
         """A frame of the device's time `time_us` was heard at `heard` (s)."""

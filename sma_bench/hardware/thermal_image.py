@@ -1,10 +1,9 @@
 """Pictures of an infrared camera, real and synthetic: pixel values, radiance, emissivity of a wire.
 
 A frame is an array (height, width) of pixel values as the Optris drivers publish them, T[degC] =
-(value - 1000)/10. The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response: the
-maker does not publish that of lens and detector. In ratios of radiances it matters little: one that
-falls to half at 13 um changes a temperature corrected from 0.5 to 1 of emissivity at 100 degC by
-0.4 K."""
+(value - 1000)/10. The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response, as
+the maker publishes none. In ratios of radiances it matters little: one that falls to half at 13 um
+changes a temperature corrected from 0.5 to 1 of emissivity at 100 degC by 0.4 K."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -23,11 +22,8 @@ from sma_bench.parameters import Parameters
 
 Frame = NDArray[np.uint16]
 
-ENCODING = "mono16"
+ENCODING, RAW_OFFSET, RAW_PER_KELVIN = "mono16", 1000, 10
 BAND = (7.5e-6, 13e-6)  # m, shortest and longest wavelength
-RAW_OFFSET = 1000
-RAW_PER_KELVIN = 10
-
 _PLANCK_1 = 1.191042972e-16  # 2 h c^2, W m2/sr
 _PLANCK_2 = 1.438776877e-2  # h c/k, m K
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(24)
@@ -133,8 +129,7 @@ class Surface:
 
 
 class SyntheticWire(NamedTuple):
-    """A straight wire in the picture, until it bends: (x, y) in pixels of the clamped end and of
-    the one that moves, and its width in pixels."""
+    """A straight wire, until it bends: (x, y) of its clamped and its other end, width; pixels."""
 
     start: tuple[float, float]
     end: tuple[float, float]
@@ -152,10 +147,9 @@ class SyntheticCamera:
                  surface: Surface = Surface(1.0, 296.15),  # noqa: B008 (frozen)
                  background: float = 296.15, unevenness: float = 0.0, blur: float = 0.7,
                  noise: float = 0.08, seed: int = 1) -> None:
-        """A scene with everything but the wires' temperatures: its size in pixels, the surface of
-        all wires, the apparent `background` (K) and by how much its lower right corner is warmer
-        (`unevenness`, K), the `blur` of lens and detector (standard deviation in pixels; a pixel's
-        own square adds) and the `noise` of every pixel (the same in K, the data sheets' NETD)."""
+        """The scene's size in pixels, the wires' surface, the apparent `background` (K) and by
+        how much its lower right corner is warmer (`unevenness`, K), the `blur` of lens and detector
+        (standard deviation in pixels; a pixel's own square adds), `noise` of a pixel (K, NETD)."""
         self.shape = (height, width)
         self._wires, self._surface, self._blur = tuple(wires), surface, blur
         y, x = np.mgrid[0:height, 0:width]

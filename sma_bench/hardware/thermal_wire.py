@@ -31,8 +31,7 @@ GROUP = 6  # lines that are averaged before the search
 _SHIFT = 4  # pixels from one group to the next: 37 degrees of tilt
 CLEAR = 4.0  # by which a wire stands out; a ridge in pure noise had 3.2 at most (6000 pictures)
 # A group of lines shows the wire from this height on, in noise and in the median group's height.
-_GROUP_VISIBLE, _GROUP_TYPICAL = 2.5, 0.3
-_FEWEST_GROUPS = 3
+_GROUP_VISIBLE, _GROUP_TYPICAL, _FEWEST_GROUPS = 2.5, 0.3, 3
 _GAP, _RING = 3, 4  # pixels beside the wire that its blur may reach, and of background beyond
 # Of the curve through the groups: its degree, groups for each, fits, and pixels that they lie off.
 _HIGHEST_DEGREE, _GROUPS_A_DEGREE, _FITS, _OFF_CURVE = 4, 4, 3, 2.0
@@ -176,10 +175,9 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
     # Its region, turned, with up to so many more pixels on both sides as the frame has.
     turned = frame.T if region.along_x else frame
     first, line = (region.y, region.x) if region.along_x else (region.x, region.y)
-    length, across = region.shape
-    begin = min(first, reach)
-    rows = turned[line : line + length]
-    radiance = image.radiance_of_raw(rows[:, first - begin : first + across + reach])
+    (length, across), begin = region.shape, min(first, reach)
+    rows = turned[line : line + length, first - begin : first + across + reach]
+    radiance = image.radiance_of_raw(rows)
     # How far each pixel of a group of lines rises above those beside it (groups, across), the noise
     # of that, and the excess, summed across the wire, of one that could just be seen.
     groups = len(radiance) // GROUP
@@ -332,9 +330,8 @@ class WireGauge:
 
 
 class FrameJudge:
-    """Says why a frame must be held back, or "" for a good one. The Optris SDK repeats the last
-    picture while the flag before the detector is closed, and other cameras show the flag, a uniform
-    surface. Two real pictures are never equal, for noise."""
+    """Why a frame must be held back, "" for a good one. While the flag before the detector is shut
+    the Optris SDK repeats the last picture (no two real ones are equal), others show the flag."""
 
     def __init__(self, stale_limit: float, shutter_spread: float, shutter_settle: float) -> None:
         """`stale_limit` s is a frame's oldest age; one whose pixels differ by less than
@@ -373,8 +370,7 @@ class ExpectedWarmth:
 
     def __init__(self, parameters: Parameters) -> None:
         self._model = Limits.from_parameters(parameters)
-        self._kelvin = self._model.ambient
-        self._volts, self._time = 0.0, math.nan
+        self._kelvin, self._volts, self._time = self._model.ambient, 0.0, math.nan
 
     def voltage(self, volts: float, time: float) -> None:
         """The wire has `volts` V from `time` s on; not a number is passed over."""

@@ -28,8 +28,7 @@ from sma_bench.parameters.parameters import UNCERTAINTY_PREFIX
 from sma_bench.parameters.yaml_file import stated_names
 from sma_bench.ros.node import LATCHED, READINGS, OneThreadExecutor, OverridableNode
 
-# Real-time priorities: below any of the kernel's own threads, above all else that a desk's
-# computer does. What keeps the device supplied goes first.
+# Real-time priorities, below the kernel's own threads. What keeps the device supplied goes first.
 BRIDGE, DRIVER, CAMERA = 12, 11, 10
 _LAST_WORD = 1.0  # s
 Answer = str | tuple[bool, str]
@@ -93,8 +92,7 @@ class BenchNode(OverridableNode):
 
     def listen(self, kind: type, what: str, on_message: Callable[..., None], numbered: bool = False,
                qos: QoSProfile = READINGS, newest: bool = False) -> None:
-        """Subscribe to `<channel>/WHAT` of every channel: on_message(channel, message), with the
-        channel's number for its name where `numbered`."""
+        """Have on_message(channel or its number, message) hear `<channel>/WHAT` of each channel."""
         for k, channel in enumerate(self.parameters["bench.channels"]):
             heard = partial(on_message, k if numbered else channel)
             self.create_subscription(kind, f"{channel}/{what}", heard, qos, newest=newest)

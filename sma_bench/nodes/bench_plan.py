@@ -1,5 +1,4 @@
-"""The launch files: what they start, as plans that a test can read, and as actions of ROS's
-`launch`, which only these actions need."""
+"""The launch files: plans of what they start, and these as actions, which need ROS's `launch`."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence

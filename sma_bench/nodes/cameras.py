@@ -17,9 +17,8 @@ from sma_bench.hardware.thermal_wire import CameraReport, ExpectedWarmth, FrameJ
 from sma_bench.nodes.base import CAMERA, BenchNode, be_punctual
 from sma_bench.ros.node import READINGS, BenchTopics, message_class, seconds_of, stamp_of
 
-_FLAG_OPEN = 0
+_FLAG_OPEN, _SWAY_PERIOD = 0, 7.0  # s
 FAULTS = ("none", "frozen", "shutter", "silent", "moved")
-_SWAY_PERIOD = 7.0  # s
 
 
 class IrCamera(BenchNode):

@@ -133,8 +133,7 @@ class InvestigationNode(WorkNode):
     (and `record`), call `~/start`, which goes on from what the folder holds; `~/confirm` runs what
     is proposed, `~/stop` ends whatever goes on, at 0 V. States: idle, diagnosing, waiting for
     confirmation: PROTOCOL, running: PROTOCOL, named: CAUSE, inseparable, budget spent, a test is
-    needed, stopped, failed: why. The result is the story, what is proposed under `next`. A run is
-    the experiment node's, under its rules."""
+    needed, stopped, failed: why. The result is the story, what is proposed under `next`."""
 
     outputs: ClassVar = {"folder": ""}
 

@@ -1,7 +1,6 @@
 """The bench's Uno on ROS: readings out, volts in, under the rules of hardware/safety.py.
 
-States: not connected, idle, enabled, stopped (with the reason). It connects again by itself, and
-never enables by itself."""
+States: not connected, idle, enabled, stopped: why. It connects, but never enables, by itself."""
 
 import sys
 import time

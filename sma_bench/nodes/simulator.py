@@ -18,12 +18,10 @@ from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.ros.node import COMMAND, NANOSECONDS, READINGS, BenchTopics, Commanders
 
-_REAL_TIME_SLICE = 0.01  # s: a bench answers within 10 ms, the period of its power readings
-_SHORTEST_TICK = 0.002  # s
+_SHORTEST_TICK, _REAL_TIME_SLICE = 0.002, 0.01  # s; a bench answers within its readings' period
 _SLICES_AT_ONCE = 8  # in one callback, so that commands and services get their turn
 _MOST_CAUGHT_UP = 1000  # slices before a command at real time, where the machine was late
-_CLOCK_REPEAT, _CLOCK_WATCH = 0.05, 0.5  # s
-_CLOCK = "/clock"
+_CLOCK, _CLOCK_REPEAT, _CLOCK_WATCH = "/clock", 0.05, 0.5  # s
 
 
 class Simulator(BenchNode):

@@ -209,8 +209,7 @@ def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
     where the value of each name is from. `node` is the node's name unless argv renames it. Raises
     InputError: unreadable file, or none of it for this node, unknown name, wrong type or out of
     range; one line with the file and, for a name, the nearest known one."""
-    # ROS passes over names that a node does not declare: a slip of the pen in a parameter file
-    # would leave a default in force, a safety limit's too.
+    # ROS passes over unknown names: a slip of the pen would leave a default, a safety limit's too.
     from sma_bench.border import load_yaml
     from sma_bench.errors import InputError, errors_in
     from sma_bench.parameters.node_tables import NODE_TABLES, OF_NODES, refuse_unknown

@@ -134,8 +134,7 @@ class TwinNode(BenchNode):
         return "the present gap is known; only more of it counts as grown"
 
     def health(self) -> list[DiagnosticStatus]:
-        verdict = self._twin.verdict
-        silence = time.monotonic() - self._heard
+        verdict, silence = self._twin.verdict, time.monotonic() - self._heard
         gap = verdict.state in (twin.GAP, twin.GREW)
         level, message = DiagnosticStatus.WARN if gap else DiagnosticStatus.OK, verdict.message
         if silence > _SILENCE:

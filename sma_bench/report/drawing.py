@@ -131,9 +131,8 @@ def thinned(x: Array, y: Array, most: int) -> tuple[Array, Array]:
 
 
 def curves_of(figure: Figure) -> list[dict[str, Any]]:
-    """The lines of every axes of a figure, plain values for JSON. Of each axes `title`, `x_label`,
-    `marks` (vertical lines), `bands` (lowest and highest) and `lines`: `label`, `colour` (#rrggbb),
-    `dash` (pixels), `wide`, `x` and `y`, in which None is a gap."""
+    """Of each axes, for JSON: `title`, `x_label`, `marks` (vertical lines), `bands` (low, high) and
+    `lines`: `label`, `colour` (#rrggbb), `dash` (pixels), `wide`, `x`, `y` (None: a gap)."""
     curves: list[dict[str, Any]] = []
     labels: dict[str, str] = {}  # of lines alike in the axes above
     for ax in figure.axes:
@@ -202,10 +201,9 @@ def drawn_rows(figure: Figure) -> list[tuple[str, ...]]:
                     distance = {abs(y - middle): y for y in high}
                     near = distance[min(distance)] if distance else middle
                     points.append((_label(bars), bar.get_width(), high.get(near, near)))
-        for found in ax.collections:
-            if isinstance(found, LineCollection):
-                for x, y in np.concatenate([np.zeros((0, 2)), *found.get_segments()]):
-                    points.append(("error bar", x, high.get(float(y), y)))
+        points += [("error bar", x, high.get(float(y), y)) for found in ax.collections
+                   if isinstance(found, LineCollection)
+                   for segment in found.get_segments() for x, y in segment]
         for image in ax.images:
             # Colours may be cut where numbers are not.
             table = np.asarray(vars(image).get("table", image.get_array()), dtype=float)

@@ -108,8 +108,8 @@ def validation_picture(record: Record, parameters: Parameters) -> Picture:
     figure, (upper, lower) = new_figure(rows=2, height=5.0)
     upper.plot(time, voltage[:, 0], color=MEASURED, lw=1)
     upper.set(ylabel="voltage [V]")
-    lower.plot(measured.time, measured.values,
-               **_marks(".", MEASURED, "measured", ms=1.5, rasterized=True))
+    dots = _marks(".", MEASURED, "measured", ms=1.5, rasterized=True)
+    lower.plot(measured.time, measured.values, **dots)
     lower.plot(time, simulated, color=MODEL, lw=1, label=f"simulated, rms error {rms:.2f} K")
     lower.set(xlabel="time [s]", ylabel="temperature [K]")
     legend_above(lower)
@@ -212,11 +212,10 @@ def stress_temperature_picture(e6: Experiment) -> Picture:
             ax.plot(line, ends / 1e6, color=colour, lw=1)
     ax.set_ylim(bottom=0.0)
     ax.legend()
-    slopes = [f"{symbol} = {with_error(e.value / 1e6, e.std / 1e6)} MPa/K"
-              for symbol, (name, _) in (("C_A", _AUSTENITE), ("C_M", _MARTENSITE))
-              if (e := e6.estimates.get(name)) is not None]
-    return pictured("stress_temperature", figure, slopes=", ".join(slopes) or "none found",
-                    source=e6.source)
+    slopes = ", ".join(f"{symbol} = {with_error(e.value / 1e6, e.std / 1e6)} MPa/K"
+                       for symbol, (name, _) in (("C_A", _AUSTENITE), ("C_M", _MARTENSITE))
+                       if (e := e6.estimates.get(name)) is not None) or "none found"
+    return pictured("stress_temperature", figure, slopes=slopes, source=e6.source)
 
 
 def tensile_picture(e7: Experiment) -> Picture:
@@ -323,8 +322,8 @@ def operating_point_picture(model: Linearised) -> Picture:
     around = np.linspace(coldest, kelvin + _AROUND, 121)
     figure, ax = graph("temperature of the driven wires [K]", "deflection [mm]", height=4.2)
     branches: dict[Branch, str] = {"heating": SECOND, "cooling": MEASURED}
+    kelvins = [np.where(together, t, point.temperature) for t in around]
     for branch, colour in branches.items():
-        kelvins = (np.where(together, t, point.temperature) for t in around)
         steady = [1e3 * OperatingPoint.at_temperature(parameters, own, branch).deflection
                   for own in kelvins]
         ax.plot(around, steady, color=colour, lw=1.6, label=f"steady, {branch}")

@@ -8,6 +8,7 @@ import os
 import platform
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache, cached_property
@@ -28,9 +29,8 @@ from sma_bench.report.drawing import COLUMNS, TABLE_HEADER, PaperColumn
 from sma_bench.report.tables import Table
 from sma_bench.results import TEMPLATES, Card
 
-_PAGE = "index.html"
+_PAGE, _LARGEST_PAGE = "index.html", 1 << 30  # bytes
 _MARK = b'<meta name="generator" content="sma_bench">'
-_LARGEST_PAGE = 1 << 30  # bytes
 _MEASURE = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?: to ([-+]?[\d.]+))?(?: (\D\S*))?")
 
 
@@ -136,18 +136,13 @@ class Made:
 def write_report(directory: str | Path, title: str, summary: str, sections: Sequence[Section],
                  made: Made | None = None, *, column: PaperColumn | None = None,
                  report: Report = silent) -> Path:
-    """Write `index.html` (everything inside, all text escaped) and one PNG a figure; its path.
-
-    All files appear, or none: a report that lies there already is replaced once all are made, as a
-    whole; other files are not. Raises InputError: the folder cannot be written or holds another
-    file of a report's name, an input is gone, or another report is being written there.
-
-    Args:
-        directory: made if it does not exist; title, summary: head of the page.
-        sections: in reading order.
-        made: adds the date to the head, and a last section with the inputs' hashes.
-        column: of a paper, for which every figure is written as SVG and PDF too, and as CSV what is
-            drawn and the named tables; report: called before each figure is drawn."""
+    """Write `index.html` (everything inside, all text escaped) and one PNG a figure; its path. All
+    files appear, or none: a report that lies there already is replaced as a whole, other files are
+    not. `made` adds the date to the head, and a last section with the inputs' hashes; for a paper's
+    `column` every figure is written as SVG and PDF too, and as CSV what is drawn and the named
+    tables; `report` is called before each figure is drawn. Raises InputError: the folder cannot be
+    written or holds another file of a report's name, an input is gone, or another report is being
+    written there."""
     directory = Path(directory)
     with border.claimed(os.path.realpath(directory), "being written as a report already"):
         if made is not None:
@@ -163,10 +158,9 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
             tables = [t for section in sections for t in section.tables if t.name]
             files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
         # Nothing from elsewhere, and no other script than the page's own.
-        hashed = hashlib.sha256(drawing.script().encode()).digest()
-        digest = base64.b64encode(hashed).decode("ascii")
+        own = base64.b64encode(hashlib.sha256(drawing.script().encode()).digest()).decode("ascii")
         policy = ("default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
-                  f"script-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'")
+                  f"script-src 'sha256-{own}'; base-uri 'none'; form-action 'none'")
         style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
         script = drawing.script() if any(picture.over_time for picture in pictures) else ""
         page = _template().render(title=title, summary=summary, sections=sections, policy=policy,
@@ -214,11 +208,9 @@ def _in_plain_numbers(table: Table) -> Table:
 
 def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
     """All of them, or none: then the folder is as it was."""
-    new, page = not os.path.exists(directory), directory / _PAGE
-    try:
+    new, page, is_report = not os.path.exists(directory), directory / _PAGE, False
+    with suppress(InputError, OSError):
         is_report = page.exists() and _MARK in border.read_bytes(page, _LARGEST_PAGE)
-    except (InputError, OSError):
-        is_report = False
     if foreign := [] if is_report else [n for n in files if os.path.exists(directory / n)]:
         raise InputError(f"{directory}: holds {foreign[0]}, which is not of a report of sma-bench; "
                          "expected another folder")
@@ -262,10 +254,8 @@ def versions() -> dict[str, str]:
 
 def _provenance(made: Made) -> Section:
     """Files, versions and the command; what was never a file has no hash."""
-    rows = []
-    for path in dict.fromkeys(made.inputs):
-        sha, size = digest(Path(path)) if Path(path).exists() else ("not a file", 0)
-        rows.append((path, sha, f"{size}"))
+    rows = [(path, *map(str, digest(Path(path)) if Path(path).exists() else ("not a file", 0)))
+            for path in dict.fromkeys(made.inputs)]
     when = made.when.astimezone().isoformat(timespec="seconds")
     about = {"command": made.command, "made": when, **versions()}
     files = Table(("file", "SHA-256", "bytes"), rows, frozenset({2}), "provenance_files", "Files")

@@ -51,8 +51,7 @@ _PROTOCOL_STEP = 0.05  # s
 PHASES = (INITIAL, DRIVE, REST)
 _LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
 _DARK = 0.65  # of the colours, from where on letters are white
-_MOST_SIGNALS = 3
-_WORTH_A_PICTURE = 0.05  # of all that is missing
+_MOST_SIGNALS, _WORTH_A_PICTURE = 3, 0.05  # of all that is missing
 _COLOURS = dict(zip(PHASES, (draw.FAINT, draw.MODEL, draw.MEASURED), strict=True))
 
 
@@ -69,8 +68,7 @@ def record_picture(record: AnyRecord, name: str) -> Picture | None:
     elif isinstance(record, IsobaricRecord):
         relative = record.strain_unit == "relative"
         key, axes = "strain", (axes[0], "strain over its range" if relative else "strain [%]")
-        facts["stress"] = record.stress / 1e6
-        factor = 1.0 if relative else 100.0
+        facts["stress"], factor = record.stress / 1e6, 1.0 if relative else 100.0
         curves = [(f"cycle {cycle.number} {branch.direction}", branch.temperature,
                    factor * branch.strain) for cycle in record.cycles for branch in cycle.branches]
     else:
@@ -193,14 +191,14 @@ def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Pict
 
 def agreement_picture(result: Identification, name: str = "agreement") -> Picture | None:
     """How far each number is off what was stated, its errors, and how far the records inform it."""
-    known = {key: (n, (n.stated or n).value) for key, n in result.estimates.items()}
-    names = [key for key, (_, value) in known.items() if value and np.isfinite(value)]
-    if not names:
+    known = {key: (n, ref) for key, n in result.estimates.items()
+             if (ref := (n.stated or n).value) and np.isfinite(ref)}
+    if not known:
         return None
-    shown = [known[name] for name in names]
+    shown = list(known.values())
     figure = Figure(figsize=(7.2, 1.3 + 0.32 * len(shown)), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True, width_ratios=(2.6, 1.0))
-    place = draw.named_rows(left, [n if known[n][0].stated else f"{n} *" for n in names])
+    place = draw.named_rows(left, [k if n.stated else f"{k} *" for k, (n, _) in known.items()])
     scale = np.array([100.0 / abs(ref) for _, ref in shown])
     off = scale * [n.value - ref for n, ref in shown]
     parts = ([n.std for n, _ in shown], [n.statistical for n, _ in shown])
@@ -213,8 +211,8 @@ def agreement_picture(result: Identification, name: str = "agreement") -> Pictur
     left.set_ylim(-0.6, len(shown) - 0.4)
     left.set_xlabel("off what was stated [%]")
     draw.legend_above(left)
-    informed = [100.0 * n.informed for n, _ in shown]
-    right.barh(place, np.nan_to_num(informed), color=draw.MEASURED, height=0.55)
+    informed = np.nan_to_num([100.0 * n.informed for n, _ in shown])
+    right.barh(place, informed, color=draw.MEASURED, height=0.55)
     right.set(xlabel="informed [%]", xlim=(0.0, 100.0), xticks=(0, 50, 100))
     draw.plain_axes(left, right)
     figure.get_layout_engine().set(wspace=0.06)  # type: ignore[union-attr, call-arg]
@@ -248,11 +246,9 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
         obs = next(v for v in result.held_out if quantity in v.quantities)
         unit, factor = scale_of(quantity)
         # Of each side the signal that the belief misses most.
-        before = obs.readings(obs.simulate(result.parameters))
-        after = obs.readings(obs.simulate(result.improved))
+        both = (obs.readings(obs.simulate(p)) for p in (result.parameters, result.improved))
         worst: dict[str, tuple[BinnedSignal, Array, Array]] = {}
-        every = zip(obs.signals, before, after, strict=True)
-        rows = [row for row in every if row[0].quantity == quantity]
+        rows = [r for r in zip(obs.signals, *both, strict=True) if r[0].quantity == quantity]
         for row in sorted(rows, key=lambda r: float(np.mean((r[0].value - r[1]) ** 2))):
             worst[obs.sides[row[0].wire]] = row
         shown = [worst[side] for side in dict.fromkeys(obs.sides[r[0].wire] for r in rows)]
@@ -271,9 +267,8 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
             upper.set_ylabel(f"[{unit}]")
             lower.set_ylabel(f"error [{unit}]")
         draw.legend_above(axes[0][0])
-        pictures.append(pictured("diagnosis_signals", figure, f"diagnosis_{quantity}",
-                                 over_time=True, quantity=quantity, path=obs.path,
-                                 period=shown[0][0].period))
+        pictures.append(pictured("diagnosis_signals", figure, f"diagnosis_{quantity}", True,
+                                 quantity=quantity, path=obs.path, period=shown[0][0].period))
     return pictures
 
 
@@ -313,7 +308,7 @@ def evidence_picture(result: Diagnosis) -> Picture:
     gains |= {JOIN.join(pair): fit.evidence - base for pair, fit in search.pairs.items()
               if fit.evidence - base > max(gains.values(), default=0.0)}
     gains["response of free form"] = search.flexible.gain
-    ranked = sorted(gains, key=lambda name: gains[name], reverse=True)
+    ranked = sorted(gains, key=gains.__getitem__, reverse=True)
     figure, (ax,) = draw.new_figure(height=1.2 + 0.28 * len(ranked))
     stages = [list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS))
               for n in ranked]
@@ -363,16 +358,14 @@ def gap_picture(result: Diagnosis) -> Picture:
                               for quantity in quantities for view in result.observations
                               for signal in view.signals if signal.quantity == quantity
                               for side in (view.sides if quantity == "deflection" else ("",))))
-    tables = {}
-    for title, cells in maps:
-        numbers = {(f"{c.signal}, {c.side}" if c.signal == "deflection" else c.signal, c.phase):
-                   c.gap for c in cells}
-        tables[title] = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
     # Maps side by side with the phases across, one colour bar for all; numbers in their cells.
     norm = LogNorm(_LOWEST, _HIGHEST)
     figure = Figure(figsize=(7.8, 1.6 + 0.34 * len(rows)), layout="constrained")
-    axes = figure.subplots(1, len(tables), sharey=True, squeeze=False)[0]
-    for ax, (title, table) in zip(axes, tables.items(), strict=True):
+    axes = figure.subplots(1, len(maps), sharey=True, squeeze=False)[0]
+    for ax, (title, found) in zip(axes, maps, strict=True):
+        numbers = {(f"{c.signal}, {c.side}" if c.signal == "deflection" else c.signal, c.phase):
+                   c.gap for c in found}
+        table = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
         shown = np.clip(table, norm.vmin, norm.vmax)
         image = ax.imshow(shown, aspect="auto", cmap="YlOrRd", norm=norm)
         vars(image)["table"] = table
@@ -437,8 +430,7 @@ def _missing(result: Diagnosis, name: str) -> Picture:
     draw.legend_above(temperature)
     across = ("simulated temperature of the wire [K]", "voltage of the wire [V]")
     if name == "deflection":
-        across = ("simulated temperature, front less back [K]",
-                  "voltage, back counted negative [V]")
+        across = "simulated temperature, front less back [K]", "voltage, back counted negative [V]"
     for ax, label in zip((over_time, temperature, voltage), ("time [s]", *across), strict=True):
         ax.set(xlabel=label, ylabel=f"missing [{unit}]")
     return pictured("diagnosis_missing", figure, f"diagnosis_missing_{name.replace('.', '_')}",

@@ -20,15 +20,8 @@ from sma_bench.records import Record, describe, open_record
 from sma_bench.report import plots
 from sma_bench.report.drawing import PaperColumn
 from sma_bench.report.experiment_figures import experiment_pictures
-from sma_bench.report.page import Made, Picture, Section, digest, write_report
-from sma_bench.report.tables import (
-    Table,
-    diagnosis_tables,
-    record_line,
-    record_tables,
-    table_of,
-    value_cell,
-)
+from sma_bench.report.page import Made, Picture, Section, Table, digest, write_report
+from sma_bench.report.tables import cell_of, diagnosis_tables, record_line, record_tables, table_of
 from sma_bench.results import LARGEST, card, sentences, signed, with_error
 
 
@@ -188,7 +181,7 @@ def write_collected_report(directory: str | Path, title: str, shown: Sequence[Re
         for p in (p for p in TABLE if p.name in parameters.given):
             known = p.uncertainty is not None or p.name in parameters.given_uncertainty
             std = f"{parameters.std(p.name):.2g}" if known else ""
-            rows.append((p.name, value_cell(parameters[p.name]), std, p.unit))
+            rows.append((p.name, cell_of(parameters[p.name]), std, p.unit))
         header = ("parameter", "value", "standard deviation", "unit")
         table = Table(header, rows, frozenset({1, 2}), "parameters")
         text = f"As given in {given}; all others as in docs/parameters.md."

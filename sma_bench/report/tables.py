@@ -43,7 +43,7 @@ def diagnosis_tables(result: "DiagnosisResult") -> dict[str, Table]:
                               title="How far the gap shrinks, on data that no fit saw")}
 
 
-def value_cell(value: Any) -> str:
+def cell_of(value: Any) -> str:
     """A parameter's value."""
     if isinstance(value, float):
         return f"{value:.6g}"

@@ -24,10 +24,8 @@ from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
 _BACK = 0.5  # s; a stamp further back than that is a clock set back, or a record that begins anew
 _QUEUE = 5000  # readings of a channel that wait for the others'
-_LONGEST_STEP = 0.01  # s
-_RECENT = 4.0  # s that can be looked up
-_MEMORY = 60.0  # s of voltages, simulated again when parameters change
-_OFF = 0.1  # V
+_LONGEST_STEP, _OFF = 0.01, 0.1  # s, V
+_RECENT, _MEMORY = 4.0, 60.0  # s that can be looked up; simulated again for other parameters
 
 
 class Voltages:
@@ -43,8 +41,7 @@ class Voltages:
 
     def _forget(self) -> None:
         self._waiting = [deque[tuple[float, float]](maxlen=_QUEUE) for _ in range(self._wires)]
-        self._latest = [-math.inf] * self._wires
-        self._held = [math.nan] * self._wires
+        self._latest, self._held = [-math.inf] * self._wires, [math.nan] * self._wires
 
     def take(self, wire: int, time: float, volt: float) -> str:
         """A reading at `time` s; why the twin must begin anew, or ""."""
@@ -230,8 +227,7 @@ MEMORY = 350  # bins from which noise is learned, and which are judged by it
 _SLOW = 30.0  # s that noise must be known for; a drift slower than that is not seen in less
 _FAST = 3.0  # s; no faster one is granted unseen
 _CHANCE = 0.01
-_SAMPLES = 400  # samples from which the scatter of neighbours is taken
-_FEWEST_SAMPLES = 20
+_FEWEST_SAMPLES, _SAMPLES = 20, 400  # samples from which the scatter of neighbours is taken
 # Of a sample: no bench is simulated, and no voltage known, to less.
 _LEAST = {"current": 2e-3, "temperature": 0.02, "deflection": 5e-6, "force": 5e-3}
 # Standard deviations; `./bench check twin_alarms` shows how often noise is as surprising.
@@ -298,9 +294,8 @@ class SignalBins:
 
     def read(self, allowed: float, sides: int, fewest: int, window: float,
              threshold: float = np.inf) -> BinStatistics | None:
-        """What the bins of the last `window` s say, None while there are less than `fewest`.
-        `allowed`: slow drift that the sensor may have, in the signal's unit; a surprising gap
-        beyond the `threshold` is not learned as noise."""
+        """What the bins of the last `window` s say, None while there are less than `fewest`. The
+        sensor may drift by `allowed`; a surprising gap beyond the `threshold` is no noise."""
         scatter = self.scatter
         if len(self.bins) < fewest or np.isnan(scatter):
             return None

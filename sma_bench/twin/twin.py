@@ -35,9 +35,7 @@ ELECTRICAL, THERMAL, MECHANICAL, SENSOR = "electrical", "thermal", "mechanical",
 MEASURED_STAGES = (ELECTRICAL, THERMAL, MECHANICAL)
 LEARNING, QUIET, GAP, GREW = "learning", "quiet", "gap", "grew"
 _ACQUAINTANCE = 60  # verdicts, one a second
-_GROWN = 1.5  # times what was known
-_ALIKE = 0.5  # of the larger side
-_MUCH = 2.0  # times
+_GROWN, _ALIKE, _MUCH = 1.5, 0.5, 2.0  # times what was known; of the larger side; times
 
 
 class Prediction(NamedTuple):
@@ -299,10 +297,8 @@ class Judge:
 
     def forget(self) -> None:
         """Begin anew: the first verdict of a stage becomes what is known of it."""
-        self._known: dict[str, float] = {}
-        self._unknown: dict[str, int] = {}
-        self._open: set[str] = set()
-        self._latest: dict[str, Array] = {}
+        self._known, self._unknown = dict[str, float](), dict[str, int]()
+        self._open, self._latest = set[str](), dict[str, Array]()
 
     def accept(self) -> None:
         """What was last seen is known."""
