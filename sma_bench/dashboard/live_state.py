@@ -113,9 +113,8 @@ class LiveState:
 
     def reading(self, quantity: str, place: str, value: float, kind: str = MEASURED,
                 stamp: float | None = None) -> None:
-        """Take a reading in SI units; `kind` is measured, a command or a prediction. `stamp`: s of
-        its source's clock, 0 where it sets none, which confirms no stop; the same one again is no
-        reading: a driver that hangs repeats its last. None: when it comes."""
+        """Take a reading in SI units. `stamp`: s of its source's clock, None: now; 0, set by none,
+        and the same one again, of a driver that hangs, confirm no stop."""
         key, value = (quantity, place, kind), float(value)
         with self._lock:
             if key not in self._traces and len(self._traces) >= _MOST_SIGNALS:

@@ -50,8 +50,7 @@ _HEADERS = {
 
 class Access:
     """Who may see a page served at `host`, and press its button. The token keeps other users and
-    programs of the computer out; the Host header a web page whose own name was made to lead to this
-    address after it had loaded (DNS rebinding); the Origin header every other web page."""
+    programs out; the Host header pages by DNS rebinding; the Origin header every other web page."""
 
     def __init__(self, host: str) -> None:
         self.token = secrets.token_urlsafe(16)

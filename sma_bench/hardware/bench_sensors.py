@@ -67,9 +67,8 @@ SENSORS = {"supply": CalibratedSensor("V", "V", "voltage", lambda t: t.supply),
 
 class ChannelPower(NamedTuple):
     """Equivalent direct voltage (V) and current (A) of one wire; NaN is not measured. A wire
-    switched on for the share d of the time has the heat of the direct voltage sqrt(d) U, and
-    carries, in that sense, the current I/sqrt(d), where I is its mean current: V/I is the
-    resistance and V^2/R the power, as for direct voltage."""
+    switched on for the share d of the time has the heat of sqrt(d) U and, in that sense, the
+    current I/sqrt(d), I its mean: V/I is the resistance, V^2/R the power, as for direct voltage."""
 
     voltage: float
     current: float
@@ -165,10 +164,9 @@ class BenchSensors:
 
 
 class SharedWatch:
-    """Two wires behind one current sensor: does each take its part of a step? Alone, or with a
-    third of the power, a broken wire shows in its own readings. With a stronger one it does not:
-    they share the current like their duties. But the board's power is sum(V^2/R), and what a step
-    of the voltages changes in it, faster than phases follow, has each wire's conductance in it."""
+    """Two wires behind one current sensor: does each take its part of a step? A broken wire shows
+    in its own readings, but not with a stronger one: they share the current like their duties. But
+    the board's power is sum(V^2/R): a step of the voltages has each wire's conductance in it."""
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._channels = channels

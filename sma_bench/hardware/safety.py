@@ -92,9 +92,8 @@ class Limits:
         return steady + (temperature - steady) * decay
 
     def heating_voltage(self, volt: float, ampere: float) -> float:
-        """V that heat the wire at least as what was measured; NaN is not measured. A current that a
-        wire may have says what it takes; with any other the wire counts as a new one. A current
-        without a voltage heats too: a switch that does not open."""
+        """V that heat the wire at least as what was measured; NaN is not. A current that it may
+        have says what it takes, any other counts as a new one's; without voltage it heats too."""
         if volt >= LEAST_VOLTAGE and abs(ampere - volt / self.circuit) <= self.allowed_stray(volt):
             return self.measured_voltage(volt, ampere)
         powers = [volt**2 / self.heated, (volt - self.leads * ampere) * ampere]

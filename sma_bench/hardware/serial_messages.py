@@ -267,9 +267,8 @@ _Points = deque[tuple[float, float]]  # device s, host s
 
 
 class DeviceClock:
-    """Host time = offset + (1 + drift) device time; host times are s of one monotonic clock. What
-    delays a message (the host's scheduling, a full cable, a busy computer) only ever makes it
-    later. So the line that no frame was heard before, and that is as late as that allows, has the
+    """Host time = offset + (1 + drift) device time; host times are s of one monotonic clock. A
+    delay only ever makes a message later. So the latest line that no frame was heard before has the
     drift, and lies behind the device's clock by the least time that a frame takes; no delay moves
     it (Moon, Skelly, Towsley, INFOCOM 1999, for packets). How far behind, pings show: the soonest
     question there and the soonest answer back took equally long, as far as anyone can know."""

@@ -37,9 +37,8 @@ _NOISE_PICTURES, _BLURRED_AWAY, _MARGIN = 8, 5.0, 0.05
 
 def decode_frame(size: tuple[int, int], encoding: str, width: int, height: int, step: int,
                  big_endian: bool, data: object) -> Frame:
-    """Pixel values (height, width) of an image message's fields; no copy where none is needed.
-    `size`: expected width and height; `step`: bytes from one row to the next; `data`: bytes, or
-    what has their buffer. Raises InputError: wrong encoding, size or number of bytes."""
+    """Pixel values (height, width) of an image message's fields; `size`: expected width and height;
+    `step`: bytes from row to row. Raises InputError: wrong encoding, size or number of bytes."""
     flat = np.frombuffer(data, np.uint8)  # type: ignore[call-overload]
     for wrong, said in (
         (encoding != ENCODING, f"has encoding {encoding!r}, expected {ENCODING!r}"),
@@ -117,9 +116,8 @@ class Surface:
         return self.emissivity * band_radiance(kelvin) + (1.0 - self.emissivity) * self._reflected
 
     def temperature(self, apparent: float, apparent_std: float) -> tuple[float, float]:
-        """Temperature in K and its standard deviation from the radiance of the surface. apparent =
-        e L(T) + (1 - e) L(T_reflected); first order in the independent deviations of the radiance,
-        emissivity and reflected temperature. NaN where 173 K would emit more."""
+        """K and its standard deviation from the surface's apparent = e L(T) + (1 - e)
+        L(T_reflected), first order in independent deviations; NaN where 173 K would emit more."""
         reflected, mirrored = self._reflected, 1.0 - self.emissivity
         emitted = (apparent - mirrored * reflected) / self.emissivity
         kelvin = float(temperature_of(emitted))
@@ -186,9 +184,8 @@ class SyntheticCamera:
                    **{name: settings[name] for name in ("unevenness", "blur", "noise", "seed")})
 
     def picture(self, kelvin: Sequence[float], sideways: float | Sequence[float] = 0.0) -> Frame:
-        """A frame (height, width) of wires at these temperatures in K, one a wire. `sideways`
-        pixels, one for all or one a wire: how far the end has moved across the wire, toward larger
-        x or y, as a beam of constant curvature. InputError: not one temperature a wire."""
+        """A frame (height, width) of wires at these K, one a wire, whose ends have moved `sideways`
+        pixels (for all or each), as beams of constant curvature. InputError: not one K a wire."""
         if len(kelvin) != len(self._wires):
             raise InputError(f"synthetic camera: {len(kelvin)} temperatures for "
                              f"{len(self._wires)} wires")

@@ -5,11 +5,7 @@ The picture is turned so that the wire crosses every row: arrays are (lines, pix
 ridge is the best path by dynamic programming through groups of lines, then a smooth curve.
 
 A wire thinner than a pixel fills it in part, and the lens smears it over several. Blur moves
-radiance but adds none: summed across the wire, the excess over the background is the excess of the
-wire's surface times its width in pixels, whatever the blur,
-
-    sum(L - L_background) = width (L_surface - L_background).
-
+radiance but adds none: across the wire, sum(L - L_background) = width (L_surface - L_background).
 So the known width (diameter over pixel size) gives the radiance of the surface, in every line."""
 
 import math
@@ -220,10 +216,9 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
 
 def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
               surface: image.Surface) -> WireReading:
-    """Temperature, its standard deviation, fill factor and background, or why there is none, from
-    radiances (lines, pixels) with the wire in their middle. The standard deviation holds the
-    pixels' noise and quantisation (from the frame itself), the background's curvature, the width,
-    the emissivity, the reflected temperature and the camera's accuracy."""
+    """The reading from radiances (lines, pixels) with the wire in their middle. The standard
+    deviation holds the pixels' noise and quantisation (from the frame itself), the background's
+    curvature, width, emissivity, reflected temperature and the camera's accuracy."""
     # Excess over the background, a line each.
     distance = np.abs(np.arange(window.shape[1]) - window.shape[1] // 2)
     near = window[:, (distance > half) & (distance <= half + _NEAR)].mean(axis=1)
@@ -292,9 +287,8 @@ def _line_noise(lines: Array) -> float:
 
 
 class WireGauge:
-    """Reads one wire; `cold` ones, not warmer than their background, too. A wire as warm as its
-    background cannot be seen, and at rest it is just that. Where `cold` wires are to be read, an
-    unseen one is read as its background, give or take what could just be seen: but not when it was
+    """Reads one wire; where `cold` ones are to be read, too, which at rest are as warm as their
+    background, an unseen one is read as that, give or take what could just be seen: not when it was
     clear to see in the frame before (it left its region), and not when its heating should show."""
 
     def __init__(self, region: Region, optics: Optics, surface: image.Surface,

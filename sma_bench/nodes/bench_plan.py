@@ -125,9 +125,9 @@ def filled(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
 
 
 def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
-    """The nodes of a bench, those that others listen to first. `given`: arguments of the rig's
-    launch file, as text. Raises InputError: unknown arguments, or such as exclude each other, a bad
-    parameter file, or a protocol that the bench cannot run; one line."""
+    """The nodes of a bench, those that others listen to first. `given`: the launch file's
+    arguments. InputError: they are unknown or exclude each other, a bad parameter file or
+    protocol."""
     values = filled(rig.arguments, given)
     hardware, speed = values["mode"] == "hardware", values["speed"]
     camera = hardware if values["camera"] == "auto" else values["camera"].lower() == "true"
@@ -180,9 +180,8 @@ def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
 
 
 def plan_replay(given: Mapping[str, str]) -> tuple[list[str], list[PlannedNode]]:
-    """The command line of `ros2 bag play`, which plays a record below one namespace, whichever it
-    was recorded in, and its nodes. `given`: of REPLAY, as text. Raises InputError: no
-    bag, one without a topic of the bench, or a bad argument; one line."""
+    """The command line of `ros2 bag play`, which plays a record below one namespace, and its nodes.
+    `given`: of REPLAY. InputError: no bag, one without a topic of the bench, a bad argument."""
     values = filled(REPLAY, given)
     if not (bag := values["bag"]):
         raise InputError("bag: expected a record to play, bag:=my_record")

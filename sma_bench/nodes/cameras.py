@@ -87,9 +87,9 @@ class IrCamera(BenchNode):
 
 
 class SyntheticCameraNode(BenchNode):
-    """Stands in for an infrared camera, in real time only: pictures of wires of a given true
-    temperature. Takes `<channel>/true_temperature`, to which a simulated bench's
-    `<channel>/temperature` is remapped, and publishes `thermal_image` as the Optris drivers do."""
+    """Stands in for an infrared camera, in real time only: `<channel>/true_temperature`, a
+    simulated bench's `<channel>/temperature` remapped, in, `thermal_image`, as an Optris driver's,
+    out."""
 
     def __init__(self) -> None:
         super().__init__("synthetic_camera")

@@ -145,9 +145,8 @@ class ExperimentNode(BenchNode):
             self._run.heard("deflection", "", position, ros.seconds_of(message), time.monotonic())
 
     def _on_clock(self, _: TimeJump) -> None:
-        """One command for each moment of a simulated clock, for which the bench waits. A timer of
-        that clock will not do: EventsExecutor calls it once more for each leap that comes before
-        the call, which takes the next moment's; set back, it multiplies the calls without end."""
+        """One command for each moment of a simulated clock, for which the bench waits. Of a timer
+        of that clock EventsExecutor multiplies the calls where it leaps or is set back."""
         moment = self._bench_clock.now().nanoseconds
         since = moment - self._ticked
         if not 0 <= since < self._period:
@@ -185,9 +184,9 @@ class ExperimentNode(BenchNode):
 
 
 class Controller(ExperimentNode):
-    """Follows references of temperature or deflection under the same rules: a file's to its end,
-    one from the topic until stopped. `~/setpoint` says what is followed, `~/reference` asks for
-    something else: one number a channel, or a single one, in SI units less `zero`."""
+    """Follows references of temperature or deflection under the same rules: a file's, or the
+    topic's until stopped. `~/setpoint` says what is followed, `~/reference` asks for another: a
+    number a channel, or one, in SI units less `zero`."""
 
     quantity: Quantity
     kind: type[Float64 | Float64MultiArray]

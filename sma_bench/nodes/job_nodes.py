@@ -3,8 +3,7 @@
     ros2 param set /bench/identification record "['my_bag']"
     ros2 service call /bench/identification/identify std_srvs/srv/Trigger
 
-The work runs in a process of its own and waits in a thread, so that parameters, a second request
-("busy"), a cancellation and the end of the node are served meanwhile."""
+The work runs in a process of its own and waits in a thread: the node answers meanwhile."""
 
 import json
 import threading

@@ -1,8 +1,7 @@
 """What the executables start: `python -m sma_bench.nodes.start NODE [--ros-args ...]`, or several
 nodes in one process: `... bench NODE [-p NAME:=VALUE] [NODE ...] [--ros-args ...]`.
 
-Imports nothing of weight: a signal that comes while the node's modules are read ends the process
-at once and in silence, as nothing is driven yet."""
+Imports nothing of weight: a signal while modules are read ends it at once, as nothing is driven."""
 
 import contextlib
 import faulthandler
@@ -206,9 +205,8 @@ def node_help(node: str) -> str:
 
 def check_arguments(node: str, argv: Sequence[str]) -> dict[str, str]:
     """Check every parameter file and `-p name:=value` of a command line without the program's name;
-    where the value of each name is from. `node` is the node's name unless argv renames it. Raises
-    InputError: unreadable file, or none of it for this node, unknown name, wrong type or out of
-    range; one line with the file and, for a name, the nearest known one."""
+    where the value of each name is from. InputError: unreadable file, or none of it for this node,
+    unknown name (with the nearest known), wrong type or out of range; one line with the file."""
     # ROS passes over unknown names: a slip of the pen would leave a default, a safety limit's too.
     from sma_bench.border import load_yaml
     from sma_bench.errors import InputError, errors_in

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Set
+from functools import cache
 
 from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.qos import QoSProfile, ReliabilityPolicy
@@ -38,7 +39,9 @@ class TwinNode(BenchNode):
         self._channels = self.parameters["bench.channels"]
         self._joint = "tip" if moves_tip(self.parameters) else "wire"
         self._moves = load_kind(self.parameters) != "clamped"  # its position is compared
-        self._topics: dict[str, BenchTopics] = {}
+        # Publishers of a bench's topics below that, made when first needed.
+        self._below = cache(lambda below: BenchTopics(self, self._channels, self._channels,
+                                                      joint=self._joint, below=below))
         self._below(PREDICTED)
         self._residual = self._below(RESIDUAL)
         self._energy = {stage: self.create_publisher(Float64, ENERGY + stage, READINGS)
@@ -77,13 +80,6 @@ class TwinNode(BenchNode):
         elif k < len(message.effort):
             elongation = 0.0 if math.isnan(position) else position
             self._twin.mechanics(stamp_of(message), message.effort[k], elongation)
-
-    def _below(self, below: str) -> BenchTopics:
-        """Publishers of a bench's topics below that, made when first needed."""
-        if below not in self._topics:
-            self._topics[below] = BenchTopics(self, self._channels, self._channels,
-                                              joint=self._joint, below=below)
-        return self._topics[below]
 
     def _predict(self, found: Prediction) -> None:
         self._publish(PREDICTED, found)

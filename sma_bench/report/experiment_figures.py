@@ -93,9 +93,8 @@ def slope_picture(e3: Experiment) -> Picture:
 
 
 def validation_picture(record: Record, parameters: Parameters) -> Picture:
-    """Fig. 6: a triangular voltage, measured temperature and the simulation of eq. (2). `record`: a
-    wire-rig record that no parameter was fitted to; `parameters`: identified ones. Raises
-    InputError: the record lacks voltage or temperature of the wire."""
+    """Fig. 6: a triangular voltage, measured temperature and the simulation of eq. (2), of a record
+    that no parameter was fitted to. InputError: it lacks the wire's voltage or temperature."""
     channel = parameters["bench.channels"][0]
     time, voltage = held_voltages(record, [channel])
     measured = record[f"{channel}.temperature"]

@@ -140,9 +140,8 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
     files appear, or none: a report that lies there already is replaced as a whole, other files are
     not. `made` adds the date to the head, and a last section with the inputs' hashes; for a paper's
     `column` every figure is written as SVG and PDF too, and as CSV what is drawn and the named
-    tables; `report` is called before each figure is drawn. Raises InputError: the folder cannot be
-    written or holds another file of a report's name, an input is gone, or another report is being
-    written there."""
+    tables; `report` hears of each figure. Raises InputError: the folder cannot be written or holds
+    another file of a report's name, an input is gone, or a report is being written there."""
     directory = Path(directory)
     with border.claimed(os.path.realpath(directory), "being written as a report already"):
         if made is not None:
@@ -224,8 +223,8 @@ def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:
 
 
 def digest(path: Path) -> tuple[str, int]:
-    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files, not
-    of those that links lead to outside. Raises InputError: a file cannot be read."""
+    """SHA-256 and size in bytes of a file; of a folder, over names and contents of its files
+    inside. Raises InputError: a file cannot be read."""
     total, size = hashlib.sha256(), 0
     with errors_in(f"{path}: cannot be read"):
         inside = sorted(p for p in path.rglob("*") if p.is_file() and border.is_inside(p, path))

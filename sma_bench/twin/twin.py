@@ -85,8 +85,8 @@ class Verdict(NamedTuple):
 
 
 class Twin:
-    """Runs the model on measured voltages and compares what else is measured. Stamps are ns,
-    readings SI. What cannot be used (NaN, late, out of order) is counted."""
+    """Runs the model on measured voltages and compares what else is measured; counts what cannot be
+    used (NaN, late, out of order). Stamps are ns, readings SI."""
 
     def __init__(self, parameters: Parameters, settings: Settings,
                  on_prediction: Callable[[Prediction], None],
