@@ -71,8 +71,7 @@ QUANTITIES = {  # in the page's order
     "current": ShownQuantity("Current", "A", limit="bench.maximum_current"),
     "temperature": ShownQuantity("Temperature", "°C", 1, CELSIUS_ZERO, "bench.maximum_temperature"),
     "deflection": ShownQuantity("Deflection", "mm", 1e3),
-    "elongation": ShownQuantity("Elongation", "mm", 1e3),
-    "force": ShownQuantity("Force", "N"),
+    "elongation": ShownQuantity("Elongation", "mm", 1e3), "force": ShownQuantity("Force", "N"),
     "distance": ShownQuantity("Distance", "mm", 1e3)}
 _ORDER = list(QUANTITIES)
 LIMITS = tuple(q.limit for q in QUANTITIES.values() if q.limit)

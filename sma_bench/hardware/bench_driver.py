@@ -1,7 +1,7 @@
 """Whether, and with what, the device may drive the bench. No ROS, no thread of its own.
 
 `idle` until someone enables it, `enabled` until someone stops it or a rule of safety.py breaks,
-`stopped`, for the first reason, until a reset. Outputs are 0 V unless enabled and freshly set."""
+`stopped`, for the first reason, until a reset. 0 V unless it is enabled and commanded afresh."""
 
 import contextlib
 import math

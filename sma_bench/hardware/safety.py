@@ -1,8 +1,9 @@
 """Rules that keep a heated wire safe. No ROS, no clock of its own: time comes in as seconds.
 
 Every rule answers with a reason, one line for people, or "": whoever asked puts the outputs to 0 V.
-Those about readings are three tables, evaluated by `broken`: limits, broken at once, and what the
-model expects, which must fail for a while (a broken wire, a camera that looks elsewhere)."""
+Those about readings are three tables, evaluated by `broken`: limits, broken at once, and what a
+wire should do by the model, which it must fail to do for a while (a broken or shorted wire, a
+camera that looks elsewhere, a cooling fan that stopped)."""
 
 import math
 from collections import deque
@@ -92,8 +93,9 @@ class Limits:
         return steady + (temperature - steady) * decay
 
     def heating_voltage(self, volt: float, ampere: float) -> float:
-        """V that heat the wire at least as what was measured; NaN is not. A current that it may
-        have says what it takes, any other counts as a new one's; without voltage it heats too."""
+        """V that heat the wire at least as what was measured; NaN is not measured. A current that a
+        wire may have says what it takes; with any other the wire counts as a new one. A current
+        without a voltage heats too: a switch that does not open."""
         if volt >= LEAST_VOLTAGE and abs(ampere - volt / self.circuit) <= self.allowed_stray(volt):
             return self.measured_voltage(volt, ampere)
         powers = [volt**2 / self.heated, (volt - self.leads * ampere) * ampere]
@@ -368,7 +370,8 @@ def board_rules(side: str, ampere: float, volts: float, x: Limits) -> dict[str, 
 
 def broken(rules: Mapping[str, Rule], now: float = 0.0,
            since: Lasting | None = None) -> dict[str, str]:
-    """Rules broken at `now` s and why; the caller keeps `since` when, by how many readings."""
+    """The rules that are broken at `now` s, with their reasons; `since` is kept by the caller: when
+    readings began to break a rule, and how many did."""
     since, reasons = {} if since is None else since, {}
     for name, (value, limit, said, hold) in rules.items():
         if math.isnan(value):

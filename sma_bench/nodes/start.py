@@ -20,16 +20,11 @@ from typing import Any
 from sma_bench.lifeline import end_with_starter, ending_signals
 
 NODES = {  # by the executable's name: module and class
-    "simulator": "simulator.Simulator",
-    "serial_bridge": "serial_bridge.SerialBridge",
-    "ir_camera": "cameras.IrCamera",
-    "synthetic_camera": "cameras.SyntheticCameraNode",
-    "experiment": "experiment.ExperimentNode",
-    "recorder": "recorder.Recorder",
-    "identification": "job_nodes.IdentificationNode",
-    "diagnosis": "job_nodes.DiagnosisNode",
-    "investigation": "job_nodes.InvestigationNode",
-    "twin": "twin.TwinNode",
+    "simulator": "simulator.Simulator", "serial_bridge": "serial_bridge.SerialBridge",
+    "ir_camera": "cameras.IrCamera", "synthetic_camera": "cameras.SyntheticCameraNode",
+    "experiment": "experiment.ExperimentNode", "recorder": "recorder.Recorder",
+    "identification": "job_nodes.IdentificationNode", "diagnosis": "job_nodes.DiagnosisNode",
+    "investigation": "job_nodes.InvestigationNode", "twin": "twin.TwinNode",
     "temperature_controller": "experiment.TemperatureControllerNode",
     "deflection_controller": "experiment.DeflectionControllerNode"}
 # The executable of several nodes. What holds the hardware keeps a process of its own.

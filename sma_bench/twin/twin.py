@@ -101,9 +101,8 @@ class Twin:
         self._voltages = Voltages(len(self._channels))
         self._share = math.nan  # of readings, between the limits that are asked for
         self.tune(settings)
-        self._judge = Judge(side_names(parameters))
+        self._judge, self._ignored = Judge(side_names(parameters)), 0
         self._origin: int | None = None
-        self._ignored = 0
         self.restarts, self.reason = 0, ""  # how often the twin began anew, and why last
         self._begin_anew()
 
@@ -133,8 +132,7 @@ class Twin:
         self._kelvin: dict[int, tuple[float, float]] = {}
         # By kind and wire: time, stamp, value, what to multiply the prediction by, own error.
         self._pending: dict[tuple[str, int], deque[tuple[float, int, float, float, float]]] = {}
-        self._next_due: dict[tuple[str, int], float] = {}
-        self._unjudged = 0
+        self._next_due, self._unjudged = dict[tuple[str, int], float](), 0
         self._judge.forget()
         self.verdict = Verdict(LEARNING, "learning: waiting for voltages")
 
