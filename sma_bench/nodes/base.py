@@ -224,8 +224,8 @@ def _plain(value: Any) -> Any:
 
 
 def be_punctual(priority: int) -> str:
-    """Have this process scheduled before others, as far as its user may; how it is scheduled. Of
-    niceness alone a desktop's kernel, which groups processes by session, takes little note."""
+    """Have this process scheduled before others, as far as its user may; how it is scheduled.
+    Niceness alone is no help where the kernel groups processes by session (autogroup)."""
     with contextlib.suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_RR, os.sched_param(priority))

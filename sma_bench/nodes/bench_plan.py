@@ -125,9 +125,8 @@ def filled(arguments: Mapping[str, Argument], given: Mapping[str, str]) -> dict[
 
 
 def plan_bench(rig: LaunchedRig, given: Mapping[str, str]) -> list[PlannedNode]:
-    """The nodes of a bench, those that others listen to first. `given`: the launch file's
-    arguments. InputError: they are unknown or exclude each other, a bad parameter file or
-    protocol."""
+    """The nodes of a bench, those that others listen to first. `given`: arguments of its launch.
+    InputError: they are unknown or exclude each other, or a file or protocol does not fit."""
     values = filled(rig.arguments, given)
     hardware, speed = values["mode"] == "hardware", values["speed"]
     camera = hardware if values["camera"] == "auto" else values["camera"].lower() == "true"

@@ -87,9 +87,8 @@ class IrCamera(BenchNode):
 
 
 class SyntheticCameraNode(BenchNode):
-    """Stands in for an infrared camera, in real time only: `<channel>/true_temperature`, a
-    simulated bench's `<channel>/temperature` remapped, in, `thermal_image`, as an Optris driver's,
-    out."""
+    """Stands in for an infrared camera, in real time only: `<channel>/true_temperature`, remapped
+    from a simulated bench's `<channel>/temperature`, to `thermal_image` as the Optris drivers'."""
 
     def __init__(self) -> None:
         super().__init__("synthetic_camera")

@@ -184,9 +184,9 @@ class ExperimentNode(BenchNode):
 
 
 class Controller(ExperimentNode):
-    """Follows references of temperature or deflection under the same rules: a file's, or the
-    topic's until stopped. `~/setpoint` says what is followed, `~/reference` asks for another: a
-    number a channel, or one, in SI units less `zero`."""
+    """Follows references of temperature or deflection under the same rules: a file's to its end,
+    one from the topic until stopped. `~/setpoint` says what is followed, `~/reference` asks for
+    something else: one number a channel, or a single one, in SI units less `zero`."""
 
     quantity: Quantity
     kind: type[Float64 | Float64MultiArray]

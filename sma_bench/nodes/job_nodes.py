@@ -79,8 +79,9 @@ class JobNode(WorkNode):
         self._enter("busy")
         try:
             # What is set from here on is for the next request.
-            result = self._worker.run(self._task, self.settings, self.parameters, lambda share,
-                                      what: self._enter(f"busy: {100.0 * share:.0f} %, {what}"))
+            result = self._worker.run(
+                self._task, self.settings, self.parameters,
+                lambda share, what: self._enter(f"busy: {100.0 * share:.0f} %, {what}"))
             self._publish_result(result)
             self.on_result(result)
             return result

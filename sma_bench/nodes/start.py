@@ -1,7 +1,7 @@
 """What the executables start: `python -m sma_bench.nodes.start NODE [--ros-args ...]`, or several
 nodes in one process: `... bench NODE [-p NAME:=VALUE] [NODE ...] [--ros-args ...]`.
 
-Imports nothing of weight: a signal while modules are read ends it at once, as nothing is driven."""
+Imports nothing of weight: a signal while modules are read ends it in silence: nothing is driven."""
 
 import contextlib
 import faulthandler

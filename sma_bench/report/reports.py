@@ -186,8 +186,8 @@ def write_collected_report(directory: str | Path, title: str, shown: Sequence[Re
         table = Table(header, rows, frozenset({1, 2}), "parameters")
         text = f"As given in {given}; all others as in docs/parameters.md."
         sections.append(Section("Parameters", [text], tables=[table]))
-    summary = f"From {'; '.join(dict.fromkeys(one.path for one in shown))}."
-    return write_report(directory, title, summary, sections, made, column=column, report=report)
+    said = f"From {'; '.join(dict.fromkeys(one.path for one in shown))}."
+    return write_report(directory, title, said, sections, made, column=column, report=report)
 
 
 def read_result(path: str | Path) -> Identification | DiagnosisResult:
