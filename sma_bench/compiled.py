@@ -7,7 +7,8 @@ import sys
 import tempfile
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import cache
 from multiprocessing import parent_process
 from pathlib import Path
@@ -22,7 +23,9 @@ except ImportError:
     numba = None
 
 PHYSICS = Path(__file__).resolve().parent / "physics"
+
 T = TypeVar("T")
+
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "nogil": True}
 _listeners: list[Callable[[], None]] = []
 _turns: set[Path] = set()
@@ -36,46 +39,17 @@ def warn_if_plain() -> None:
         warnings.warn(f"numba is not installed: {slow}", RuntimeWarning, stacklevel=3)
 
 
-def compiled(function: Callable[..., Any], **own: Any) -> Callable[..., Any]:
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile `function` at its first call and cache the machine code on disk. It lets go of the
-    GIL while it runs, so threads simulate side by side. `own`: further options of numba's."""
-    if numba is None:
-        return function
-    folder = _cache_folder(_room(function))
-    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder or "")
-    try:
-        dispatcher = numba.njit(function, cache=folder is not None, **_OPTIONS, **own)
-    finally:
-        numba.config.CACHE_DIR = before
-    compile_it = dispatcher.compile
-    # Of several processes that need a function one compiles, the others then read what it kept. The
-    # compiler's own lock first: who has it may come here again, for what a function calls.
-    def compile_in_turn(signature: Any) -> Any:
-        if signature in dispatcher.overloads or is_compiled(function):
-            return compile_it(signature)
-        from numba.core.compiler_lock import global_compiler_lock
-
-        with global_compiler_lock:
-            while _listeners:
-                _listeners.pop()()
-            if folder is None or folder in _turns:
-                return compile_it(signature)
-            with open(folder / "compiling", "wb") as turn:
-                fcntl.flock(turn, fcntl.LOCK_EX)
-                _turns.add(folder)
-                try:
-                    return compile_it(signature)
-                finally:
-                    _turns.discard(folder)
-
-    dispatcher.compile = compile_in_turn
-    return dispatcher
+    GIL while it runs, so threads simulate side by side."""
+    return _cached(function, _OPTIONS)
 
 
 def borrowing(function: Callable[..., Any]) -> Callable[..., Any]:
-    """As `compiled`, for a function that allocates nothing: it counts no references, as its caller
-    holds all arrays: the counting takes several times as long as the arithmetic."""
-    return compiled(function, _nrt=False)
+    """As `compiled`, for a function that allocates nothing: it does not count references, as its
+    caller holds all arrays. Where named tuples of arrays go from function to function, the counting
+    takes several times as long as the arithmetic."""
+    return _cached(function, {**_OPTIONS, "_nrt": False})
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -107,6 +81,47 @@ def load_aside(function: Callable[..., Any], use: Callable[[], None]) -> None:
 def when_compiling(notify: Callable[[], None]) -> None:
     """Have `notify` called once, when this process first compiles, or waits for one that does."""
     _listeners.append(notify)
+
+
+def _cached(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    if numba is None:
+        return function
+    folder = _cache_folder(_room(function))
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, str(folder or "")
+    try:
+        dispatcher = numba.njit(function, cache=folder is not None, **options)
+    finally:
+        numba.config.CACHE_DIR = before
+    compile_it = dispatcher.compile
+    # Of several processes that need a function one compiles, the others then read what it kept.
+    def compile_in_turn(signature: Any) -> Any:
+        if signature in dispatcher.overloads or is_compiled(function):
+            return compile_it(signature)
+        with _turn(folder):
+            return compile_it(signature)
+
+    dispatcher.compile = compile_in_turn
+    return dispatcher
+
+
+@contextmanager
+def _turn(folder: Path | None) -> Iterator[None]:
+    """The compiler's own lock first: who has it may come here again, for what a function calls."""
+    from numba.core.compiler_lock import global_compiler_lock
+
+    with global_compiler_lock:
+        while _listeners:
+            _listeners.pop()()
+        if folder is None or folder in _turns:
+            yield
+            return
+        with open(folder / "compiling", "wb") as turn:
+            fcntl.flock(turn, fcntl.LOCK_EX)
+            _turns.add(folder)
+            try:
+                yield
+            finally:
+                _turns.discard(folder)
 
 
 def _room(function: Callable[..., Any]) -> Path:
@@ -141,7 +156,8 @@ def _cache_folder(room: Path) -> Path | None:
 
 _THREADS = 2
 _helpers = threading.Semaphore(_THREADS - 1)  # that are free; who only waits lends its own place
-# s, for which a thread may keep the interpreter from one back from the core; Python's own is 5 ms.
+# s, for which a thread may keep the interpreter from one that comes back from the core after some
+# tenths of a millisecond; Python's own is 5 ms.
 _SWITCH = 2e-4
 
 
