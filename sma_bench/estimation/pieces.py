@@ -15,7 +15,6 @@ TOGGLES = 0.6  # of a converter's step: what scatters less may be two readings b
 _CURVED, _TURNS = 3.0, 4  # standard errors by which a bow is nearer than two lines; turns one way
 _FINE, _PASSED = 5e-3, 4.0  # a converter's step, of the range; steps that a curve passes
 _BLOCK, _BRIEF = 0.1, 0.5  # s, means that a curve is drawn through; in which a drive goes one way
-_PLACES = 32  # of a corner, tried at once
 ROUNDING = 1e-6  # of the largest voltage
 
 Span = tuple[int, int]  # first sample, and the one after the last
@@ -110,16 +109,13 @@ def _corner(time: Array, volts: Array, step: float) -> tuple[int, bool]:
     least = max(white, step / np.sqrt(12.0), ROUNDING * float(np.max(np.abs(volts))))
     if np.max(np.abs(np.cumsum(left))) <= least * np.sqrt(n):
         return 0, False
-    best, at, every = np.inf, 0, n
-    low, high = FEWEST_IN_LINE, n - FEWEST_IN_LINE
-    while every > 1:
-        every = max((high - low) // _PLACES, 1)
-        for k in range(low, high + 1, every):
-            columns = np.column_stack([np.ones(n), t, np.maximum(t - t[k], 0.0)])
-            off = left - columns @ np.linalg.lstsq(columns, left, rcond=None)[0]
-            if (square := float(off @ off)) < best:
-                best, at = square, k
-        low, high = max(low, at - every), min(high, at + every)
+    # Of a hinge at every sample what is no line's: its power, and what it explains of the rest.
+    count, s, q, r, w = (np.cumsum(x[::-1])[::-1] for x in (t**0, t, t * t, left, t * left))
+    power = q - 2.0 * t * s + t * t * count - (s - t * count) ** 2 / n - (q - t * s) ** 2 / (t @ t)
+    inside = slice(FEWEST_IN_LINE, n - FEWEST_IN_LINE + 1)
+    explained = (w - t * r)[inside] ** 2 / power[inside]
+    at = FEWEST_IN_LINE + int(np.argmax(explained))
+    best = max(float(left @ left - np.max(explained)), 0.0)
     alike = n / independent(n, float(np.sqrt(best / n)), step, rise)
     if float(left @ left) - best < CLEAR**2 * alike * best / n:
         return 0, False

@@ -465,7 +465,7 @@ def _with_corners(polygon: Polygon, voltage: Array) -> Polygon:
         before = int(np.searchsorted(time, at)) - 1
         # Noise displaces a corner, by as much as it hides that the lines differ there.
         far = (_BENT * max(left, right) + least) / max(abs(rise[0] - fall[0]), _EXACT)
-        is_near = a <= before < b_end - 1 and abs(at - time[b]) < far
+        is_near = lines[k][0] < before < b_end - 2 and abs(at - time[b]) < far
         if not (is_near or a_end - _AT_CORNER <= before + 1 <= b + _AT_CORNER):
             continue
         for line, begin, end in ((rise, parts[0][1], before + 1), (fall, before + 1, parts[1][0])):

@@ -114,3 +114,31 @@ def test_a_noisy_voltmeters_ramps_and_curves_heat_as_they_did(drive, noise, step
     jumping = voltage.is_jumping(time[: 50 * len(held)]).reshape(-1, 50).any(axis=1)
     steady = (true > 0.5) & ~jumping
     assert np.sqrt(np.mean((held - true)[steady] ** 2)) < off
+
+
+@settings(max_examples=60, deadline=None)
+@given(kind=st.sampled_from(["corners", "steps", "waves", "wander"]), n=st.integers(25, 1500),
+       noise=st.sampled_from([0.0, 0.001, 0.02, 0.1]), step=st.sampled_from([0.0, 0.005, 0.05]),
+       rate=st.sampled_from([2.0, 10.0, 100.0]), seed=st.integers(0, 9999))  # fmt: skip
+def test_whatever_a_voltage_does_its_pieces_stay_in_order_and_near_it(
+    kind, n, noise, step, rate, seed
+):
+    random = np.random.default_rng(seed)
+    time = np.cumsum(random.uniform(0.5, 1.5, n)) / rate
+    at, levels = np.sort(random.uniform(0.0, time[-1], 12)), random.uniform(0.0, 5.0, 12)
+    exact = np.interp(time, at, levels)
+    if kind == "steps":
+        exact = levels[np.maximum(np.searchsorted(at, time) - 1, 0)]
+    elif kind == "waves":
+        exact = 2.5 - 2.5 * np.cos(time * random.uniform(0.05, 3.0))
+    elif kind == "wander":
+        exact = exact + 0.02 * np.cumsum(random.standard_normal(n))
+    read = exact + noise * random.standard_normal(n)
+    read = np.round(read / step) * step if step else read
+    voltage = applied_voltage([(time, read)])
+    (polygon,) = voltage.channels
+    assert all(first < last for first, last, _ in polygon.lines)
+    assert np.all(np.diff(polygon.time) >= 0.0) and voltage.line_errors() is not None
+    grid = np.linspace(time[0], time[-1], 50)
+    held = voltage.on_grid(grid, np.zeros(len(voltage.early)))
+    assert np.isfinite(held).all() and held.max() <= 1.5 * np.abs(read).max() + 0.5
