@@ -47,8 +47,8 @@ def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] 
             the shared clock `time` (n,) s, or to pairs (time, values); a pandas DataFrame with
             such columns; a simulation, which is then read exactly; a record as it is.
         namespace: where two benches are in one bag, the one to take.
-        units, params: of a logger's table, read as `sma-bench import` does: units by column, and
-            the rig's parameter file.
+        units: of a logger's table, by column, read as `sma-bench import` does.
+        params: of a logger's table, the rig's parameter file.
 
     `record["wire.voltage"]` has `time` (n,) s and `values` (n,); an instrument file is a record of
     its own kind. Raises InputError: nothing readable, or arrays that do not fit each other."""

@@ -409,13 +409,13 @@ def _fill_with_a_bag(path: Path) -> str:
     """What went wrong, or ""."""
     noise = np.random.default_rng(0).normal(300.0, 10.0, _MANY)
     signal = Signal("wire.temperature", "K", np.arange(_MANY) * 0.01, noise)
-    (stream,) = streams_of({signal.name: signal}, "/bench/", 10**18)
+    ((topic, msgtype, received, blobs),) = streams_of({signal.name: signal}, "/bench/", 10**18)
     safe = 0
     try:
         bag = BagWriter(path, flush_every=float("inf"))
-        bag.add_topic(stream.topic, stream.type)
-        for number, (stamp, blob) in enumerate(zip(stream.received, stream.blobs, strict=True), 1):
-            bag.write(stream.topic, int(stamp), blob)
+        bag.add_topic(topic, msgtype)
+        for number, (stamp, blob) in enumerate(zip(received, blobs, strict=True), 1):
+            bag.write(topic, int(stamp), blob)
             if number % _PER_FLUSH == 0:
                 bag.flush()
                 safe = number

@@ -13,6 +13,7 @@ from sma_bench.errors import InputError
 from sma_bench.estimation import laws as weighing
 from sma_bench.estimation import unknowns as priors
 from sma_bench.estimation.estimate import Estimate
+from sma_bench.estimation.laws import starts
 from sma_bench.estimation.observation import MOVED, Observation, observe_all
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.result import Result, result_of, scale_errors
@@ -105,7 +106,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
         unknowns = priors.unknowns_of_records(parameters, quantities, load_frame=held,
                                               own_load=moving, sides_apart=True, unmodelled=True)
         problem = Problem.of(observations, voltage_noise=True)
-        tries = weighing.starts(unknowns)[:most_starts]
+        tries = starts(unknowns)[:most_starts]
         fitted, tried = recalibrate(problem, parameters, unknowns, tries, report, keep_noise=True)
         fitted, tried = _with_lag(fitted, tried, parameters)
     result = result_of(fitted, tried, scale_errors(fitted))

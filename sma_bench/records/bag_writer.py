@@ -182,7 +182,7 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
         texts, source = [*source.markers, *texts], source.signals
     given = source.values() if isinstance(source, Mapping) else source
     prefix = "/" + namespace.strip("/") + "/" if namespace.strip("/") else "/"
-    streams = [*_streams({signal.name: signal for signal in given}, prefix, start)]
+    streams = [*streams_of({signal.name: signal for signal in given}, prefix, start)]
     if texts:
         received = _stamps("marker", np.array([at for at, _ in texts], dtype=float), start)
         blobs = [_serialised(contract.STRING, data=text) for _, text in texts]
@@ -234,7 +234,7 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
 _Stream = tuple[str, str, IntArray, list[bytes]]
 
 
-def _streams(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[_Stream]:
+def streams_of(signals: dict[str, Signal], prefix: str, start: int) -> Iterator[_Stream]:
     """The messages that carry signals, topic by topic; `start` is ns since the epoch of t = 0."""
     groups: dict[str, dict[str, Signal]] = {}
     for name, signal in signals.items():
