@@ -36,7 +36,7 @@ OUTCOMES = ("before", "now", "lost", "WRONG")
 WAYS = ("while it works", "at a trip", "at what acknowledges it", "behind a reset at a trip")
 
 
-# What the Uno says of its last trip: cause, s after a start, acknowledged by nobody.
+# What the Uno says of its last trip: cause, s after a start, not acknowledged.
 Report = namedtuple("Report", "cause time open")
 # How one is made, the causes that it may have, s until it has come, at least and at most.
 Trip = namedtuple("Trip", "make causes soonest latest")

@@ -81,7 +81,7 @@ def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
 
 
 def _refused(text: str) -> str:
-    """`REFUSED` where the reason says what to write, else `RAISED`: nobody can act on it."""
+    """`REFUSED` where the reason says what to write, else `RAISED`: no one can act on it."""
     return REFUSED if re.search(_ADVICE, text) else RAISED
 
 
@@ -141,7 +141,7 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
             return WRONG, f"mass {record.mass:.4g} kg of {truth.mass:.4g}"
         got = {n: _joined(record.segments, n) for n in ("time", "temperature", "heat_flow")}
         true, steps = {"time": truth.time} | true, {"time": 1e-3} | steps
-        if per_gram:  # nobody said the mass: the flow of whatever was taken for it
+        if per_gram:  # the mass is not stated: the flow of whatever was taken for it
             got["heat_flow"] = got["heat_flow"] * truth.mass / record.mass
         if got["time"][-1] > truth.time[-1] + 1.0:  # stamps of a day, or of the epoch
             got["time"] = got["time"] - dialects.EPOCH

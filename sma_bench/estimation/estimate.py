@@ -16,7 +16,7 @@ class Estimate:
     method: str = ""
     n: int = 0  # measured points behind it
     systematic: float = 0.0  # part of `std` that more of the same records would not lower
-    informed: float = 1.0  # share of its information from the records, NaN where nobody said
+    informed: float = 1.0  # share of its information from the records, NaN where not known
     # Of the systematic part, in `unit`, by what is behind them, which other numbers may share.
     shares: Mapping[str, float] = field(default_factory=dict)
     stated: "Estimate | None" = None  # the same number in the parameter file

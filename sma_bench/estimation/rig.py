@@ -216,7 +216,7 @@ def has_load_frame(record: Record) -> bool:
 
 
 def is_clamped(record: Record) -> bool:
-    """Whether the length is held: the elongation stands still, or nobody measured it."""
+    """Whether the length is held: the elongation stands still, or was not measured."""
     if not has_samples(record, "elongation"):
         return True
     elongation = samples(record, "elongation")[1]
@@ -278,7 +278,7 @@ def _mean(values: Array) -> tuple[float, float]:
 
 
 def _followed(time: Array, force: Array, start: float, stop: float) -> list[Hold]:
-    """Pieces short enough for the force to be one number in each; one where nobody measured it."""
+    """Pieces short enough for the force to be one number in each; one where it was not measured."""
     if stop - start < _NARROW:
         return []
     edges = np.linspace(start, stop, int(np.ceil((stop - start) / _RAMP_PIECE)) + 1)

@@ -119,7 +119,7 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
 
 
 def lead_std(parameters: Parameters) -> float:
-    """Standard deviation of the leads' resistance [ohm]; 0 ohm that nobody stated is exact."""
+    """Standard deviation of the leads' resistance [ohm]; 0 ohm not stated is exact."""
     stated = parameters[LEADS] > 0.0 or LEADS in parameters.given
     return parameters.std(LEADS) if stated else 0.0
 

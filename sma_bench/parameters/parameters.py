@@ -177,7 +177,7 @@ class Parameters(Mapping[str, Value]):
             yield from idle_effects(self).values()
 
     def _faults_of_law(self, law: str) -> Iterator[str]:
-        """What cannot be beside `wire.law`."""
+        """What `wire.law` excludes."""
         for effect in EFFECTS.values():
             if law not in effect.laws and effect.is_on(self):
                 yield f"effect {effect.name} with wire.law {law}, expected {', '.join(effect.laws)}"

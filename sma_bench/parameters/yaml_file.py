@@ -98,7 +98,7 @@ def write_parameters(path: str | Path, parameters: Parameters, comment: str = ""
 
     The file appears whole or not at all. What nobody stated stands in it as a comment, but the
     channels, without which no rig is one. `comment`: lines for the head of the file; `names`:
-    parameters to write, in any order, when None all but effects that nobody stated; `sources`:
+    parameters to write, in any order, when None all but effects not stated; `sources`:
     where values are from, by name: these and their standard deviations are rounded to what the
     error deserves; `template`: a file whose comments a person wrote and that are kept; `explain`:
     each parameter's description above it. Raises InputError: the folder cannot be written."""
@@ -151,7 +151,7 @@ _OWN = " | "  # between a person's comment and what is written beside it anew
 
 
 def _comments_of(path: str | Path | None) -> tuple[list[str], dict[str, list[str]], dict[str, str]]:
-    """What a person wrote into a file, if there is one: at its head, above and beside values."""
+    """What a person wrote into a file, if there is one: at its head, above and next to values."""
     head: list[str] = []
     above: dict[str, list[str]] = {}
     beside: dict[str, str] = {}

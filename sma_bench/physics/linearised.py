@@ -6,7 +6,7 @@ by per kelvin, the simulated bench says itself, led through temperatures along t
 
     m c_p dT_i/dt = -h A_c T_i + (2 V_i*/R) v_i + m Delta_h dxi_i/dt                      (1), (19)
 
-The printed coefficients, and the corrected ones beside them, are in paper/printed.py."""
+The printed coefficients, and the corrected ones next to them, are in paper/printed.py."""
 
 import math
 from dataclasses import dataclass

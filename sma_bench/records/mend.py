@@ -93,12 +93,12 @@ def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, lis
 def without_unseen_drive(record: Record) -> tuple[Record, list[Finding]]:
     """The record's longest stretch without a gap of all its signals over which a voltage went
     elsewhere, neither held nor on a ramp: nothing says what its wire was given meanwhile."""
-    times = np.unique(np.concatenate([signal.time for signal in record.signals.values()]))
+    times = np.unique(np.concatenate([[], *(s.time for s in record.signals.values())]))
     steps = np.diff(times)
     if not len(steps):
         return record, []
     least = max(_GAP, _GAP_STEPS * float(np.quantile(steps, 0.95)))
-    edges, found = [times[0]], []
+    edges, found = [times[0]], list[Finding]()
     for k in np.flatnonzero(steps > least).tolist():
         names = [n for n in record.signals if n.endswith(".voltage")]
         changed = [n for n in names if _went_elsewhere(record[n], times[k], steps[k])]

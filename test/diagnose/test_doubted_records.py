@@ -236,6 +236,11 @@ def test_numbers_that_nobody_stated_are_fitted_so_well_that_no_effect_gains_by_t
     assert max(c.log_evidence for c in found.candidates) < 2.0
 
 
+def test_a_record_of_which_nothing_is_left_has_no_gap(record):
+    empty = replace(record, signals={})
+    assert without_unseen_drive(empty) == (empty, [])
+
+
 def test_a_wire_that_stays_cold_expands_and_is_not_turned():
     """Its length not stated: 40 um of expansion, read with as much noise, were a sign to turn."""
     spring = {"load.kind": "spring", "load.stiffness": 1000.0, "load.preload": 5.0}

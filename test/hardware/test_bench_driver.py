@@ -363,6 +363,6 @@ def test_a_duty_is_driven_as_the_direct_voltage_of_its_heat():
     assert bench.link.limits[0] == DEVICE.maximum_voltage * 1e3  # 9.8 V and a margin
     assert bench.pass_time(1.0, command=0.75) == ""
     assert bench.link.sent[-1] == [3000, 0, 0, 0]  # sqrt(0.75 V x 12 V)
-    assert bench.driver.diagnostics(bench.now)["applied"] == "3.00"
+    assert [p.voltage for p in bench.driver.newest.powers] == pytest.approx([3.0])
     # 6 V are expected.
     assert "disagreement" in bench.pass_time(3.0, command=3.0, volt=0.5)

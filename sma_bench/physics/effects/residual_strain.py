@@ -7,7 +7,7 @@ The first heating is the paper's; after it, r of the strain stays at rest, or cr
 rate k. A record that follows another of the same bench may begin with what stayed in that one
 (`fresh_start`). Source: two-way memory and incomplete reorientation (detwinning) of the martensite
 under too small a load. Laws of which that load decides the strain (brinson, extended) have it by
-themselves: it is refused beside them."""
+themselves: it is refused with them."""
 
 import math
 from collections.abc import Mapping
