@@ -256,7 +256,7 @@ FROZEN_SHARES: dict[str, float] = _DEALT["shares_of_forms"]
 # Purposes of a case's own random numbers; each has its own stream, so that nothing drawn for one
 # depends on how much another one drew.
 _STREAMS = ("rig", "beliefs", "drives", "sensors", "nuisances", "effect", "bag", *RECORDS, "forms",
-            "states")  # fmt: skip
+            "states")
 DECK = 2**31 - 1
 NUISANCE_LIMIT = 0.3  # gap over noise that all nuisances together stay below
 

@@ -5,20 +5,16 @@ import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 
 from sma_bench.errors import InputError
-from sma_bench.parameters import read_parameters, write_parameters
 from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.results import write_result
 
 # What --help does without is loaded where it is needed: the cases bring numba and scipy along.
 
-HERE = "examination.blind.command"
 DIAGNOSE = (sys.executable, "-m", "sma_bench.cli", "diagnose")
-DIAGNOSIS, BIC = "diagnosis", "bic"
 LOADS = ("beam", "clamped", "force", "spring", "antagonist", "all")
 
 
@@ -49,7 +45,7 @@ def blind() -> None:
 @click.option("--out", required=True, metavar="DIR", help="new folder")
 @click.option("--load", type=click.Choice(LOADS), default="beam", help="what the wires pull")
 @click.option("--jobs", default=os.cpu_count() or 1,
-              help="processes; the result does not depend on it")  # fmt: skip
+              help="processes; the result does not depend on it")
 def make_cases(seed: int, n: int, out: str, load: str, jobs: int) -> None:
     from examination.blind.make import make
     manifest = make(out, seed, n, jobs, load)
@@ -57,24 +53,20 @@ def make_cases(seed: int, n: int, out: str, load: str, jobs: int) -> None:
     print(f"labels sealed, sha256 {manifest['sha256']}")
 
 
-@blind.command("run", help="Put every case to the diagnosis, or to a rival.")
+@blind.command("run", help="Put every case to the diagnosis.")
 @click.argument("folder", metavar="DIR")
-@click.option("--rival", type=click.Choice([BIC]), help="a naive method instead of the diagnosis")
-@click.option("--answers", metavar="DIR", help="folder for them (default: DIR/answers/<who>)")
+@click.option("--answers", metavar="DIR", help="folder for them (default: DIR/answers/diagnosis)")
 @click.option("--jobs", type=click.IntRange(1), default=2, help="cases at a time")
 @click.option("--time-limit", type=click.FloatRange(0.0, min_open=True), default=120.0,
-              help="s for a case (half as long more a further record)")  # fmt: skip
-def run_cases(folder: str, rival: str | None, answers: str | None, jobs: int,
-              time_limit: float) -> None:
+              help="s for a case (half as long more a further record)")
+def run_cases(folder: str, answers: str | None, jobs: int, time_limit: float) -> None:
     from examination.blind.case_files import Examination, read_case_set, write_examination
     from examination.blind.examination import Examinee, examine, open_cases
-    name = rival or DIAGNOSIS
-    program = (sys.executable, "-m", HERE, "rival", name) if rival else DIAGNOSE
     cases = read_case_set(folder)
-    place = Path(answers or cases.answers / name)
-    write_examination(place, Examination(name, program, time_limit, cases.sealed_sha256))
+    place = Path(answers or cases.answers / "diagnosis")
+    write_examination(place, Examination("diagnosis", DIAGNOSE, time_limit, cases.sealed_sha256))
     waiting = open_cases(cases.names, place)
-    failed = examine(Examinee(program, time_limit), waiting, cases.folder, place, jobs)
+    failed = examine(Examinee(DIAGNOSE, time_limit), waiting, cases.folder, place, jobs)
     left = len(open_cases(cases.names, place))
     print(f"{place}: {len(cases.names)} cases, {len(waiting)} asked, {failed} failed, {left} open")
 
@@ -88,13 +80,16 @@ def run_cases(folder: str, rival: str | None, answers: str | None, jobs: int,
 @click.option("--ties-only", is_flag=True, help="perform what ambiguous answers ask for, no more")
 @click.option("--markdown", metavar="FILE", help="write the page that a repository keeps")
 @click.option("--json", "result", metavar="FILE", help="write the result to FILE")
-@click.option("--force", is_flag=True, help="replace outputs that exist")  # fmt: skip
+@click.option("--force", is_flag=True, help="replace outputs that exist")
 def score_cases(folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: bool,
                 ties_only: bool, markdown: str | None, result: str | None, force: bool) -> None:
     from examination.blind.case_files import read_case_set
     from examination.blind.examination import Examinee, follow_up
     from examination.blind.score import followed_up, handed_in, open_labels, page, score
-    _refuse_existing(force, markdown, result)
+    for path in (markdown, result):
+        if path and Path(path).exists() and not force:
+            message = "exists already, expected a new path; --force replaces it"
+            raise InputError(f"{path}: {message}")
     cases = read_case_set(folder)
     papers = handed_in(cases, [Path(place) for place in answers])
     labels = open_labels(cases)
@@ -109,7 +104,7 @@ def score_cases(folder: str, answers: tuple[str, ...], jobs: int, no_follow_up: 
     if result:
         write_result(result, {"set": about, "scores": {one.name: one.to_json() for one in scores}})
     path = Path(markdown or "results.md")
-    text = page(cases, papers, scores, path.name)
+    text = page(cases, scores, path.name)
     print(text)
     if markdown:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -133,36 +128,6 @@ def learn_weights(features: tuple[str, ...], out: str | None, markdown: str | No
     from examination.blind.learn import STORED, learn
     paths = [Path(path) for path in features] or [STORED]
     learn(paths, Path(out) if out else None, Path(markdown) if markdown else None)
-
-
-@blind.command("rival", help="Answer one case as a rival does.")
-@click.argument("name", type=click.Choice([BIC]))
-@click.argument("records", metavar="RECORD...", nargs=-1, required=True)
-@click.option("--params", metavar="FILE", required=True, help="what the lab believes")
-@click.option("--hold-out", metavar="RECORD", multiple=True, help="bags")
-@click.option("--out", metavar="FILE", help="write the improved parameters")
-@click.option("--json", "result", metavar="FILE", help="write the answer to FILE")
-@click.option("--force", is_flag=True, help="replace outputs that exist")
-def answer_as_rival(name: str, records: tuple[str, ...], params: str, hold_out: tuple[str, ...],
-                    out: str | None, result: str | None, force: bool) -> None:
-    from examination.blind.bic import bic_answer
-    from sma_bench.records import read_record
-    _refuse_existing(force, out, result)
-    nominal = read_parameters(params)
-    seen, unseen = ([read_record(path) for path in paths] for paths in (records, hold_out))
-    answer, improved = bic_answer(seen, unseen, nominal)
-    said = " ".join([answer["verdict"], *answer["cause"]])
-    if out:
-        write_parameters(out, improved, f"The rival {name}: {said}")
-    if result:
-        write_result(result, answer)
-    print(said)
-
-
-def _refuse_existing(force: bool, *paths: Any) -> None:
-    for path in paths:
-        if path and Path(path).exists() and not force:
-            raise InputError(f"{path}: exists already, expected a new path; --force replaces it")
 
 
 if __name__ == "__main__":

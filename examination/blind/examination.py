@@ -85,7 +85,7 @@ class Examinee:
     def _run(self, desk: Path, records: Sequence[str]) -> None:
         """Run the program in its folder; raises InputError where it gives no answer."""
         command = [*self.program, *records, "--params", NOMINAL, "--hold-out", HOLD_OUT, "--json",
-                   _RESULT, "--out", _IMPROVED]  # fmt: skip
+                   _RESULT, "--out", _IMPROVED]
         # The caller's environment, with one thread a process and without a trace of its folder.
         paths = [str(PACKAGE_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
         environment = {k: v for k, v in os.environ.items() if k not in ("OLDPWD", "_")}
@@ -95,7 +95,7 @@ class Examinee:
         with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as errors:
             process = subprocess.Popen(command, cwd=desk, env=environment, text=True,
                                        start_new_session=True, stdin=subprocess.DEVNULL,
-                                       stdout=subprocess.DEVNULL, stderr=errors)  # fmt: skip
+                                       stdout=subprocess.DEVNULL, stderr=errors)
             end = time.monotonic() + limit
             while process.poll() is None:
                 if time.monotonic() > end or self.stopped.is_set():

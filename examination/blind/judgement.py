@@ -27,7 +27,7 @@ _SILENCE = files.Answer("", (), (), None, {}, None)
 # What is right to say of a case without an effect of the library. Where nothing is wrong, the
 # parameters still differ from the truth by their uncertainty, and saying that is no error.
 _RIGHT_NAMES = {"none": _BENIGN, "recalibration": frozenset((RECALIBRATION,)),
-                "outside": frozenset((UNEXPLAINED,))}  # fmt: skip
+                "outside": frozenset((UNEXPLAINED,))}
 
 
 def unseen(beyond_parameters: float | None) -> bool:
@@ -199,7 +199,7 @@ class Judged:
             claimed, true = usable[name], self.shrunk[name].fraction
             low, high = said.shrinkage[name].ci90
             facts |= {"claim error": abs(claimed - true), "claim excess": claimed - true,
-                      "claim true": true, "claim covers": low <= true <= high}  # fmt: skip
+                      "claim true": true, "claim covers": low <= true <= high}
         return facts
 
 
@@ -237,7 +237,7 @@ class UnseenRecord:
         found = simulate(parameters, self.time, self.voltage)
         simulated = self.stage.named({"current": found.current,
                                       "temperature": found.temperature_reading,
-                                      "deflection": found.deflection_reading})  # fmt: skip
+                                      "deflection": found.deflection_reading})
         square = {name: float(np.mean((read - simulated[name]) ** 2))
                   for name, read in self.readings.items()}
         for quantity in PER_WIRE:

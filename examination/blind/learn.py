@@ -2,8 +2,7 @@
 
 A ridge whose strength cross-validation chooses keeps weights that the cases do not tell near 0.
 Forms are left out in turn (of every effect its first form, its second, its third), and rigs, every
-case having its own. What the package answered when the features were stored stands next to it.
-"""
+case having its own. What the package answered when the features were stored stands next to it."""
 
 import gzip
 import hashlib
@@ -53,6 +52,7 @@ PACKAGE = Path(__file__).resolve().parents[2] / "sma_bench"
 STORED = Path(__file__).with_name("features.jsonl.gz")
 # What the numbers of a search depend on; the decision is fitted to them.
 _LIBRARY = ("parameters", "physics", "records", "estimation", "diagnose")
+_TABLES = ("parameters/effects.yaml", "estimation/priors.yaml", "diagnose/starts.yaml")
 _NOT_ITS = ("decision.py", "diagnosis.py", "next_experiment.py", "result.py")
 _LOADS = ("beam", "clamped", "force", "beam", "spring", "beam", "antagonist")  # in turn
 _UNSTATED, _LESS_SIGNALS = 1 / 3, 0.35  # of the owners; of the benches that read all
@@ -64,7 +64,7 @@ _STREAM = 2_000_003  # apart from those that cases are made of
 def library_hash() -> str:
     """Of all that a search depends on."""
     paths = sorted(p for room in _LIBRARY for p in (PACKAGE / room).rglob("*.py"))
-    paths.append(PACKAGE / "parameters" / "effects.yaml")
+    paths += [PACKAGE / name for name in _TABLES]
     whole = b"".join(path.read_bytes() for path in paths if path.name not in _NOT_ITS)
     return hashlib.sha256(whole).hexdigest()[:16]
 
@@ -123,7 +123,7 @@ def features_of(seed: int, n: int, index: int) -> dict[str, Any]:
     today = dict(zip(utilities.names, utilities.probabilities().round(6).tolist(), strict=True))
     wanted = ("kind", "effects", "signals", "noise", "kinetics", "severity", "severities", "wrong",
               "distinguishable", "load", "forms", "law_distance", "transformation_law",
-              "loops_distance", "inner_loops", "beyond_parameters")  # fmt: skip
+              "loops_distance", "inner_loops", "beyond_parameters")
     return {"label": {name: label[name] for name in wanted}, "today": today, "plain": plain,
             "records": len(names), "stated": len(nominal.given), "facts": asdict(looked_at)}
 
@@ -227,7 +227,7 @@ def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Arr
         return value, ridge * w - x.T @ (counts[group] * slopes)
 
     found = minimize(loss, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B", bounds=_BOUNDS,
-                     options={"maxiter": 2000})  # fmt: skip
+                     options={"maxiter": 2000})
     each = np.add.reduceat(x * scores(found.x)[1][:, None], edges[:-1], axis=0)
     information = each.T @ (counts[:, None] * each) + ridge * np.eye(len(NAMES))
     return found.x / scale, np.linalg.inv(information) / np.outer(scale, scale)
@@ -240,14 +240,11 @@ def weights_of(cases: Sequence[Known]) -> Array:
     return np.array([shares[kind] / whole * len(cases) / kinds.count(kind) for kind in kinds])
 
 
-def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float,
-             share: float = 1.0) -> list[Array]:
-    """(c,) shares by weights that have not seen a case's fold, of a share of the others."""
+def left_out(cases: Sequence[Known], folds: Array, ridge: float, lapse: float) -> list[Array]:
+    """(c,) shares by weights that have not seen a case's fold."""
     found: list[Array] = [np.zeros(0)] * len(cases)
-    chosen = np.random.default_rng(_SEED).permutation(len(cases)) < share * len(cases)
     for fold in np.unique(folds):
-        of_others = chosen & (folds != fold)
-        seen = [case for case, own in zip(cases, of_others, strict=True) if own]
+        seen = [case for case, own in zip(cases, folds, strict=True) if own != fold]
         weights = fit_weights(seen, ridge, lapse)[0]
         for k in np.flatnonzero(folds == fold).tolist():
             found[k] = softmax(cases[k].x @ weights + cases[k].fixed)
@@ -278,7 +275,7 @@ def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
         for effect in name.split(JOIN) if name not in NO_EFFECT else ():
             effects[effect] = effects.get(effect, 0.0) + share
     whole = {**effects, BENIGN: shares[RECALIBRATION] + shares[NO_GAP],
-             UNEXPLAINED: shares[UNEXPLAINED]}  # fmt: skip
+             UNEXPLAINED: shares[UNEXPLAINED]}
     first = max(whole, key=lambda name: whole[name])
     return first, whole[first], sorted(effects, key=lambda name: -effects[name])
 
@@ -354,38 +351,35 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
     """Weights from stored features, cross-validated: printed, written to `markdown`, `out`."""
     lines = stored(paths)
     cases = [Known(line) for line in lines]
-    before = [case.today for case in cases]
-    forms = np.array([case.form for case in cases])
+    counts, forms = weights_of(cases), np.array([case.form for case in cases])
     rigs = np.random.default_rng(_SEED).permutation(len(cases)) % FOLDS
-
-    def likely(shares: Sequence[Array], lapse: float) -> float:
-        found = log_probability(cases, lapsed(shares, lapse))
-        return float(np.average(found, weights=weights_of(cases)))
-
-    scored = {}
+    # By ridge and lapse both ways to leave out; of each lapse as stated the log probability (n,).
+    left, each = {}, {}
     for ridge, lapse in product(RIDGES, LAPSES):
-        both = [left_out(cases, folds, ridge, lapse) for folds in (forms, rigs)]
-        by_lapse = {stated: sum(likely(p, stated) for p in both) / 2.0 for stated in STATED}
-        scored[ridge, lapse] = max(by_lapse.values()), by_lapse, both
-    ridge, lapse = max(scored, key=lambda key: scored[key][0])
+        both = left[ridge, lapse] = [left_out(cases, f, ridge, lapse) for f in (forms, rigs)]
+        each[ridge, lapse] = {
+            s: np.mean([log_probability(cases, lapsed(p, s)) for p in both], axis=0)
+            for s in STATED}
 
-    def each(ridge: float) -> Array:
-        """(n,) log probability, the mean of both ways to leave out, with the likeliest lapse."""
-        _, by_lapse, both = scored[ridge, lapse]
-        stated = max(by_lapse, key=lambda key: by_lapse[key])
-        return np.mean([log_probability(cases, lapsed(p, stated)) for p in both], axis=0)
+    def likeliest(key: tuple[float, float]) -> tuple[float, Array]:
+        """The likeliest lapse as stated: the mean, and (n,) of the cases."""
+        return max(((float(np.average(own, weights=counts)), own) for own in each[key].values()),
+                   key=lambda both: both[0])
 
+    ridge, lapse = max(each, key=lambda key: likeliest(key)[0])
     # The strongest ridge that is worse by no more than the error of that: it is the most careful.
-    counts, likeliest = weights_of(cases), each(ridge)
+    best = likeliest((ridge, lapse))[1]
     for other in RIDGES:
-        loss = counts * (likeliest - each(other))
+        loss = counts * (best - likeliest((other, lapse))[1])
         if float(np.mean(loss)) <= float(np.std(loss)) / np.sqrt(len(cases)):
             ridge = max(ridge, other)
-    lapse = max(LAPSES, key=lambda own: scored[ridge, own][0])  # the likeliest with that ridge
-    most, by_lapse, both = scored[ridge, lapse]
-    last = min(stated for stated, value in by_lapse.items() if value > most - _AS_LIKELY)
-    by_forms, by_rigs = (lapsed(shares, last) for shares in both)
-    answers = {"when stored": before, "forms left out": by_forms, "rigs left out": by_rigs}
+    lapse = max(LAPSES, key=lambda own: likeliest((ridge, own))[0])  # the likeliest with that ridge
+    least = likeliest((ridge, lapse))[0] - _AS_LIKELY
+    last = min(stated for stated, own in each[ridge, lapse].items()
+               if float(np.average(own, weights=counts)) > least)
+    by_forms, by_rigs = (lapsed(shares, last) for shares in left[ridge, lapse])
+    answers = {"when stored": [case.today for case in cases], "forms left out": by_forms,
+               "rigs left out": by_rigs}
     columns = [measures(cases, own) for own in answers.values()]
     text = [
         f"{len(cases)} development cases (synthetic), features of library {lines[0]['library']}; "
@@ -396,25 +390,6 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         "the form, or the rig, of the case. `confident`: 0.8 or more.", "",
         *as_markdown(("measure", *answers), [(name, *(f"{c[name]:.3f}" for c in columns))
                                              for name in columns[0]]), ""]
-    for name, own in list(answers.items())[1:]:
-        gain = counts * (log_probability(cases, own) - log_probability(cases, before))
-        error = np.std(gain) / np.sqrt(len(cases))
-        text += [f"Log probability over that when stored, {name}: {np.mean(gain):+.3f} "
-                 f"+- {error:.3f}.", ""]  # fmt: skip
-    # How it falls with the number of cases that are learnt from, always asked of all cases.
-    curve = []
-    for part in (8, 4, 2, 1):
-        few = [left_out(cases, folds, ridge, lapse, 1.0 / part) for folds in (forms, rigs)]
-        found = [log_probability(cases, lapsed(shares, last)) for shares in few]
-        more = [log_probability(cases, own) - here for own, here in
-                zip((by_forms, by_rigs), found, strict=True)]  # fmt: skip
-        curve.append((f"{len(cases) // part}", *(
-            f"{np.average(here, weights=counts):.3f} ({np.mean(counts * gain):+.3f} +- "
-            f"{np.std(counts * gain) / np.sqrt(len(cases)):.3f})"
-            for here, gain in zip(found, more, strict=True))))
-    text += ["Learning curve, log probability of the truth of all cases, learnt from so many; what "
-             "all of them add to it:", "",
-             *as_markdown(("cases", "forms left out", "rigs left out"), curve), ""]  # fmt: skip
     # By the number of the form, the first being the one that all seeds before 2700 have.
     rows = []
     for form in np.unique(forms).tolist():
@@ -423,7 +398,7 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
         if own:
             most = np.mean([cases[k].gains_most == cases[k].main for k in own])
             firsts = [np.mean([said(cases[k], p[k])[0] == cases[k].main for k in own])
-                      for p in answers.values()]  # fmt: skip
+                      for p in answers.values()]
             rows.append((f"{form + 1}", f"{len(own)}", *(f"{x:.2f}" for x in (most, *firsts))))
     found = [said(case, p) for case, p in zip(cases, by_rigs, strict=True)]
     stated = np.array([share for _, share, _ in found])
@@ -436,9 +411,9 @@ def learn(paths: Sequence[Path], out: Path | None, markdown: Path | None) -> Non
                           stated_and_right(stated, right, counts)), ""]
     weights, covariance = fit_weights(cases, ridge, lapse)
     table = {n: [round(float(w), 4), round(float(e), 4)] for n, w, e in
-             zip(NAMES, weights, np.sqrt(np.diag(covariance)), strict=True)}  # fmt: skip
+             zip(NAMES, weights, np.sqrt(np.diag(covariance)), strict=True)}
     text += as_markdown(("weight", "value", "error"),
-                        [(n, f"{w:.3f}", f"{e:.3f}") for n, (w, e) in table.items()])  # fmt: skip
+                        [(n, f"{w:.3f}", f"{e:.3f}") for n, (w, e) in table.items()])
     print("\n".join(text))
     if markdown is not None:
         head = "# What the decision has learnt", "", "`./bench blind learn --markdown FILE`"

@@ -268,7 +268,7 @@ def law_distances(stage: Stage, base: Features, quantities: tuple[str, ...]) -> 
                 break
             best = gap
             moves = [stacked(readings(features, fitted.replace({n: fitted[n] + 0.5})), found) / 0.5
-                     for n in temperatures]  # fmt: skip
+                     for n in temperatures]
             here = features["kinetics_smoothness"]
             if smooth:
                 step = 0.1 if here < 0.9 else -0.1
@@ -404,7 +404,7 @@ def make(out: str | Path, seed: int, n: int, jobs: int = 1, load: str = "beam") 
                 labels = [make_case(case, folder / CASES) for case in due]
             manifest = {"layout": _LAYOUT, "version": VERSION, "seed": seed, "n": n, "load": load,
                         "split": cases.split_of(seed), "cases": [label["id"] for label in labels],
-                        "sha256": seal(folder / LABELS, labels)}  # fmt: skip
+                        "sha256": seal(folder / LABELS, labels)}
             text = json.dumps(manifest, indent=1) + "\n"
             (folder / MANIFEST).write_text(text, encoding="utf-8")
             folder.rename(out)

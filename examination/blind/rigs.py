@@ -98,7 +98,7 @@ def world_of(truth: Parameters, features: Mapping[str, float]) -> World:
 
 def _rig(values: dict[str, float], stds: dict[str, float], load: str) -> Parameters:
     values, stds = ({**given, BACK: given[FRONT]} if FRONT in given else given
-                    for given in (values, stds))  # fmt: skip
+                    for given in (values, stds))
     layout = {n: tuple(v) if isinstance(v, list) else v for n, v in _LAYOUT[load].items()}
     return Parameters({"wire.diameter": 0.3e-3, **layout, **values}, stds)
 
@@ -203,7 +203,7 @@ def hottest(truth: Parameters) -> float:
     wires, load = 1, 0.0
     if load_kind(truth) == "clamped":  # it never transforms wholly
         return float(truth["wire.austenite_finish_temperature"]
-                     + _CLAMPED_STRESS / truth["wire.stress_influence_austenite"])  # fmt: skip
+                     + _CLAMPED_STRESS / truth["wire.stress_influence_austenite"])
     if load_kind(truth) == "beam":
         wires, stiffness = 2, truth["composite.deflection_per_strain"] * truth[FRONT]
     else:
@@ -259,7 +259,7 @@ class Stage:
         """The stage of a case, whose features are label["features"], or label["base"]."""
         return cls(_rig(dict(label["truth"]), {}, label.get("load", "beam")),
                    msgspec.convert(label["sensors"], Sensors),
-                   msgspec.convert(label["drives"], dict[str, Drive]))  # fmt: skip
+                   msgspec.convert(label["drives"], dict[str, Drive]))
 
     def play(self, features: Mapping[str, float], record: str, fine: float = 1.0,
              parameters: Parameters | None = None) -> Outcome:

@@ -1,7 +1,7 @@
 """Answers and labels brought together once every answer is there, and the result as a page."""
 
 import math
-from collections import Counter, namedtuple
+from collections import Counter, defaultdict, namedtuple
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -48,9 +48,9 @@ class Score:
 def handed_in(cases: CaseSet, folders: Sequence[Path]) -> list[Paper]:
     """The complete papers of some folders, or of all that lie in the set; raises InputError where
     nobody has answered, an answer is missing, or it is to another set."""
-    there = sorted(cases.answers.glob(f"*/{files.EXAMINATION}"))
-    papers, found = [], list(folders) or [path.parent for path in there]
-    if not found:
+    there = (path.parent for path in sorted(cases.answers.glob(f"*/{files.EXAMINATION}")))
+    papers = []
+    if not (found := list(folders or there)):
         raise InputError(f"{cases.answers}: no answers: run ./bench blind run first")
     for folder in found:
         examination = files.read_examination(folder)
@@ -109,16 +109,16 @@ def followed_up(papers: Sequence[Paper]) -> list[Paper]:
 
 # --- Results by what was hidden: the confusion matrix, groups of cases.
 _ROWS = (*STAGE_OF, "pair", "none", "mild kinetics", "recalibration", "outside")
-_EDGES = (0.0, 1.5, 3.0, 6.0, 12.0, np.inf)
+_SEVERITIES = {0.0: "1: 0 to 1.5", 1.5: "2: 1.5 to 3", 3.0: "3: 3 to 6", 6.0: "4: 6 to 12",
+               12.0: "5: above 12"}
 
 
 def confusion(cases: Sequence[Judged]) -> dict[str, dict[str, int]]:
     """What is true (rows) against the most probable candidate, as they occur."""
-    table: dict[str, Counter[str]] = {}
+    table = defaultdict[str, Counter[str]](Counter)
     for case in cases:
         chosen = case.first_choice.name if case.first_choice else "no answer"
-        chosen = "two effects" if files.PAIR_SIGN in chosen else chosen
-        table.setdefault(truth_of(case), Counter())[chosen] += 1
+        table[truth_of(case)]["two effects" if files.PAIR_SIGN in chosen else chosen] += 1
     return {name: dict(table[name]) for name in sorted(table, key=_place)}
 
 
@@ -135,15 +135,10 @@ def _place(name: str) -> tuple[int, str]:
 
 def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]:
     """Title -> group -> measure: singles by severity, by signals and by effect; all by kind."""
-
-    def severity(case: Judged) -> str:
-        k = int(np.searchsorted(_EDGES, case.label.severity, side="right")) - 1
-        above = "above " * (k == len(_EDGES) - 2)
-        return f"{k + 1}: {above}{_EDGES[k]:g}" + f" to {_EDGES[k + 1]:g}" * (not above)
-
     singles = [c for c in cases if c.label.kind == "single"]
     titles: dict[str, tuple[Sequence[Judged], Callable[[Judged], str]]] = {
-        "single effects by severity (gap over noise)": (singles, severity),
+        "single effects by severity (gap over noise)": (singles, lambda c: (
+            _SEVERITIES[max(least for least in _SEVERITIES if least <= c.label.severity)])),
         "single effects by signals": (singles, lambda c: c.label.signals),
         "single effects by distinguishability": (singles, lambda c: (
             "distinguishable" if c.label.distinguishable else "not by 5 sigma")),
@@ -153,9 +148,9 @@ def groups(cases: Sequence[Judged]) -> dict[str, dict[str, dict[str, Measured]]]
         "all cases by noise": (cases, lambda c: c.label.noise)}
     found = {}
     for title, (among, group_of) in titles.items():
-        split: dict[str, list[Judged]] = {}
+        split = defaultdict[str, list[Judged]](list)
         for case in among:
-            split.setdefault(group_of(case), []).append(case)
+            split[group_of(case)].append(case)
         found[title] = {group: {m.name: m.of(split[group]) for m in OF_GROUPS}
                         for group in sorted(split, key=_place)}
     return found
@@ -166,7 +161,7 @@ _MOST_SHOWN, _DASH = 4, "–"
 _RANGES = (0.0, 0.4, 0.6, 0.7, 0.8, 0.9, 1.01)  # of a probability
 # By style of a measure: factor, digits, unit behind the number.
 _STYLES = {"share": (100.0, 1, " %"), "points": (100.0, 1, ""), "number": (1.0, 2, ""),
-           "seconds": (1.0, 1, " s")}  # fmt: skip
+           "seconds": (1.0, 1, " s")}
 
 
 def number(measure: Measure, value: float) -> str:
@@ -175,32 +170,17 @@ def number(measure: Measure, value: float) -> str:
 
 
 def interval(measure: Measure, measured: Measured) -> str:
-    """Low to high; an open end where the cases are too few for a bound."""
+    """Low to high, a dash where the cases are too few for a bound."""
     low, high = number(measure, measured.low), number(measure, measured.high)
-    if not measured.n or low == high == _DASH:
-        return _DASH
-    if _DASH in (low, high):
-        return f"above {low}" if high == _DASH else f"below {high}"
     return f"{low.removesuffix(_STYLES[measure.style][2])} to {high}"
 
 
 def bound(measure: Measure, value: Bound) -> str:
-    if value is None:
-        return ""
+    factor, _, unit = _STYLES[measure.style]
     if isinstance(value, tuple):
         return f"{100 * value[0]:.0f} to {100 * value[1]:.0f} %"
-    factor, _, unit = _STYLES[measure.style]
-    return f"{'≥' if measure.better == 'higher' else '≤'} {value * factor:g}{unit}"
-
-
-def side_by_side(scores: Sequence[Score], measures: Sequence[Measure]) -> list[tuple[str, ...]]:
-    """One row a measure: its name, and each examinee's value with its interval."""
-    rows = []
-    for m in measures:
-        found = [one.measured[m.name] for one in scores]
-        values = [f"{number(m, f.value)} ({interval(m, f)})" if f.n else _DASH for f in found]
-        rows.append((m.title, *values))
-    return rows
+    sign = "≥" if measure.better == "higher" else "≤"
+    return "" if value is None else f"{sign} {value * factor:g}{unit}"
 
 
 def tables(one: Score) -> list[str]:
@@ -216,13 +196,12 @@ def tables(one: Score) -> list[str]:
     lines = as_markdown((*header, "floor", "aim", "met"), targets)
     lines += ["", "Besides:", "", *as_markdown(header, [row(m) for m in OTHERS])]
     for name, by_group in groups(one.cases).items():
-        body = []
-        for group, row in by_group.items():
-            values = [f"{v.value:.2f} ({v.low:.2f} to {v.high:.2f})" for v in row.values()]
-            body.append((group, str(next(iter(row.values())).n), *values))
-            header = ("", "cases", *row)
+        body = [(group, str(next(iter(found.values())).n),
+                 *(f"{v.value:.2f} ({v.low:.2f} to {v.high:.2f})" for v in found.values()))
+                for group, found in by_group.items()]
         if body:
-            lines += ["", f"{name.capitalize()}:", "", *as_markdown(header, body)]
+            head = ("", "cases", *(m.name for m in OF_GROUPS))
+            lines += ["", f"{name.capitalize()}:", "", *as_markdown(head, body)]
     said = np.array([s for c in one.cases if (s := c.facts["stated"])], dtype=float)
     if len(said):
         lines += ["", "What is stated of the first choice, and the share that is right, with "
@@ -230,37 +209,34 @@ def tables(one: Score) -> list[str]:
         body = stated_and_right(*said.T, np.ones(len(said)))
         lines += as_markdown(("stated", "cases", "mean", "right"), body)
     choices = []
-    for truth, row in confusion(one.cases).items():
-        often = [f"{row[name]} {name}" for name in sorted(row, key=lambda name: -row[name])]
-        if len(often) > _MOST_SHOWN:
-            often[_MOST_SHOWN:] = [f"{len(often) - _MOST_SHOWN} more"]
-        choices.append((truth, str(sum(row.values())), ", ".join(often)))
+    for truth, chosen in confusion(one.cases).items():
+        often = [f"{chosen[name]} {name}" for name in sorted(chosen, key=lambda n: -chosen[n])]
+        more = [f"{len(often) - _MOST_SHOWN} more"] if len(often) > _MOST_SHOWN else []
+        choices.append((truth, str(sum(chosen.values())), ", ".join(often[:_MOST_SHOWN] + more)))
     header = ("truth", "cases", "most frequent first choices")
     return [*lines, "", "Truth against first choice:", "", *as_markdown(header, choices)]
 
 
-def page(cases: CaseSet, papers: Sequence[Paper], scores: Sequence[Score], name: str) -> str:
+def page(cases: CaseSet, scores: Sequence[Score], name: str) -> str:
     """The result page, which a repository keeps as the file `name`."""
     lines = ["# The withheld-effect check", "",
              f"{len(cases.names)} cases of seed {cases.seed} ({cases.split}), sma_bench {VERSION}, "
              f"sealed labels {cases.sealed_sha256[:16]}.", "", "```",
              f"./bench blind make --seed {cases.seed} --n {len(cases.names)} --out cases"]
-    for paper in papers:
-        if not paper.examination.name.endswith(FOLLOWED_UP):
-            is_rival = "rival" in paper.examination.program
-            rival = f" --rival {paper.examination.name}" if is_rival else ""
-            lines.append(f"./bench blind run cases{rival}")
-    lines += [f"./bench blind score cases --markdown {name}", "```", ""]
+    lines += ["./bench blind run cases", f"./bench blind score cases --markdown {name}", "```", ""]
     # How many floors and aims each reaches, and which floors it misses.
     for one in scores:
         met = {m.name: how for m in TARGETS if (how := m.met(one.measured[m.name]))}
         missed = [name for name, how in met.items() if how == "missed"]
         aims, floors = list(met.values()).count("aim"), len(met) - len(missed)
-        text = f"- {one.name}: {aims} aims reached, {floors} of {len(met)} floors"
-        lines.append(text + (f"; missed: {', '.join(missed)}" if missed else ""))
+        lines.append(f"- {one.name}: {aims} aims reached, {floors} of {len(met)} floors; missed: "
+                     + (", ".join(missed) or "none"))
     lines += ["", "Value (95 % interval); Clopper-Pearson for shares.", ""]
-    rows = [(name, bound(m, m.floor), bound(m, m.aim), *values)
-            for m, (name, *values) in zip(TARGETS, side_by_side(scores, TARGETS), strict=True)]
+    rows = []
+    for m in TARGETS:
+        values = [f"{number(m, f.value)} ({interval(m, f)})" if f.n else _DASH
+                  for f in (one.measured[m.name] for one in scores)]
+        rows.append((m.title, bound(m, m.floor), bound(m, m.aim), *values))
     lines += as_markdown(("measure", "floor", "aim", *(one.name for one in scores)), rows)
     for one in scores:
         lines += ["", f"## {one.name}", "", *tables(one), ""]
@@ -283,7 +259,7 @@ def stated_and_right(stated: Array, right: Array, counts: Array) -> list[tuple[s
         n = round(counts[here].sum() ** 2 / (counts[here] ** 2).sum())
         ends = stats.binomtest(round(share * n), n).proportion_ci(level, method="exact")
         rows.append((f"{low:.1f} to {min(high, 1.0):.1f}", f"{int(here.sum())}", f"{mean:.2f}",
-                     f"{share:.2f} ({ends.low:.2f} to {ends.high:.2f})"))  # fmt: skip
+                     f"{share:.2f} ({ends.low:.2f} to {ends.high:.2f})"))
     return rows
 
 

@@ -24,7 +24,7 @@ from examination.blind.reality import World
 from examination.blind.rigs import BACK, FRONT, RECORDS, Stage, true_values
 from examination.blind.sensors import Sensors, measure
 from examination.pieces import options_of
-from sma_bench.diagnose.search import Remainder, find_start
+from sma_bench.diagnose.search import find_start, remainder
 from sma_bench.estimation.observation import observe, shared_bin
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import fit, recalibrate
@@ -62,7 +62,7 @@ def claims_of(case: Case) -> list[Claim]:
     starts = [baseline.start(spread) for spread in _STARTS]
     recalibrated, _ = recalibrate(Problem.of(seen), case.nominal, baseline, starts)
     unknowns = baseline.with_effects([effect])
-    start = find_start(Remainder(recalibrated), unknowns)
+    start = find_start(recalibrated, remainder(recalibrated), unknowns)
     first = fit(recalibrated.problem, unknowns, start.x, rounds=2, frozen=recalibrated.derivatives)
     found = fit(first.problem.with_nuisances(first.parameters), unknowns, first.x, rounds=2)
     gain = found.evidence - recalibrated.evidence

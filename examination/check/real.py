@@ -86,7 +86,7 @@ def no_cause_is_refuted(folder: Path, names: Sequence[str]) -> bool:
     first, shrunk = found.candidates[0], found.to_json()["shrinkage"]["deflection"]
     cause = " and ".join(found.cause) or "no cause"
     print(f"{', '.join(names)}: {cause} named, {first.name} {first.probability:.0%}; of the gap on "
-          f"the other runs {shrunk['fraction']:.0%} gone")  # fmt: skip
+          f"the other runs {shrunk['fraction']:.0%} gone")
     return not found.cause or shrunk["rmse_after"] <= shrunk["rmse_recalibrated"]
 
 

@@ -9,8 +9,7 @@ grows with the gap that it explains. Where physics demands it, weights have a si
 the share of the cases in which the records say nothing (D. McFadden, Conditional logit analysis of
 qualitative choice behavior, 1974; lapses: Wichmann and Hill, Percept. Psychophys. 63, 2001). The
 weights, with their errors, are in weights.yaml; `./bench blind learn` writes them, no number was
-chosen by hand on cases. What is at work is named from a probability of 0.6, the contract's.
-"""
+chosen by hand on cases. What is at work is named from a probability of 0.6, the contract's."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -78,13 +77,11 @@ class Learnt:
 
     @property
     def values(self) -> Array:
-        """(k,) in the order of NAMES."""
         return np.array([self.weights[name][0] for name in NAMES])
 
 
 @cache
 def learnt() -> Learnt:
-    """The package's own table."""
     return msgspec.convert(yaml.safe_load(_WEIGHTS.read_text()), Learnt)
 
 
@@ -96,23 +93,24 @@ class Utilities:
         self.effects = tuple(facts)
         self.names = (*facts, RECALIBRATION, NO_GAP, UNEXPLAINED)
         parts = [name.split(JOIN) for name in facts]
-        singles = [k for k, one in enumerate(parts) if len(one) == 1]
-        self._singles, self._single = singles, np.array([len(one) == 1 for one in parts])
+        self._single = np.array([len(one) == 1 for one in parts], dtype=bool)
+        self._singles = np.flatnonzero(self._single)
         # (c, s): whether a single effect is part of a candidate.
-        part = [[self.effects[k] in one for k in singles] for one in parts]
-        self._part = np.array(part).reshape(len(facts), len(singles))
+        part = [[self.effects[k] in one for k in self._singles] for one in parts]
+        self._part = np.array(part).reshape(len(facts), len(self._singles))
         self.gains = np.array([f.gain for f in facts.values()])
         # Log odds by the library's size: N candidates bring N chances of a false alarm.
         self.fixed = np.zeros(len(self.names))
-        self.fixed[: len(facts)] = -np.log(max(len(singles), _LIBRARY) / _LIBRARY)
+        self.fixed[: len(facts)] = -np.log(max(len(self._singles), _LIBRARY) / _LIBRARY)
         # What does not depend on gains.
         rows: list[dict[str, Any]] = []
         for name, one in facts.items():
-            unsteady = max(_log(one.unsteady, 1.0), 0.0) if one.gain > 0.0 else 0.0
-            rows.append({"effect.one": 1.0, "effect.size": _small(one.gap),
+            unsteady = _log(one.unsteady, 1.0) if one.gain > 0.0 else 0.0
+            rows.append({"effect.one": 1.0, "effect.size": _log(one.gap / 3.0, 0.01, 1.0),
                          "effect.own": _nats(one.own, 1.0), "effect.unsteady": unsteady})
             if JOIN in name:
-                rows[-1] |= {"pair.two": 1.0, "pair.partner_size": _small(min(one.parts.values()))}
+                least = min(one.parts.values())
+                rows[-1] |= {"pair.two": 1.0, "pair.partner_size": _log(least / 3.0, 0.01, 1.0)}
         rows += [{"recalibration.surprise": _nats(found.surprise, 16.0)},
                  {"no_gap.one": 1.0, "no_gap.moved": _log(found.moved, 0.1),
                   "no_gap.as_stated": _signed(found.as_stated)},
@@ -169,13 +167,8 @@ def _signed(value: Array | float) -> Array:
     return np.asarray(np.sign(value) * _nats(np.abs(value)))
 
 
-def _log(value: float, least: float) -> float:
-    return float(np.log(max(value, least)))
-
-
-def _small(gap: float) -> float:
-    """0 for what is three times the noise or more, and down with its logarithm below."""
-    return min(_log(gap / 3.0, 0.01), 0.0)
+def _log(value: float, least: float, most: float = np.inf) -> float:
+    return float(np.log(min(max(value, least), most)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +238,6 @@ def law_of(fitted: Fit) -> tuple[float, float, dict[str, Estimate]]:
 
 
 def estimates(fitted: Fit) -> dict[str, Estimate]:
-    """All numbers of a fit with their errors."""
     values, stds = fitted.unknowns.values(fitted.x).tolist(), fitted.errors.tolist()
     return {name: Estimate(value, std, BY_NAME[name].unit)
             for name, value, std in zip(fitted.unknowns.names, values, stds, strict=True)}

@@ -24,24 +24,17 @@ from sma_bench.diagnose.result import (
     Where,
 )
 from sma_bench.diagnose.search import Progress, Search, held_back, search
-from sma_bench.diagnose.sizes import (
-    contribution,
-    locate,
-    sensors_noise,
-    shrinkage,
-    unknown_share,
-    weighed,
-)
+from sma_bench.diagnose.sizes import contribution, locate, sensors_noise, shrinkage, weighed
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, Observation, observe_all
 from sma_bench.estimation.residual import Problem
 from sma_bench.estimation.solver import Fit, fit
-from sma_bench.estimation.unknowns import SHAPES, Unknowns
+from sma_bench.estimation.unknowns import HEAT, SHAPES, TEMPERATURES, Unknowns
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import audit
-from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
+from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import FRESH_START
@@ -49,15 +42,12 @@ from sma_bench.records.mend import prepare
 from sma_bench.records.record import Record, require_distinct, with_stated_lag
 
 SURPRISING = 2.0  # prior deviations
-_OF_ONE_KIND = 0.05  # of the held-out time in states that no fitted record has shown
 _FIT_SHARE = 0.6  # of a single record without another to hold out
 _STAGES = {
     "wire.resistance": "electrical",
-    "wire.heat_transfer_coefficient": "thermal", "wire.specific_heat": "thermal",
-    "environment.ambient_temperature": "thermal",
-    **dict.fromkeys((*TRANSITIONS.values(), "wire.stress_influence_austenite",
-                     "wire.stress_influence_martensite"), "transformation"),
-}  # fmt: skip
+    **dict.fromkeys(HEAT[1:], "thermal"),
+    **dict.fromkeys((*TEMPERATURES, "wire.stress_influence_austenite",
+                     "wire.stress_influence_martensite"), "transformation")}
 # From which what is left is no noise: nats of a smooth response; deviations in motion, of a sample.
 _FREE_FORM, _IN_MOTION, _EVENT = 30.0, 5.5, 8.0
 _CHANCE = 0.05  # that one of the stages moves so far though nothing is wrong with it
@@ -107,7 +97,13 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     cause = decision.named(candidates, utilities) if verdict == "effect" else ()
     model = next(c.fit for c in candidates if c.fit is not None and set(cause) <= set(c.effects))
     recalibrated, no_gap = found.recalibrated, verdict == NO_GAP
-    improved = parameters if no_gap else _improved(model, parameters)
+    # Parameters of the model with their new uncertainties, on top of what was given.
+    values, stds = model.parameters, dict(zip(model.unknowns.names, model.errors, strict=True))
+    stds |= {twin: stds[name] for twin, name in model.unknowns.tied.items()}
+    names = [n for n in stds if n not in SHAPES or values[n] != BY_NAME[n].default]
+    improved = parameters if no_gap else parameters.replace(
+        {name: values[name] for name in names},
+        {name: float(stds[name]) for name in names if stds[name] > 0.0})
 
     progress("shrinkage on data that no fit saw")
     errors = np.sqrt(np.diag(model.joint))[len(model.x) :]
@@ -122,14 +118,13 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
         sensors_noise(model, [recalibrated, *found.singles.values(), *found.pairs.values()]))
     # A proposal that the bench's limits refuse costs no diagnosis.
     following, remarks = None, []
-    if not no_gap:
+    if not no_gap and decision.verdict_of(decided) != UNEXPLAINED:
         progress("the next experiment")
         try:
-            following = next_experiment(decision.verdict_of(decided), decided, found, utilities,
-                                        observations, parameters)
+            following = next_experiment(decided, found, utilities, observations, parameters)
             if following:  # causes as they are named beside another law
-                names = {c.name: new.name for c, new in zip(decided, candidates, strict=False)}
-                causes = tuple(names[name] for name in following.separates)
+                renamed = {c.name: new.name for c, new in zip(decided, candidates, strict=False)}
+                causes = tuple(renamed[name] for name in following.separates)
                 following = replace(following, separates=causes)
             if verdict == "ambiguous" and not (following and following.settles):
                 text = "nothing that the bench can do settles the tie"
@@ -149,12 +144,7 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
     else:
         cells = locate(model.problem, recalibrated.predicted - found.nominal.predicted)
     top = cells[0]
-    # What was not tried: kinds of drives, and quantities that no record holds, if there are any.
-    share = unknown_share(fitted, unfitted, improved)
-    text = (f"for {100.0 * share:.0f} % of its time some wire is where no fitted record has had "
-            "one (temperature, its rate, martensite, the other side's temperature)")
-    if share < _OF_ONE_KIND:
-        text += ": how far the gap shrinks under drives of another kind was not tried"
+    # Quantities that no record holds, if there are any.
     measured = {quantity for obs in observations for quantity in obs.quantities}
     moves = load_kind(parameters) not in ("clamped", "displacement")
     return Diagnosis(
@@ -168,37 +158,23 @@ def diagnose(records: Sequence[Record], parameters: Parameters, hold_out: Sequen
         record=tuple(dict.fromkeys(lines)),
         next_experiment=following if following and following.settles else None,
         findings=(*ready.follows, *audit(parameters, papers_own=False),
-                  *about_unstated(recalibrated.unknowns, parameters),
-                  Finding("info", "held-out data", text), *remarks),
+                  *about_unstated(recalibrated.unknowns, parameters), *remarks),
         parameters=parameters, search=found, model=model, improved=improved,
         observations=tuple(observations), fitted=tuple(fitted), held_out=tuple(unfitted))
 
 
-def _improved(model: Fit, parameters: Parameters) -> Parameters:
-    """Parameters of the model with their new uncertainties, on top of what was given."""
-    values = model.parameters
-    names = [n for n in model.unknowns.names if n not in SHAPES or values[n] != BY_NAME[n].default]
-    stds = dict(zip(model.unknowns.names, model.errors.tolist(), strict=True))
-    stds |= {twin: stds[name] for twin, name in model.unknowns.tied.items()}
-    names += model.unknowns.tied
-    return parameters.replace({name: values[name] for name in names},
-                              {name: stds[name] for name in names if stds[name] > 0.0})
-
-
 def _split(observations: Sequence[Observation]) -> tuple[list[Observation], list[Observation]]:
-    """Early and late part of every record."""
-    early, late = [], []
+    parts: tuple[list[Observation], list[Observation]] = [], []
     for obs in observations:
-        start, stop = float(obs.grid[0]), float(obs.grid[-1])
-        border = start + _FIT_SHARE * (stop - start)
+        border = float(obs.grid[0] + _FIT_SHARE * (obs.grid[-1] - obs.grid[0]))
         if not obs.between(-np.inf, border).signals:  # the readings began late
             border = float(np.quantile(np.concatenate([s.time for s in obs.signals]), _FIT_SHARE))
-        early.append(obs.between(-np.inf, border))
-        late.append(obs.between(border, np.inf))
-    early, late = ([obs for obs in some if obs.signals] for some in (early, late))
-    if not early or not late:
+        for some, ends in zip(parts, ((-np.inf, border), (border, np.inf)), strict=True):
+            own = obs.between(*ends)
+            some += [own] if own.signals else []
+    if not all(parts):
         raise InputError("diagnose: too few readings to fit a model to some and try it on the rest")
-    return early, late
+    return parts
 
 
 def _fitted_to(observations: Sequence[Observation], model: Fit) -> Fit:
@@ -214,8 +190,7 @@ def stages_of(candidates: Sequence[Candidate], found: Search) -> dict[str, float
     An effect has its stage, of two the one that gains more by itself. Recalibration has the stage
     whose parameters moved further than anyone believed (by chi squared of their number), if any
     did. What nothing explains has the stages at which an unknown input gains something, by what its
-    gain weighs; where none does, as recalibration, or the stage of the effect that gains most.
-    """
+    gain weighs; where none does, as recalibration, or the stage of the effect that gains most."""
     # How likely a stage's parameters move so far: squared prior deviations are chi squared.
     moved = defaultdict[str, list[float]](list)
     names = found.recalibrated.unknowns.bench_names

@@ -3,13 +3,10 @@
 Looks at the whitened residual: whether it scatters more while the signal moves than while it rests;
 what any smooth response to drive, temperature, bending and time explains of it (linear in features
 of the simulation with independent Gaussian weights of the most likely size: what an effect leaves
-is found again elsewhere, drift is not); and at which stage an unknown input explains most of it.
-"""
+is found again elsewhere, drift is not); and at which stage an unknown input explains most of it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
-from itertools import pairwise, starmap
 from operator import itemgetter
 
 import numpy as np
@@ -63,41 +60,33 @@ def left_over(fitted: Fit) -> Left:
     return Left(*max(reversed(found), key=itemgetter(0)), outlier)
 
 
-Key = tuple[str, int]  # name and number of a signal's features, for another bench has other sides
-
-
 @dataclass(frozen=True, eq=False)
 class Flexible:
     """What a smooth response of free form explains of a fit's residual."""
 
     gain: float  # of evidence over the fit, both with the noise that they leave
     response: Array  # (n,) of the missing term
-    weights: Array  # (p,) of the features
-    columns: Mapping[Key, slice]  # which of the p are a signal's
-
-    def on(self, obs: Observation, simulation: Simulation) -> Array:
-        """(n,) of the missing term on another drive; none on a sensor never heard."""
-        return _placed(_features(obs, simulation), self.columns) @ self.weights
 
 
 def flexible_residual(fitted: Fit) -> Flexible:
     """Fit the free response to what a candidate leaves."""
-    made = [_features(o, o.simulate(fitted.parameters)) for o in fitted.problem.observations]
+    made = [own for o in fitted.problem.observations
+            for own in _features(o, o.simulate(fitted.parameters))]
     # Records share the features of a signal that they share.
-    keys = list(dict.fromkeys(key for some in made for key, _ in some))
-    ends = np.cumsum([0, *(count for _, count in keys)]).tolist()
-    columns = dict(zip(keys, starmap(slice, pairwise(ends)), strict=True))
-    return smooth_response(fitted, np.vstack([_placed(some, columns) for some in made]), columns)
+    keys = dict.fromkeys(key for key, _ in made)
+    rows = [np.hstack([block if one == key else np.zeros((len(block), one[1])) for one in keys])
+            for key, block in made]
+    return smooth_response(fitted, np.vstack(rows))
 
 
-def smooth_response(fitted: Fit, features: Array, columns: Mapping[Key, slice]) -> Flexible:
+def smooth_response(fitted: Fit, features: Array) -> Flexible:
     """What features (n, p) of independent Gaussian weights explain of what a candidate leaves."""
     own = _likelihood(fitted.problem, fitted.left)
     # It begins with little drift in the noise: the noise of a poor fit has taken the residual in.
     noises = {name: replace(noise, drift=min(noise.drift, noise.white))
               for name, noise in fitted.problem.noise.items()}
     problem = replace(fitted.problem, noise=noises)
-    best = Flexible(0.0, np.zeros_like(fitted.left), np.zeros(features.shape[1]), columns)
+    best = Flexible(0.0, np.zeros_like(fitted.left))
     for _ in range(_ROUNDS):
         # What the fitted unknowns can still take up is not the features' to explain.
         rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
@@ -109,16 +98,13 @@ def smooth_response(fitted: Fit, features: Array, columns: Mapping[Key, slice]) 
         values = np.maximum(values, 0.0)
         turned = vectors.T @ (phi.T @ base - across.T @ taken[:, -1])
         # Gain in marginal likelihood, and the weights, with the likeliest size.
-        marginal, weights = 0.0, np.zeros(len(turned))
-        for size in _SIZES:
-            shrunk = turned / (values + 1.0 / size**2)
-            gain = 0.5 * float(turned @ shrunk - np.sum(np.log1p(size**2 * values)))
-            if gain > marginal:
-                marginal, weights = gain, vectors @ shrunk
-        gain = _likelihood(problem, fitted.left) + marginal - own
-        response = features @ weights
+        shrunk = [np.zeros(len(turned)), *(turned / (values + size**-2) for size in _SIZES)]
+        gains = [0.5 * float(turned @ x - np.sum(np.log1p(size**2 * values)))
+                 for x, size in zip(shrunk, (0.0, *_SIZES), strict=True)]
+        gain = _likelihood(problem, fitted.left) + max(gains) - own
+        response = features @ (vectors @ shrunk[int(np.argmax(gains))])
         if gain > best.gain:
-            best = Flexible(gain, response, weights, columns)
+            best = Flexible(gain, response)
         problem = problem.with_noise(fitted.left - response)
     return best
 
@@ -129,8 +115,9 @@ def _likelihood(problem: Problem, residual: Array) -> float:
     return float(-0.5 * white @ white) - problem.log_scale() + problem.log_prior()
 
 
-def _features(obs: Observation, simulation: Simulation) -> list[tuple[Key, Array]]:
-    """(rows, own features) of each signal of a record, in units of its noise."""
+def _features(obs: Observation, simulation: Simulation) -> list[tuple[tuple[str, int], Array]]:
+    """(rows, own features) of each signal of a record, in units of its noise; by its name and the
+    number of features, for another bench has other sides."""
     found, clock = [], (obs.grid - obs.grid[0]) / 100.0
     of_wire = cache(partial(_of_wire, obs, simulation))
     for signal in obs.signals:
@@ -171,16 +158,6 @@ def _of_wire(obs: Observation, simulation: Simulation, wire: int) -> list[Array]
             _unit(np.gradient(own, obs.grid)), np.gradient(xi, obs.grid)]
 
 
-def _placed(blocks: list[tuple[Key, Array]], columns: Mapping[Key, slice]) -> Array:
-    """(n, p) of a record's rows."""
-    rows = []
-    for key, block in blocks:
-        rows.append(np.zeros((len(block), sum(n for _, n in columns))))
-        if key in columns:
-            rows[-1][:, columns[key]] = block
-    return np.vstack(rows)
-
-
 def _remembered(history: Array, memory: float, grid: Array) -> Array:
     """First-order lag of (n,) values on a grid (n,) s that need not be even."""
     cell = max(float(np.median(np.diff(grid))), float(np.ptp(grid)) / _MOST_CELLS)
@@ -211,7 +188,7 @@ def process_noise(fitted: Fit) -> dict[str, Flexible]:
         parts = [own.get(key, np.zeros((n, 0))) for own, n in zip(made, rows, strict=True)]
         features = block_diag(*parts)
         features /= max(float(np.sqrt(np.mean(fitted.problem.whiten(features) ** 2))), 1e-12)
-        return smooth_response(fitted, features, {(key[0], 0): slice(0, features.shape[1])})
+        return smooth_response(fitted, features)
 
     keys = list(dict.fromkeys(key for own in made for key in own))
     each: dict[str, Flexible] = {}
@@ -228,7 +205,7 @@ def missed(fitted: Fit, stage: str, best: Flexible) -> Missed | None:
     power = fitted.problem.whiten(best.response) ** 2
     blocks = fitted.problem.blocks
     total = {o.path: sum(float(power[b.rows].sum()) for b in blocks if b.observation is o)
-             for o in fitted.problem.observations}  # fmt: skip
+             for o in fitted.problem.observations}
     obs = max(fitted.problem.observations, key=lambda o: total[o.path])
     own = [block for block in blocks if block.observation is obs]
     time = np.concatenate([block.signal.time for block in own])
@@ -286,7 +263,7 @@ def _inputs(obs: Observation, parameters: Parameters) -> dict[tuple[str, str], A
         ("sensor", "offset"): only(MOVED, at_bins),
         ("sensor", "drive"): only(MOVED, drive),
         ("sensor", "bend"): only(MOVED, bend),
-    }  # fmt: skip
+    }
     return {key: part for key, part in found.items() if np.any(part)}
 
 

@@ -24,7 +24,7 @@ from sma_bench.border import read_yaml
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose import decision
 from sma_bench.diagnose.decision import Candidate, Utilities, learnt
-from sma_bench.diagnose.result import NO_GAP, RECALIBRATION, UNEXPLAINED, WORTH, NextExperiment
+from sma_bench.diagnose.result import NO_GAP, RECALIBRATION, WORTH, NextExperiment
 from sma_bench.diagnose.search import Search
 from sma_bench.errors import InputError
 from sma_bench.estimation.noise_model import first_guess
@@ -130,11 +130,10 @@ class Matter:
         pairs = list(permutations(self.fits, 2))
         believed = Utilities(replace(utilities.found, surprise=0.0))
 
-        def given(utilities: Utilities, telling: Telling) -> float:
-            return prospect(utilities, self.probability, dict.fromkeys(pairs, telling)).given
-
-        self.before = given(utilities, Telling(0.0, 0.0))
-        self.most = max(given(believed, plain) for plain in _PLAIN) - self.before
+        self.before, *most = (
+            prospect(who, self.probability, dict.fromkeys(pairs, telling)).given
+            for who, telling in ((utilities, Telling(0.0, 0.0)), *((believed, p) for p in _PLAIN)))
+        self.most = max(most) - self.before
         self.observation = max(observations, key=lambda o: len(o.quantities))
         self.sides = tuple(dict.fromkeys(parameters["bench.channel_sides"]))
         # The voltage that the bench has stood so far, as it is commanded.
@@ -158,17 +157,14 @@ class Matter:
                               worth=after.given - self.before, **more)
 
 
-def next_experiment(verdict: str, candidates: Sequence[Candidate], search: Search,
-                    utilities: Utilities, observations: Sequence[Observation],
+def next_experiment(candidates: Sequence[Candidate], search: Search, utilities: Utilities,
+                    observations: Sequence[Observation],
                     parameters: Parameters) -> NextExperiment | None:
     """The quickest of what would settle the matter nearly as often as anything. `candidates`: the
-    most probable first; `observations`: the records. For `unexplained` a drive that shows more of
-    it than all records do. Else None where one candidate makes up the credible set or no experiment
-    could be worth it, and one that does not `settle` where none that the bench can do is. Raises
-    InputError: the bench's limits refuse every drive."""
+    most probable first; `observations`: the records. None where one candidate makes up the credible
+    set or no experiment could be worth it, and one that does not `settle` where none that the bench
+    can do is. Raises InputError: the bench's limits refuse every drive."""
     matter = Matter(candidates, search, utilities, observations, parameters)
-    if verdict == UNEXPLAINED:
-        return _showing(search, matter)
     open_still = [c for c in candidates[1:] if c.probability >= learnt().least]
     if not open_still or matter.most < WORTH:
         return None
@@ -188,30 +184,8 @@ def next_experiment(verdict: str, candidates: Sequence[Candidate], search: Searc
     if first.chance < WORTH:
         what = f"more probable, by {100.0 * first.worth:.0f} % of all, and named after more of it"
     also = [f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %" for o in others[:2]]
-    why = [f"{first.why}: the true cause would be {what}", ", ".join(also)]
-    return replace(first, why="; ".join(filter(None, why)))
-
-
-def _showing(search: Search, matter: Matter) -> NextExperiment | None:
-    """The known drive that shows most a minute of what no effect explains, as far as a smooth
-    response of free form tells it; None where the records have shown as much."""
-    missing, recalibrated = search.flexible, search.recalibrated
-    if not missing.gain > 0.0:
-        return None
-    so_far = float(np.linalg.norm(recalibrated.problem.whiten(missing.response)))
-    shown = []
-    for document in (drive.document(matter.level, matter.sides) for drive in KNOWN):
-        planned, _ = _planned(document, recalibrated, matter, ())
-        (obs,) = planned.observations
-        term = missing.on(obs, obs.simulate(recalibrated.parameters))
-        size, minutes = float(np.linalg.norm(planned.whiten(term))), _minutes(obs)
-        shown.append((size / np.sqrt(minutes + _SETUP), size, minutes, document))
-    _, size, minutes, document = max(shown, key=lambda one: one[0])
-    if size < so_far:
-        return None
-    why = (f"{document['description']}: would show what no effect explains by {size:.0f} standard "
-           "deviations, as far as a smooth response of free form tells it")
-    return NextExperiment("protocol", why, (), document, minutes, 0.0, WORTH)
+    why = f"{first.why}: the true cause would be {what}" + "; " * bool(also) + ", ".join(also)
+    return replace(first, why=why)
 
 
 def _minutes(obs: Observation) -> float:

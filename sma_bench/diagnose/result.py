@@ -70,7 +70,6 @@ class NextExperiment:
 
     @property
     def settles(self) -> bool:
-        """Whether it is worth the bench's time."""
         return self.worth >= WORTH
 
 
@@ -90,7 +89,6 @@ class Explanation:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Effects that it is made of."""
         return () if self.name in NO_EFFECT else tuple(self.name.split(JOIN))
 
 

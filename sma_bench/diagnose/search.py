@@ -4,12 +4,14 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import product
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from sma_bench.arrays import Array
+from sma_bench.border import read_yaml
 from sma_bench.compiled import in_threads
 from sma_bench.diagnose.left_over import Flexible, Left, flexible_residual, left_over, process_noise
 from sma_bench.estimation.laws import nearest_starts, starts
@@ -54,33 +56,10 @@ _INSTEAD = {"stress_dependent_transition": {
     f"effect.stress_dependent_transition.{phase}": f"wire.stress_influence_{phase}"
     for phase in ("austenite", "martensite")}}
 
-# Prior deviations of the number that switches an effect on: large ones say little about small ones.
-_SIZES = (0.012, 0.06, 0.3, 1.5)
-_SIZES_OF_FORMS = (0.06, 0.6)  # beyond the usual ones
+_TRIED = read_yaml(Path(__file__).with_name("starts.yaml"))
 _STRETCH = (0.3, 2.0)  # of a tried size that is still believed
-# Numbers that shape an effect are tried over their range; the others start at their default.
-_SHAPES = {
-    "effect.matrix_thermal_mass.inner_share": (0.25, 0.5, 0.8),
-    "effect.viscoelastic_matrix.time_constant": (4.0, 20.0, 90.0),
-    "effect.residual_strain.fresh_start": (0.0,),
-    "effect.transition_drift.cycles": (1.0, 6.0),
-    "effect.matrix_thermal_mass.clamp_time": (8.0, 40.0),
-    "effect.ambient_drift.fading": (30.0, 150.0),
-    "effect.supply_drop.battery_time": (6.0, 20.0),
-    "effect.slack.friction": (2e6, 8e6),
-    "effect.opposing_wires.gap": (0.004, 0.012, 0.03),
-    "effect.opposing_wires.detwinning_stress": (20e6, 100e6, 400e6),
-    "effect.stress_dependent_transition.bend_stress": (20e6, 60e6, 150e6),
-}
-# The same as shares of the longest record and of the largest current.
-_INSTANTS, _KNEES = (0.001, 0.25, 0.5, 0.75), (0.35, 0.65, 0.85)
 
 Progress = Callable[[str], None]
-
-
-def _worth(found: Fit) -> tuple[float, bool]:
-    """Of forms that are alike, as the wires opposite are of a wire alone, the usual one counts."""
-    return round(found.evidence, 1), not found.unknowns.forms[0]
 
 
 class Start(NamedTuple):
@@ -116,7 +95,6 @@ class Search:
 
     @property
     def ranked(self) -> list[str]:
-        """Effects, the most probable first."""
         return sorted(self.singles, key=self.gain, reverse=True)
 
 
@@ -128,7 +106,12 @@ def search(observations: Sequence[Observation], parameters: Parameters,
     baseline = unknowns_of_records(parameters, quantities, other_laws=True)
     progress("recalibration")
     fresh = Problem.of(observations, later=1.0)
-    tries = [*starts(baseline, 0), *_where_it_moves(fresh, baseline, parameters)]
+    tries, here = starts(baseline, 0), fresh.predict(parameters)
+    # Where the bench believed in stands still, no small step shows a motion, and all of it would
+    # pass for drift: believable benches that move as the records do.
+    if any(np.ptp(here[b.rows]) <= _STANDS_STILL * np.ptp(b.signal.value)
+           for b in fresh.blocks if b.signal.quantity in MOVED):
+        tries += nearest_starts(fresh, baseline, _DRAWN)[:_STARTED]
     recalibrated, _ = recalibrate(fresh, parameters, baseline, tries)
     where = recalibrated.problem
     problem = replace(fresh, observations=where.observations, nuisances=where.nuisances)
@@ -210,16 +193,6 @@ def _forms(name: str, observations: Sequence[Observation]) -> list[str]:
     return ["", *(form for form in others if form != CARRIED_OVER or follows)]
 
 
-def _where_it_moves(problem: Problem, unknowns: Unknowns, parameters: Parameters) -> list[Array]:
-    """Believable benches (k,) each that move as the records do, where the one believed in stands
-    still: no small step from there shows a motion, and all of it would pass for drift."""
-    here = problem.predict(parameters)
-    if all(np.ptp(here[b.rows]) > _STANDS_STILL * np.ptp(b.signal.value)
-           for b in problem.blocks if b.signal.quantity in MOVED):
-        return []
-    return nearest_starts(problem, unknowns, _DRAWN)[:_STARTED]
-
-
 def _surprises(fitted: Fit) -> bool:
     """Whether a number of the bench, or the state of a run, went further than anyone believes."""
     far = np.abs([*fitted.x[: fitted.unknowns.bench], *fitted.z[fitted.problem.of_kind(STATE)]])
@@ -228,8 +201,8 @@ def _surprises(fitted: Fit) -> bool:
 
 def _starts(kinds: Sequence[Unknowns], fitted: Fit) -> list[tuple[Unknowns, Start]]:
     """Of every effect and form, added to a fit of the baseline; the most promising first."""
-    remainder = Remainder(fitted)
-    begun = in_threads(find_start, [(remainder, kind) for kind in kinds])
+    gains_of = remainder(fitted)
+    begun = in_threads(find_start, [(fitted, gains_of, kind) for kind in kinds])
     return sorted(zip(kinds, begun, strict=True), key=lambda both: -both[1].gain)
 
 
@@ -270,7 +243,9 @@ def _singles(kinds: Sequence[Unknowns], recalibrated: Fit, progress: Progress) -
     fits: dict[str, Fit] = {}
     for one in found:
         (name,) = one.unknowns.effects
-        fits[name] = max(fits.get(name, one), one, key=_worth)
+        # Of forms that are alike, as the wires opposite are of a wire alone, the usual one counts.
+        fits[name] = max(fits.get(name, one), one,
+                         key=lambda f: (round(f.evidence, 1), not f.unknowns.forms[0]))
     return {name: fits[name] for name in dict.fromkeys(k.effects[0] for k in kinds)}
 
 
@@ -351,34 +326,35 @@ def _pairs(baseline: Unknowns, singles: dict[str, Fit],
 # zero are blind to numbers that act only together with another, so whole differences are tried.
 
 
-class Remainder:
-    """What recalibration leaves, with all directions that recalibration can still go taken out."""
+Gains = Callable[[Sequence[Parameters]], tuple[Array, Array]]
 
-    def __init__(self, fitted: Fit) -> None:
-        self.fitted, problem = fitted, fitted.problem
-        self._rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
-        self._normal = cho_factor(self._rows.T @ self._rows + np.eye(self._rows.shape[1]))
-        residual = problem.whiten(problem.measured - fitted.predicted)
-        # The priors pull back what they had to let go: an effect may relieve them of it.
-        moved = np.concatenate([fitted.x, np.zeros(self._rows.shape[1] - len(fitted.x))])
-        pull = self._rows.T @ residual - moved
-        self._left = residual - self._rows @ cho_solve(self._normal, pull)
-        self._before = problem.coarse.predict(fitted.parameters)
 
-    def gains(self, benches: Sequence[Parameters]) -> tuple[Array, Array]:
-        """(p,) gains of adding a multiple of what each bench changes, and these multiples."""
-        problem = self.fitted.problem
-        found = problem.coarse.predict_many(benches) - self._before[:, np.newaxis]
+def remainder(fitted: Fit) -> Gains:
+    """Of p benches the gains (p,) of adding a multiple of what each changes, and these multiples
+    (p,): of what recalibration leaves, all directions that it can still go taken out."""
+    problem = fitted.problem
+    rows = np.hstack([problem.whiten(fitted.derivatives), problem.white_nuisances])
+    normal = cho_factor(rows.T @ rows + np.eye(rows.shape[1]))
+    residual = problem.whiten(problem.measured - fitted.predicted)
+    # The priors pull back what they had to let go: an effect may relieve them of it.
+    moved = np.concatenate([fitted.x, np.zeros(rows.shape[1] - len(fitted.x))])
+    left = residual - rows @ cho_solve(normal, rows.T @ residual - moved)
+    before = problem.coarse.predict(fitted.parameters)[:, np.newaxis]
+
+    def gains(benches: Sequence[Parameters]) -> tuple[Array, Array]:
+        found = problem.coarse.predict_many(benches) - before
         changes = problem.whiten(np.where(np.isfinite(found).all(axis=0), found, 0.0))
-        seen, pull = self._rows.T @ changes, changes.T @ self._left
-        power = np.sum(changes**2, axis=0) - np.sum(seen * cho_solve(self._normal, seen), axis=0)
+        seen, pull = rows.T @ changes, changes.T @ left
+        power = np.sum(changes**2, axis=0) - np.sum(seen * cho_solve(normal, seen), axis=0)
         share = np.clip(pull / np.where(power > 0.0, power, np.inf), *_STRETCH)
         return np.where(power > 0.0, share * pull - 0.5 * share**2 * power, 0.0), share
 
+    return gains
 
-def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
-    """Best of the tried sizes of the last effect, added to the fit that the remainder is of."""
-    fitted, bounds, effect = remainder.fitted, unknowns.bounds(), EFFECTS[unknowns.effects[-1]]
+
+def find_start(fitted: Fit, gains_of: Gains, unknowns: Unknowns) -> Start:
+    """Best of the tried sizes of the last effect, added to a fit, by what its `remainder` gains."""
+    bounds, effect = unknowns.bounds(), EFFECTS[unknowns.effects[-1]]
     own = effect.numbers(unknowns.forms[-1])
     first = len(unknowns.names) - len(own)
     switches = [first + k for k, p in enumerate(own) if p in effect.switches]
@@ -388,12 +364,13 @@ def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
     longest = max(float(np.ptp(obs.grid)) for obs in seen)
     volts = max(float(np.max(obs.voltage)) for obs in seen)
     amperes = volts * bench["wire.count"] / bench["wire.resistance"]
-    known = {**_SHAPES, "effect.ambient_drift.instant": tuple(longest * p for p in _INSTANTS),
-             "effect.supply_drop.knee": tuple(amperes * p for p in _KNEES)}
+    known = dict(_TRIED["shapes"])
+    for key, whole in (("of_duration", longest), ("of_current", amperes)):
+        known |= {name: [whole * share for share in own] for name, own in _TRIED[key].items()}
     shapes = [[off[first + k]] if first + k in switches
               else [number.x_of(value) for value in known.get(number.name, (number.mean,))]
               for k, number in enumerate(numbers)]
-    trials, sizes = [], _SIZES_OF_FORMS if unknowns.forms[-1] else _SIZES
+    trials, sizes = [], _TRIED["sizes_of_forms" if unknowns.forms[-1] else "sizes"]
     for k in switches:
         signs = (1.0, -1.0) if numbers[k - first].low < 0.0 else (1.0,)
         for shape, size, sign in product(product(*shapes), sizes, signs):
@@ -401,7 +378,7 @@ def find_start(remainder: Remainder, unknowns: Unknowns) -> Start:
             x[k] += sign * size
             trials.append(np.clip(x, *bounds))
 
-    gains, shares = remainder.gains([unknowns.parameters(x) for x in trials])
+    gains, shares = gains_of([unknowns.parameters(x) for x in trials])
     best = int(np.argmax(gains))
     if gains[best] <= 0.0:
         return Start(off, 0.0)

@@ -7,8 +7,7 @@ are simulated as by whoever loads their parameters: without zeros, delays or mom
 fit has found, and with no more drift as noise than the least that a candidate needs, or a usual
 instrument has: what a model misses is slow, too.
 
-Other drives keep another share: by a factor that was fitted in the withheld-effect check.
-"""
+Other drives keep another share: by a factor that was fitted in the withheld-effect check."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +16,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import in_threads
@@ -26,31 +24,27 @@ from sma_bench.diagnose.search import Search
 from sma_bench.estimation.noise_model import Noise
 from sma_bench.estimation.observation import Observation
 from sma_bench.estimation.residual import DRIFT_EFFECT, Block, Problem
+from sma_bench.estimation.rig import DRIVEN
 from sma_bench.estimation.solver import Fit
 from sma_bench.parameters import Parameters
 from sma_bench.physics.effects import EFFECTS
 
-INITIAL, DRIVE, REST = "initial", "drive", "rest"
 _BLOCK = 8.0  # s, longer than any sensor remembers
 _DRAWS, _SEED = 400, 1
 _SMALLEST = 0.3  # of the noise: below it there is no gap to shrink
 # From one drive to another: standard deviations of the log of what is left, and of what all have.
 _BETWEEN_DRIVES, _AT_LEAST = 0.4, 0.007
-_STATE_STEP, _MOST_STATES = 0.25, 4000  # s
-_STATE = 4  # numbers of a wire's state
-_KNOWN_STATE = 0.15  # of the fitted records' range
 REMARK = 0.1  # share of the gap below which a partner is a remark, and no second cause
 
 
-def contribution(fitted: Fit, names: Iterable[str]) -> Array:
+def contribution(fitted: Fit, names: Sequence[str]) -> Array:
     """(n,) what effects of a fit add to the readings, less what the parameters beside them do."""
-    problem, chosen = fitted.problem, tuple(names)
-    off = {p.name: p.default for name in chosen for p in EFFECTS[name].parameters}
+    problem, known = fitted.problem, fitted.unknowns.names
+    off = {p.name: p.default for name in names for p in EFFECTS[name].parameters}
     added = fitted.predicted - problem.predict(fitted.parameters.replace(off))
-    for block in problem.of_signal("deflection") if DRIFT_EFFECT in chosen else ():
+    for block in problem.of_signal("deflection") if DRIFT_EFFECT in names else ():
         added[block.rows] += problem.noise["deflection"].drift_in(fitted.left[block.rows])
-    known = fitted.unknowns.names
-    beside = [known.index(p) for n in chosen for p in EFFECTS[n].beside if p in known]
+    beside = [known.index(p) for n in names for p in EFFECTS[n].beside if p in known]
     if beside:
         columns, whiten = fitted.derivatives[:, beside], problem.whiten
         added -= columns @ np.linalg.lstsq(whiten(columns), whiten(added), rcond=None)[0]
@@ -73,22 +67,18 @@ def largest_gap(problem: Problem, difference: Array) -> float:
 
 def locate(problem: Problem, difference: Array) -> list[Cell]:
     """Where a difference (n,) in the signals' units lies; the largest share first, then by time."""
-    squares = defaultdict[tuple[str, str, str], list[tuple[float, float, float]]](list)
+    sums = defaultdict[tuple[str, str, str], Array](lambda: np.zeros(3))
     for block in problem.blocks:
         signal, part = block.signal, difference[block.rows]
         noise = sample_noise(problem, signal.name)
         phase, side = block.observation.phase_of(signal.time), _sides(block)
         for p, s in dict.fromkeys(zip(phase.tolist(), side.tolist(), strict=True)):
             here = (phase == p) & (side == s)
-            count = float(signal.count[here].sum())
-            power = float(np.sum(part[here] ** 2 * signal.count[here]))
-            squares[signal.name, p, s].append((count, power, power / noise**2))
-    total = sum(row[2] for rows in squares.values() for row in rows) or 1.0
-    cells = []
-    for (name, p, s), rows in squares.items():
-        count, power, energy = map(sum, zip(*rows, strict=True))
-        gap, rms = float(np.sqrt(energy / count)), float(np.sqrt(power / count))
-        cells.append(Cell(name, p, s, gap, energy / total, rms))
+            power = np.sum(part[here] ** 2 * signal.count[here])
+            sums[signal.name, p, s] += signal.count[here].sum(), power, power / noise**2
+    total = sum(energy for *_, energy in sums.values()) or 1.0
+    cells = [Cell(*key, float(np.sqrt(energy / count)), float(energy / total),
+                  float(np.sqrt(power / count))) for key, (count, power, energy) in sums.items()]
     return sorted(cells, key=lambda cell: -round(cell.share, 9))
 
 
@@ -99,14 +89,11 @@ def _sides(block: Block) -> NDArray[np.str_]:
         return np.full(len(time), "")
     if block.signal.quantity != "deflection":
         return np.full(len(time), obs.sides[block.signal.wire])
-    names, of_wires = list(dict.fromkeys(obs.sides)), np.array(obs.sides)
-    power = np.column_stack([obs.voltage[:, of_wires == name].max(axis=1) for name in names])
-    driven = power.max(axis=1) > 0.02 * max(float(power.max()), 1e-9)
-    strongest = np.argmax(power, axis=1)
-    last = np.maximum.accumulate(np.where(driven, np.arange(len(driven)), -1))
-    first = int(np.argmax(driven)) if driven.any() else 0
+    largest = obs.voltage.max(axis=1)
+    driven = largest > DRIVEN * max(float(largest.max()), 1e-9)
+    last = np.maximum.accumulate(np.where(driven, np.arange(len(driven)), np.argmax(driven)))
     at = np.clip(np.searchsorted(obs.grid, time, side="right") - 1, 0, len(obs.grid) - 1)
-    return np.array(names)[strongest[np.where(last[at] < 0, first, last[at])]]
+    return np.array(obs.sides)[np.argmax(obs.voltage, axis=1)[last[at]]]
 
 
 # --- How far it shrinks.
@@ -168,29 +155,6 @@ def sensors_noise(model: Fit, candidates: Iterable[Fit]) -> dict[str, Noise]:
             for name, noise in model.problem.noise.items()}
 
 
-def unknown_share(fitted: Sequence[Observation], held_out: Sequence[Observation],
-                  parameters: Parameters) -> float:
-    """Share of the held-out time in which some wire is where no fitted record has had one:
-    temperature, its rate, martensite fraction and the temperature of the other side together."""
-    known = np.concatenate([_states(obs, parameters).reshape(-1, _STATE) for obs in fitted])
-    scale = np.maximum(np.ptp(known, axis=0), 1e-9)
-    tree = cKDTree(known / scale)
-    far = [tree.query(_states(obs, parameters) / scale)[0] > _KNOWN_STATE for obs in held_out]
-    return float(np.mean(np.concatenate([some.any(axis=1) for some in far])))
-
-
-def _states(obs: Observation, parameters: Parameters) -> Array:
-    """(n, wires, 4) at even times."""
-    run, sides = obs.simulate(parameters), np.array(obs.sides)
-    steps = min(max(round(float(np.ptp(obs.grid)) / _STATE_STEP), 1), _MOST_STATES)
-    time = np.linspace(obs.grid[0], obs.grid[-1], steps + 1)
-    own, xi = (np.column_stack([np.interp(time, obs.grid, column) for column in columns.T])
-               for columns in (run.temperature, run.martensite_fraction))
-    across = [own[:, sides != side].mean(axis=1) if (sides != side).any() else 0.0 * time
-              for side in sides]
-    return np.stack([own, np.gradient(own, time, axis=0), xi, np.column_stack(across)], axis=2)
-
-
 # --- The numbers that a decision is made of: what every candidate gains, does and leaves.
 
 
@@ -232,6 +196,7 @@ class Weighed:
 def weighed(search: Search) -> Weighed:
     """Everything that the decision looks at."""
     recalibrated, fits = search.recalibrated, effect_fits(search)
+    moved = recalibrated.x[: recalibrated.unknowns.bench]
 
     def facts(name: str, fitted: Fit) -> Facts:
         effects, first = fitted.unknowns.effects, fitted.unknowns.baseline
@@ -247,13 +212,12 @@ def weighed(search: Search) -> Weighed:
     return Weighed(
         dict(zip(fits, in_threads(facts, list(fits.items())), strict=True)),
         largest_gap(recalibrated.problem, recalibrated.predicted - search.nominal.predicted),
-        recalibrated.surprise, search.nominal.evidence - recalibrated.evidence,
+        float(moved @ moved), search.nominal.evidence - recalibrated.evidence,
         search.left_by_best.ratio, search.left_by_best.outlier, search.beyond.gain,
         max(one.gain for one in search.inputs_by_best.values()), len(search.problem.observations))
 
 
 def effect_fits(search: Search) -> dict[str, Fit]:
-    """Of every single and pair, by its name."""
     return {**search.singles, **{JOIN.join(key): fit for key, fit in search.pairs.items()}}
 
 

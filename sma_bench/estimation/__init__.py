@@ -4,5 +4,4 @@
 
 theta under their priors (unknowns.py), the voltages V (voltage.py), a record's signals as means
 over bins O_s (observation.py), what else may be off z ~ N(0, 1) (nuisances.py), noise e_s
-(noise_model.py); one residual (residual.py), one solver (solver.py), one result (result.py).
-"""
+(noise_model.py); one residual (residual.py), one solver (solver.py), one result (result.py)."""

@@ -47,7 +47,6 @@ class Estimate:
 
     @property
     def relative_std(self) -> float:
-        """Standard deviation over the value's size."""
         return self.std / abs(self.value) if self.value else math.inf
 
     @property

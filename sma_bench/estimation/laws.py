@@ -1,8 +1,7 @@
 """Which law a wire follows: the whole model fitted under each, all with one thermal part, and the
 laws weighed by a quarter of their evidence, as sharp features of a few runs choose a law more
 surely than it predicts other runs. Where nothing is stated of h, that is the free convection of
-still air; the likeliest law and the paper's cosine are fitted with a constant h too.
-"""
+still air; the likeliest law and the paper's cosine are fitted with a constant h too."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -72,16 +71,13 @@ class LawFit:
 
     @property
     def weighed(self) -> tuple[tuple[float, Fit], ...]:
-        """Every fit with its share of the prediction."""
         return tuple(zip(self.shares, (self.fit, *self.others), strict=True))
 
     @cached_property
     def drawn(self) -> tuple[tuple[float, Fit, Array], ...]:
         """As `weighed`, without what counts for nothing, with places (p, k) drawn in pairs."""
         found, random = [], np.random.default_rng(_SEED)
-        for share, one in self.weighed:
-            if share < _NEGLIGIBLE:
-                continue
+        for share, one in (own for own in self.weighed if own[0] >= _NEGLIGIBLE):
             pairs = max(round(_PAIRS * share), _FEWEST)
             steps = random.standard_normal((pairs, len(one.x))) @ one.directions.T
             steps = one.within_reach(np.vstack([steps, -steps]))
@@ -129,7 +125,7 @@ def weigh_laws(observations: Sequence[Observation], parameters: Parameters,
         raise faults[0] if faults else InputError("no law of the wire was tried")
     readings = max(independent_readings(one) for found, _ in fits.values() for one in found)
     evidence = {law: max(log_evidence(one, readings) for one in found)
-                for (law, _), (found, _) in fits.items()}  # fmt: skip
+                for (law, _), (found, _) in fits.items()}
     likeliest = max(evidence, key=evidence.__getitem__)
     for law, air in product(dict.fromkeys((likeliest, "cosine")), others):
         if law in evidence:
@@ -148,16 +144,14 @@ def _weighed(fits: Fits, airs: Mapping[str, float], readings: float) -> tuple[La
     weights /= weights.sum()
     laws = []
     for law in dict.fromkeys(law for law, _ in fits):
-        rows = []  # weight, share in a prediction, air, fit
-        for air in (air for name, air in fits if name == law):
-            own = [(float(w), one) for w, (key, one) in zip(weights, every, strict=True)
-                   if key == (law, air)]  # fmt: skip
+        rows = []  # weight, share in a prediction, those that were tried, fit
+        for key in (key for key in fits if key[0] == law):
+            own = [(float(w), one) for w, (k, one) in zip(weights, every, strict=True) if k == key]
             share = sum(w for w, _ in own) / len(own)
-            rows += [(w, share, air, one.with_repeated_misfit()) for w, one in own]
+            rows += [(w, share, fits[key][1], one.with_repeated_misfit()) for w, one in own]
         rows.sort(key=lambda row: -row[0])
-        (_, _, air, best), *rest = rows
-        laws.append(LawFit(law, sum(w for w, *_ in rows), best, tuple(fits[law, air][1]),
-                           tuple(one for *_, one in rest), tuple(share for _, share, *_ in rows)))
+        weights_of, shares, tried, (best, *others) = zip(*rows, strict=True)
+        laws.append(LawFit(law, sum(weights_of), best, tuple(tried[0]), tuple(others), shares))
     return tuple(sorted(laws, key=lambda one: -one.probability))
 
 
@@ -187,8 +181,6 @@ def nearest_starts(problem: Problem, unknowns: Unknowns, drawn: int) -> list[Arr
 def repeatability(fitted: Fit) -> float:
     """By how much runs of the same input differ, root mean square in strokes; nan of one run."""
     problem, squares = fitted.problem, []
-    if len(problem.observations) < 2:
-        return float("nan")
     which, k = np.flatnonzero(problem.of_kind(STATE) | problem.of_kind(OFFSET)), len(fitted.x)
     rows, doubt = problem.nuisance_rows[:, which], fitted.joint[k:, k:][np.ix_(which, which)]
     for block in problem.blocks:
@@ -196,7 +188,8 @@ def repeatability(fitted: Fit) -> float:
             own = rows[block.rows]
             power = (own @ fitted.z[which]) ** 2 + np.einsum("ij,jk,ik->i", own, doubt, own)
             squares.append(float(np.mean(power)) / float(np.ptp(block.signal.value)) ** 2)
-    return float(np.sqrt(2.0 * np.mean(squares))) if squares else float("nan")
+    several = squares and len(problem.observations) > 1
+    return float(np.sqrt(2.0 * np.mean(squares))) if several else float("nan")
 
 
 # --- Between which limits a bench will read: by an identification, or as far as a file says.
@@ -266,13 +259,12 @@ def band_of(parameters: Parameters, simulated: Callable[[Parameters], Sequence[S
     for number, bench in enumerate(benches):
         report(number / _BENCHES, f"draw {number + 1} of {_BENCHES}")
         drawn.append(simulated(bench))
-    return {
-        signal.name: Band.about(
-            signal.time, signal.values,
-            np.mean([(one[i].values - signal.values) ** 2 for one in drawn], axis=0), reach,
-        )
-        for i, signal in enumerate(exact) if not signal.name.endswith("voltage")
-    }
+    bands = {}
+    for signal, *others in zip(exact, *drawn, strict=True):
+        if not signal.name.endswith("voltage"):
+            variance = np.mean([(one.values - signal.values) ** 2 for one in others], axis=0)
+            bands[signal.name] = Band.about(signal.time, signal.values, variance, reach)
+    return bands
 
 
 def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
@@ -287,8 +279,9 @@ def benches_within(parameters: Parameters, count: int) -> list[Parameters]:
         names = [*(n for n in names if n not in TEMPERATURES), *TEMPERATURES]
     shapes = {n: (parameters.std(n), *range_of(n)) for n in stated if n.startswith(EFFECT_PREFIX)}
     unknowns = unknowns_of(parameters, names, shapes=shapes)
-    random, sizes = np.random.default_rng(_BAND_SEED), (len(unknowns.items), len(STATES))
-    return [_moved(unknowns, *(random.standard_normal(n) for n in sizes)) for _ in range(count)]
+    random, k = np.random.default_rng(_BAND_SEED), len(unknowns.items)
+    drawn = random.standard_normal((count, k + len(STATES)))
+    return [_moved(unknowns, x[:k], x[k:]) for x in drawn]
 
 
 def _moved(unknowns: Unknowns, x: Array, off: Array) -> Parameters:

@@ -4,8 +4,7 @@ samples show of it by themselves: scatter, a converter's steps, how sure a mean 
     r_k = u_k + w_k,   u_k = phi u_(k-1) + v_k,   phi = exp(-dt/tau)
 
 As an innovations process this is ARMA(1,1): (1 - phi B) r = (1 + theta B) e, so whitening is one
-short recursion (Box, Jenkins and Reinsel, Time Series Analysis, ch. 3).
-"""
+short recursion (Box, Jenkins and Reinsel, Time Series Analysis, ch. 3)."""
 
 import math
 from collections.abc import Sequence
@@ -61,11 +60,9 @@ class Noise:
 
     @property
     def total(self) -> float:
-        """Standard deviation of the noise of a bin."""
         return math.hypot(self.white, self.drift)
 
     def whiten(self, columns: Array) -> Array:
-        """Residuals or derivatives (b,) or (b, k) as independent ones of unit variance."""
         return whiten(columns, [len(columns)], [self])
 
     @cached_property
@@ -79,7 +76,7 @@ class Noise:
         return phi, lagged / power, float(np.sqrt(power))
 
     def log_scale(self, bins: int) -> float:
-        """log of the whitening's determinant, inverted."""
+        """Log of the whitening's determinant, inverted."""
         return (bins - 1) * float(np.log(self.arma[2])) + float(np.log(self.total))
 
 
@@ -91,7 +88,7 @@ def _log_prior(drift: Array | float, time: Array | float, usual: float, wanders:
 
 
 def first_guess(white: float, period: float, usual: float = np.inf) -> Noise:
-    """Noise before anything has been fitted: generous with drift."""
+    """Generous with drift."""
     return Noise(white, 3.0 * white, 5.0, period, usual)
 
 
@@ -220,8 +217,7 @@ def quantisation_variance(scatter: float, step: float, left: Array | float = 1.0
     of the mean's error has variance sum_k q^2/(2 pi^2 k^2) exp(-4 pi^2 k^2 s^2/q^2), which is
     q^2/12 without noise (Widrow and Kollar, Quantization Noise, 2008, ch. 9). `scatter`: standard
     deviation of the samples as recorded, the quantisation in it; `step`: q, 0 of a continuous
-    signal; `left`: of `coherence`, where the input moves.
-    """
+    signal; `left`: of `coherence`, where the input moves."""
     if step <= 0.0:
         return 0.0
     before = max(scatter**2 - step**2 / 12.0, 0.0)

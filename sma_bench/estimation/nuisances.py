@@ -1,8 +1,7 @@
 """What may be off in a record beside the model's numbers: columns of unit prior, linear.
 
 Zeros of sensors, delays of their clocks, moments of jumps between two samples, levels between two
-steps of a converter, straight stretches of a noisy voltage, loads that were held, a run's state.
-"""
+steps of a converter, straight stretches of a noisy voltage, loads that were held, a run's state."""
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
@@ -153,8 +152,7 @@ def _responses(observation: Observation, moves: Sequence[_Move],
     """(n, m): `change` (n,) of the readings by each of the moves (m,) of the voltages.
 
     Of hundreds those far apart are made at once, and each has the readings from it to the next.
-    Where one is not forgotten by then, all of these are made alone.
-    """
+    Where one is not forgotten by then, all of these are made alone."""
     bins = [len(s.time) for s in observation.signals]
     rows = np.repeat(np.arange(len(bins)), bins)
     late = max(map(abs, observation.delays.values()), default=0.0)

@@ -1,8 +1,7 @@
 """A record as the engine sees it: the drive on a grid of cells, every signal in bins of time.
 
 Each bin of each signal is a row of an averaging matrix on what the simulation does on the grid.
-Loads or clamps are boundaries of the simulation; what a testing machine imposed is an input.
-"""
+Loads or clamps are boundaries of the simulation; what a testing machine imposed is an input."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -56,13 +55,9 @@ JUMP_STD = 1.0 / np.sqrt(12.0)  # of the time between the two samples
 _CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
 _NOISE_FLOOR = 1e-3  # of a signal's range, of a sample: no model of a bench is right to less
 # What differs from run to run of one bench, one standard deviation: K, and shares.
-STATES = {
-    "environment.ambient_temperature": 1.5,
-    "wire.heat_transfer_coefficient": 0.07,
-    "wire.maximum_recoverable_strain": 0.025,
-}
-_SAID = ("room", 1.0, "K"), ("draught", 100.0, "%"), ("stroke", 100.0, "%")
-_OF_A_RUN = dict(zip(STATES, _SAID, strict=True))
+STATES = {"environment.ambient_temperature": 1.5, "wire.heat_transfer_coefficient": 0.07,
+          "wire.maximum_recoverable_strain": 0.025}
+_OF_A_RUN = ("room", 1.0, "K"), ("draught", 100.0, "%"), ("stroke", 100.0, "%")
 _UNSET = 5.0  # of what a zero that was set is off by
 _WORTH_SAYING = 0.5  # standard deviations
 _HISTORIES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
@@ -89,13 +84,9 @@ class Sensor:
     clock_std: float = _CLOCK_STD  # s, of the delay of its stamps; 0 for the driver's own
 
 
-SENSORS = {
-    "current": Sensor(0.005, 5e-4, 0.01, 0.0),
-    "temperature": Sensor(0.2, 0.02, 0.5),
-    "deflection": Sensor(5e-4, 5e-6, 5e-5),
-    "elongation": Sensor(1e-3, 1e-6, 1e-5),
-    "force": Sensor(0.0, 1e-3, 0.02),
-}
+SENSORS = {"current": Sensor(0.005, 5e-4, 0.01, 0.0), "temperature": Sensor(0.2, 0.02, 0.5),
+           "deflection": Sensor(5e-4, 5e-6, 5e-5), "elongation": Sensor(1e-3, 1e-6, 1e-5),
+           "force": Sensor(0.0, 1e-3, 0.02)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +106,6 @@ class BinnedSignal:
 
     @cached_property
     def usual_count(self) -> float:
-        """Samples of most bins."""
         return float(np.median(self.count))
 
     @property
@@ -152,7 +142,6 @@ class Observation:
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What is measured, each once."""
         return tuple(dict.fromkeys(s.quantity for s in self.signals))
 
     @property
@@ -163,10 +152,10 @@ class Observation:
         if self.skipped:
             text = f"its first {self.skipped:.3g} s are left out"
             found.insert(0, f"begins before the bench has settled: {text}")
-        far = [f"{what} {away * STATES[name] * factor:+.2g} {unit}"
-               for name, away in self.away.items()
-               if abs(away) > max(_WORTH_SAYING, 2.0 * self.within.get(name, 0.0))
-               for what, factor, unit in [_OF_A_RUN[name]]]
+        far = [f"{what} {self.away[name] * std * factor:+.2g} {unit}"
+               for (name, std), (what, factor, unit) in zip(STATES.items(), _OF_A_RUN, strict=True)
+               if abs(self.away.get(name, 0.0)) > max(_WORTH_SAYING,
+                                                      2.0 * self.within.get(name, 0.0))]
         if far:
             found.append(f"its run differs from the first record's: {', '.join(far)}")
         return [f"{Path(self.path).name}: {text}" for text in found]
@@ -240,11 +229,10 @@ class Observation:
             else:
                 bench.pull_against(load)
             parts.append(bench.follow(self.grid[span], volts[span]))
-        first, *others = parts
         joined: dict[str, Any] = {
-            name: np.concatenate([getattr(first, name), *(getattr(p, name)[1:] for p in others)])
+            name: np.concatenate([getattr(p, name)[min(k, 1):] for k, p in enumerate(parts)])
             for name in _HISTORIES}
-        return replace(first, final=parts[-1].final, **joined)
+        return replace(parts[0], final=parts[-1].final, **joined)
 
     def readings(self, simulation: Simulation) -> list[Array]:
         """What the model's sensors read, one (b,) array a signal."""
@@ -292,19 +280,15 @@ class Observation:
     def zeroed(self) -> "Observation":
         """Motions as from before the drive, where a bench returns within 1.2 % of its stroke."""
         signals = {s.name: s for s in self.signals}
-        for name, zero in self._rests().items():
+        for name, zero in self.rests().items():
             value, sensor = signals[name].value, signals[name].sensor
             std = min(sensor.zero_std, RETURNS * float(np.ptp(value)))
             sensor = replace(sensor, zero_std=std)
             signals[name] = replace(signals[name], value=value - zero, sensor=sensor)
         return replace(self, signals=tuple(signals.values()))
 
-    def unset_zeros(self) -> dict[str, float]:
-        """By signal, where a motion was before the drive, if nobody has set that to 0."""
-        least = {s.name: _UNSET * s.sensor.zero_std for s in self.signals}
-        return {name: off for name, off in self._rests().items() if abs(off) > least[name]}
-
-    def _rests(self) -> dict[str, float]:
+    def rests(self) -> dict[str, float]:
+        """By signal, where a motion was before the drive."""
         befores = {s.name: s.value[self.phase_of(s.time) == "initial"]
                    for s in self.signals if s.quantity in MOVED}
         return {name: float(np.mean(own)) for name, own in befores.items() if len(own) > _SOME}
@@ -316,17 +300,15 @@ class Observation:
 
     @property
     def strokes(self) -> int:
-        """How often the drive begins."""
         driven = np.append(False, self.phase_of(self.grid) == "drive")
         return int(np.sum(driven[1:] & ~driven[:-1]))
 
     def between(self, start: float, stop: float) -> "Observation":
         """The same drive, the signals of a span of time only."""
-        kept = [(s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals]
-        parts = tuple(replace(s, time=s.time[k], value=s.value[k], count=s.count[k],
-                              average=s.average[k])
-                      for s, k in kept if len(k) > 1)
-        return replace(self, signals=parts)
+        kept = ((s, np.flatnonzero((s.time >= start) & (s.time < stop))) for s in self.signals)
+        return replace(self, signals=tuple(
+            replace(s, time=s.time[k], value=s.value[k], count=s.count[k], average=s.average[k])
+            for s, k in kept if len(k) > 1))
 
 
 def _course(quantity: str, simulation: Simulation) -> Array:
@@ -433,7 +415,8 @@ def observe_all(records: Sequence[Record], parameters: Parameters,
             last = found[max(earlier, key=lambda i: ends[i])]
             found[k] = replace(one.less(last.zeros), before=replace(last, before=None))
         elif moves_tip(parameters):
-            found[k] = one.less(one.unset_zeros())
+            least = {s.name: _UNSET * s.sensor.zero_std for s in one.signals}  # if set to 0
+            found[k] = one.less({n: off for n, off in one.rests().items() if abs(off) > least[n]})
     return found
 
 

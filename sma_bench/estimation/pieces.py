@@ -20,16 +20,14 @@ ROUNDING = 1e-6  # of the largest voltage
 Span = tuple[int, int]  # first sample, and the one after the last
 
 
-def straight_and_curved(
-    time: Array, voltage: Array, spans: Sequence[tuple[int, int, bool]], step: float
-) -> tuple[list[Span], list[Span]]:
+def straight_and_curved(time: Array, voltage: Array, spans: Sequence[tuple[int, int, bool]],
+                        step: float) -> tuple[list[Span], list[Span]]:
     """Stretches of a voltage (n,) V that are straight, and those that are curved.
 
     Args:
         time: (n,) s; spans: first sample, the one after the last and whether it is a ramp, of what
             few lines describe, in order; those that share a sample are one stretch.
-        step: V, the converter's, 0 where it has none.
-    """
+        step: V, the converter's, 0 where it has none."""
     cut: list[Span] = []
     is_curved: list[bool] = []
     for first, last, is_ramp in spans:
@@ -58,9 +56,8 @@ def straight_and_curved(
     return straight, curved
 
 
-def _spread(
-    time: Array, voltage: Array, spans: Sequence[Span], is_curved: list[bool], step: float
-) -> None:
+def _spread(time: Array, voltage: Array, spans: Sequence[Span], is_curved: list[bool],
+            step: float) -> None:
     """Curved are also lines that turn the same way again and again, and straight ones between two
     curved, no longer than these, where a curve turns. Of a coarse converter a curve that passes
     few of its steps would follow them."""

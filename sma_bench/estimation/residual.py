@@ -2,8 +2,7 @@
 
     y = O[ F(V(z); theta) ] + N z + e
 
-A row is a bin of a signal of a record. Whitened, rows are independent of unit variance.
-"""
+A row is a bin of a signal of a record. Whitened, rows are independent of unit variance."""
 
 import itertools
 from collections.abc import Collection, Iterator, Sequence
@@ -28,7 +27,7 @@ _STEP = 1e-4  # prior deviations, of a difference
 _FIRST_MISFIT, _FIRST_COUNT = 0.03, 10.0
 USUAL_MISFIT, USUAL_WEIGHT = 0.015, 2.0
 _DIFFER = 0.02  # of a stroke, a run from the next
-_LEAST_COUNT, _MOST_MISFIT = 8.0, 0.06
+_LEAST_COUNT, _MOST_MISFIT, _NOTHING = 8.0, 0.06, 1e-300
 # Its numbers are the straight part of a wander whose rest is the sensor's noise.
 DRIFT_EFFECT = "deflection_drift"
 
@@ -100,12 +99,12 @@ class Problem:
 
     def with_noise(self, residual: Array) -> Self:
         """Noise estimated anew from a residual (n,)."""
-        found: dict[str, Noise] = {}
+        found = {}
         for name, before in self.noise.items():
             own = list(self.of_signal(name))
-            white, first = float(np.median([b.signal.noise for b in own])), own[0].signal
-            found[name] = estimate_noise([residual[b.rows] for b in own], white, first.period,
-                                         first.usual_drift, before.wanders)
+            white, usual = np.median([b.signal.noise for b in own]), own[0].signal.usual_drift
+            found[name] = estimate_noise([residual[b.rows] for b in own], float(white),
+                                         before.period, usual, before.wanders)
         return replace(self, noise=found)
 
     def with_weights(self, residual: Array | None = None, repeated: bool = False) -> Self:
@@ -117,8 +116,7 @@ class Problem:
         stroke, and unless each run has its own states it differs by 2 % from the next. Before
         anything is fitted: 3 %, ten readings a record; where more than 6 % was left the fit has not
         arrived, and a smaller weight would keep it there. `repeated`: every stroke shows the misfit
-        again, so what exceeds the noise counts as in one of the strokes; for errors only.
-        """
+        again, so what exceeds the noise counts as in one of the strokes; for errors only."""
         found, rho = [], [] if residual is None else self.correlations(residual)
         for number, block in enumerate(self.blocks):
             signal, bins = block.signal, len(block.signal.time)
@@ -143,11 +141,8 @@ class Problem:
 
     def correlations(self, residual: Array) -> list[float]:
         """Of every block: how far a residual (n,) of one bin is that of the next, 0 to 1."""
-        found = []
-        for left in (residual[block.rows] for block in self.blocks):
-            power = float(left @ left)
-            found.append(max(float(left[1:] @ left[:-1]) / power, 0.0) if power > 0.0 else 0.0)
-        return found
+        parts = (residual[block.rows] for block in self.blocks)
+        return [max(float(r[1:] @ r[:-1]) / max(float(r @ r), _NOTHING), 0.0) for r in parts]
 
     def in_states(self, z: Array, errors: Array) -> list[Observation]:
         """The records, each in the state of its run by z (q,), within standard `errors` (q,)."""
@@ -169,7 +164,6 @@ class Problem:
         return tuple(Block(*pair, own) for pair, own in zip(pairs, rows, strict=True))
 
     def of_signal(self, name: str) -> Iterator[Block]:
-        """Blocks of one signal."""
         return (block for block in self.blocks if block.signal.name == name)
 
     def stretches(self, parts: int) -> Iterator[NDArray[np.intp]]:
@@ -215,23 +209,18 @@ class Problem:
         Differences of so small a step that they agree with derivatives: across a narrow valley a
         large one is off by what the records do not hold (0.02 prior deviations: a supply's
         resistance known six times as well as it is). They are taken on coarse cells: a quarter of a
-        bin is off by hundredths of a nat (half a bin by up to 0.9, which let a rival in).
-        """
+        bin is off by hundredths of a nat (half a bin by up to 0.9, which let a rival in)."""
         if not len(which):
             return np.empty((len(predicted), 0))
         seen, here = self.rough if rough else self.coarse, unknowns.parameters(x)
         steps = np.where(x + _STEP <= unknowns.bounds()[1], _STEP, -_STEP)[[*which]]
         benches = [unknowns.nudged(here, x, i, step)
                    for i, step in zip(which, steps.tolist(), strict=True)]
-        if len(which) * self.cells <= (len(which) + 1) * seen.cells:  # `here` is known on these
+        cells, of_seen = (sum(len(o.grid) for o in one.observations) for one in (self, seen))
+        if len(which) * cells <= (len(which) + 1) * of_seen:  # `here` is known on these
             return (self.predict_many(benches) - predicted[:, np.newaxis]) / steps
         readings = seen.predict_many([here, *benches])
         return (readings[:, 1:] - readings[:, :1]) / steps
-
-    @property
-    def cells(self) -> int:
-        """Of all simulations of the records."""
-        return sum(len(o.grid) for o in self.observations)
 
     @cached_property
     def coarse(self) -> "Problem":
@@ -264,7 +253,6 @@ class Problem:
 
     @cached_property
     def white_nuisances(self) -> Array:
-        """(n, q) whitened."""
         return self.whiten(self.nuisance_rows)
 
     @cached_property
@@ -280,7 +268,6 @@ class Problem:
 
     @cached_property
     def nuisance_factor(self) -> tuple[Array, bool]:
-        """Of the same, Cholesky's."""
         return cho_factor(self.nuisance_information)
 
     def log_scale(self) -> float:

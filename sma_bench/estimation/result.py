@@ -1,8 +1,7 @@
 """What a fit found: every number with its errors and where they come from, and what was off.
 
 A factor of a product that records know only as a whole (`Unknown.partner`) is told apart from the
-other by the priors alone; both are given here, with what that leaves open.
-"""
+other by the priors alone; both are given here, with what that leaves open."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -81,10 +80,9 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
     # partner's, and w' n against w n, which no record tells, n of unit prior.
     unknowns = fitted.unknowns
     split = [k for k, item in enumerate(unknowns.items) if item.partner]
-    items: list[tuple[int, Unknown]] = []
-    rows, count = [], len(unknowns.items) + len(split)
+    items, rows = list[tuple[int, Unknown]](), []
     for k, item in enumerate(unknowns.items):
-        row, other = np.zeros((2, count))
+        row, other = np.zeros((2, len(unknowns.items) + len(split)))
         row[k] = share = item.own_std / item.std if item.partner else 1.0
         if not item.partner:
             items.append((k, item))
@@ -99,7 +97,7 @@ def result_of(fitted: Fit, tried: Sequence[Fit],
                 std = std / item.mean * mean
                 items.append((k, Unknown(name, mean, std, *range_of(name), item.log)))
                 rows.append(own)
-    apart = np.array(rows).reshape(len(rows), count)
+    apart = np.array(rows).reshape(len(rows), len(unknowns.items) + len(split))
 
     turn = unknowns.turn(fitted.x)
     of_numbers = turn @ fitted.covariance @ turn.T

@@ -87,7 +87,6 @@ class Measured:
     values: Array
 
     def where(self, keep: NDArray[np.bool_]) -> "Measured":
-        """Some of its samples."""
         return replace(self, time=self.time[keep], values=self.values[keep])
 
     @property
@@ -211,7 +210,6 @@ def pulls_a_load(record: Record, parameters: Parameters) -> bool:
 
 
 def has_load_frame(record: Record) -> bool:
-    """Whether the record holds what a load frame measures."""
     return any(has_samples(record, name) for name in LOAD_FRAME)
 
 

@@ -6,12 +6,11 @@ by Gauss-Newton steps within bounds, damped where they must be, the nuisances z 
 noise of every sensor is estimated anew from what the model leaves. The evidence is Laplace's.
 
 scipy.optimize.least_squares took two to eight times as many simulations to the same place: it
-cannot keep the derivatives of what hardly moves, nor stop at a fraction of a nat.
-"""
+cannot keep the derivatives of what hardly moves, nor stop at a fraction of a nat."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from operator import attrgetter
 from typing import Any
 
@@ -61,8 +60,7 @@ class Fit:
     @property
     def covariance(self) -> Array:
         """(k, k) of x."""
-        k = len(self.x)
-        return self.joint[:k, :k]
+        return self.joint[: len(self.x), : len(self.x)]
 
     @property
     def directions(self) -> Array:
@@ -74,12 +72,6 @@ class Fit:
     def parameters(self) -> Parameters:
         """The bench as this model has it."""
         return self.unknowns.parameters(self.x)
-
-    @property
-    def surprise(self) -> float:
-        """Squared prior deviations of the bench's parameters: about their number, if right."""
-        moved = self.x[: self.unknowns.bench]
-        return float(moved @ moved)
 
     @property
     def std(self) -> Array:
@@ -135,8 +127,7 @@ class Fit:
         numbers are estimated once without each (the jackknife over groups; Shao and Tu, The
         Jackknife and Bootstrap, 1995), by a straight line from the optimum. By as much as the
         squares of these moves exceed what noise would move, the variance of a number is larger. The
-        pull of the priors, of which a stretch is no sample, is taken off before.
-        """
+        pull of the priors, of which a stretch is no sample, is taken off before."""
         rows = np.hstack([self.problem.whiten(self.derivatives), self.problem.white_nuisances])
         information, k = rows.T @ rows + np.eye(rows.shape[1]), len(self.x)
         turn = self.unknowns.turn(self.x)
@@ -170,8 +161,7 @@ def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
             little off; else computed anew in every round. Those of effects are at every step.
         keep_noise: take the problem's noise as it is.
         far: at first every step takes all derivatives anew, and for noise what the model leaves.
-        predicted: (n,) readings at x, where they are known.
-    """
+        predicted: (n,) readings at x, where they are known."""
     state = _State(problem, unknowns, x, frozen, predicted)
     if far:
         state.approach()
@@ -188,8 +178,8 @@ def fit(problem: Problem, unknowns: Unknowns, x: Array, *, rounds: int = 3,
 
 
 def _from_starts(problem: Problem, unknowns: Unknowns, starts: Sequence[Array], report: Report,
-                 **how: Any) -> list[Fit]:
-    """A fit from each start (k,), reported as one step less than the whole."""
+                 **how: Any) -> tuple[Fit, list[Fit]]:
+    """The best of the fits from all starts (k,), and these; one step less than the whole."""
 
     def from_start(number: int, x: Array) -> Fit:
         report(number / (len(starts) + 1), f"start {number + 1} of {len(starts)}")
@@ -197,7 +187,7 @@ def _from_starts(problem: Problem, unknowns: Unknowns, starts: Sequence[Array], 
 
     tried = in_threads(from_start, list(enumerate(starts)))
     report(len(starts) / (len(starts) + 1), "from the best start to the end")
-    return tried
+    return max(tried, key=by_evidence), tried
 
 
 def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
@@ -207,14 +197,12 @@ def recalibrate(problem: Problem, parameters: Parameters, unknowns: Unknowns,
     of them. `keep_noise`: begin the last fit with the noise that the best start left; the first
     guess may end it some nats before its optimum, as the diagnosis' thresholds were found."""
     first = problem.with_nuisances(parameters)
-    tried = _from_starts(first, unknowns, starts, report, far=True)
-    best = max(tried, key=by_evidence)
+    best, tried = _from_starts(first, unknowns, starts, report, far=True)
     if first.of_kind(TICK).any():
         # No straight line goes from a jump that comes late to one that comes early.
         there = np.where(first.of_kind(TICK), np.array(_TICKS)[:, np.newaxis], 0.0)
-        begun = [(first.moved(best.parameters, z), best.x) for z in there]
-        moved = in_threads(lambda there, x: fit(there, unknowns, x, rounds=1), begun)
-        best = max(moved, key=by_evidence)
+        begun = [(first.moved(best.parameters, z), unknowns, best.x) for z in there]
+        best = max(in_threads(partial(fit, rounds=1), begun), key=by_evidence)
     if first.of_kind(TICK).any() or (first.later and len(first.observations) > 1):
         for _ in range(_MOVES):
             best = fit(best.problem.about(best.parameters, best.z), unknowns, best.x, rounds=1)
@@ -230,8 +218,8 @@ def fit_imperfect(problem: Problem, parameters: Parameters, unknowns: Unknowns,
     and each with states of its own (`STATES`), as different as they show."""
     several = float(len(problem.observations) > 1)
     first = problem.with_nuisances(parameters, several).with_weights()
-    tried = _from_starts(first, unknowns, starts, report, rounds=2, keep_noise=True)
-    best, found = max(tried, key=by_evidence), []
+    best, tried = _from_starts(first, unknowns, starts, report, rounds=2, keep_noise=True)
+    found = []
     for states in (0.0, 1.0) if several else (0.0,):
         fitted = best
         for number in range(_MOST_ROUNDS):
@@ -261,8 +249,7 @@ def log_evidence(fitted: Fit, readings: float) -> float:
 
         ln Z = -(2 + N)/2 ln(2 0.015^2 + N m) - q^2/2 - ln|H|/2
 
-    of numbers q in prior deviations and their information H (Laplace).
-    """
+    of numbers q in prior deviations and their information H (Laplace)."""
     blocks = fitted.problem.blocks
     squares = [np.mean(fitted.left[b.rows] ** 2) / max(np.ptp(b.signal.value), b.signal.noise) ** 2
                for b in blocks]
@@ -275,11 +262,11 @@ def log_evidence(fitted: Fit, readings: float) -> float:
 def _with_common_states(fitted: Fit) -> Array:
     """(k,) where it ended, what all its runs differ by alike moved into the bench's own numbers."""
     unknowns, runs, x = fitted.unknowns, len(fitted.problem.observations), fitted.x.copy()
-    own = {item.name: (k, item) for k, item in enumerate(unknowns.items)}
-    items = [item for nuisances in fitted.problem.nuisances for item in nuisances.items]
+    items = (item for own in fitted.problem.nuisances for item in own.items)
     for item, z in zip(items, fitted.z.tolist(), strict=True):
-        if item.kind == STATE and item.subject in own:
-            k, unknown = own[item.subject]
+        if item.kind == STATE and item.subject in unknowns.names:
+            k = unknowns.names.index(item.subject)
+            unknown = unknowns.items[k]
             x[k] = unknown.x_of(unknown.value(x[k]) + item.std * z / runs)
     return np.clip(x, *unknowns.bounds())
 
@@ -411,13 +398,12 @@ class _State:
     def _system(self) -> tuple[Array, Array]:
         """Information (k + q, k + q) on x and z, priors among it, and the residual's pull."""
         problem, nuisances = self.problem, self.problem.white_nuisances
-        kept = self.kept
-        if kept is None or kept[0] is not problem or kept[1] is not self.base:
+        if self.kept is None or self.kept[0] is not problem or self.kept[1] is not self.base:
             assert self.base is not None
             base = problem.whiten(self.base)
             known = base.T @ base + np.eye(base.shape[1])
-            self.kept = kept = problem, self.base, base, known, base.T @ nuisances
-        _, _, base, known, across = kept
+            self.kept = problem, self.base, base, known, base.T @ nuisances
+        _, _, base, known, across = self.kept
         own = problem.whiten(self.slopes[:, self.unknowns.baseline :])
         mixed, shared = base.T @ own, own.T @ nuisances
         information = np.block([[known, mixed, across],

@@ -51,8 +51,7 @@ class Transitions:
         A_s, A_f = c + h -+ w_A/2        M_f, M_s = c - h -+ w_M/2
 
     of a centre c, the half width h = (A_s + A_f - M_s - M_f)/4 of the hysteresis and the widths w_A
-    and w_M of the two ranges, moved by their logarithms. What is not stated is as in the field.
-    """
+    and w_M of the two ranges, moved by their logarithms. What is not stated is as in the field."""
 
     mean: Array  # (4,) K, as believed
     moving: NDArray[np.intp]  # (m,) which of them

@@ -1,17 +1,18 @@
 """What a fit may move: the bench's parameters under their priors, and the numbers of effects.
 
 One list of everything that records can depend on. A record knows some factors only as a product
-(h A_c, m c_p): one of them is moved and carries what is known of the other (`partner`).
-"""
+(h A_c, m c_p): one of them is moved and carries what is known of the other (`partner`)."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from sma_bench.arrays import Array
+from sma_bench.border import read_yaml
 from sma_bench.estimation.transitions import (
     FIELD_TEMPERATURES,
     HIGHEST,
@@ -34,56 +35,21 @@ from sma_bench.physics import bending_coefficients
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.effects.residual_strain import FRESH_START
 
-HEAT = ("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat",
-        "environment.ambient_temperature")
-MATERIAL = (*TEMPERATURES, "wire.martensite_modulus", "wire.austenite_modulus",
-            "wire.maximum_recoverable_strain", "wire.thermal_expansion_factor",
-            "wire.stress_influence_austenite", "wire.stress_influence_martensite")
+_PRIORS = read_yaml(Path(__file__).with_name("priors.yaml"))
+HEAT, IF_STATED, UNMODELLED = (tuple(_PRIORS[k]) for k in ("heat", "if_stated", "unmodelled"))
+MATERIAL = (*TEMPERATURES, *_PRIORS["material"])
 # One number where front and back are believed alike: that they are not is an effect.
 FRONT, BACK = "composite.stress_per_deflection_front", "composite.stress_per_deflection_back"
 BENDING = ("composite.deflection_per_strain", FRONT, BACK)
-# What is unknown of a load that wires pull against; a spring's preload has its weight in it.
-LOADS = {
-    "force": ("load.force", "load.friction"),
-    "spring": ("load.stiffness", "load.stiffening", "load.preload", "load.friction"),
-    "antagonist": ("load.stiffness", "load.preload", "load.force", "load.friction"),
-}
-# Taken as 0 unless stated: they would pass for hysteresis and for the wire's own curve.
-IF_STATED = ("load.friction", "load.stiffening")
+LOADS, PRODUCTS, FIELD = _PRIORS["loads"], _PRIORS["products"], _PRIORS["field"]
 LAW_EFFECT = "transformation_law"
 # A load frame shows strains and stresses by the wire's length (from its mass) and section.
 LOAD_FRAME = ("wire.mass", "wire.diameter")
 SPREAD, END = "wire.hysteresis_spread", "wire.end_length"
-# Real kinetics are a little smoother than the cosine's; that is no effect, but a nuisance.
-# Standard deviation about what is believed, lowest and highest value, in the parameter's unit.
-SHAPES = {
-    "wire.transition_spread": (1.5, 0.0, 12.0),
-    "wire.transition_tail": (0.3, 0.0, 1.0),
-    "effect.partial_transformation.memory": (0.08, -0.2, 0.2),
-}
+Shapes = Mapping[str, Sequence[float]]  # deviation, lowest and highest value by name
+SHAPES: Shapes = _PRIORS["shapes"]
 # Other laws than the cosine: grains that follow them, a nuisance where they are few.
-OTHER_LAWS = {p.name: (0.3, 0.0, 1.0) for p in EFFECTS[LAW_EFFECT].parameters}
-# Under a load grains decide how flat an inner loop starts, from the contract's rule to the full's.
-LOADED_SHAPES = {"effect.partial_transformation.memory": (0.4, -0.1, 1.0)}
-# Of a law's options, of which only who states one has it; its first number switches it on.
-OPTIONAL = (("wire.transition_skew",),
-            ("wire.r_phase_strain", "wire.r_phase_temperature", "wire.r_phase_range"))
-# What every wire in air or under a load has and the paper's model leaves out. Priors: the table's.
-UNMODELLED = ("effect.latent_heat.heat", "effect.temperature_dependent_convection.rise",
-              "effect.phase_dependent_resistance.austenite_change", "effect.residual_strain.share")
-# Typical wires, for what a file does not state: mean and one standard deviation. NiTi has 450 to
-# 550 J/(kg K) (Otsuka and Ren 2005), 5 to 25 J/g of latent heat, a martensite of 0 to 30 % more
-# resistance than austenite (Ikuta 1991); a correlation of free convection is good to 30 %.
-FIELD = {
-    "wire.specific_heat": (500.0, 75.0),
-    "wire.thermal_expansion_factor": (-3.5e5, 1.5e5),
-    "wire.maximum_recoverable_strain": (0.03, 0.015),
-    "effect.residual_strain.share": (0.0, 0.03),
-    "effect.latent_heat.heat": (15e3, 6e3),
-    "effect.phase_dependent_resistance.austenite_change": (-0.13, 0.09),
-    "wire.detwinning_start_stress": (30e6, 20e6),  # Pa: wires that are sold to pull are trained
-    "wire.detwinning_stress_range": (60e6, 30e6),
-}
+OTHER_LAWS: Shapes = {p.name: (0.3, 0.0, 1.0) for p in EFFECTS[LAW_EFFECT].parameters}
 _RESIDUAL = "effect.residual_strain.share"  # which laws have that let the load decide the strain
 _RISE = "effect.temperature_dependent_convection.rise"  # which free convection has already
 _FREE_CONVECTION, _NOT_STILL = 0.3, 1.25  # share that is unknown; what a room adds to still air
@@ -91,13 +57,9 @@ _WIDEST_SPREAD = 1.5  # of its hystereses
 _LONGEST_END = 0.03  # m
 _CONDUCTIVITY, _END = 13.0, 0.6  # W/(m K), of NiTi between its phases; share that is unknown
 _LEAST_HALF_WIDTH = 0.1  # K, of the law that is made of hystereses
-# Products: what is known of the second factor is carried by the first, which the fit moves.
-PRODUCTS = {"wire.heat_transfer_coefficient": "wire.surface_area",
-            "wire.specific_heat": "wire.mass"}
 _TIMES = {f"{EFFECT_PREFIX}{effect.name}.{number}": other
           for effect in EFFECTS.values() for number, other in (effect.times or {}).items()}
-_STRAIGHT = {*TEMPERATURES, "environment.ambient_temperature", "wire.thermal_expansion_factor",
-             "load.force", "load.preload"}
+_STRAIGHT = {*TEMPERATURES, *_PRIORS["straight"]}
 _DERIVED_STD = 0.3  # relative, of bending coefficients that only an assumed geometry gives
 _REACH = 30.0  # prior deviations
 _STILL = 1e-6  # deviations a prior deviation
@@ -157,12 +119,10 @@ class Unknowns:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all unknowns."""
         return tuple(item.name for item in self.items)
 
     @property
     def bench_names(self) -> tuple[str, ...]:
-        """Those of the bench."""
         return self.names[: self.bench]
 
     @property
@@ -310,21 +270,21 @@ def unknowns_of_records(parameters: Parameters, quantities: Sequence[str], *,
     they are believed alike; `unmodelled`: of wires with a load, what the paper's model leaves out
     of every one, believed in or not; `other_laws`: grains may follow other laws than the cosine."""
 
-    def of_table(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
+    def of_table(names: Iterable[str]) -> dict[str, Sequence[float]]:
         return {name: (parameters.std(name), *range_of(name)) for name in names}
 
     own = [name for name in LOADS.get(load_kind(parameters), ()) if own_load
            if name not in IF_STATED or is_stated(parameters, name)]
     load_frame |= load_kind(parameters) == "displacement"
-    names, shapes = [*HEAT], SHAPES | of_table(stated_effects(parameters))
+    names, shapes = [*HEAT], {**SHAPES, **of_table(stated_effects(parameters))}
     shapes |= OTHER_LAWS if other_laws else {}
     if "deflection" in quantities or load_frame:
         names += MATERIAL
         shapes |= of_table(ORIENTING.get(parameters["wire.law"], ()))
-        shapes |= of_table(n for group in OPTIONAL if is_stated(parameters, group[0])
+        shapes |= of_table(n for group in _PRIORS["optional"] if is_stated(parameters, group[0])
                            for n in group)
         if own:
-            shapes |= LOADED_SHAPES if unmodelled else {}
+            shapes |= _PRIORS["loaded_shapes"] if unmodelled else {}
             free = parameters["wire.convection"] == "free"
             shapes |= of_table(n for n in UNMODELLED
                                if parameters[n] != 0.0 or (unmodelled and not (free and n == _RISE))
@@ -378,8 +338,7 @@ def stated_effects(parameters: Parameters) -> list[str]:
 
 
 def unknowns_of(parameters: Parameters, names: Sequence[str], *,
-                shapes: Mapping[str, tuple[float, float, float]] = SHAPES,
-                sides_apart: bool = False) -> Unknowns:
+                shapes: Shapes = SHAPES, sides_apart: bool = False) -> Unknowns:
     """Unknowns from the values and the `uncertainty.` of a parameter set; 0 is exact, and none.
     Bending coefficients that are derived from the geometry start there, with 30 % unless their
     uncertainty is given. All four transition temperatures or none are among the names."""

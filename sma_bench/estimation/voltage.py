@@ -2,8 +2,7 @@
 
 Heat goes with the mean square over cells of time, so that is exact; a jump happens somewhere
 between two samples, and a level that a converter holds between two of its steps is not known to the
-last bit: both are errors that a fit may move (nuisances.py).
-"""
+last bit: both are errors that a fit may move (nuisances.py)."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -61,12 +60,10 @@ class VoltageSegment:
 
     @property
     def duration(self) -> float:
-        """Length in s."""
         return self.stop - self.start
 
     @property
     def level(self) -> float:
-        """Mean voltage in V."""
         return 0.5 * (self.voltage_start + self.voltage_stop)
 
 
@@ -81,12 +78,10 @@ class Segments:
 
     @property
     def plateaus(self) -> tuple[VoltageSegment, ...]:
-        """Stretches of constant voltage."""
         return tuple(s for s in self.items if s.kind == "plateau")
 
     @property
     def ramps(self) -> tuple[VoltageSegment, ...]:
-        """Stretches of steadily changing voltage."""
         return tuple(s for s in self.items if s.kind == "ramp")
 
     def between(self, start: float, stop: float) -> "Segments":
@@ -95,7 +90,6 @@ class Segments:
                         tuple(e for e in self.edges if start <= e[0] < stop), self.tolerance)
 
     def levels(self) -> int:
-        """Number of plateau voltages that differ from each other."""
         levels = np.sort([p.level for p in self.plateaus])
         return min(len(levels), 1) + int(np.sum(np.diff(levels) > self.tolerance))
 
@@ -381,7 +375,7 @@ def applied_voltage(channels: Sequence[tuple[Array, Array]],
             commanded = commanded[np.searchsorted(commands[0], time, side="right")]
         polygons.append(_polygon(time, voltage, commanded))
     # Jumps of several channels that can have been one command are one event.
-    found = sorted((polygon.time[knot], polygon.time[knot + 1], channel, order)
+    found = sorted((*polygon.time[knot : knot + 2], channel, order)
                    for channel, polygon in enumerate(polygons)
                    for order, knot in enumerate(polygon.jumps))
     bounds: list[list[float]] = []

@@ -13,7 +13,7 @@ from matplotlib.ticker import NullLocator
 from sma_bench.arrays import Array
 from sma_bench.diagnose import Diagnosis
 from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED, DiagnosisResult
-from sma_bench.diagnose.sizes import DRIVE, INITIAL, REST, locate, sample_noise
+from sma_bench.diagnose.sizes import locate, sample_noise
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, BinnedSignal
 from sma_bench.identify import Identification
@@ -48,7 +48,7 @@ _RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
 _LINEAR = 3.0  # nats, within which the axis of evidence is linear
 _AS_BAD = 20.0  # nats below recalibration, where bars are cut
 _PROTOCOL_STEP = 0.05  # s
-PHASES = (INITIAL, DRIVE, REST)
+PHASES = ("initial", "drive", "rest")
 _LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
 _DARK = 0.65  # of the colours, from where on letters are white
 _MOST_SIGNALS, _WORTH_A_PICTURE = 3, 0.05  # of all that is missing

@@ -47,37 +47,34 @@ if order != "silent":
 FAILURES = {"crash": "exit code 3: ValueError: it hurts", "silent": "no result was written",
             "babble": "result is not JSON", "wrong": "result: verdict 'perhaps'",
             "effect": "verdict effect without improved parameters",
-            "spoil": "improved.yaml: expected a ROS parameter file"}  # fmt: skip
+            "spoil": "improved.yaml: expected a ROS parameter file"}
 
 
-@pytest.fixture
-def make(tmp_path):
-    """Cases, one an order, in a set; what puts some to the program that follows the orders."""
-    root, log, script = tmp_path / "secret_set", tmp_path / "log", tmp_path / "fake.py"
+def made(root, *orders):
+    """Cases, one an order, in a set: their names."""
+    names = tuple(f"{k:04d}" for k in range(1, len(orders) + 1))
+    for name, order in zip(names, orders, strict=True):
+        for record in ("record", "hold_out"):
+            (root / "cases" / name / record).mkdir(parents=True)
+            (root / "cases" / name / record / "bag.mcap").write_bytes(b"bag")
+        text = f"# {order}\n/**:\n  ros__parameters:\n    wire:\n      resistance: 3.0\n"
+        (root / "cases" / name / "nominal.yaml").write_text(text)
+    return names
+
+
+def put(root, names):
+    """These cases to the program that follows the orders: the orders so far; where answers lie."""
+    log, script, answers = root.parent / "log", root.parent / "fake.py", root / "answers"
     script.write_text(FAKE)
-
-    def made(*orders):
-        names = tuple(f"{k:04d}" for k in range(1, len(orders) + 1))
-        for name, order in zip(names, orders, strict=True):
-            for record in ("record", "hold_out"):
-                (root / "cases" / name / record).mkdir(parents=True)
-                (root / "cases" / name / record / "bag.mcap").write_bytes(b"bag")
-            text = f"# {order}\n/**:\n  ros__parameters:\n    wire:\n      resistance: 3.0\n"
-            (root / "cases" / name / "nominal.yaml").write_text(text)
-        return names, root / "answers"
-
-    def run(names, limit=30.0, program=(sys.executable, "-S", str(script), str(log))):
-        examine(Examinee(program, limit), names, root / "cases", root / "answers", 2)
-        return log.read_text().split()
-
-    made.run = run
-    return made
+    program = sys.executable, "-S", str(script), str(log)
+    examine(Examinee(program, 30.0), names, root / "cases", answers, 2)
+    return log.read_text().split(), answers
 
 
-def test_the_program_sees_the_records_and_nothing_that_tells_the_case(make, tmp_path, monkeypatch):
+def test_the_program_sees_the_records_and_nothing_that_tells_the_case(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    names, answers = make("look")
-    make.run(names)
+    root = tmp_path / "secret_set"
+    _, answers = put(root, made(root, "look"))
     seen = json.loads((answers / "0001" / "answer.json").read_text())["result"]["seen"]
     files = "hold_out hold_out/bag.mcap nominal.yaml record record/bag.mcap"
     assert seen["files"] == files.split()
@@ -88,15 +85,16 @@ def test_the_program_sees_the_records_and_nothing_that_tells_the_case(make, tmp_
     assert seen["environment"]["OMP_NUM_THREADS"] == "1"
 
 
-def test_every_answer_and_failure_is_kept_once_and_asked_for_no_more(make):
-    names, answers = make(*FAILURES, "improve", "look")
-    assert sorted(make.run(names[:-1])) == sorted([*FAILURES, "improve"])
+def test_every_answer_and_failure_is_kept_once_and_asked_for_no_more(tmp_path):
+    names = made(tmp_path / "set", *FAILURES, "improve", "look")
+    done, answers = put(tmp_path / "set", names[:-1])
+    assert sorted(done) == sorted([*FAILURES, "improve"])
     kept = [read_kept(answers, name) for name in names[:-1]]
     for found, line in zip(kept, FAILURES.values(), strict=False):
         assert found.answer is None and found.line.startswith(line)
     assert "resistance: 3.0" in kept[-1].improved.read_text() and kept[-1].line == ""
     assert open_cases(names, answers) == ["0008"]
-    assert make.run(open_cases(names, answers))[-1] == "look"
+    assert put(tmp_path / "set", open_cases(names, answers))[0][-1] == "look"
     assert open_cases(names, answers) == [] and read_kept(answers, "0008").improved is None
 
 

@@ -1,23 +1,17 @@
 """The decision's weights: the likeliest for the cases, those of the package for what is stored."""
 
 import gzip
+import json
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import yaml
 
-from examination.blind.learn import (
-    STORED,
-    Known,
-    conformal,
-    credible,
-    fit_weights,
-    lapsed,
-    log_probability,
-    right_names,
-    stored,
-)
+from examination.blind import learn
+from examination.blind.learn import STORED, conformal, credible, fit_weights, right_names
 from sma_bench.diagnose.decision import NAMES, learnt
+from sma_bench.errors import InputError
 
 GAIN, ONE, RIVALS = (NAMES.index(f"effect.{name}") for name in ("gain", "one", "rivals"))
 
@@ -34,7 +28,7 @@ def drawn_cases(n, weights, seed=4):
         cases.append(SimpleNamespace(
             x=x, fixed=np.zeros(6), names=list("abcdef"), label={"kind": "single"},
             right=np.arange(6) == rng.choice(6, p=p),
-        ))  # fmt: skip
+        ))
     return cases
 
 
@@ -64,7 +58,7 @@ def test_what_is_right_to_say():
     def label(kind, loops=False, **severities):
         return {"kind": kind, "effects": list(severities), "severities": severities,
                 "severity": max(severities.values(), default=0.0),
-                "inner_loops": loops, "beyond_parameters": None}  # fmt: skip
+                "inner_loops": loops, "beyond_parameters": None}
 
     names = ["slack", "latent_heat", "latent_heat+slack"]
     assert right_names(label("none"), names, {}) == {"recalibration", "no_gap"}
@@ -81,12 +75,45 @@ def test_what_is_right_to_say():
     assert right_names(label("pair", slack=90.0, latent_heat=5.0), names, {}) == {"slack", names[2]}
 
 
-def test_the_table_of_weights_is_what_the_stored_features_give_and_says_more_than_chance():
+@pytest.fixture(scope="module")
+def lines():
+    """Stored features of the development cases, and the log probability that chance gives them."""
     assert gzip.decompress(STORED.read_bytes()).startswith(b'{"library"')
-    cases, table = [Known(line) for line in stored([STORED])], learnt()
+    found = learn.stored([STORED])
+    return found, np.mean([np.log(learn.Known(line).right.mean()) for line in found])
+
+
+def test_the_table_of_weights_is_what_the_stored_features_give_and_says_more_than_chance(lines):
+    cases, table = [learn.Known(line) for line in lines[0]], learnt()
     weights = fit_weights(cases, table.ridge, table.fit_lapse)[0]
     assert weights == pytest.approx(table.values, abs=0.01)
     shares = [np.exp(c.x @ weights + c.fixed) for c in cases]
-    answers = lapsed([p / p.sum() for p in shares], table.lapse)
-    by_chance = np.mean([np.log(c.right.mean()) for c in cases])
-    assert np.mean(log_probability(cases, answers)) > by_chance + 1.0
+    answers = learn.lapsed([p / p.sum() for p in shares], table.lapse)
+    assert np.mean(learn.log_probability(cases, answers)) > lines[1] + 1.0
+
+
+def test_weights_predict_left_out_forms_and_rigs(lines, tmp_path, capsys):
+    path = tmp_path / "features.jsonl"
+    path.write_text("".join(json.dumps(line) + "\n" for line in lines[0][::4]))
+    learn.learn([path], tmp_path / "weights.yaml", tmp_path / "learnt.md")
+    said = capsys.readouterr().out
+    assert said.strip() in (tmp_path / "learnt.md").read_text()
+    row = next(s for s in said.splitlines() if "log probability of the truth" in s)
+    assert min(map(float, row.strip("| ").split(" | ")[-2:])) > lines[1] + 1.0
+    table = yaml.safe_load((tmp_path / "weights.yaml").read_text())
+    assert 0.0 < table["least"] < 1.0 and set(table["weights"]) == set(NAMES)
+
+
+def test_features_go_on_where_they_ended_and_refuse_another_library(tmp_path, capsys):
+    pytest.importorskip("numba", reason="whole records take minutes uncompiled")
+    path = tmp_path / "features.jsonl"
+    learn.keep_features(path, 3002, 1)
+    kept = path.read_text()
+    learn.keep_features(path, 3002, 1)
+    assert path.read_text() == kept and kept.count("\n") == 1
+    known = json.loads(kept)
+    assert abs(sum(known["today"].values()) - 1.0) < 1e-3
+    assert learn.Known(known).right.any()
+    path.write_text(kept.replace(known["library"], "0" * 16))
+    with pytest.raises(InputError, match="another library"):
+        learn.keep_features(path, 3002, 1)

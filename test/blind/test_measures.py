@@ -3,6 +3,7 @@
 import math
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 import yaml
@@ -23,20 +24,14 @@ def answer_of(verdict, probabilities, cause=(), where=PLACE, claims=None):
                        for name, p in named.items()],
         "shrinkage": {signal: {"fraction": fraction, "ci90": [low, high]}
                       for signal, (fraction, low, high) in (claims or {}).items()},
-    }  # fmt: skip
-
-
-def answer(verdict, probabilities, cause=(), where=PLACE, claims=None):
-    return checked_answer(answer_of(verdict, probabilities, cause, where, claims))
-
-
-def label(kind, effects=(), severity=8.0, **more):
-    return judgement.Label("0001", kind, tuple(effects), severity, **more)
+    }
 
 
 BY_HAND = yaml.safe_load(Path(__file__).with_name("measures_by_hand.yaml").read_text())
-ANSWERS = {"-": None} | {name: answer(**how) for name, how in BY_HAND["answers"].items()}
-LABELS = {name: label(**how) for name, how in BY_HAND["labels"].items()}
+ANSWERS = {"-": None}
+ANSWERS |= {name: checked_answer(answer_of(**how)) for name, how in BY_HAND["answers"].items()}
+LABELS = {name: msgspec.convert({"id": "0001", "severity": 8.0, **how}, judgement.Label)
+          for name, how in BY_HAND["labels"].items()}
 
 
 def judged(case):

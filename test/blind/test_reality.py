@@ -4,10 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
-from examination.blind.reality import FEATURES, World, happen, heat, transformation
-from examination.blind.reality.heat import NODES, strip_of
+from examination.blind.reality import FEATURES, World, happen
 from examination.blind.rigs import draw_truth
 from sma_bench.physics import simulate
 
@@ -29,7 +27,7 @@ def drive(end=40.0):
     """Time (n,) s every 20 ms and voltage (n, 4)."""
     time = np.arange(0.0, end, 0.02)
     front, back = (np.interp(time, *zip(*corners, strict=True), 0.0, 0.0)
-                   for corners in (FRONT, BACK))  # fmt: skip
+                   for corners in (FRONT, BACK))
     return time, np.column_stack([front, front, back, back])
 
 
@@ -74,17 +72,11 @@ def test_buckled_wires_do_nothing_before_they_are_straight_and_no_wire_pushes_th
     assert (plain - tight)[first & (felt > 0.004)].min() > 1e-3
 
 
-def test_film_of_a_steam_pipe_is_as_worked_out_by_hand():
-    # Pipe of 0.1 m at 165 in air of 23 degC: at 367 K tables of air give k = 0.0313 W/(m K),
-    # nu = 22.8e-6 and alpha = 32.8e-6 m2/s, so Ra = 5.07e6, Nu = 23.1, h = 7.23 W/(m2 K).
-    assert heat.free_convection(np.array([142.0]), 296.15, 0.1) == pytest.approx(7.23, rel=0.01)
-
-
 @pytest.mark.parametrize("features", [
     {}, {"silicone_heat_capacity": 0.5, "silicone_share": 0.8},
     {"latent_heat": 15e3, "transformation_lag": 0.5, "silicone_heat_capacity": 0.05},
     {"resistance_austenite_change": -0.2, "supply_resistance": 0.3, "side_conductance": 0.05},
-])  # fmt: skip
+])
 def test_all_heat_leaves_by_the_film(features):
     time, voltage = drive()
     time = np.concatenate([time, np.arange(40.0, 400.0, 0.1)])
@@ -100,52 +92,6 @@ def test_all_heat_leaves_by_the_film(features):
     assert film * lost == pytest.approx(supplied - leads, rel=1e-3 if leads else 2e-4)
 
 
-def test_field_follows_the_exponential_of_its_matrix():
-    parts = strip_of(World(RIG, {"silicone_heat_capacity": 0.1, "side_conductance": 0.02}))
-    conduction = np.zeros((NODES, NODES))
-    for j, link in enumerate(parts.link):
-        conduction[j : j + 2, j : j + 2] += link * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    for end in (0, NODES - 1):
-        conduction[end, end] += 1.0 / (1.0 / parts.rim + 1.0 / parts.film)
-    power = np.zeros(NODES)
-    power[heat.FRONT_WIRE], power[heat.BACK_WIRE] = 1.5, 0.4
-    steady = np.linalg.solve(conduction, power)
-    expected = 293.0 + steady - expm(-2.0 * conduction / parts.capacity[:, None]) @ steady
-    errors = []
-    for steps in (100, 200):
-        field, scratch = np.full((1, NODES), 293.0), np.zeros((5, NODES))
-        for _ in range(steps):
-            sources = np.array([[1.5, 0.4], [0.0, 0.0]])
-            heat.warm(parts, field, 0, sources, 293.0, 1.0, 2.0 / steps, scratch)
-        errors.append(np.max(np.abs(field[0] - expected)))
-    assert errors[0] / errors[1] > 3.5 and errors[1] < 2e-3
-
-
-def walk(memory, temperatures, features):
-    """Martensite fraction of a wire free of stress after each of the temperatures [K]."""
-    classes = transformation.grain_classes(World(RIG, features))
-    table = transformation.ramp_table(0.0)
-    grains = transformation.grains_at_rest(1, len(classes.weight))
-    now, seen = 290.0, []
-    for goal in temperatures:
-        for kelvin in np.linspace(now, goal, 200)[1:]:
-            if (kelvin > now) != grains.rising[0]:
-                transformation.turn(classes, table, memory, grains, 0, now, 0.0)
-            xi, _ = transformation.transform(classes, table, memory, 0.0, grains, 0, kelvin, 0.0)
-            now = kelvin
-        seen.append(xi)
-    return seen
-
-
-@pytest.mark.parametrize("features", [{}, {"grain_spread": 3.0}])
-def test_loops_close_with_memory_and_not_without(features):
-    loop = [345.0, 312.0, 341.0, 315.0, 341.0, 312.0, 345.0]
-    first, _, inner, _, again, _, last = walk(1.0, loop, features)
-    assert (again, last) == pytest.approx((inner, first), abs=1e-9)
-    open_first, *_, open_last = walk(0.0, loop, features)
-    assert open_first == pytest.approx(first, abs=1e-9) and abs(open_last - open_first) > 0.02
-
-
 # Feature, size, and what must hold of the outcome with it (o) and without (b).
 CLOSED_FORMS = {
     "resistance_austenite_change": (-0.2, lambda o, b: o.voltage - o.current * OHM * (
@@ -158,7 +104,7 @@ CLOSED_FORMS = {
     "ambient_wave": (2.0, lambda o, b: o.ambient - AMBIENT
                      - 2.0 * np.sin(2.0 * np.pi * o.time / 180.0)),
     "friction": (0.002, lambda o, b: np.max(np.abs(o.deflection - b.deflection)) - 0.002),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -177,7 +123,7 @@ def change(bare, features):
     """Largest change over what the difference from the paper's model is, and what happens."""
     found = happen(World(RIG, features), *drive(), 0.5)
     moved = (np.max(np.abs(getattr(found, n) - getattr(bare, n))) / most
-             for n, most in LEFT.items())  # fmt: skip
+             for n, most in LEFT.items())
     return max(moved), found
 
 

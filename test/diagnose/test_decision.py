@@ -136,7 +136,7 @@ def stages(moved, inputs=None, **probabilities):
     ({STROKE: -3.0, STARTS[1]: 1.5}, "mechanical"),
     # As far as believed, whatever their sum: that tells of no stage.
     (dict.fromkeys(STARTS, 1.2), ""),
-])  # fmt: skip
+])
 def test_what_names_no_effect_has_the_stage_whose_parameters_moved_beyond_belief(moved, stage):
     found = stages(moved, recalibration=0.7, temperature_lag=0.2, no_gap=0.1)
     assert found == ({stage: 0.7, "sensor": 0.2} if stage else {"sensor": 0.2})
@@ -205,4 +205,4 @@ def test_another_law_in_recalibrations_place_leaves_every_answer_complete(monkey
     ]
     found = {one.name: one.probability for one in decision.with_law(given)}
     assert found == {"transformation_law": 0.6, "slack+transformation_law": 0.3,
-                     "unexplained": 0.06, "no_gap": 0.04, "recalibration": 0.0}  # fmt: skip
+                     "unexplained": 0.06, "no_gap": 0.04, "recalibration": 0.0}

@@ -49,10 +49,9 @@ def test_the_answer_obeys_the_contract(planted_diagnosis):
     assert credible == tuple(c.name for c in candidates[: len(credible)])
 
 
-def test_an_experiment_separates_causes_as_they_are_named_next_to_another_law(
-    monkeypatch, tmp_path
-):  # fmt: skip
-    def proposed(verdict, candidates, *_):
+def test_an_experiment_separates_causes_as_they_are_named_next_to_another_law(monkeypatch,
+                                                                              tmp_path):
+    def proposed(candidates, *_):
         return NextExperiment("protocol", "to see", tuple(c.name for c in candidates), worth=0.5)
 
     monkeypatch.setattr(diagnosis, "next_experiment", proposed)
@@ -102,9 +101,8 @@ def test_a_wire_rig_without_a_deflection_is_diagnosed(wire_rig, tmp_path):
 
 def test_records_of_different_sensors_are_diagnosed_together(tmp_path):
     tip = planted_record(tmp_path / "tip", quantities=("deflection",), bench=believed())
-    more = planted_record(
-        tmp_path / "more", quantities=("current", "deflection"), bench=believed(), turned=True
-    )
+    more = planted_record(tmp_path / "more", quantities=("current", "deflection"), bench=believed(),
+                          turned=True)
     with few_effects(("residual_strain",)):
         result, again = (diagnose([tip], believed(), [more]) for _ in range(2))
         alone = diagnose([tip], believed())

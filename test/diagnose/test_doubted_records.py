@@ -12,13 +12,11 @@ from sma_bench.records.check import outliers
 from sma_bench.records.mend import mended, under_suspicion, without_unseen_drive
 from sma_bench.records.record import first_order_lag
 
+LOSS = "wire.heat_transfer_coefficient"
 LAB = {"bench.channels": ["wire"], "bench.channel_sides": ["front"], "load.kind": "clamped",
        "wire.resistance": 3.0, "wire.heat_transfer_coefficient": 80.0, "wire.specific_heat": 450.0,
        "wire.mass": 0.09e-3, "wire.surface_area": 236e-6, "environment.ambient_temperature": 296.0,
-       "uncertainty.wire.heat_transfer_coefficient": 20.0,
-       "uncertainty.wire.specific_heat": 100.0}  # fmt: skip
-OPPOSITE = {"front_1.temperature": "back_1.temperature",
-            "back_1.temperature": "front_1.temperature"}  # fmt: skip
+       "uncertainty.wire.heat_transfer_coefficient": 20.0, "uncertainty.wire.specific_heat": 100.0}
 STAIRCASE = np.repeat([0.0, 0.4, 0.8, 1.0, 0.8, 0.4, 0.0], 150)
 
 
@@ -28,9 +26,8 @@ def record_of(volts=STAIRCASE):
     run = sma_bench.simulate((time, volts[:, None]), LAB)
     record = sma_bench.measure(run, 1)
     kept = {n: s for n, s in record.signals.items() if n.startswith("wire.")}
-    return replace(
-        record, signals={n: replace(s, received=s.time + 0.002) for n, s in kept.items()}
-    )
+    return replace(record,
+                   signals={n: replace(s, received=s.time + 0.002) for n, s in kept.items()})
 
 
 @pytest.fixture(scope="module")
@@ -44,36 +41,36 @@ def with_signals(record, **changes):
     return replace(record, signals=record.signals | changed)
 
 
-def test_a_clock_of_another_time_is_moved_back_and_a_variance_that_scatter_contradicts_left_out(
-    record,
-):
+def with_temperature(record, **more):
+    """As mended, and what was found; the temperature differs so."""
+    return mended(with_signals(record, temperature=more))
+
+
+def test_a_clock_of_another_time_is_moved_back_and_a_contradicted_variance_left_out(record):
     own = record["wire.temperature"].time
     for off in (37.0, -37.0, 0.4):  # of the last a message is there before its stamp
-        sound, (found,) = mended(with_signals(record, temperature={"time": own + off}))
+        sound, (found,) = with_temperature(record, time=own + off)
         assert found.subject == "wire.temperature"
         assert found.numbers["offset"] == pytest.approx(-off, abs=0.01)
         assert sound["wire.temperature"].time == pytest.approx(own)
     # A picture that takes its time keeps its right stamp.
-    sound, found = mended(with_signals(record, temperature={"received": own + 0.4}))
+    sound, found = with_temperature(record, received=own + 0.4)
     assert not found and sound["wire.temperature"].time is own
     assert [f.subject for f in under_suspicion(sound)] == ["wire.temperature"]  # or has a wrong one
-    sound, (found,) = mended(with_signals(record, temperature={"std": np.full(len(own), 1e-6)}))
+    sound, (found,) = with_temperature(record, std=np.full(len(own), 1e-6))
     assert sound["wire.temperature"].std is None and found.subject == "wire.temperature"
-    honest = np.full(len(own), found.numbers["scatter"])
-    assert not mended(with_signals(record, temperature={"std": honest}))[1]
+    assert not with_temperature(record, std=np.full(len(own), found.numbers["scatter"]))[1]
 
 
 def test_readings_that_are_published_again_count_once_and_those_of_few_digits_all(record):
     """A node that sends the last reading ten times a second, of a sensor that reads twice."""
-    own = record["wire.temperature"].values
-    sound, (found,) = mended(with_signals(record, temperature={"values": np.repeat(own[::5], 5)}))
+    own = record["wire.temperature"]
+    sound, (found,) = with_temperature(record, values=np.repeat(own.values[::5], 5))
     assert found.subject == "wire.temperature" and found.numbers["times"] == pytest.approx(5.0)
     kept = sound["wire.temperature"]
-    assert np.array_equal(kept.values, own[::5]) and len(kept.received) == len(kept.time)
-    assert np.array_equal(kept.time, record["wire.temperature"].time[::5])
-    coarse = with_signals(record, temperature={"values": np.round(own)})
-    assert not mended(coarse)[1]
-
+    assert np.array_equal(kept.values, own.values[::5]) and len(kept.received) == len(kept.time)
+    assert np.array_equal(kept.time, own.time[::5])
+    assert not with_temperature(record, values=np.round(own.values))[1]
 
 
 @pytest.mark.parametrize("wrong", [999.9, 0.0])
@@ -81,49 +78,40 @@ def test_single_readings_far_off_are_left_out_and_named(record, wrong):
     own, at = record["wire.temperature"].values, [200, 700]
     values = own.copy()
     values[at] = wrong
-    sound, (found,) = mended(with_signals(record, temperature={"values": values}))
+    sound, (found,) = with_temperature(record, values=values)
     assert sound["wire.temperature"].values == pytest.approx(np.delete(own, at))
     assert found.numbers["outliers"] == 2.0
     # A reading of few digits flickers by its last one, which is none.
     slow = 296.1 + 0.1 * (np.arange(len(own)) * 5 // len(own))
     slow[[100, 300, 800]] += 0.1
-    assert not mended(with_signals(record, temperature={"values": np.round(slow, 1)}))[1]
+    assert not with_temperature(record, values=np.round(slow, 1))[1]
 
 
 def test_a_sensor_that_only_flickers_does_not_drop_out():
-    random = np.random.default_rng(1)
-    flickers = np.round(0.1 + 1e-4 * random.standard_normal(5000), 4)
-    tip = sma_bench.Signal("front.range", "m", np.arange(5000) / 50.0, flickers)
+    values = np.round(0.1 + 1e-4 * np.random.default_rng(1).standard_normal(5000), 4)
+    tip = sma_bench.Signal("front.range", "m", np.arange(5000) / 50.0, values)
     assert not len(outliers(tip))
-    dropped = flickers.copy()
-    dropped[2000:2010] = 0.0
-    assert outliers(replace(tip, values=dropped)).tolist() == list(range(2000, 2010))
+    values[2000:2010] = 0.0
+    assert outliers(tip).tolist() == list(range(2000, 2010))
 
 
-@pytest.mark.parametrize(
-    ("volts", "begin", "end", "kept"), [
-        (STAIRCASE, 20.0, 50.0, (50.0, 105.0)),  # two steps unseen: the longer piece is left
-        (STAIRCASE, 17.0, 29.0, (0.0, 105.0)),  # held
-        (STAIRCASE, 40.0, 41.5, (0.0, 105.0)),  # as brief as a late message
-        (np.linspace(0.0, 1.0, 1050), 20.0, 50.0, (0.0, 105.0)),  # a ramp goes on
-        (np.interp(np.arange(1050), [0, 500, 1000], [0, 1, 0]), 40.0, 75.0, (0.0, 40.0)),
-    ],
-)  # fmt: skip
-def test_of_a_record_whose_drive_went_unseen_the_longest_piece_is_compared(
-    volts, begin, end, kept
-):
+@pytest.mark.parametrize(("volts", "begin", "end", "kept"), [
+    (STAIRCASE, 20.0, 50.0, (50.0, 105.0)),  # two steps unseen: the longer piece is left
+    (STAIRCASE, 17.0, 29.0, (0.0, 105.0)),  # held
+    (STAIRCASE, 40.0, 41.5, (0.0, 105.0)),  # as brief as a late message
+    (np.linspace(0.0, 1.0, 1050), 20.0, 50.0, (0.0, 105.0)),  # a ramp goes on
+    (np.interp(np.arange(1050), [0, 500, 1000], [0, 1, 0]), 40.0, 75.0, (0.0, 40.0)),
+])
+def test_of_a_record_whose_drive_went_unseen_the_longest_piece_is_compared(volts, begin, end, kept):
     record = record_of(volts)
-    gaps = {
-        n: replace(s, **{f: getattr(s, f)[(s.time <= begin) | (s.time >= end)]
-                         for f in ("time", "values", "received")})
-        for n, s in record.signals.items()
-    }  # fmt: skip
+    seen = {n: (s, (s.time <= begin) | (s.time >= end)) for n, s in record.signals.items()}
+    gaps = {n: replace(s, time=s.time[k], values=s.values[k], received=s.received[k])
+            for n, (s, k) in seen.items()}
     sound, found = without_unseen_drive(replace(record, signals=gaps))
     times = sound["wire.temperature"].time
     assert (times[0], times[-1]) == pytest.approx(kept, abs=0.2)
-    assert [f.numbers.get("gap") for f in found] == (
-        [] if kept[1] - kept[0] > 100.0 else [pytest.approx(end - begin, abs=0.2), None]
-    )
+    cut = [] if kept[1] - kept[0] > 100.0 else [pytest.approx(end - begin, abs=0.2), None]
+    assert [f.numbers.get("gap") for f in found] == cut
 
 
 @pytest.mark.parametrize("hold", [20, 50])
@@ -154,10 +142,8 @@ def switched(record):
 @pytest.mark.parametrize(("changed", "said", "held_back"), [
     (turned, "wire.current", ()), (clipped, "clipped", ("temperature_lag",)),
     (switched, "PWM", ("temperature_lag", "supply_drop", "latent_heat")),
-])  # fmt: skip
-def test_a_diagnosis_says_what_is_wrong_with_a_record_and_names_no_effect_for_it(
-    record, changed, said, held_back
-):
+])
+def test_what_is_wrong_with_a_record_is_said_and_no_cause(record, changed, said, held_back):
     found = sma_bench.diagnose(changed(record), LAB)
     assert found.cause == ()
     line = found.to_json()["record"][0]
@@ -173,10 +159,7 @@ def test_levels_beyond_a_sensors_range_are_left_out_of_a_staircase():
     limit = 0.5 * (kelvin[: 5 * 150].max() + kelvin.max())
     cut = with_signals(whole, temperature={"values": np.minimum(kelvin, limit)})
     unsure = LAB | {"uncertainty.wire.heat_transfer_coefficient": 60.0}
-    h, clipped = (
-        sma_bench.identify(one, unsure, ["E2"]).estimates["wire.heat_transfer_coefficient"]
-        for one in (whole, cut)
-    )
+    h, clipped = (sma_bench.identify(one, unsure, ["E2"]).estimates[LOSS] for one in (whole, cut))
     assert clipped.n < h.n and clipped.value == pytest.approx(h.value, rel=0.02)
 
 
@@ -186,26 +169,23 @@ def test_what_real_benches_get_wrong_is_told_and_names_no_effect(tmp_path, wrong
     when they are commanded, an axis that points the other way: nothing is wrong with the bench."""
 
     def as_read(record):
-        signals = dict(record.signals)
-        for name, own in record.signals.items():
-            if wrong == "swapped" and name.endswith("temperature"):
-                signals[name] = replace(record[OPPOSITE[name]], name=name)
-            elif wrong == "out of range" and name == "deflection":
-                signals[name] = replace(own, values=np.clip(own.values, -0.02, 0.02))
-            elif wrong == "turned" and name == "deflection":
-                signals[name] = replace(own, values=-own.values)
-            elif wrong == "late" and name.endswith("voltage"):
-                signals[name] = replace(own, time=own.time - 0.25, received=None)
-        return replace(record, signals=signals)
+        tip = record["deflection"]
+        front, back = (record[f"{side}_1.temperature"] for side in ("front", "back"))
+        voltages = (s for s in record.signals.values() if s.name.endswith("voltage"))
+        signals = {
+            "swapped": [replace(front, name=back.name), replace(back, name=front.name)],
+            "out of range": [replace(tip, values=np.clip(tip.values, -0.02, 0.02))],
+            "turned": [replace(tip, values=-tip.values)],
+            "late": [replace(v, time=v.time - 0.25, received=None) for v in voltages]}[wrong]
+        return replace(record, signals=record.signals | {s.name: s for s in signals})
 
     seen, unseen = ([as_read(r) for r in some] for some in planted_pair(tmp_path))
     found = sma_bench.diagnose(seen, believed(), unseen)
     assert found.cause == () and found.candidates[0].name == "recalibration"
     said = {"swapped": "channels swapped", "out of range": "clipped", "late": "different clocks",
-            "turned": "its sign is turned"}  # fmt: skip
-    assert said[wrong] in " ".join(found.record)
-    is_left_out = wrong in ("swapped", "out of range")
-    assert ("are left out for that" in " ".join(found.record)) == is_left_out
+            "turned": "its sign is turned"}
+    assert said[wrong] in (lines := " ".join(found.record))
+    assert ("are left out for that" in lines) == (wrong in ("swapped", "out of range"))
     after = {q: s.rmse_after / s.noise_floor for q, s in found.shrinkage.items()}
     assert wrong == "late" or max(after.values()) < 1.2
     assert ("temperature" in after) == (wrong != "swapped")
@@ -253,9 +233,9 @@ def test_a_wire_that_stays_cold_expands_and_is_not_turned():
     seen = grows + 1e-5 * np.random.default_rng(3).standard_normal(len(time))
     cold = replace(still, time=time, values=np.round(seen, 5), std=None)
     stated = sma_bench.load_parameters(bench)
-    held = replace(record, signals=record.signals | {"elongation": cold})
-    assert not [f for f in mended(held, stated)[1] if f.subject == "elongation"]
     # A motion of millimetres is none of expansion.
-    moved = replace(record, signals=record.signals | {
-        "elongation": replace(cold, values=100.0 * cold.values)})  # fmt: skip
-    assert [f.subject for f in mended(moved, stated)[1]] == ["elongation"]
+    for times, turned in ((1.0, []), (100.0, ["elongation"])):
+        tip = replace(cold, values=times * cold.values)
+        held = replace(record, signals=record.signals | {"elongation": tip})
+        found = [f.subject for f in mended(held, stated)[1] if f.subject == "elongation"]
+        assert found == turned

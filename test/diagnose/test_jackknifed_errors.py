@@ -26,7 +26,7 @@ def fitted_height(random, uneven):
         for k, record in enumerate(records)
     ]
     stub = SimpleNamespace(observations=records, blocks=blocks, whiten=lambda rows: rows,
-                           white_nuisances=np.zeros((len(true), 0)))  # fmt: skip
+                           white_nuisances=np.zeros((len(true), 0)))
     stub.stretches = lambda parts: Problem.stretches(stub, parts)
     unknowns = SimpleNamespace(slopes=lambda x: np.ones(len(x)), turn=lambda x: np.eye(len(x)))
     covariance, fitted = np.array([[1.0 / information]]), HEIGHT * x[0]

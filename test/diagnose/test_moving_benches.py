@@ -12,12 +12,10 @@ pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
 
 MOVED = (*("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat"),
          *("wire.austenite_start_temperature", "wire.martensite_finish_temperature"),
-         "wire.maximum_recoverable_strain")  # fmt: skip
+         "wire.maximum_recoverable_strain")
 DUTY = {"bench.drive": "duty", "bench.supply_voltage": 12.0}
-CASES = {
-    "force": ({"effect.latent_heat.heat": 9e3}, DUTY),
-    "antagonist": ({"effect.residual_strain.share": 0.1}, {"bench.lead_resistance": 0.2}),
-}
+CASES = {"force": ({"effect.latent_heat.heat": 9e3}, DUTY),
+         "antagonist": ({"effect.residual_strain.share": 0.1}, {"bench.lead_resistance": 0.2})}
 
 
 def diagnosed(load, effect, drive=()):
@@ -27,9 +25,9 @@ def diagnosed(load, effect, drive=()):
     bench = believed.replace({**off, **effect})
     *seen, unseen = (
         moving_record(bench, strokes(bench, shape, 20.0, 60.0, top=5.6), seed,
-                      ("voltage", "elongation", "deflection", "force"))  # fmt: skip
+                      ("voltage", "elongation", "deflection", "force"))
         for shape, seed in (("triangle", 4), ("step", 5), ("sine", 13))
-    )  # fmt: skip
+    )
     with few_effects(("latent_heat", "residual_strain", "deflection_drift")):
         return diagnose(seen, believed, [unseen])
 
@@ -57,7 +55,7 @@ def test_an_effect_beside_an_imposed_motion_is_named_by_the_force():
         moving_record(bench, machine_drive(bench, shape, 20.0, 60.0), seed,
                       ("voltage", "elongation", "force"))
         for shape, seed in (("triangle", 4), ("sine", 5))
-    ]  # fmt: skip
+    ]
     with few_effects(("latent_heat", "residual_strain", "deflection_drift")):
         found = diagnose(seen, believed)
     assert (found.verdict, found.cause) == ("effect", ("residual_strain",))

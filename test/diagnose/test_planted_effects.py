@@ -24,14 +24,10 @@ from planted import (
 )
 
 from sma_bench.diagnose import diagnose
-from sma_bench.diagnose.decision import Utilities
-from sma_bench.diagnose.next_experiment import next_experiment
-from sma_bench.diagnose.sizes import weighed
 from sma_bench.estimation.observation import STATES, observe_all
 from sma_bench.estimation.unknowns import LAW_EFFECT
 from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.protocols import parse_protocol
 from sma_bench.records import Record, Signal
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
@@ -201,9 +197,9 @@ def test_a_wrong_parameter_is_named_and_no_effect_that_bends_the_readings_likewi
 def test_a_supply_that_gives_way_at_a_small_current_is_found_where_none_is_recorded(tmp_path):
     """Wires that take a third of the current for the same heat."""
     lab, factors = believed(), {"wire.resistance": 3.0, "wire.heat_transfer_coefficient": 1 / 3.0,
-                                "wire.mass": 1 / 3.0}  # fmt: skip
+                                "wire.mass": 1 / 3.0}
     lab = lab.replace({name: by * lab[name] for name, by in factors.items()},
-                      {name: by * lab.std(name) for name, by in factors.items()})  # fmt: skip
+                      {name: by * lab.std(name) for name, by in factors.items()})
     amperes = planted_record(tmp_path / "whole", bench=lab)["front_1.current"].values.max()
     gives_way = {"effect.supply_drop.overload": 1.2, "effect.supply_drop.knee": 0.6 * amperes}
     quantities = ("temperature", "deflection")
@@ -215,28 +211,13 @@ def test_a_supply_that_gives_way_at_a_small_current_is_found_where_none_is_recor
     assert abs(knee["value"] - 0.6 * amperes) < 4.0 * knee["std"] < amperes
 
 
-def test_of_what_no_effect_explains_a_drive_is_proposed_that_shows_it(planted_diagnosis):
-    found = planted_diagnosis
-    smooth = found.search.flexible
-    missing = replace(smooth, gain=9.0, weights=np.ones_like(smooth.weights))
-    proposed = next_experiment("unexplained", found.candidates,
-                               replace(found.search, flexible=missing),
-                               Utilities(weighed(found.search)),
-                               found.observations, found.parameters)  # fmt: skip
-    assert proposed.separates == () and "what no effect explains" in proposed.why
-    assert parse_protocol(dict(proposed.protocol), found.parameters).duration > 30.0
-
-
-ROOM, DRAUGHT, STROKE = (
-    "environment.ambient_temperature", "wire.heat_transfer_coefficient",
-    "wire.maximum_recoverable_strain",
-)  # fmt: skip
+ROOM, DRAUGHT, STROKE = ("environment.ambient_temperature", "wire.heat_transfer_coefficient",
+                         "wire.maximum_recoverable_strain")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "away", [{ROOM: 2.0}, {DRAUGHT: 5.0}, {STROKE: 0.0008}], ids=["room", "draught", "stroke"]
-)
+@pytest.mark.parametrize("away", [{ROOM: 2.0}, {DRAUGHT: 5.0}, {STROKE: 0.0008}],
+                         ids=["room", "draught", "stroke"])
 def test_a_run_of_another_day_is_no_cause(away, tmp_path):
     """Rooms, draughts and strokes differ from run to run; sides that are driven in one record each
     would take the difference for their own."""

@@ -52,13 +52,13 @@ def test_sides_believed_alike_are_recalibrated_together_and_others_apart(back):
 
 SIDES = {"antagonist": ("front", "back"), "beam": ("front", "back")}
 STATED = ("load.stiffness", "load.preload", "load.force", "wire.diameter", *TEMPERATURES,
-          "wire.specific_heat", "wire.thermal_expansion_factor", FRONT)  # fmt: skip
+          "wire.specific_heat", "wire.thermal_expansion_factor", FRONT)
 
 
 def rig(load, values=None, stds=None):
     sides = SIDES.get(load, ("front",))
     own = {"load.kind": load, "bench.channel_sides": sides, "bench.channels": [*"ab"[: len(sides)]],
-           "load.stiffness": 65.0, "load.preload": 1.0, "wire.length": 0.2}  # fmt: skip
+           "load.stiffness": 65.0, "load.preload": 1.0, "wire.length": 0.2}
     return Parameters(own | (values or {}), stds)
 
 
@@ -75,7 +75,7 @@ def statements(draw):
 
 @settings(max_examples=80)
 @given(load=st.sampled_from(LOAD_KINDS), stated=statements(),
-       reach=st.sampled_from([1.0, 5.0, np.inf]), seed=st.integers(0, 2**32 - 1))  # fmt: skip
+       reach=st.sampled_from([1.0, 5.0, np.inf]), seed=st.integers(0, 2**32 - 1))
 def test_wherever_a_fit_goes_there_is_a_bench_that_can_be_simulated(load, stated, reach, seed):
     try:
         bench = rig(load, *stated)

@@ -19,10 +19,8 @@ def view(tmp_path_factory):
 
 
 def record_of(time, voltage, *others):
-    signals = [
-        Signal(f"{name}.voltage", "V", time, v) for name, v in zip(CHANNELS, voltage, strict=True)
-    ]
-    return Record("made_up", 0, {s.name: s for s in (*signals, *others)})
+    volts = (Signal(f"{n}.voltage", "V", time, v) for n, v in zip(CHANNELS, voltage, strict=True))
+    return Record("made_up", 0, {s.name: s for s in (*volts, *others)})
 
 
 def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_phase(view):
@@ -73,9 +71,7 @@ def test_cells_begin_at_the_jumps_and_are_short_after_them():
     assert np.max(np.abs(np.interp(view.grid, fine, exact) - course.temperature[:, 0])) < 0.05
 
 
-def test_a_true_model_takes_all_of_a_gap_away_and_what_another_leaves_may_be_more_elsewhere(
-    tmp_path,
-):
+def test_a_true_model_takes_a_gap_away_and_what_another_leaves_may_be_more_elsewhere(tmp_path):
     wanted = {"quantities": ("deflection",)}
     records = [planted_record(tmp_path / f"{k}", turned=k > 0, **wanted) for k in range(2)]
     shortest = shared_bin(records, believed())

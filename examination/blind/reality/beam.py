@@ -14,8 +14,7 @@ oppose each other fully, so that d_front - d_back is the slider's way.
 With a the transformed share (1 - xi, or what of it has stayed), p plastic strain and t detwinned
 strain. With all features off, a = 1 - xi, p = t = 0, and this is the contract's bending. All
 unknowns are solved together by Newton's method, xi as a linear function of stress in the step
-(transformation.py); the relaxation is exact for a deflection that is linear within the step.
-"""
+(transformation.py); the relaxation is exact for a deflection that is linear within the step."""
 
 import math
 from collections import namedtuple

@@ -1,8 +1,7 @@
 """Other forms of the same effects: short equations, each with its source; settings choose them.
 
 With every setting off each function is today's single form, to the last bit. Sources are of the
-kind of equation; where no source is named, it is a plausible one of this examination.
-"""
+kind of equation; where no source is named, it is a plausible one of this examination."""
 
 import math
 

@@ -3,8 +3,7 @@
 Electricity, heat, phase, equilibrium, tip. Within a step each block sees the others as they were,
 except phase and stress, which are solved together. Latent heat is an apparent capacity by the
 transformation of the step before; what that misses is owed and paid over the next steps, so that
-no heat is lost.
-"""
+no heat is lost."""
 
 import math
 from collections import namedtuple
@@ -217,4 +216,4 @@ def happen(world: World, time: ArrayLike, voltage: ArrayLike, fine: float = 1.0)
     return Outcome(time, volts[:, :driven], values[:, CURRENT], values[:, TEMPERATURE],
                    values[:, SURFACE], values[:, MARTENSITE], values[:, STRESS],
                    deflection=tip if world.load in ("beam", "antagonist") else -tip,
-                   side_deflection=sides, ambient=inputs.ambient)  # fmt: skip
+                   side_deflection=sides, ambient=inputs.ambient)

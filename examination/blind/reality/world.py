@@ -55,7 +55,7 @@ class World:
             feature = BY_NAME[name]
             if not (math.isfinite(value) and feature.low <= value <= feature.high):
                 raise InputError(f"world: {name} is {value!r}, expected {feature.low:g} to "
-                                 f"{feature.high:g} {feature.unit}")  # fmt: skip
+                                 f"{feature.high:g} {feature.unit}")
         object.__setattr__(self, "features", {n: float(v) for n, v in self.features.items()})
         if self.load == "displacement":
             raise InputError("world: load.kind is displacement, expected what the wires pull")
