@@ -183,6 +183,12 @@ def bound(measure: Measure, value: Bound) -> str:
     return "" if value is None else f"{sign} {value * factor:g}{unit}"
 
 
+def side_by_side(scores: Sequence[Score]) -> list[tuple[Measure, list[str]]]:
+    """Every target with each examinee's value and its interval."""
+    return [(m, [f"{number(m, f.value)} ({interval(m, f)})" if f.n else _DASH
+                 for f in (one.measured[m.name] for one in scores)]) for m in TARGETS]
+
+
 def tables(one: Score) -> list[str]:
     """Everything known of one examinee: measures, groups, what was chosen instead of the truth."""
     header = ("measure", "cases", "value", "95 % interval")
@@ -232,11 +238,8 @@ def page(cases: CaseSet, scores: Sequence[Score], name: str) -> str:
         lines.append(f"- {one.name}: {aims} aims reached, {floors} of {len(met)} floors; missed: "
                      + (", ".join(missed) or "none"))
     lines += ["", "Value (95 % interval); Clopper-Pearson for shares.", ""]
-    rows = []
-    for m in TARGETS:
-        values = [f"{number(m, f.value)} ({interval(m, f)})" if f.n else _DASH
-                  for f in (one.measured[m.name] for one in scores)]
-        rows.append((m.title, bound(m, m.floor), bound(m, m.aim), *values))
+    rows = [(m.title, bound(m, m.floor), bound(m, m.aim), *values)
+            for m, values in side_by_side(scores)]
     lines += as_markdown(("measure", "floor", "aim", *(one.name for one in scores)), rows)
     for one in scores:
         lines += ["", f"## {one.name}", "", *tables(one), ""]
