@@ -92,10 +92,10 @@ class Answer:
     credible: tuple[str, ...] = ()
 
 
-def by_effect(answer: Answer) -> dict[frozenset[str], float]:
+def by_effect(candidates: Sequence[Candidate]) -> dict[frozenset[str], float]:
     """The probability of each effect in any candidate, of none missing, of one unknown."""
     whole = {frozenset((RECALIBRATION, NO_GAP)): 0.0, frozenset((UNEXPLAINED,)): 0.0}
-    for candidate in answer.candidates:
+    for candidate in candidates:
         for part in candidate.parts:
             names = next((names for names in whole if part in names), frozenset((part,)))
             whole[names] = whole.get(names, 0.0) + candidate.probability

@@ -125,7 +125,7 @@ class Judged:
         belief = first.probability if first else 0.0
         sure = [c.parts for c in said.candidates if c.probability >= CONFIDENT]
         if label.forms and first:  # what is said of each effect counts, alone or with others
-            whole = files.by_effect(said)
+            whole = files.by_effect(said.candidates)
             chosen, belief = max(whole.items(), key=lambda item: item[1])
             sure = [names for names, p in whole.items() if p >= CONFIDENT]
         # What the answer says; of one that says nothing, the fewest candidates, the most probable

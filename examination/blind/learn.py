@@ -22,9 +22,9 @@ from scipy.optimize import minimize
 from scipy.special import softmax
 
 from examination.blind import cases
-from examination.blind.case_files import NO_EFFECT, NO_GAP, RECALIBRATION, UNEXPLAINED
+from examination.blind.case_files import NO_GAP, RECALIBRATION, UNEXPLAINED, Candidate, by_effect
 from examination.blind.cases import EFFECTS, FROZEN_SHARES, QUANTITIES
-from examination.blind.judgement import WORTH_NAMING, unseen
+from examination.blind.judgement import WORTH_NAMING, Label, unseen
 from examination.blind.make import Sized, make_label, size
 from examination.blind.rigs import RECORDS
 from examination.blind.score import as_markdown, stated_and_right
@@ -174,7 +174,7 @@ def right_names(label: dict[str, Any], names: Sequence[str], small: dict[str, st
         return {RECALIBRATION, NO_GAP} | loops
     # What does less than the noise, or no more than other parameters do, is not worth a name: that
     # there is no gap is right as well.
-    if next_to_none(label):
+    if effects and (label["severity"] < WORTH_NAMING or unseen(label["beyond_parameters"])):
         shown = {**label, "severity": np.inf, "beyond_parameters": None}
         return {RECALIBRATION, NO_GAP} | right_names(shown, names, small)
     if kind == "recalibration":
@@ -191,12 +191,6 @@ def right_names(label: dict[str, Any], names: Sequence[str], small: dict[str, st
         beside = {JOIN.join(sorted({main, other})) for other in loops}
         return {main} | beside | {pair for pair, half in small.items() if half == main}
     return {whole} if whole in names else set(effects)
-
-
-def next_to_none(label: dict[str, Any]) -> bool:
-    """Whether what is hidden shows next to nothing."""
-    small = label["severity"] < WORTH_NAMING or unseen(label["beyond_parameters"])
-    return bool(label["effects"]) and small
 
 
 def fit_weights(cases: Sequence[Known], ridge: float, lapse: float) -> tuple[Array, Array]:
@@ -269,24 +263,17 @@ def holds(case: Known, k: int) -> bool:
 
 def said(case: Known, p: Array) -> tuple[str, float, list[str]]:
     """What is most probable (effect, benign, unexplained), how probable, effects in order."""
-    shares = dict(zip(case.names, p.tolist(), strict=True))
-    effects: dict[str, float] = {}
-    for name, share in shares.items():
-        for effect in name.split(JOIN) if name not in NO_EFFECT else ():
-            effects[effect] = effects.get(effect, 0.0) + share
-    whole = {**effects, BENIGN: shares[RECALIBRATION] + shares[NO_GAP],
-             UNEXPLAINED: shares[UNEXPLAINED]}
-    first = max(whole, key=lambda name: whole[name])
-    return first, whole[first], sorted(effects, key=lambda name: -effects[name])
+    found = by_effect([*map(Candidate, case.names, p.tolist())])
+    whole = {BENIGN if NO_GAP in names else min(names): share for names, share in found.items()}
+    ranked = sorted(whole, key=lambda name: -whole[name])
+    effects = [name for name in ranked if name not in (BENIGN, UNEXPLAINED)]
+    return ranked[0], whole[ranked[0]], effects
 
 
 def truths(case: Known) -> set[str]:
     """What is right to say first."""
-    label = case.label
-    kinds = {"none": {BENIGN}, "recalibration": {BENIGN}, "outside": {UNEXPLAINED}}
-    right = kinds.get(label["kind"], set(label["effects"]))
-    right |= {BENIGN} if next_to_none(label) else set()
-    return right | ({"partial_transformation"} if label["inner_loops"] else set())
+    right = msgspec.convert({"id": "", **case.label}, Label).names - {"transformation_law"}
+    return {BENIGN if name in (RECALIBRATION, NO_GAP) else name for name in right}
 
 
 def measures(cases: Sequence[Known], answers: Sequence[Array]) -> dict[str, float]:

@@ -99,9 +99,9 @@ def smooth_response(fitted: Fit, features: Array) -> Flexible:
         turned = vectors.T @ (phi.T @ base - across.T @ taken[:, -1])
         # Gain in marginal likelihood, and the weights, with the likeliest size.
         shrunk = [np.zeros(len(turned)), *(turned / (values + size**-2) for size in _SIZES)]
-        gains = [0.5 * float(turned @ x - np.sum(np.log1p(size**2 * values)))
-                 for x, size in zip(shrunk, (0.0, *_SIZES), strict=True)]
-        gain = _likelihood(problem, fitted.left) + max(gains) - own
+        gains = np.nan_to_num([0.5 * (turned @ x - np.sum(np.log1p(size**2 * values)))
+                               for x, size in zip(shrunk, (0.0, *_SIZES), strict=True)])
+        gain = _likelihood(problem, fitted.left) + float(max(gains)) - own
         response = features @ (vectors @ shrunk[int(np.argmax(gains))])
         if gain > best.gain:
             best = Flexible(gain, response)

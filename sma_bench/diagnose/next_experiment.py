@@ -184,8 +184,8 @@ def next_experiment(candidates: Sequence[Candidate], search: Search, utilities: 
     if first.chance < WORTH:
         what = f"more probable, by {100.0 * first.worth:.0f} % of all, and named after more of it"
     also = [f"{o.why} ({o.minutes:.0f} min) with {100.0 * o.chance:.0f} %" for o in others[:2]]
-    why = f"{first.why}: the true cause would be {what}" + "; " * bool(also) + ", ".join(also)
-    return replace(first, why=why)
+    why = [f"{first.why}: the true cause would be {what}", *([", ".join(also)] if also else [])]
+    return replace(first, why="; ".join(why))
 
 
 def _minutes(obs: Observation) -> float:

@@ -1,13 +1,22 @@
-"""What a fit may move: it begins at what is believed, and comes back from its own numbers."""
+"""The engine of a diagnosis: a record in bins and phases, what a fit may move, errors that hold a
+misfit, and how far the gap of a record that is held out shrinks."""
+
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planted import believed
+from planted import CHANNELS, DURATION, NOISE, RATE, believed, drive, planted_record, true_bench
 
+from sma_bench.diagnose.sizes import shrinkage
 from sma_bench.errors import InputError
 from sma_bench.estimation import unknowns as of_fits
+from sma_bench.estimation.noise_model import Noise
+from sma_bench.estimation.observation import observe, shared_bin
+from sma_bench.estimation.residual import Problem
+from sma_bench.estimation.solver import Fit
 from sma_bench.estimation.unknowns import BACK, FRONT, TEMPERATURES, unknowns_of_records
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, LOAD_KINDS
@@ -15,8 +24,86 @@ from sma_bench.physics import simulate
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.physics.kernel import at_rest
 from sma_bench.physics.laws import normal
+from sma_bench.records import Record, Signal
 
 QUANTITIES = ("current", "temperature", "deflection")
+PULSES, INTERVAL = 12, 1.645
+HEIGHT = np.tile(np.where(np.arange(100) < 50, 1.0, 0.0), PULSES)
+
+
+def record_of(time, voltage, *others):
+    volts = (Signal(f"{n}.voltage", "V", time, v) for n, v in zip(CHANNELS, voltage, strict=True))
+    return Record("made_up", 0, {s.name: s for s in (*volts, *others)})
+
+
+def test_every_signal_has_its_wire_and_bins_are_means_with_their_time_noise_and_phase(tmp_path):
+    view = observe(planted_record(tmp_path / "bag"), believed())
+    wires = {f"{channel}.{q}" for channel in CHANNELS for q in ("current", "temperature")}
+    assert {s.name for s in view.signals} == wires | {"deflection"}
+    back = next(s for s in view.signals if s.name == "back_1.temperature")
+    assert view.sides[back.wire] == "back"
+    at = np.array([0.5, 4.0, 6.5, 10.0, 19.0])
+    assert view.phase_of(at).tolist() == ["initial", "drive", "rest", "drive", "rest"]
+    temperature = next(s for s in view.signals if s.name == "front_1.temperature")
+    assert temperature.period == pytest.approx(0.2)
+    assert np.median(temperature.count) == 10
+    assert RATE * DURATION - 5 <= temperature.count.sum() <= RATE * DURATION
+    assert temperature.count.min() >= 5
+    assert temperature.noise == pytest.approx(NOISE["temperature"] / np.sqrt(10.0), rel=0.15)
+
+
+def test_what_cannot_be_compared_is_named():
+    time, voltage = drive()
+    record = record_of(time, voltage.T, Signal("force", "N", time, np.ones_like(time)))
+    with pytest.raises(InputError, match="made_up"):
+        observe(record, believed())
+    tip = Signal("deflection", "m", time, 0.0 * time)
+    with pytest.raises(InputError, match="voltage"):
+        observe(Record("made_up", 0, {tip.name: tip}), believed())
+
+
+def test_cells_begin_at_the_jumps_and_are_short_after_them():
+    time = np.arange(0.0, 30.0, 0.02)
+    first = 2.2 * ((time > 3.0) & (time < 8.0))
+    second = 1.8 * ((time > 14.0) & (time < 20.0))
+    noise = 1e-4 * np.random.default_rng(1).standard_normal((2, len(time)))
+    noisy = (first + noise[0] * (first > 0), second + noise[1] * (second > 0))
+    tip = Signal("deflection", "m", time, 0.0 * time)
+    view = observe(record_of(time, noisy, tip), believed())
+    edges = np.concatenate([view.drive.early, view.drive.late])
+    assert len(edges) == 8
+    assert np.isin(edges, view.grid).all()
+    after = view.grid[(view.grid > view.drive.late[0]) & (view.grid < view.drive.late[0] + 0.4)]
+    assert np.max(np.diff(after)) < 0.011
+    assert np.max(np.diff(view.grid)) < 0.11
+    # What a step does is read to a tenth of the noise of a fine simulation.
+    fine = np.arange(0.0, 30.0, 1e-3)
+    course = view.simulate(true_bench())
+    held = np.interp(fine, view.grid, np.arange(len(view.grid)))
+    volts = view.voltage[held.astype(int)]
+    exact = simulate(true_bench(), fine, volts).temperature[:, 0]
+    assert np.max(np.abs(np.interp(view.grid, fine, exact) - course.temperature[:, 0])) < 0.05
+
+
+def test_a_true_model_takes_a_gap_away_and_what_another_leaves_may_be_more_elsewhere(tmp_path):
+    wanted = {"quantities": ("deflection",)}
+    records = [planted_record(tmp_path / f"{k}", turned=k > 0, **wanted) for k in range(2)]
+    shortest = shared_bin(records, believed())
+    views = [observe(record, believed(), shortest, ("deflection",)) for record in records]
+    noise = {"deflection": Noise(white=1e-5, drift=0.0, time=5.0, period=0.5, usual=5e-5)}
+    truth, believes = true_bench(), believed()
+    found = shrinkage(views, believes, truth, truth, noise)["deflection"]
+    assert found.fraction > 0.95
+    assert found.ci90[1] - found.ci90[0] < 0.1
+    moved = ("wire.heat_transfer_coefficient", "wire.austenite_start_temperature")
+    half = truth.replace({name: 0.5 * (believes[name] + truth[name]) for name in moved})
+    wide = shrinkage(views, believes, half, half, noise)["deflection"]
+    left = 1.0 - wide.fraction
+    assert wide.ci90[0] < 1.0 - 1.4 * left
+    assert wide.fraction <= wide.ci90[1] <= 1.0
+
+
+# --- What a fit may move: it begins at what is believed, and comes back from its own numbers.
 
 
 def test_numbers_begin_at_what_is_believed_and_come_back_from_their_deviations():
@@ -148,3 +235,51 @@ def test_of_unstated_grains_centres_and_widths_of_hystereses_are_moved_apart():
     for reach in (1.0, 5.0, np.inf):
         for ends in np.random.default_rng(5).choice([-1.0, 1.0], (40, len(x))):
             unknowns.parameters(np.clip(reach * ends, *unknowns.bounds()))
+
+
+# --- Errors of a fit.
+
+
+def fitted_height(random, uneven):
+    """The least squares height of pulses that truly are 1 high in the mean, each off by `uneven`
+    of a standard deviation, in white noise of 1; of two records of six pulses each."""
+    true = np.repeat(1.0 + uneven * random.standard_normal(PULSES), 100) * HEIGHT
+    measured = true + random.standard_normal(len(true))
+    information = HEIGHT @ HEIGHT + 1.0
+    x = np.array([HEIGHT @ measured / information])
+    signal = SimpleNamespace(time=np.arange(600.0))
+    records = [SimpleNamespace(grid=signal.time) for _ in range(2)]
+    blocks = [
+        SimpleNamespace(observation=record, signal=signal, rows=slice(600 * k, 600 * (k + 1)))
+        for k, record in enumerate(records)
+    ]
+    stub = SimpleNamespace(observations=records, blocks=blocks, whiten=lambda rows: rows,
+                           white_nuisances=np.zeros((len(true), 0)))
+    stub.stretches = lambda parts: Problem.stretches(stub, parts)
+    unknowns = SimpleNamespace(slopes=lambda x: np.ones(len(x)), turn=lambda x: np.eye(len(x)))
+    covariance, fitted = np.array([[1.0 / information]]), HEIGHT * x[0]
+    left = measured - fitted
+    return Fit(stub, unknowns, x, np.zeros(0), covariance, 0.0, fitted, HEIGHT[:, None], left)
+
+
+def held(uneven):
+    """Shares of 90 % intervals that hold the height: by the noise alone, and as stated."""
+    random = np.random.default_rng(3)
+    fits = [fitted_height(random, uneven) for _ in range(250)]
+    off = np.array([abs(f.x[0] - 1.0) for f in fits])
+    return [
+        float(np.mean(off < INTERVAL * np.array([getattr(f, name)[0] for f in fits])))
+        for name in ("std", "jackknifed")
+    ]
+
+
+def test_errors_hold_a_misfit_that_differs_from_pulse_to_pulse_and_else_the_noise():
+    noise_alone, stated = held(uneven=1.0)
+    assert noise_alone < 0.5
+    assert 0.8 < stated < 0.95
+    noise_alone, stated = held(uneven=0.0)
+    assert noise_alone > 0.86 and stated < 0.96
+    # And are never above what was known, nor where one reading beyond all measure tells everything.
+    fitted = fitted_height(np.random.default_rng(4), uneven=50.0)
+    derivatives = np.vstack([[1e20], fitted.derivatives[1:]])
+    assert fitted.jackknifed[0] == replace(fitted, derivatives=derivatives).jackknifed[0] == 1.0
