@@ -27,17 +27,12 @@ from sma_bench.errors import InputError
 from sma_bench.records import contract, describe, read_record
 from sma_bench.records.bag_writer import TYPES, message
 
-# Every habit is one of a recorder, a program or a mishap that somebody had. A bag `tells` what it
-# means if nothing of it is lost and nothing has two meanings.
-RIGHT, LOSS, REFUSED, WRONG, RAISED = "right", "loss said", "refused", "wrong", "raised"
-OUTCOMES = (RIGHT, LOSS, REFUSED, WRONG, RAISED)
+OUTCOMES = RIGHT, LOSS, REFUSED, WRONG, RAISED = "right", "loss said", "refused", "wrong", "raised"
 MEMORY, SECONDS = 1 << 30, 20.0  # that reading one of these small bags may take
 _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
 HABITS: dict[str, list[str]] = _DATA["habits"]
-_PLAIN_SHARE = 0.7
 _EPOCH, _HOUR, _DAY = 1_750_000_000 * 10**9, 3600 * 10**9, 86_400 * 10**9
-_DELAY = 2_000_000  # ns from a stamp to its receipt, at most twice that
-_CHUNK, _PAGE = 2000, 4096
+_DELAY, _CHUNK, _PAGE = 2_000_000, 2000, 4096  # ns from a stamp to its receipt, at most; bytes
 _SAME_TIME, _SAME = 1e-6, 1e-12  # s; V, A, K, m, N: numbers are read as they were written
 _PROFILES = "- history: 1\n  depth: 10\n  reliability: 2\n  durability: 2\n"
 # Receipt, topic, type, bytes, and the numbers of stream and message.
@@ -46,9 +41,8 @@ Row = tuple[int, str, str, bytes, tuple[int, int]]
 
 @dataclass
 class Stream:
-    """Messages of one topic: stamps, receipts and order in the file (n,) [ns]; their fields (n,);
-    the signals (n,) in SI that they should be, by name; whether they say their stamps, or are known
-    by their receipt alone."""
+    """Messages of one topic: stamps, receipts and order in the file (n,) [ns]; their fields and the
+    signals in SI that they should be, (n,) by name; whether they say their stamps."""
 
     topic: str
     type: str
@@ -62,8 +56,8 @@ class Stream:
 
 @dataclass
 class Bag:
-    """A bag as it lies on the disk: (stream, message) that lie `whole` in front of any damage, s
-    `apart` that times known by receipt alone may be off; whether it `tells` all in one meaning."""
+    """A bag as it lies on the disk: (stream, message) `whole` before any damage, s `apart` that
+    receipts may be off; it `tells` if nothing of it is lost or has two meanings."""
 
     path: Path
     streams: list[Stream]
@@ -77,13 +71,12 @@ class Bag:
 
 
 def draw_habits(rng: np.random.Generator) -> dict[str, str]:
-    """One habit of each kind, most of them plain."""
-    drawn = {kind: str(rng.choice(habits[1:])) if rng.random() > _PLAIN_SHARE else habits[0]
+    """One habit of each kind, of a recorder, a program or a mishap; most of them plain."""
+    drawn = {kind: str(rng.choice(habits[1:])) if rng.random() > 0.7 else habits[0]
              for kind, habits in HABITS.items()}
     return pieces.without_exclusions(drawn, HABITS, _DATA["exclusions"])
 
 
-# --- what is true -------------------------------------------------------------------------------
 def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Stream]:
     """A wire that is driven up and down, measured at several rates."""
     content, stamps = habits["content"], habits["stamps"]
@@ -115,7 +108,6 @@ def true_streams(rng: np.random.Generator, habits: dict[str, str]) -> list[Strea
 
 
 def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
-    """Give the streams' stamps and receipts their habits."""
     clock, stamps = bag.habits["clock"], bag.habits["stamps"]
     apart = clock == "from 0, computer's beside" or "apart" in clock
     begin, middle = (int(q(bag.streams[0].received)) for q in (np.min, np.median))
@@ -131,12 +123,10 @@ def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
             s.received += _EPOCH if clock.startswith("from 0") else _HOUR
         if clock == "drifting apart":
             s.received += (1e-3 * (s.order - begin)).astype(np.int64)
-        if clock == "received late":
-            s.received += 300_000_000
-        if clock.startswith("set "):
-            leap = 40 * _DAY if clock == "set while recording" else -3 * 10**9
-            s.stamp[s.order > middle] += leap
-            s.received[s.order > middle] += leap
+        s.received += 300_000_000 * (clock == "received late")
+        leap = {"set while recording": 40 * _DAY, "set back a little": -3 * 10**9}.get(clock, 0)
+        s.stamp[s.order > middle] += leap
+        s.received[s.order > middle] += leap
         if not s.is_stamped:
             s.stamp = s.stamp if apart else s.received.copy()
         elif stamps == "repeated":
@@ -148,7 +138,6 @@ def set_clocks(bag: Bag, rng: np.random.Generator) -> None:
             s.stamp[-1] += 300 * _DAY
 
 
-# --- on the disk --------------------------------------------------------------------------------
 def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
     """Message `k` of a stream."""
     content, row = habits["content"], {name: float(v[k]) for name, v in s.fields.items()}
@@ -161,9 +150,8 @@ def serialised(s: Stream, k: int, habits: dict[str, str], stamp: int) -> bytes:
         fields["header"] = message("std_msgs/msg/Header", stamp=time, frame_id=frame)
     if s.type == contract.JOINT_STATE:
         tip, wire = ("tip", row["tip"], 0.0), ("wire", row["wire"], row["effort"])
-        joints = [tip, wire]
-        if content == "joints change places":
-            joints = [[tip, wire], [wire, tip], [wire, ("gripper", 9.0, 9.0), tip]][k % 3]
+        orders = [[tip, wire], [wire, tip], [wire, ("gripper", 9.0, 9.0), tip]]
+        joints = orders[k % 3 if content == "joints change places" else 0]
         names, position, effort = zip(*joints, strict=True)
         fields |= {"name": list(names), "position": np.array(position), "effort": np.array(effort)}
         fields["velocity"] = np.zeros(len(names) * (k % 2))
@@ -189,7 +177,6 @@ def write_bag(folder: Path, rng: np.random.Generator, habits: dict[str, str],
     set_clocks(bag, rng)
     alter(bag.streams)
     bag.path.mkdir()
-    # In the order of the files.
     rows: list[Row] = []
     for i, s in enumerate(bag.streams):
         for k in range(len(s.stamp)):
@@ -245,7 +232,7 @@ def _beside(of: Stream, habits: dict[str, str]) -> list[tuple[str, str, bytes]]:
         "another type": [(place + "back/range", "std_msgs/msg/Float64", b"\0\1\0\0" + bytes(8))],
         "twin": [(f"{place}twin/{name}", of.type, blob)],
         "no schema": [("/log", "", b"{}")], "json": [("/state", "std_msgs/msg/String", b"{}")],
-    }.get(habits["beside"], [])  # fmt: skip
+    }.get(habits["beside"], [])
 
 
 def _encoding(topic: str, habits: dict[str, str]) -> str:
@@ -290,16 +277,14 @@ def _write_mcap(path: Path, rows: list[Row], habits: dict[str, str], number: int
 def _write_db3(path: Path, rows: list[Row], habits: dict[str, str], number: int) -> list[int]:
     """Write; of a damaged file nothing has to be read."""
     profiles = _PROFILES * (habits["qos"] == "profiles")
+    kinds = {topic: kind for _, topic, kind, *_ in reversed(rows)}
+    ids = {topic: number + k for k, topic in enumerate(dict.fromkeys(row[1] for row in rows), 1)}
+    topics = [(ids[name], name, kinds[name], _encoding(name, habits), profiles) for name in ids]
     with contextlib.closing(sqlite3.connect(path)) as database:
         database.executescript(_DATA["tables"])
-        ids: dict[str, int] = {}
-        for received, topic, kind, blob, _ in rows:
-            if topic not in ids:
-                ids[topic] = number + len(ids) + 1
-                row = ids[topic], topic, kind, _encoding(topic, habits), profiles
-                database.execute("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", row)
-            database.execute("INSERT INTO messages VALUES (NULL, ?, ?, ?)",
-                             (ids[topic], received, blob))
+        database.executemany("INSERT INTO topics VALUES (?, ?, ?, ?, ?)", topics)
+        database.executemany("INSERT INTO messages VALUES (NULL, ?, ?, ?)",
+                             ((ids[topic], received, blob) for received, topic, _, blob, _ in rows))
         database.commit()
     return [path.stat().st_size] * len(rows)
 
@@ -323,8 +308,7 @@ def _damage(path: Path, how: str, rng: np.random.Generator) -> int:
 def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[str, str]) -> None:
     how, modes = habits["metadata"], {"of files": "FILE", "of messages": "MESSAGE"}
     counts = Counter((topic, kind) for _, topic, kind, *_ in rows)
-    if how == "of the start":
-        counts = dict.fromkeys(counts, 0)
+    counts = dict.fromkeys(counts, 0) if how == "of the start" else counts
     if how == "of rosbag2 2":  # files with the folder in front
         names = [f"{bag.name}/{name}" for name in names]
     listed = {"of the start": names[:1], "one file less": names[:-1]}.get(how, names)
@@ -343,7 +327,6 @@ def _write_metadata(bag: Path, names: list[str], rows: list[Row], habits: dict[s
     (bag / "metadata.yaml").write_text(text[: len(text) // 2] if how == "cut off" else text)
 
 
-# --- what came of it ----------------------------------------------------------------------------
 def outcome(bag: Bag) -> tuple[str, str]:
     """One of OUTCOMES, and why."""
     try:
@@ -366,11 +349,10 @@ def outcome(bag: Bag) -> tuple[str, str]:
             time, values = read.pop(name, (np.empty(0), np.empty(0)))
             time = time + (record.start_ns - int(s.order[0])) * 1e-9
             fault = _fault(bag, number, true, time, values.reshape(-1))
-            faults += [f"{name}: {fault}"] if fault else []
-            missing = len(true) - len(time)
-            lost += missing
+            lost += (missing := len(true) - len(time))
             if missing and not of_files and s.topic not in said:
-                faults.append(f"{name}: {missing} of {len(true)} lost in silence")
+                fault = f"{missing} of {len(true)} lost in silence"
+            faults += [f"{name}: {fault}"] if fault else []
         if bag.habits["clock"] == "set back a little" and (np.diff(s.stamp) < 0).any():
             faults += [] if said else [f"{s.topic}: a clock set back in silence"]
     faults += [f"{name}: not in the bag" for name in read]

@@ -18,19 +18,19 @@ from typing import Any
 import numpy as np
 import yaml
 
+import sma_bench
 from examination.pieces import IN_PIECES, in_blocks, options_of, print_outcomes
 from examination.tables import dialects
 from examination.tables.dialects import HABITS, Sample, Truth, Written
-from sma_bench.arrays import Array
+from sma_bench.cli import main as run
 
 # What came of a file: every value and time within what the file writes, every column and sheet used
 # or named; a question, in the map or in the line; a reason, exit 2; exit 0 with values, times or
 # rows that are not those of the file, or a column left out without a word; anything but an answer.
-RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "raised"
-OUTCOMES = (RIGHT, ASKED, REFUSED, WRONG, RAISED)
+OUTCOMES = RIGHT, ASKED, REFUSED, WRONG, RAISED = "right", "asked", "refused", "wrong", "raised"
 _ENOUGH = 0.7  # of an instrument's rows; its readers leave out turns and rests
 _MOST_LINE = 300
-_ADVICE = r"\b(expected|write|quote|give|states?|which)\b"  # what to do is in every refusal
+_ADVICE = r"\b(expected|write|quote|give|states?|which)\b"  # else nobody can act on a refusal
 
 
 def outcome(truth: Truth, sample: Sample) -> tuple[str, str]:
@@ -41,30 +41,26 @@ def outcome(truth: Truth, sample: Sample) -> tuple[str, str]:
 
 
 def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
-    import sma_bench
-    from sma_bench.cli import main
-
     folder = sample.path.parent
-    rig, bag = folder / "rig.yaml", folder / "bag"
+    rig, bag, said = folder / "rig.yaml", folder / "bag", io.StringIO()
     rig.write_text(yaml.safe_dump({"/**": {"ros__parameters": dialects.RIGS[truth.kind]}}))
-    said = io.StringIO()
-    arguments = ["import", str(sample.path), "--params", str(rig), "--out", str(bag)]
     with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
-        status = main(arguments)
+        status = run(["import", str(sample.path), "--params", str(rig), "--out", str(bag)])
     text = said.getvalue()
+    line = " ".join(line for line in text.splitlines() if line.strip())[-_MOST_LINE:]
     maps = "\n".join(path.read_text() for path in folder.glob("*.map.yaml"))
     if status == 2:
         asks = "unsure of" in text or ": ask" in maps or '"ask"' in maps
-        return ASKED if asks else _refused(text), _line(text)
+        return ASKED if asks else REFUSED if re.search(_ADVICE, text) else RAISED, line
     if status != 0:
-        return RAISED, f"exit {status}: {_line(text)}"
+        return RAISED, f"exit {status}: {line}"
     bags = [bag] if (bag / "metadata.yaml").exists() else sorted(bag.iterdir())
     record, said_of, faults = sma_bench.load(bags[0]), text + maps, []
     for column in sample.columns:
         title, quantity = column.title, column.quantity
         if quantity is None:
-            if any(title.startswith(t) and t not in said_of for t in ("Comment", "Status", "T2")):
-                faults.append(f"{title}: vanished")
+            others = title.startswith(("Comment", "Status", "T2"))
+            faults += [f"{title}: vanished"] if others and title not in said_of else []
         elif (signal := record.get(quantity.signal)) is not None:
             fault = _signal_fault(truth, sample, column, signal)
             faults += [f"{title}: {fault}"] if fault else []
@@ -72,33 +68,24 @@ def _imported(truth: Truth, sample: Sample) -> tuple[str, str]:
             faults.append(f"{title}: vanished")
         elif quantity.signal != "ambient.temperature":
             faults.append(f"{title}: not read, though named")
-    extra = set(record.signals) - {column.signal for column in truth.columns}
-    if extra - {"ambient.temperature"}:
-        faults.append(f"signals of nothing: {', '.join(sorted(extra))}")
+    known = {"ambient.temperature", *(column.signal for column in truth.columns)}
+    faults += [f"{name}: a signal of nothing" for name in sorted(set(record.signals) - known)]
     if sample.habits["file"] == "xlsx, a second sheet" and len(bags) < 2 and "Data 2" not in text:
         faults.append("sheet Data 2: vanished")
     return (WRONG, "; ".join(faults)) if faults else (RIGHT, "")
 
 
-def _refused(text: str) -> str:
-    """`REFUSED` where the reason says what to write, else `RAISED`: no one can act on it."""
-    return REFUSED if re.search(_ADVICE, text) else RAISED
-
-
 def _signal_fault(truth: Truth, sample: Sample, column: Written, signal: Any) -> str:
     """What is wrong with a signal; "" if nothing is."""
     quantity, step = column.quantity, column.step
-    assert quantity is not None
     time, values = np.asarray(signal.time), np.asarray(signal.values, dtype=float)
     if quantity.kind == "duty":  # read as the direct voltage of the same heat
         values, step = (values / 12.0) ** 2, 2.0 * step
     if quantity.kind == "current" and sample.habits["cells"] == "SI letters":
         step = max(step, 1e-4)
-    if not len(time):
-        return "empty"
-    # Gaps are drawn: of them at most a tenth may be absent.
     expected = sample.times[quantity.signal]
     true = quantity.values[::3] if len(expected) < len(quantity.values) else quantity.values
+    # Gaps are drawn: of them at most a tenth may be absent.
     rows = len(expected)
     fewest = 0.88 * rows if sample.habits["cells"] == "gaps" else rows
     if not fewest <= len(time) <= rows:
@@ -107,8 +94,7 @@ def _signal_fault(truth: Truth, sample: Sample, column: Written, signal: Any) ->
     if len(time) < rows:
         nearest = np.abs(time[:, None] - expected[None, :]).argmin(axis=1)
     late = np.abs(time - expected[nearest]).max()
-    tick = 1.05 if sample.tick >= 1.0 else max(sample.tick, 1e-4 * np.ptp(truth.time))
-    if late > tick:
+    if late > (1.05 if sample.tick >= 1.0 else max(sample.tick, 1e-4 * np.ptp(truth.time))):
         return f"times off by {late:.3g} s"
     error = np.abs(values - true[nearest]).max()
     loose = 2.2 if quantity.signal in ("elongation", "deflection") else 1.2  # a zero was taken off
@@ -117,16 +103,14 @@ def _signal_fault(truth: Truth, sample: Sample, column: Written, signal: Any) ->
 
 
 def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
-    import sma_bench
-
     try:
         record: Any = sma_bench.load(sample.path)
     except sma_bench.InputError as error:
         line = str(error)
         asks = "which one" in line or "state" in line
-        return ASKED if asks else _refused(line), line[:_MOST_LINE]
+        end = ASKED if asks else REFUSED if re.search(_ADVICE, line) else RAISED
+        return end, line[:_MOST_LINE]
     kind = type(record).__name__.removesuffix("Record").lower()
-    kind = "dsc" if kind.endswith("dsc") else kind
     if kind != truth.kind:
         return WRONG, f"read as {kind or 'a run'}"
     if sample.habits["file"] == "xlsx, a second sheet" and "Data 2" not in str(record.findings):
@@ -135,19 +119,19 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
     by_name = {c.quantity.signal: c for c in sample.columns if c.quantity}
     true = {c.signal: c.values for c in truth.columns}
     steps = {name: c.step for name, c in by_name.items()}
-    if truth.kind == "dsc":
+    if kind == "dsc":
         per_gram = sample.habits["scale"] == "other" and sample.habits["notes"] != "key: value"
         if abs(record.mass - truth.mass) > 1e-9 and not per_gram:
             return WRONG, f"mass {record.mass:.4g} kg of {truth.mass:.4g}"
-        got = {n: _joined(record.segments, n) for n in ("time", "temperature", "heat_flow")}
         true, steps = {"time": truth.time} | true, {"time": 1e-3} | steps
+        got = {n: np.concatenate([getattr(s, n) for s in record.segments]) for n in true}
         if per_gram:  # the mass is not stated: the flow of whatever was taken for it
             got["heat_flow"] = got["heat_flow"] * truth.mass / record.mass
         if got["time"][-1] > truth.time[-1] + 1.0:  # stamps of a day, or of the epoch
             got["time"] = got["time"] - dialects.EPOCH
-    elif truth.kind == "isobaric":
+    elif kind == "isobaric":
         parts = [branch for cycle in record.cycles for branch in cycle.branches]
-        got = {name: _joined(parts, name) for name in by_name}
+        got = {name: np.concatenate([getattr(part, name) for part in parts]) for name in by_name}
     else:
         kinds = by_name["strain"].quantity.kind, by_name["stress"].quantity.kind
         if (record.is_extension, record.is_force) != (kinds[0] == "extension", kinds[1] == "force"):
@@ -163,17 +147,8 @@ def _opened(truth: Truth, sample: Sample) -> tuple[str, str]:
         limit = 0.6 * steps[name] * (2.0 if name == "strain" else 1.0)
         limit += 1e-6 * float(np.abs(true[name]).max()) + (0.01 if name == "time" else 0.0)
         worst = np.maximum(worst, np.abs(values[:, None] - true[name][None, :]) / limit)
-    if away := int((worst.min(axis=1) > 1.0).sum()):
-        return WRONG, f"{away} rows of {read} are none of the file's"
-    return RIGHT, ""
-
-
-def _joined(parts: Any, name: str) -> Array:
-    return np.concatenate([getattr(part, name) for part in parts])
-
-
-def _line(text: str) -> str:
-    return " ".join(line for line in text.splitlines() if line.strip())[-_MOST_LINE:]
+    away = int((worst.min(axis=1) > 1.0).sum())
+    return (WRONG, f"{away} rows of {read} are none of the file's") if away else (RIGHT, "")
 
 
 ROW = "{:32}{:>7}" + "{:>9}" * len(OUTCOMES)

@@ -1,6 +1,7 @@
 """Reads a bag into a record: its topics decoded, on one clock, in SI units."""
 
 import struct
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,15 +17,11 @@ from sma_bench.records.record import Record, Signal, Topic
 from sma_bench.records.storage import RawTopic, RawTopics, decompress_messages, read_storage
 
 _DAY_NS = 86_400 * 10**9  # a clock that shows less since 1970 is a simulation's
-_TEXT_BYTES = 400  # of a marker, from its message to what `describe` says of it
-# Further apart than this, receive times and stamps come from two clocks, not from a slow network.
-_TWO_CLOCKS_NS = 10**9
+_TWO_CLOCKS_NS = 10**9  # receive times farther off their stamps are another clock's
 _FEW_STAMPS = 15  # messages in a row, of which fewer than half wrong stamps move no other topic
 # A record may pause for a day, and ten times as long as it was recorded; beyond, a clock was set.
-_PAUSE_NS, _PAUSES_OF_RECORDED = _DAY_NS, 10
-_RECORDED_NS = 10 * 10**9
-_GAPS_S = (86_400, 3600, 600, 60, 10)
-_MOST_MARKERS = 100_000
+_PAUSES_OF_RECORDED, _RECORDED_NS, _GAPS_S = 10, 10 * 10**9, (86_400, 3600, 600, 60, 10)
+_TEXT_BYTES, _MOST_MARKERS = 400, 100_000  # of a marker with all that is said of it; markers
 # Of each type of message: the columns made of it, and the field and joint that each is from.
 _COLUMNS: dict[str, list[tuple[str, str, str]]] = {
     contract.BATTERY_STATE: [(name, name, "") for name in ("voltage", "current")],
@@ -36,7 +33,7 @@ _COLUMNS: dict[str, list[tuple[str, str, str]]] = {
 
 @dataclass
 class _Samples:
-    """Decoded messages of one topic, in the order of the bag until sorted."""
+    """Decoded messages of one topic."""
 
     topic: str
     type: str
@@ -47,24 +44,19 @@ class _Samples:
     columns: dict[str, NDArray[np.generic]] = field(default_factory=dict)
 
     def keep(self, rows: Mask | IntArray) -> None:
-        """Reduce to, or reorder by, the given rows."""
         self.stamp, self.received = self.stamp[rows], self.received[rows]
         self.columns = {name: values[rows] for name, values in self.columns.items()}
 
 
 def read_record(path: str | Path, namespace: str | None = None) -> Record:
-    """Read a rosbag2 folder (or an .mcap or .db3 file, zstd-compressed or not) into named signals.
-
-    Time is `header.stamp`, in s since the first stamp of the record; the receive time only for
-    topics without stamps, brought onto the clock of those that have them. Signals hold what was
-    measured: NaN is left out, temperatures are in K. Messages are sorted by stamp, and of several
-    with one stamp the first is kept. Whatever was lost, left out or put in order is in
-    `Record.findings`. `namespace`: look only at topics below it. Raises InputError: no bag, nothing
-    readable in it, two topics for one meaning, or one of another type than the contract's."""
+    """Read a rosbag2 folder (or .mcap or .db3 file, zstd-compressed or not) into named signals in
+    SI units, of topics below `namespace`. Time is `header.stamp`, in s since the first of the
+    record, or the receive time brought onto its clock. What was lost or put in order is in
+    `findings`. Raises InputError: nothing readable, two topics for one meaning, or one of another
+    type."""
     path, inside = Path(path), contract.inside
     bag = read_storage(path, lambda n, t: inside(n, namespace) and contract.is_decoded(n, t))
     found = list(bag.topics.values())
-    # Topics that carry a meaning of the contract become columns, on one clock.
     counts = {(t.name, t.type): t.count for t in found if inside(t.name, namespace)}
     chosen, remarks = contract.choose_topics(str(path), counts)
     bag.findings += remarks
@@ -106,57 +98,52 @@ def read_record(path: str | Path, namespace: str | None = None) -> Record:
 
 
 def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
-    """All messages of one topic, but for those that cannot be decoded. Raises OverBudget."""
     budget, is_stamped = bag.budget, raw.type not in contract.HEADERLESS
     decompress_messages(raw, budget)
     received, lengths = (np.array(v, dtype=np.int64) for v in (raw.times, raw.lengths))
     n, samples = len(received), _Samples(raw.name, raw.type, received.copy(), received, is_stamped)
     batches = list(decode(raw.data, lengths, raw.type, budget))
-    # The numbers or texts of the messages, NaN or empty where one has none.
+    columns, twice = samples.columns, Counter[str]()
     if raw.type == contract.STRING:
         budget.take(_TEXT_BYTES * n)
-        texts = samples.columns["data"] = np.full(n, "", dtype=object)
-        for batch in batches:
-            texts[batch.rows] = batch.texts["data"][0]
+        columns["data"] = np.full(n, "", dtype=object)
     elif raw.type == contract.MULTI_ARRAY:  # rows of the most common length
         sizes = [(b.columns["data"].size > 0, b.columns["data"].shape) for b in batches]
         width = max(sizes, default=(False, (0, 0)))[1][1] or 1
         budget.take(8 * n * width)
-        values = samples.columns["data"] = np.full((n, width), np.nan)
-        for batch in batches:
-            if batch.columns["data"].shape[1] == width:
-                values[batch.rows] = batch.columns["data"]
-    for name, source, joint in _COLUMNS.get(raw.type, ()):
-        for batch in batches:
-            # Joints by name: their order may change from one message to the next.
-            joints, found = batch.texts.get("name", ("",)), batch.columns[source]
-            if joint not in joints:
-                continue
-            if name not in samples.columns:
+        columns["data"] = np.full((n, width), np.nan)
+    valid = np.zeros(n, dtype=bool)
+    for batch in batches:
+        valid[batch.rows], found = True, batch.columns
+        if is_stamped:
+            stamp = (found[f"stamp.{part}"][:, 0] for part in ("sec", "nanosec"))
+            seconds, nanoseconds = (part.astype(np.int64) for part in stamp)
+            samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
+            valid[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
+        if raw.type == contract.STRING:
+            columns["data"][batch.rows] = batch.texts["data"][0]
+        elif raw.type == contract.MULTI_ARRAY and found["data"].shape[1] == width:
+            columns["data"][batch.rows] = found["data"]
+        joints = batch.texts.get("name", ("",))  # whose order may change
+        twice.update({joint: len(batch.rows) for joint in joints if joints.count(joint) > 1})
+        for name, source, joint in _COLUMNS.get(raw.type, ()):
+            place = joints.index(joint) if joint in joints else -1
+            if place >= 0 and name not in columns:
                 budget.take(8 * n)
-                samples.columns[name] = np.full(n, np.nan)
-            if joints.index(joint) < found.shape[1]:
+                columns[name] = np.full(n, np.nan)
+            if 0 <= place < found[source].shape[1]:
                 with np.errstate(invalid="ignore"):  # a NaN of another kind than Python's
-                    samples.columns[name][batch.rows] = found[:, joints.index(joint)]
-    for joint in contract.JOINT_SIGNALS if raw.type == contract.JOINT_STATE else ():
-        if twice := sum(len(b.rows) for b in batches if b.texts["name"].count(joint) > 1):
-            text = f"{twice} of {n} messages name {joint} twice; the first is taken"
-            bag.remark(raw.name, text, messages=twice)
+                    columns[name][batch.rows] = found[source][:, place]
+    for joint in contract.JOINT_SIGNALS:
+        if count := twice[joint]:
+            text = f"{count} of {n} messages name {joint} twice; the first is taken"
+            bag.remark(raw.name, text, messages=count)
 
-    # What was decoded, has a possible stamp, and is whole where it is a command.
     def keep(rows: Mask, what: str) -> None:
         if dropped := int(np.count_nonzero(~rows)):
             bag.remark(raw.name, f"{dropped} of {len(rows)} messages {what}", messages=dropped)
             samples.keep(rows)
 
-    valid = np.zeros(n, dtype=bool)
-    for batch in batches:
-        valid[batch.rows] = True
-        if is_stamped:
-            stamp = (batch.columns[f"stamp.{part}"][:, 0] for part in ("sec", "nanosec"))
-            seconds, nanoseconds = (part.astype(np.int64) for part in stamp)
-            samples.stamp[batch.rows] = seconds * 10**9 + nanoseconds
-            valid[batch.rows] = (nanoseconds < 10**9) & (seconds >= 0)
     keep(valid, "cannot be decoded and are left out")
     if raw.type == contract.MULTI_ARRAY:
         unusable = np.count_nonzero(~np.isfinite(samples.columns["data"]), axis=1)
@@ -172,8 +159,6 @@ def _decode(raw: RawTopic, bag: RawTopics) -> _Samples:
 
 
 def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
-    """The stamps of all topics on one clock, in order, each once, of one time."""
-    # Receive times move onto the stamps' clock where these differ by more than a delay: simulated.
     stamped = [s for s in decoded if s.is_stamped]
     reference = max(stamped, key=lambda s: len(s.stamp), default=None)
     offset = float(np.median(reference.received - reference.stamp)) if reference else 0.0
@@ -203,13 +188,12 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
             samples.keep(np.concatenate(([True], ~repeated)))
     # The stretch with most stamps is kept where a clock was set in the middle of the record.
     ends = [int(end) for s in decoded for end in (s.stamp[0], s.stamp[-1])]
-    if not ends or max(ends) - min(ends) <= _PAUSE_NS:
+    if not ends or max(ends) - min(ends) <= _DAY_NS:
         return  # without sorting the stamps of all topics into one another
     stamps = whole = np.sort(np.concatenate([s.stamp for s in decoded]))
     for gap in _GAPS_S:
         steps = np.diff(stamps)
-        recorded = int(steps[steps <= _RECORDED_NS].sum())
-        if steps.sum() <= _PAUSE_NS + _PAUSES_OF_RECORDED * recorded:
+        if steps.sum() <= _DAY_NS + _PAUSES_OF_RECORDED * steps[steps <= _RECORDED_NS].sum():
             break
         stamps = max(np.split(stamps, np.flatnonzero(steps > gap * 10**9) + 1), key=len)
     if len(stamps) < len(whole):
@@ -218,13 +202,13 @@ def _put_on_one_clock(decoded: list[_Samples], bag: RawTopics) -> None:
             samples.keep((samples.stamp >= first) & (samples.stamp <= last))
         apart = {"before": first - int(whole[0]), "after": int(whole[-1]) - last}
         far = " and ".join(f"up to {ns * 1e-9:.3g} s {way}" for way, ns in apart.items() if ns > 0)
-        left_out = len(whole) - len(stamps)
-        text = f"{left_out} of {len(whole)} messages are stamped {far} the others (was a clock set "
-        bag.remark("record", text + "meanwhile?) and are left out", messages=float(left_out))
+        lost = len(whole) - len(stamps)
+        text = f"{lost} of {len(whole)} messages are stamped {far} the others (was a clock set "
+        bag.remark("record", text + "meanwhile?) and are left out", messages=lost)
 
 
 def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> list[Signal]:
-    """The signals of one topic; one that is all NaN was not measured, and is only remarked upon."""
+    """The signals of one topic; one that is all NaN was not measured, which is said."""
     place, _, kind = meaning.rpartition("/")
     columns: dict[str, Array] = dict(samples.columns)  # type: ignore[arg-type]
     if kind == "joint_states" and not columns:
@@ -236,8 +220,8 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
             "outside min_range..max_range": np.isfinite(found) & ((found < low) | (found > high))}
         for what, rows in remarkable.items():
             if count := int(np.count_nonzero(rows)):
-                text = f"{count} of {len(found)} distances are {what}; kept"
-                bag.remark(samples.topic, text, count=count)
+                bag.remark(samples.topic, f"{count} of {len(found)} distances are {what}; kept",
+                           count=count)
     stated, signals = columns.pop("variance", np.zeros(0)), []
     for column, values in columns.items():
         name = {"joint_states": column, "voltage_command": kind}.get(kind, f"{place}.{column}")
@@ -247,8 +231,7 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
         missing = np.isnan(values if values.ndim == 1 else values[:, 0])
         count = int(np.count_nonzero(missing))
         if count == len(values):
-            text = f"{name} is NaN throughout, that is not measured; absent"
-            bag.remark(samples.topic, text, "info")
+            bag.remark(samples.topic, f"{name} is NaN throughout, not measured; absent", "info")
             continue
         if count:
             text = f"{name} is NaN in {count} of {len(values)} messages; these are left out"
@@ -263,12 +246,8 @@ def _signals(meaning: str, samples: _Samples, start: int, bag: RawTopics) -> lis
     return signals
 
 
-# --- serialised messages: whole topics into arrays
-# Messages of one topic mostly have one length, so a topic is a matrix of bytes. The layout is found
-# by walking one message; every count in it (strings, sequences) is a guard that must be equal in
-# all rows decoded with that layout. Rows that differ get a layout of their own, in the end one by
-# one. The encoding is plain CDR (XCDR1) of either byte order; bytes after the last field, which a
-# middleware may append, are ignored.
+# --- Plain CDR of either byte order, whole topics at once: messages of one length and layout are a
+# matrix of bytes. One is walked; its counts and texts are guards, equal in all of the matrix.
 
 _Field = tuple[str, str]
 _HEADER: tuple[_Field, ...] = (("stamp.sec", "i4"), ("stamp.nanosec", "u4"), ("frame_id", "string"))
@@ -295,8 +274,7 @@ class CdrError(Exception):
 
 
 class _Layout(NamedTuple):
-    """Where the fields of one message lie: `columns` by field (offset, numpy type, number of
-    elements), `texts` by field, and (offset, bytes) that all messages of this layout share."""
+    """Of one message: by field (offset, numpy type, elements); texts; what all share."""
 
     columns: dict[str, tuple[int, str, int]]
     texts: dict[str, tuple[str, ...]]
@@ -312,14 +290,14 @@ class Batch(NamedTuple):
 
 
 def _find_layout(blob: bytes, msgtype: str) -> _Layout:
-    """Layout of one serialised message. Raises CdrError: the bytes do not follow the type."""
+    """Raises CdrError: the bytes do not follow the type."""
     order = _BYTE_ORDERS.get(blob[:2])
     if order is None or len(blob) < _ENCAPSULATION:
         raise CdrError("not plain CDR")
     layout, position = _Layout({}, {}, [(0, blob[:2])]), _ENCAPSULATION
 
     def step(size: int, count: int = 1) -> int:
-        """Offset of so many elements, aligned, which are passed over."""
+        """Offset of so many elements, which are passed over."""
         nonlocal position
         if count:  # an empty sequence is not followed by the padding of its elements
             position += -(position - _ENCAPSULATION) % size
@@ -357,8 +335,7 @@ def _find_layout(blob: bytes, msgtype: str) -> _Layout:
 
 def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
            budget: Budget) -> Iterator[Batch]:
-    """Messages one after the other, lengths (n,) bytes each, but for those that cannot be decoded.
-    Raises OverBudget: it takes too long."""
+    """Messages of lengths (n,) bytes, but for those that cannot be decoded. Raises OverBudget."""
     ends = np.cumsum(lengths)
     for length in np.unique(lengths[lengths >= _ENCAPSULATION]).tolist():
         rows = np.flatnonzero(lengths == length)
@@ -390,8 +367,7 @@ def decode(data: bytes | bytearray, lengths: IntArray, msgtype: str,
 
 
 def encode(template: bytes, msgtype: str, columns: dict[str, Array]) -> list[bytes]:
-    """Copies of a serialised message with other numbers. `template`: a message whose strings and
-    sequences have the wanted content and length; `columns`: field -> (n,) or (n, elements)."""
+    """Copies of the message `template` with other numbers: by field (n,) or (n, elements)."""
     layout, n = _find_layout(template, msgtype), len(next(iter(columns.values())))
     matrix = np.tile(np.frombuffer(template, dtype=np.uint8), (n, 1))
     for name, values in columns.items():

@@ -1,5 +1,6 @@
 """Writes bags, message by message, readable whenever the writer dies, and signals by contract."""
 
+import dataclasses
 import errno
 import json
 import threading
@@ -8,14 +9,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from math import inf
-from operator import itemgetter
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import yaml
-from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from sma_bench.arrays import Array, IntArray
@@ -35,17 +34,13 @@ _LATEST_STAMP = 2**31  # s after 1970
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
-    """An mcap bag that grows while it is recorded, from several threads if need be.
-
-    A chunk of messages goes to the operating system every half second while messages come in, and
-    by `flush`, which a recorder calls from a timer, with metadata.yaml. A killed bag lacks its
-    index: `read_record` (and `mcap recover`) read it. Raises InputError: the path exists, cannot be
-    made, or the disk is full; what was written until then stays readable."""
+    """An mcap bag that grows while it is recorded, from several threads if need be, flushed every
+    half second and by `flush`; one of a killed writer lacks its index, and is read. Raises
+    InputError: the path exists or cannot be written; what was written until then stays readable."""
 
     def __init__(self, path: str | Path, flush_every: float = _FLUSH_EVERY,
                  custom_data: Mapping[str, str] | None = None) -> None:
-        """`flush_every` s of wall time; with inf chunks are full, and the bytes depend on messages
-        alone. `custom_data`: texts by name for metadata.yaml."""
+        """`flush_every`: s; with inf the bytes depend on messages alone."""
         try:
             from mcap.writer import CompressionType, Writer
         except ModuleNotFoundError:
@@ -69,8 +64,7 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             self.flush()
 
     def add_topic(self, topic: str, msgtype: str) -> None:
-        """Announce a topic, `sensor_msgs/msg/Temperature` say; again is harmless. Raises
-        InputError: the type is not one of ROS 2 Jazzy, or not the topic's."""
+        """Announce a topic, or again. InputError: a type not of ROS 2 Jazzy, or not the topic's."""
         with self._lock, self._disk():
             known = self._topics.get(topic, {"type": msgtype})["type"]
             if known != msgtype:
@@ -167,15 +161,13 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
                  provenance: Mapping[str, Any] | None = None, report: Report = silent,
                  replace: bool = False) -> None:
     """Write a record, or signals (by name or a sequence), as a bag in a new folder, which appears
-    whole or not at all; the same signals give the same bytes. Signals that share a message type and
-    place (voltage and current of a wire) share messages; where their times differ the other one is
-    NaN, not measured. Voltage, current and range are 32-bit on the wire: about 7 digits.
+    whole or not at all; the same signals give the same bytes. Signals of one message type and place
+    share messages, NaN where one has no sample; voltage, current and range have about 7 digits.
 
-    `start_ns`: epoch time of t = 0, else the record's own or 0; `markers`: (time in s, text), added
-    to the record's own; `provenance`: `source`, `sha256` and `how` of the signals, for
-    metadata.yaml, which `read_record` gives back; `report`: called with how far it is; `replace`: a
-    bag at the path, once the new one is whole. Raises InputError: the path exists or cannot be
-    written, a signal has no place in the contract or times that cannot be stamped."""
+    `start_ns`: epoch of t = 0, else the record's own or 0; `markers`: (s, text), more than the
+    record's; `provenance`: `source`, `sha256` and `how`, for metadata.yaml; `replace`: what is at
+    the path, once the new bag is whole. Raises InputError: the path exists or cannot be written, a
+    signal has no place in the contract or times that cannot be stamped."""
     path, texts, start = Path(path), list(markers), start_ns or 0
     if isinstance(source, Record):
         start = source.start_ns if start_ns is None else start_ns
@@ -192,7 +184,7 @@ def write_record(path: str | Path, source: Record | Mapping[str, Signal] | Itera
     custom = {PROVENANCE: json.dumps(dict(provenance))} if provenance else None
     messages = [(topic, stamp, blob) for topic, _, received, blobs in streams
                 for stamp, blob in zip(received.tolist(), blobs, strict=True)]
-    messages.sort(key=itemgetter(1))
+    messages.sort(key=lambda row: row[1])
     parts = range(0, len(messages), _MESSAGES_A_REPORT)
     with _beside(path, replace) as new, BagWriter(new, inf, custom) as writer:
         for topic, msgtype, *_ in streams:
@@ -223,12 +215,10 @@ def _beside(path: Path, replace: bool) -> Iterator[Path]:
         text = str(error).removesuffix(_STILL_READABLE)
         raise InputError(text.replace(str(new), str(path))) from None
     except OSError as error:
-        is_there = error.errno == errno.ENOTEMPTY  # another writer was faster
-        why = _EXISTS if is_there else f"cannot be written: {error.strerror}"
+        taken = error.errno == errno.ENOTEMPTY  # another writer was faster
+        why = _EXISTS if taken else f"cannot be written: {error.strerror}"
         raise InputError(f"{path}: {why}") from None
 
-
-# --- Signals to the serialised messages of the contract's topics.
 
 # Topic, type, receive times (n,) ns in order, and the messages.
 _Stream = tuple[str, str, IntArray, list[bytes]]
@@ -259,7 +249,6 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         template = _serialised(msgtype, data=np.zeros(values.shape[1]))
         blobs = encode(template, msgtype, {"data": values})
         return topic, msgtype, _stamps(signal.name, signal.time, start), blobs
-    # All columns on the union of their stamps.
     stamps = {name: _stamps(s.name, s.time, start) for name, s in columns.items()}
     union = np.unique(np.concatenate([*stamps.values()]))
     received, absent = union.copy(), np.full(len(union), np.nan)
@@ -272,7 +261,6 @@ def _stream(topic: str, msgtype: str, columns: dict[str, Signal], start: int) ->
         merged[name][rows] = signal.values
         if signal.received is not None:
             received[rows] = _stamps(signal.name, signal.received, start)
-    # The fields that they go to, and what else such a message says.
     channel = topic.split("/")[-2]
     frame, rest = channel, {}
     if msgtype == contract.BATTERY_STATE:
@@ -310,19 +298,9 @@ def _stamps(name: str, times: Array, start: int) -> IntArray:
 
 def message(msgtype: str, **fields: Any) -> Any:
     """A message of rosbags' classes of ROS 2 Jazzy; what is not given is zero or empty."""
-    empty = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}
-    for name, (kind, detail) in TYPES.fielddefs[msgtype][1]:
-        if name in fields:
-            continue
-        if kind == Nodetype.NAME:
-            fields[name] = message(str(detail))
-        elif kind == Nodetype.BASE:
-            fields[name] = empty.get(str(detail[0]), 0)
-        else:
-            element = detail[0][1]
-            numbers = isinstance(element, tuple) and element[0] != "string"
-            fields[name] = np.zeros(0, dtype=element[0]) if numbers else []
-    return TYPES.types[msgtype](**fields)
+    from rosbags.convert.converter import default_message
+    made: Any = default_message(TYPES, msgtype)
+    return dataclasses.replace(made, **fields)
 
 
 def _serialised(msgtype: str, **fields: Any) -> bytes:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from datetime import date
 from functools import cache, lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,8 +21,7 @@ _FILE = Path(__file__).with_name("words.yaml")
 WORDS: dict[str, Any] = yaml.load(_FILE.read_bytes(), yaml.CSafeLoader)  # noqa: S506
 QUANTITIES: dict[str, Any] = WORDS["quantities"]
 _SPELLINGS = {text: name for name, texts in WORDS["units"].items() for text in texts}
-# pint evaluates what it is given: 9**9**9 would never end.
-_HARMLESS = re.compile(r"[A-Za-zµμΩ][A-Za-zµμΩ_]{0,24}(?:[*/][A-Za-zµμΩ_]{1,12}(?:\^?[23])?)?\Z")
+PATTERNS = SimpleNamespace(**{k: re.compile(text) for k, text in WORDS["patterns"].items()})
 
 
 class Unit(NamedTuple):
@@ -51,8 +51,7 @@ def parse_unit(text: str) -> Unit | None:
         if lower in factors:
             return Unit(quantity, factors[lower])
     name = WORDS["cased"].get(plain) or _SPELLINGS.get(lower)
-    words = (name,) if name else (plain, lower) if _HARMLESS.match(plain) else ()
-    for word in words:
+    for word in (name,) if name else (plain, lower) if PATTERNS.unit.match(plain) else ():
         with contextlib.suppress(Exception):  # pint raises its parser's and Python's own errors
             import pint
             units = pint.get_application_registry()
@@ -64,28 +63,20 @@ def parse_unit(text: str) -> Unit | None:
     return None
 
 
-_AMOUNT = re.compile(r"(?P<number>(?:(?<![\w)\]])[+\-−])?\d++(?:[.,'’]\d++)*+(?:[eE][+-]?\d++)?+)"
-                     r"(?=\s*(?P<unit>[^\s\d,;:=_]{1,12}\d?))")
-# Before a number: a name (d1, #3), a tolerance (±), a range (20-150), a number cut in two (: 12 3).
-_NO_AMOUNT = re.compile(
-    r"(?:[^\W_Øø]|[.,#/^*±]|± |\+/- ?|(?<![\w#\-.,])\d+(?:[.,]\d+)? ?(?:-|−|–|to|bis|\.\.) ?"
-    r"|(?:\A|[:=])\s*[+\-−]?\d[\d.,]*\s)\Z")
-_THOUSANDS = re.compile(r"(\A\s*)?(?<![\w.,#])([+\-−]?\d{1,3}(?:[ \u00a0\u202f]\d{3})*)\s\Z")
 _STATED = {"mass": (1e-9, 1e-3), "stress": (5e6, 1e9)}  # by a test, in SI, where thousands may be
 
 
 def number_with_unit(text: str, quantity: str) -> float | None:
-    """The value in SI of the first number in a text with a unit of that quantity behind it, but for
-    digits of names and ends of ranges; of 1,000 and 12 345 the one that a test states."""
+    """In SI, the first number of a text with such a unit, part of no name or range; or None."""
     parted = (text.partition(mark) for mark in ":=")
     key, value = next(((k, v) for k, _, v in parted if re.search(r"\d", v)), ("", text))
     units = (unit for unit in re.findall(r"[/(\[]\s*([^\s)\]:]+)", key) if parse_unit(unit))
     value = f"{value} {next(units, '')}"  # Mass/mg: 12
-    for found in _AMOUNT.finditer(value):
+    for found in PATTERNS.amount.finditer(value):
         unit, number = parse_unit(found["unit"].strip(".\"'")), found["number"]
         before = value[max(found.start() - 60, 0) : found.start()]
-        groups = _THOUSANDS.search(before) if re.match(r"\d{3}(?!\d)", number) else None
-        is_none = _NO_AMOUNT.search(before + number[: number[0] in "+-−"]) and not groups
+        groups = PATTERNS.thousands.search(before) if re.match(r"\d{3}(?!\d)", number) else None
+        is_none = PATTERNS.no_amount.search(before + number[: number[0] in "+-−"]) and not groups
         if is_none or unit is None or unit.quantity != quantity:
             continue
         values, ways = [], [f"{groups[2]} {number}", number] if groups else [number]
@@ -103,21 +94,12 @@ def number_with_unit(text: str, quantity: str) -> float | None:
     return None
 
 
-_DESCRIPTION = re.compile(WORDS["description"], re.IGNORECASE)
-# T1, T_wire, TWire and Tamb; Test and Torque are words.
-_LONE_T = re.compile(
-    r"[tT](?:[cCsSrR]?\d*|[\s_](?:[a-zA-Z]{1,9})?\d*|[A-Z][a-zA-Z]{0,8}\d*"
-    r"|(?:air|amb|cold|draht|env|hot|probe|room|sample|tip|wire)\d*)\Z")
-
-
 def plain_title(title: str) -> str:
-    """A title in lower case without accents."""
     folded = unicodedata.normalize("NFKD", title.replace("ß", "ss"))
     return "".join(c for c in folded if not unicodedata.combining(c)).lower()
 
 
 def words_of(title: str) -> list[str]:
-    """The words of a title, plain."""
     return re.findall(r"[^\W\d_]+", plain_title(re.sub(r"(?<=[a-z])(?=[A-Z])", " ", title)))
 
 
@@ -137,10 +119,10 @@ def title_meanings(title: str) -> tuple[str, ...]:
             return ("counter",)
         joined = " ".join(["", *words])
         for row in WORDS["titles"]:
-            is_part = any(part in joined for part in row.get("parts", ()))
-            if is_part or set(words) & set(row.get("words", ())):
+            parts = (part for part in row.get("parts", ()) if part in joined)
+            if any(parts) or set(words) & set(row.get("words", ())):
                 return tuple(row["means"])
-        if _LONE_T.match(text):
+        if PATTERNS.lone_t.match(text):
             return ("ambient",) if room else ("temperature",)
     return ()
 
@@ -158,26 +140,20 @@ def meanings(title: str, unit: str) -> tuple[str, ...]:
         return meant
     if known.quantity == "ratio" and any(word in plain_title(title) for word in WORDS["stretch"]):
         return ("strain",)
-    fitting = tuple(m for m in meant if fits(m, known.quantity))
+    if fitting := tuple(m for m in meant if fits(m, known.quantity)):
+        return fitting
     is_open = not meant or len(title) == 1 or meant[0] in ("ambient", "supply")
-    told = (q for q, row in QUANTITIES.items() if row.get("by_unit") and fits(q, known.quantity))
-    return fitting or (tuple(told) if is_open else ())
-
-
-# A factor behind the unit, or one of ten anywhere: (V) x2, *1000 (A), [x10 mA], (MPa)/10.
-_FACTOR = re.compile(
-    r"(?<=[)\]}])\s?[x×*·÷/]\s?\d[^\s)]*|/\s?10+(?![^\W_])|(?<![\w.,])10+\s?[x×*](?![^\W_])|"
-    r"(?:(?<![\w.,])(?<!\d\s)[x×]|[×*·÷])\s?(?:10+|0[.,]0*1|10?[eE^][+\-−]?\d+|10[⁻¹-⁹]+)(?![^\W_])"
-)
+    return tuple(q for q, row in QUANTITIES.items()
+                 if is_open and row.get("by_unit") and fits(q, known.quantity))
 
 
 @lru_cache(maxsize=4096)
 def split_title(title: str, below: str = "") -> tuple[str, str]:
-    """Title and unit: that in the row `below`, if any, else in brackets, after a slash or comma, or
-    after an underscore or blank if it fits what the title says or is no single letter (LVDT_A is no
-    current, T_f no Fahrenheit). With a factor, for or against which nothing speaks, not known."""
+    """Title and unit: of the row `below`, in brackets, after a slash or comma, or after an
+    underscore or blank if it fits the title (LVDT_A is no current). One with a factor is not
+    known."""
     text = " ".join(title.split())
-    if len(text) < 200 and (factor := _FACTOR.search(text)):
+    if len(text) < 200 and (factor := PATTERNS.factor.search(text)):
         name, unit = split_title(f"{text[: factor.start()]} {text[factor.end() :]}", below)
         return name, f"{unit} {factor[0].strip()}".strip()
     if below:
@@ -192,9 +168,9 @@ def split_title(title: str, below: str = "") -> tuple[str, str]:
         if first is not None and first.quantity in ("length", "force", "power"):
             return text[: both.start()].strip("_ "), both[1]
     for mark in (" / ", "/", ",", "_", " in ", " "):
-        name, cut, unit = text.partition(mark) if mark == " / " else text.rpartition(mark)
-        name, unit = name.strip(), unit.strip()
-        known = parse_unit(unit) if cut and name else None
+        parted = text.partition(mark) if mark == " / " else text.rpartition(mark)
+        name, cut, unit = map(str.strip, parted)
+        known = parse_unit(unit) if name else None
         is_open = any(name.count(mark) != name.count(end) for mark, end in ("()", "[]", "{}"))
         is_side = mark == "_" and len(name) == 1 and unit.lower() in ("f", "b")
         if known is None or is_open or is_side or unit.lower() == "adc":  # counts of a converter
@@ -203,26 +179,20 @@ def split_title(title: str, below: str = "") -> tuple[str, str]:
         sure = mark in (" / ", "/", ",") or any(fits(m, known.quantity) for m in meant)
         if sure or (not meant and unit.lower() not in WORDS["no_units"] and mark != " "):
             return name, unit
-    if found and not _DESCRIPTION.match(found[-1][1].strip()) and not text.startswith(("(", "[")):
-        return text[: found[-1].start()].rstrip(" ,_/"), found[-1][1].strip()
+    unit = found[-1][1].strip() if found else ""
+    if found and not PATTERNS.description.match(unit) and not text.startswith(("(", "[")):
+        return text[: found[-1].start()].rstrip(" ,_/"), unit
     return text, ""
 
 
-# --- numbers and moments
-
 MISSING = frozenset(WORDS["missing"])
-_GROUPING = r"[ \u00a0\u202f'’]"  # signs of thousands that are no decimal signs
-_NUMBER = re.compile(
-    r"(?P<sign>[+\-−–]?)\s?(?P<body>\d{1,3}(?:(?P<t>[ \u00a0\u202f'’.,])\d{3})(?:(?P=t)\d{3})*+"
-    r"(?:[.,]\d*+)?|\d++(?:[.,]\d*+)?+|[.,]\d++)(?P<power>[eEdD][+\-−]?\d{1,3})?"
-    r"(?:\s*(?P<unit>[^\W\d_%°µμ]{1,12}[^\s\d]{0,6}|[%°µμ][^\s\d]{0,4}))?\Z")
 _SHAPE = str.maketrans("23456789", "11111111")
 
 
 @lru_cache(maxsize=65536)
 def _parts(cell: Any) -> tuple[str, str, str] | None:
     """Number with its marks, power and unit; None for other text."""
-    found = _NUMBER.match(cell) if isinstance(cell, str) else None
+    found = PATTERNS.number.match(cell) if isinstance(cell, str) else None
     unit = found["unit"] or "" if found else ""
     if found is None or (unit and unit not in WORDS["prefixes"] and parse_unit(unit) is None):
         return None
@@ -253,7 +223,7 @@ def decimal_signs(cells: Iterable[Any]) -> set[str]:
         body = (_parts(shape) or ("",))[0].lstrip("-")
         marks = re.findall("[.,]", body)
         whole, _, digits = body.rpartition(marks[-1]) if marks else ("", "", "")
-        if len(set(marks)) == 2 or re.search(_GROUPING, whole):
+        if len(set(marks)) == 2 or PATTERNS.grouping.search(whole):
             shown.add(marks[-1])
         elif len(marks) > 1:
             shown.add("," if marks[-1] == "." else ".")
@@ -281,14 +251,11 @@ def decimal_of(label: str, shown: set[str], everywhere: set[str], cells: Sequenc
     raise InputError(said("open_sign", label=label, cell=min(marked)))
 
 
-_DOTTED = re.compile(r"[+-]?(?:(?P<dot>[1-9]\d{0,2}\.\d{3})|(?P<bare>\d{1,3}))\Z")
-
-
 def _may_count(cells: Sequence[Any]) -> bool:
     """Whether the dots of a column may be of thousands: 985 and 1.069, and no other form."""
     forms: set[Any] = set()
     for cell in cells:
-        form = _DOTTED.match(cell) if isinstance(cell, str) else None
+        form = PATTERNS.dotted.match(cell) if isinstance(cell, str) else None
         if form is None and str(cell).lower() not in MISSING:
             return False
         forms.add(form and form.lastgroup)
@@ -325,7 +292,7 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
     for cell in set(cells):
         body, power, text = parts.get(cell, ("", "", "none"))
         if text in factors:
-            body = re.sub(_GROUPING, "", body).replace(thousand, "").replace(",", ".")
+            body = PATTERNS.grouping.sub("", body).replace(thousand, "").replace(",", ".")
             with contextlib.suppress(ValueError):
                 read[cell] = float(body + power) * factors[text]
         elif cell not in parts and (kind := cell_kind(cell)) in ("", "n"):
@@ -337,19 +304,12 @@ def numbers_of(cells: Sequence[Any], decimal: str, unit: str) -> tuple[Array, st
 
 def in_units(values: Array, texts: Sequence[Any]) -> tuple[Array, str] | None:
     """Values (n,) of which each has its unit, in the first one, and that; None if they differ."""
-    known = [parse_unit(str(text)) for text in texts]
-    first, factors = known[0], [unit.factor for unit in known if unit]
-    if first is None or any(u is None or u[::2] != first[::2] for u in known):
+    known = [unit for text in texts if (unit := parse_unit(str(text)))]
+    if len(known) < len(texts) or len({unit[::2] for unit in known}) > 1:
         return None
-    return values * np.array(factors) / first.factor, str(texts[0])
+    return values * np.array([unit.factor for unit in known]) / known[0].factor, str(texts[0])
 
 
-_MOMENT = re.compile(
-    r"(?:(?P<date>(?P<a>\d{1,4}|[^\W\d_]{3,10})\.?(?P<mark>[-/. ]+)(?P<b>\d{1,2}|[^\W\d_]{3,10})\.?"
-    r"[-/., ]+(?P<c>\d{2}|\d{4}))(?:[T,\s]+|\Z))?"
-    r"(?:(?P<h>\d{1,4}):(?P<m>[0-5]\d)(?::(?P<s>[0-5]\d))?(?:[.,:](?P<broken>\d{1,9}))?"
-    r"\s*(?P<half>[AaPp]\.?[Mm]\.?)?\s*(?P<zone>Z|UTC|GMT|[+-]\d{2}:?\d{2})?)?\Z")
-_ISO = re.compile(r"(?:19[7-9]|20|21)\d\d?-\d\d-\d\d[ T]\d\d:\d\d:\d\d(?:\.\d+)?\Z")
 _MONTHS = {name: k for k, names in enumerate(WORDS["months"], 1) for name in names}
 _DAY, _HOLE = 86_400.0, 14.0  # s; days that a run does not pause
 _EPOCH, _LAST_DAY = date(1970, 1, 1).toordinal(), date(2199, 12, 31).toordinal()
@@ -367,11 +327,11 @@ class Moment(NamedTuple):
 @lru_cache(maxsize=65536)
 def moment_of(cell: Any) -> Moment | None:
     """The moment that a cell writes, None for other text."""
-    found = _MOMENT.match(cell.strip()) if isinstance(cell, str) and 4 <= len(cell) <= 40 else None
+    is_text = isinstance(cell, str) and 4 <= len(cell) <= 40
+    found = PATTERNS.moment.match(cell.strip()) if is_text else None
     if found is None or not found[0]:
         return None
     written, a, mark, b, c, h, m, s, broken, half, zone = found.groups()
-    # Year, month and day in the orders that may be meant.
     orders: list[tuple[str, Any, str]] = []
     year, days = f"20{c}"[-4:] if written else "", [math.nan, math.nan]
     if written and a.isdigit() != b.isdigit():  # a month by its name
@@ -389,19 +349,18 @@ def moment_of(cell: Any) -> Moment | None:
     if h is None:
         return Moment(both, None)
     hours = int(h) % 12 + 12 * (half[0] in "pP") if half else int(h)
-    is_short = not s and not written and not half  # mm:ss or hh:mm
+    is_short = not s and not written and not half  # mm:ss or hh:mm; mm:ss.s leaves no doubt
     total = (hours * 60.0 + int(m)) * (1.0 if is_short else 60.0) + float(f"{s or 0}.{broken or 0}")
     if zone and zone[0] in "+-":
         total -= float(f"{zone[0]}60") * (60 * int(zone[1:3]) + int(zone[-2:]))
-    fields = 3 if not is_short else 1 if broken else 2  # mm:ss.s leaves no doubt
-    return Moment(both, total, fields, bool(half))
+    return Moment(both, total, 3 if not is_short else 1 if broken else 2, bool(half))
 
 
 def moments_of(cells: Sequence[Any],
                dates: Sequence[Any] | None = None) -> tuple[Array, float | None, int, str] | None:
-    """Seconds (n,) since the first cell, NaN where missing; its epoch if the cells or `dates` say
+    """Seconds (n,) since the first cell, NaN where missing; its epoch where cells or `dates` say
     one; the fewest fields of a clock; and a remark. None where a cell is no moment."""
-    if dates is None and _ISO.match(str(cells[0])):
+    if dates is None and PATTERNS.iso.match(str(cells[0])):
         with contextlib.suppress(ValueError):  # of what is written otherwise
             stamps = np.array(cells, dtype="datetime64[ns]").astype(np.int64)
             seconds = np.where(stamps == stamps.min(initial=0), np.nan, (stamps - stamps[0]) / 1e9)

@@ -1,7 +1,6 @@
 """What a record holds, and can it be trusted? Order, gaps, clocks, units, saturation, absences."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -13,27 +12,21 @@ from sma_bench.border import read_yaml
 from sma_bench.findings import Finding
 from sma_bench.records.record import Record, Signal, first_order_lag, has_samples, held_at, samples
 
-# At 5 % random losses ten in a row do not happen; a stalled driver does.
-_GAP_PERIODS = 10
+_GAP_PERIODS = 10  # of random losses ten in a row do not happen; a stalled driver does
 _LOSS_TOLD, _LOSS_WARNED = 0.02, 0.2  # shares of the samples
 CLOCK_TOLERANCE, DRIFT_TOLERANCE, _FUTURE_TOLERANCE = 0.1, 0.05, 0.01  # s
-# s; a step of a protocol is longer, a delay that grows at once shrinks with every message.
-_JUMP, _TURN, _FEW_TURNS = 0.5, 1.0, 5
 # Of a period that steps differ from whole ones; samples; of readings against their voltage's sign.
 _IRREGULAR, _FLAT_SAMPLES, _AGAINST = 0.1, 20, 0.9
 # Standard deviations, share of the usual range, that one reading is off its neighbours; most such.
 _OUTLYING, _OUT_OF_RANGE, _MOST_OUTLIERS = 12.0, 0.05, 5
-# Of the range within a sample, which neither heat nor a beam does, and of all readings.
-_DROP, _MOST_DROPPED = 0.2, 0.1
+# Of the range within a sample, which neither heat nor a beam does, of all readings; of last digits.
+_DROP, _MOST_DROPPED, _FEW_STEPS = 0.2, 0.1, 3
 DROPS_OUT = ("temperature", "deflection", "range")
-_FEW_STEPS = 3  # of the reading's last digit
 FEWEST, _TICKS = 50, 0.01  # samples; share of receive times that repeat
 _ENTRY_SAMPLES, _ENTRY_FRACTION = 3, 0.01  # before a flat stretch; of the signal's range
 _TEXTS: dict[str, Any] = read_yaml(Path(__file__).with_suffix(".yaml"))
 _SENSE = _TEXTS.pop("sense")
 _MECHANICS = ("deflection", "elongation", "force", "front.range", "back.range")
-_READ = ("temperature", "elongation", "deflection", "force")
-_FEWEST_LEVELS, _MOST_LEVELS, _SAMPLES_A_LEVEL = 3, 100, 5  # of a coarse reading
 
 
 def check_record(record: Record) -> list[Finding]:
@@ -62,7 +55,7 @@ def kind_of(name: str) -> str:
 
 
 def _values(record: Record) -> Iterator[Finding]:
-    """Order, missing values, those that no bench has, a reversed current sensor, coarse steps."""
+    """Order, missing values, those that no bench has, a reversed current sensor."""
     for name, signal in record.signals.items():
         kind, unit, off = kind_of(name), signal.unit, outliers(signal)
         steps = np.diff(signal.time)
@@ -70,7 +63,6 @@ def _values(record: Record) -> Iterator[Finding]:
         if backward or repeated:
             yield said("order", name, backward=backward, duplicates=repeated)
         finite = signal.values[np.isfinite(signal.values)]
-        levels = np.unique(finite)
         if missing := signal.values.size - len(finite):
             yield said("holes", name, count=missing, of=signal.values.size)
         if kind == "current" and (share := against_voltage(record, signal)):
@@ -86,12 +78,6 @@ def _values(record: Record) -> Iterator[Finding]:
             if not (least[0] <= low <= least[1] and most[0] <= high <= most[1]):
                 yield said(key, name, low=low, high=high, unit=unit, hint=hint)
                 break
-        if kind in _READ and _FEWEST_LEVELS < len(levels) < _MOST_LEVELS:
-            step = float(np.diff(levels).min())
-            apart = np.diff(levels) / step
-            is_even, of = np.abs(apart - np.rint(apart)).max() < _IRREGULAR, len(signal)
-            if is_even and of > _SAMPLES_A_LEVEL * len(levels):
-                yield said("coarse", name, resolution=step, unit=unit, levels=len(levels), of=of)
 
 
 def against_voltage(record: Record, current: Signal) -> float:
@@ -108,8 +94,8 @@ def against_voltage(record: Record, current: Signal) -> float:
 
 
 def outliers(signal: Signal) -> IntArray:
-    """Where single readings of a sensor lie far off both neighbours, which agree, unless these are
-    many, or it drops out for some, all of one value. Commands, voltages and currents may pulse."""
+    """Where single readings lie far off both neighbours, which agree, unless many do, or a sensor
+    drops out for some, all of one value. Commands, voltages and currents may pulse."""
     values, none = signal.values, np.zeros(0, dtype=np.int64)
     pulses = signal.name.endswith(("voltage", "voltage_command", "current"))
     if values.ndim != 1 or len(values) < FEWEST or pulses or not np.isfinite(values).all():
@@ -117,7 +103,6 @@ def outliers(signal: Signal) -> IntArray:
     off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     apart = np.abs(values[2:] - values[:-2])
     low, high = np.quantile(values, [0.01, 0.99])
-    # A reading of few digits flickers by a step.
     least = max(_OUT_OF_RANGE * float(high - low), _FEW_STEPS * _resolution(values))
     least = max(_OUTLYING * float(np.median(off)) / 0.6745, least)
     found = np.flatnonzero((off > least) & (apart < 0.25 * off)) + 1 if least > 0.0 else none
@@ -145,8 +130,7 @@ def _resolution(values: Array) -> float:
 
 
 def _rate(record: Record) -> Iterator[Finding]:
-    """Gaps and losses; signals of one clock have them in common and share a remark."""
-    shared: dict[str, tuple[Finding, list[str]]] = {}
+    """Gaps and losses."""
     for name, signal in record.signals.items():
         period = signal.period
         if len(signal) < 10 or name == "voltage_command" or not period > 0:
@@ -155,29 +139,22 @@ def _rate(record: Record) -> Iterator[Finding]:
         # An irregular clock has no period that samples could be missing at.
         is_irregular = np.median(np.abs(steps / period - np.rint(steps / period))) > _IRREGULAR
         gaps = steps > _GAP_PERIODS * (np.percentile(steps, 95) if is_irregular else period)
-        found = []
         if gaps.any():
             k = int(np.argmax(steps))
             longest = {"longest": steps[k], "at": signal.time[k], "periods": _GAP_PERIODS}
-            found.append(said("gaps", name, gaps=int(gaps.sum()), **longest))
+            yield said("gaps", name, gaps=int(gaps.sum()), **longest)
         lost = float(np.sum(np.maximum(np.rint(steps[~gaps] / period) - 1, 0)))
         share = lost / (lost + len(signal))
         if is_irregular:
-            rate = (len(steps) - gaps.sum()) / steps[~gaps].sum()
-            found.append(said("irregular", name, rate=rate))
+            yield said("irregular", name, rate=(len(steps) - gaps.sum()) / steps[~gaps].sum())
         elif share > _LOSS_TOLD:
             key = "many_lost" if share > _LOSS_WARNED else "few_lost"
-            found.append(said(key, name, fraction=share, percent=100 * share, hertz=1 / period))
-        for finding in found:
-            shared.setdefault(finding.text, (finding, []))[1].append(name)
-    for finding, names in shared.values():
-        beside = f"; of {', '.join(names[1:])} too" if names[1:] else ""
-        yield replace(finding, text=finding.text + beside)
+            yield said(key, name, fraction=share, percent=100 * share, hertz=1 / period)
 
 
 def delays_of(record: Record) -> dict[str, tuple[float, float]]:
-    """Median of receive time minus stamp, and its growth from the first tenth to the last, in s by
-    signal; none of a simulated clock, whose ticks repeat and tell how busy the computer was."""
+    """Median of receive time minus stamp and its growth over the record, in s by signal; none of a
+    simulated clock, whose ticks tell how busy the computer was."""
     received = {n: s.received for n, s in record.signals.items()
                 if s.received is not None and len(s.received) == len(s) > 0}
     ticks = [np.mean(np.diff(r) < 1e-9) for r in received.values() if len(r) >= FEWEST]
@@ -190,7 +167,7 @@ def delays_of(record: Record) -> dict[str, tuple[float, float]]:
 
 
 def _clocks(record: Record) -> Iterator[Finding]:
-    """Topics whose receive times minus stamps differ from the others' or drift; two /clocks."""
+    """Topics whose receive times minus stamps differ from the others' or drift."""
     of_signals = delays_of(record).items()
     delays = {record[name].topic or name: d for name, d in of_signals if name != "voltage_command"}
     common, common_drift = np.median([*delays.values()] or [(0.0, 0.0)], axis=0).tolist()
@@ -204,22 +181,6 @@ def _clocks(record: Record) -> Iterator[Finding]:
             yield said("clock_drifts", topic, drift=drift)
         elif -1.0 < median < -_FUTURE_TOLERANCE:
             yield said("future", topic, ahead=-median, offset=median)
-    for signal in record.signals.values():
-        if signal.received is None:
-            continue
-        # One clock, however late its ticks are heard, never goes back.
-        steps, back = np.diff(signal.received - signal.time), np.diff(signal.received)
-        jumps = np.abs(steps[np.abs(steps) > _JUMP])
-        turns = min(int(np.sum(steps > _JUMP)), int(np.sum(back < -_JUMP)))
-        if turns > _FEW_TURNS:
-            of = signal.topic or signal.name
-            yield said("two_clocks", of, turns=turns, jump=np.median(jumps))
-    between = zip(record.markers, record.markers[1:], record.markers[2:], strict=False)
-    turns = sum(a[1] == c[1] != b[1] and c[0] - a[0] < _TURN for a, b, c in between)
-    # Where stamps keep pace with a recorder that no ticks have driven there is no /clock.
-    if turns > _FEW_TURNS and not (delays and abs(common_drift) <= DRIFT_TOLERANCE):
-        facts = {"turns": turns, "steps": len(record.markers), "within": _TURN}
-        yield said("two_runs", "experiment/marker", **facts)
 
 
 def _saturation(record: Record) -> Iterator[Finding]:
@@ -245,9 +206,8 @@ def _saturation(record: Record) -> Iterator[Finding]:
 
 
 def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
-    """Samples in flat stretches at an extreme that the signal ran into at speed (one that settles
-    slows down before), or of a signal whose noise never lets it be flat. A current jumps with its
-    voltage, so for it flat means flat while the voltage moves."""
+    """Samples in flat stretches at an extreme that a signal ran into at speed or whose noise would
+    not let it be flat; of a current, flat while its voltage moves."""
     values, found = signal.values, [np.zeros(0, dtype=np.int64)]
     if extreme == values[0] and signal.name in _MECHANICS:
         return found[0]  # at rest, where it began
@@ -291,8 +251,7 @@ _LEAST_DRIVE, _LEAST_MISSING, _LEAST_RESPONSE = 0.1, 1.0, 25.0  # V; s; variance
 
 
 def check_response(record: Record) -> Iterator[Finding]:
-    """Readings that do not follow their voltages: runs, channels or signs swapped, clocks apart, or
-    voltages that ended early."""
+    """Readings that do not follow their voltages: swapped, of other clocks, or cut short."""
     volts = {c: f"{c}.voltage" for c in record.channels if has_samples(record, f"{c}.voltage")}
     reach = {c: float(np.ptp(samples(record, name)[1])) for c, name in volts.items()}
     driven = [channel for channel, span in reach.items() if span > _LEAST_DRIVE]
@@ -343,7 +302,6 @@ def check_response(record: Record) -> Iterator[Finding]:
 
 
 def _heat(record: Record, voltage: str, grid: Array) -> Array:
-    """Volts squared, held from reading to reading, on a grid (n,) s."""
     return held_at(*samples(record, voltage), grid) ** 2
 
 

@@ -78,9 +78,9 @@ def inside(topic: str, namespace: str | None) -> bool:
 
 def choose_topics(where: str,
                   counts: Mapping[tuple[str, str], int]) -> tuple[dict[str, str], list[Finding]]:
-    """The topic that carries each meaning (`wire/power`), of the expected type, and remarks.
-    `where`: the bag's name for messages; `counts`: messages by (topic, type). Raises InputError:
-    two topics carry one meaning, or one of the bench's has another type than the contract's."""
+    """The topic of `counts` (messages by topic and type) that carries each meaning, and remarks.
+    InputError: two carry one meaning, or one of the bench's has another type than the
+    contract's."""
     chosen: dict[str, str] = {}
     places = [(*key, place) for key in counts if (place := place_of(key[0]))]
     for topic, msgtype, place in places:

@@ -1,9 +1,7 @@
-"""From columns of another logger to signals of the contract: a map says for each signal which
-column it is, in which unit, on which clock, and how its zero and sign are to be read. `propose`
-makes one, with a question wherever titles, units and ranges leave room; `convert` follows it."""
+"""From columns of another logger to signals of the contract: a map says which column each is, in
+which unit, on which clock, with which zero and sign; `propose` makes one, with its questions."""
 
 import contextlib
-import hashlib
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,20 +20,17 @@ from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.records import cells, contract
-from sma_bench.records.cells import QUANTITIES, WORDS, Unit, parse_unit, said
+from sma_bench.records.cells import PATTERNS, QUANTITIES, WORDS, Unit, parse_unit, said
 from sma_bench.records.record import Record, Signal, ohms_of_source
 from sma_bench.records.tables import Account, Column, TableFile, read_table_file
 
-ASK = "ask"
-ROWS = "row number"  # the clock of a table without one; its unit is the period, "0.1 s"
+ASK, ROWS = "ask", "row number"  # the clock of a table without one, in periods, "0.1 s"
 _MOVES, _DRIVES = {"elongation", "deflection", "force"}, {"voltage", "current"}
 _LITTLE = 0.02  # beyond 0 to 1 that a duty may be read; of the largest drive that drives nothing
 _FORMS = {"voltage": ("rms", "mean", "duty", "power"), "current": ("rms", "mean", "peak")}
 _DIRECT = ("rms", "power")  # not of a switched supply
-_SIGNAL = re.compile(r"(?!ask\b|voltage_command)[A-Za-z][A-Za-z0-9_]{0,40}(\.[a-z]+)?\Z")
-_WORD = re.compile(r"\d+|[A-Z]+(?![^\W\d_A-Z])|[A-Z]?[^\W\d_A-Z]+")  # leftV: left, V
-_CLEAR = 3.0  # times as far one way as the other
-_AT_REST = 0.1  # of all its way, what a position scatters before the first drive
+# Times as far one way as the other; of all its way, a position's scatter before the first drive.
+_CLEAR, _AT_REST = 3.0, 0.1
 _UNKNOWN = "its title and unit say nothing of a bench"
 _MOST = 1e9  # that a number of a map may be, in its unit
 _Number = Annotated[float, msgspec.Meta(ge=-_MOST, le=_MOST)]
@@ -43,8 +38,8 @@ _Positive = Annotated[float, msgspec.Meta(gt=0.0, le=_MOST)]
 
 
 class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """How one signal comes from a column: sign * (scale * column in its unit + offset) - reference,
-    which is in SI or "rest" before the first drive. What a proposal asks is "ask"."""
+    """One signal: sign * (scale * column in its unit + offset) - reference, in SI or "rest" before
+    the first drive. What a proposal asks is "ask"."""
 
     signal: str  # of the contract
     column: str  # as the file has it
@@ -54,7 +49,6 @@ class Entry(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defaul
     offset: _Number = 0.0  # in SI
     sign: Literal[1, -1, "ask"] = 1
     reference: _Number | Literal["rest", "none"] = "none"
-    # rms or direct; watts in place of volts; else of a switched supply
     form: Literal["rms", "mean", "duty", "peak", "power"] = "rms"
 
     @property
@@ -99,18 +93,17 @@ def map_text(made: ImportMap, table: TableFile, remarks: Mapping[str, str]) -> s
 
 
 def read_map(path: str | Path) -> ImportMap:
-    """The map of a file; raises InputError for what is no map, or still to be filled in."""
+    """The map of a file. InputError: it is none, or still to be filled in."""
     try:
         made = msgspec.convert(read_yaml(path), ImportMap)
     except msgspec.ValidationError as error:
         raise InputError(f"{path}: not a map: {printable(str(error))}") from None
-    period = "a unit of time, or of rows a period such as 0.1 s"
-    rules: Any = [(f"time: {c}: unit", t, 0.0 < made.tick(c) < _MOST, period)
-                  for c, t in made.time.items()]  # fmt: skip
+    rules: Any = [(f"time: {clock}: unit", unit, 0.0 < made.tick(clock) < _MOST, "a unit of time, "
+                   "or of rows a period such as 0.1 s") for clock, unit in made.time.items()]
     names = [entry.signal for entry in made.signals]
     for k, entry in enumerate(made.signals, 1):
         where = f"signals: {k} ({printable(entry.signal)}): "
-        in_si = contract.unit_of(entry.signal) if _SIGNAL.match(entry.signal) else None
+        in_si = contract.unit_of(entry.signal) if PATTERNS.signal.match(entry.signal) else None
         known, forms = parse_unit(in_si or ""), _FORMS.get(entry.kind, ("rms",))
         in_place = {"duty": "ratio", "power": "power"}.get(entry.form)
         quantity = in_place or (known.quantity if known else "")
@@ -140,9 +133,8 @@ class _Samples(NamedTuple):
 
 
 def convert(table: TableFile, made: ImportMap, path: Path) -> tuple[Record, list[str]]:
-    """The record at a path, from a table by its map, and a sentence on each signal. Clocks keep
-    their offsets to each other, rows that share a stamp are spread over it. Raises InputError for a
-    column that is not there, a clock that goes back or stands still, a duty beyond 1, no values."""
+    """The record at a path, from a table by its map, and a sentence on each signal. InputError: a
+    column is not there, a clock goes back or stands still, a duty is beyond 1, or no values."""
     read, base = _read(table, made)
     first = min(float(samples.time[0]) for samples in read.values())
     # Of a switched supply: the direct volts, then amperes of the same heat, duty * supply^2.
@@ -261,7 +253,7 @@ def account_of(table: TableFile, made: ImportMap, remarks: Mapping[str, str],
 
 
 def record_of_table(path: str | Path, bench: Parameters, stated: Mapping[str, str]) -> Record:
-    """The record of a logger's table; raises InputError for no table, or one with a question."""
+    """The record of a logger's table. InputError: it is none, or one with a question."""
     table = read_table_file(path)
     made, questions, remarks = propose(table, bench, stated)
     if questions:
@@ -272,11 +264,11 @@ def record_of_table(path: str | Path, bench: Parameters, stated: Mapping[str, st
 
 def propose(table: TableFile, bench: Parameters,
             stated: Mapping[str, str]) -> tuple[ImportMap, list[str], dict[str, str]]:
-    """A map of a table, questions on what is unsure about it, and remarks by column. Units that are
-    `stated` of columns go before titles; raises InputError for a column that is not there."""
+    """A map of a table, with units `stated` of its columns, questions and remarks by column.
+    InputError: a column is not there."""
     require_columns(table, stated)
     columns = [replace(c, unit=stated[c.name], fields=0) if stated.get(c.name) else c
-               for c in table.columns]  # fmt: skip
+               for c in table.columns]
     proposal = _Proposal(bench)
     ask, remarks = proposal.ask, proposal.remarks
     meant = {column.name: proposal.meaning(column) for column in columns}
@@ -287,7 +279,6 @@ def propose(table: TableFile, bench: Parameters,
         for name in [name for name, meaning in meant.items() if meaning in unused]:
             meant[name], remarks[name] = "", said("not_driving", drive=drive)
     clocks = [column for column in columns if meant[column.name] == "time"]
-    # One column a signal; that there are two is asked.
     entries: dict[str, Entry] = {}
     for column in columns:
         name, meaning = column.name, meant[column.name]
@@ -298,7 +289,6 @@ def propose(table: TableFile, bench: Parameters,
                 ask(name, "which_one", other=other.column, signal=entry.signal)
     found = tuple(entries.values())
     kinds, ticking = {entry.kind for entry in found}, {entry.clock for entry in found}
-    # Clocks, volts of a switched supply, and how an angle moves the wire.
     time = {c.name: proposal.unit(c, "time") for c in clocks if c.name in ticking}
     if ROWS in ticking:
         time[ROWS] = ask(ROWS, "no_clock", titles=", ".join(c.name for c in columns[:12]))
@@ -315,8 +305,7 @@ def propose(table: TableFile, bench: Parameters,
     ignored = tuple(column.name for column in columns if column.name not in taken)
     unknown = [name for name in ignored if remarks.get(name) == _UNKNOWN]
     rest = ", ".join(map(repr, unknown[:8])) or "no others"
-    is_clamped = "temperature" in kinds or kinds >= _DRIVES
-    if not kinds & _MOVES and (unknown or not is_clamped):
+    if not kinds & _MOVES and (unknown or not ("temperature" in kinds or kinds >= _DRIVES)):
         ask("signals", "no_position", rest=rest)
     if not kinds & _DRIVES and not kinds >= {"elongation", "force"}:
         ask("signals", "no_drive", rest=rest)
@@ -363,8 +352,8 @@ class _Proposal:
     def channels_of(self, column: Column) -> list[str]:
         """Channels that a title names, as whole words: r is none of current."""
         names, title = self.bench["bench.channels"], cells.split_title(column.name)[0]
-        texts = (" ".join(_WORD.findall(text)) for text in (f"{column.title} {title}", *names))
-        whole, *own = (f" {text.lower()} " for text in texts)
+        parted = map(PATTERNS.word.findall, (f"{column.title} {title}", *names))
+        whole, *own = (f" {' '.join(words).lower()} " for words in parted)
         return [name for name, text in zip(names, own, strict=True) if text in whole]
 
     def meaning(self, column: Column) -> str:
@@ -399,7 +388,7 @@ class _Proposal:
         fitting = [c for c in clocks if c.table == column.table]
         if len({c.group for c in fitting}) > 1:
             near = {c: (c.group == column.group, len(os.path.commonprefix([c.name, column.name])))
-                    for c in fitting}  # fmt: skip
+                    for c in fitting}
             fitting = [c for c in fitting if near[c] == max(near.values())]
         if not fitting:
             return ROWS
@@ -452,9 +441,8 @@ class _Proposal:
         finite = column.values[np.isfinite(column.values)]
         low, high = float(finite.min()), float(finite.max())
         rest = float(np.median(finite[: max(3, len(finite) // 100)]))
-        share = (high - low) / length if length else np.nan
-        seen = {"time": low, "temperature": rest, "ambient": rest, "length": share}.get(
-            meaning, max(abs(low), abs(high)))  # fmt: skip
+        seen = {"time": low, "temperature": rest, "ambient": rest,
+                "length": (high - low) / (length or np.nan)}.get(meaning, max(abs(low), abs(high)))
         guess = next((str(u) for u, (a, b) in row.get("guess", {}).items() if a <= seen <= b), "")
         if known is None and (unit or not guess):
             return self.ask(name, "unknown_unit" if unit else "no_unit", span=span, unit=unit)
@@ -522,12 +510,8 @@ def runs_of(file: TableFile) -> list[tuple[str, TableFile]]:
 def together(files: Sequence[TableFile]) -> TableFile:
     """Files of one run as one file, whose columns are named after them."""
     tables = []
-    for file in files:
-        stem = file.path.stem
-        for table in file.tables:
-            columns = tuple(replace(c, name=f"{stem}: {c.name}", group=stem) for c in table.columns)
-            ignored = {f"{stem}: {name}": reason for name, reason in table.ignored.items()}
-            tables.append(replace(table, columns=columns, ignored=ignored))
-    digest = hashlib.sha256("".join(file.sha256 for file in files).encode()).hexdigest()
+    for stem, table in ((file.path.stem, table) for file in files for table in file.tables):
+        columns = tuple(replace(c, name=f"{stem}: {c.name}", group=stem) for c in table.columns)
+        tables.append(replace(table, columns=columns))
     outside = [f"{file.path.name}: {line}" for file in files for line in file.outside]
-    return replace(files[0], sha256=digest).with_tables(tables, outside)
+    return replace(files[0], sha256=" ".join(f.sha256 for f in files)).with_tables(tables, outside)

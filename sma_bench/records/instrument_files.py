@@ -1,10 +1,8 @@
-"""Files of instruments: runs of differential scanning calorimeters, isobaric tests (strain of a
-specimen under constant stress while its temperature cycles) and tensile ones.
+"""Files of calorimeters (PerkinElmer, TA, Netzsch, Mettler, Setaram, or anybody's table of time,
+temperature and heat flow), isobaric tests (strain at one stress, temperature cycled), tensile ones.
 
-Of a calorimeter, text exports of PerkinElmer, TA, Netzsch, Mettler and Setaram are read, and
-anybody's table of time, temperature and heat flow. Titles have units, which TA's Universal Analysis
-writes as lines `Sig1 ...`; Pyris (PerkinElmer) writes a block a step under titles ("2) DSC
-Temperature Scan") whose columns are known. Others' steps are cut where the measured rate turns."""
+TA's Universal Analysis writes titles as lines `Sig1 ...`; Pyris (PerkinElmer) a block a step, "2)
+DSC Temperature Scan", of known columns. Others' steps are cut where the measured rate turns."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -15,38 +13,20 @@ from typing import Any
 import numpy as np
 
 from sma_bench.arrays import Array
-from sma_bench.border import decoded_lines, read_bytes
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding, Severity
 from sma_bench.records import cells, instruments
-from sma_bench.records.cells import QUANTITIES, WORDS, parse_unit, plain_title
+from sma_bench.records.cells import PATTERNS, QUANTITIES, WORDS, parse_unit, plain_title
 from sma_bench.records.instruments import DscRecord, DscSegment, IsobaricRecord, TensileRecord
 from sma_bench.records.tables import Account, Column, Table, TableFile
 
-_BLOCK = re.compile(r"(\d{1,9})\) DSC (Isothermal|Temperature Scan)\s*$")
-_STEP = re.compile(r"(\d{1,9})\)\s+(?:Hold for .*|(?P<way>Heat|Cool) from .* at "
-                   r"(?P<rate>\d{1,9}+(?:\.\d*+)?+)\s*+\S?C/min)\s*$")
-_SIG = re.compile(r"Sig(\d{1,9})\Z")
-_RAMP = re.compile(r"Ramp\s++(\d{1,9}+(?:\.\d*+)?+)\s*+\S*C/min", re.IGNORECASE)
-_EXOTHERM = {
-    "up": r"exo\w*( direction)? (up|1)\b(?! (no|false|0)\b)|\^ ?exo|endo\w* down",
-    "down": r"exo\w*( direction)? (down|-1)\b|exo\w* up (no|false|0)\b|\^ ?endo|endo\w* up"}
-_WINDOW = 20.0  # s over which a rate is measured
-_SHORTEST = 60.0  # s
-_LARGEST_MASS = 1e-3  # kg
-_STILL = 0.3  # of the slowest ramp
-
-# NiTi single crystals recover some 10 %: a larger span of strain is written in percent.
-_LARGEST_SPAN = 0.12
-_CONSTANCY = 0.05  # of the stress
+_WINDOW, _SHORTEST = 20.0, 60.0  # s, over which a rate is measured; of a step
+_STILL, _CONSTANCY = 0.3, 0.05  # of the slowest ramp, of the stress
+_LARGEST_MASS, _HOTTEST = 1e-3, 1500.0  # kg, K
+_LARGEST_SPAN = 0.12  # NiTi single crystals recover some 10 %: a larger one is written in percent
 _WARMING = 4.0  # times the smallest cycle: less is a wire's own where its stress is not held
-_HOTTEST = 1500.0  # K
-# Coldest point of a cycle in degC: above, the values are K or degF as well.
-_COLDEST = (-150.0, 60.0)
-_UNIT_LINE = re.compile(r"\s*+(stress|strain|temperature)\s*+[=:]\s*+(\S.*)", re.IGNORECASE)
-_NOTES, _LARGEST_NOTE = ("source", "unit", "readme"), 100_000  # bytes
+_COLDEST = (-150.0, 60.0)  # degC, of a cycle: above, the values are K or degF as well
 _LARGEST = {"strain": 0.5, "stress": 3e9}  # of a tensile test, in SI units
-_PHASE = re.compile(r"\bphase\b[^a-z]{0,8}(martensite|austenite)\b", re.IGNORECASE)
 
 
 def _clauses(cells: Sequence[str]) -> list[str]:
@@ -82,11 +62,10 @@ class Sheet:
         self.findings.append(Finding(severity, subject, text, numbers))
 
     def refusal(self, sentence: str, **values: Any) -> InputError:
-        """A sentence of words.yaml as an error."""
         return InputError(f"{self.file.path}: {cells.said(sentence, **values)}")
 
     def find(self, *roles: str) -> tuple[Column, str] | None:
-        """The best column of the first of these roles that the table has, and that role."""
+        """The best column of the first of these roles that there is, and the role."""
         found = ((self.ranked(role), role) for role in roles)
         return next(((ranked[0][1], role) for ranked, role in found if ranked), None)
 
@@ -186,7 +165,6 @@ class Sheet:
         return None if diameter is None else 0.25 * np.pi * diameter**2
 
     def account(self, columns: dict[str, tuple[Column, str]], rows: int) -> Account:
-        """What became of the table's rows and columns."""
         used = {column.name: role for column, role in columns.values()}
         return self.file.account([self.table], rows, used, {"": "not needed"})
 
@@ -198,16 +176,14 @@ class Sheet:
 
 
 def record_of(sheet: Sheet) -> DscRecord | IsobaricRecord | TensileRecord | None:
-    """What a table is the record of, None where it is no instrument's."""
     return dsc_of(sheet) or isobaric_of(sheet) or tensile_of(sheet)
 
 
 def dsc_of(sheet: Sheet) -> DscRecord | None:
-    """The run in a table of temperature and heat flow, or an export that names them elsewhere.
-    Raises InputError without a mass, stated or in a line above, or for a malformed line."""
+    """The run in a table of temperature and heat flow, or an export that names them elsewhere."""
     path, above = sheet.file.path, [" ".join(line) for line in sheet.table.above]
     marks = [(0, text) for text in above] + list(sheet.table.marks)
-    is_named = any(_BLOCK.match(text) or text.strip() == "StartOfData" for _, text in marks)
+    is_named = any(PATTERNS.block.match(text) or text.strip() == "StartOfData" for _, text in marks)
     if not is_named and sheet.lacks("dsc", ["time"]):
         return None
     header: dict[str, str] = {}
@@ -218,14 +194,15 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
             header.setdefault((line[0] if parted else key).strip(), value.strip())
     for text in sheet.table.left_out:
         sheet.remark("warning", path.name, "left_out", text=text)
-    blocks = [(row, match) for row, text in marks if (match := _BLOCK.match(text))]
+    blocks = [(row, match) for row, text in marks if (match := PATTERNS.block.match(text))]
     if blocks:
         sheet = sheet.titled(WORDS["pyris"])
         is_complete = np.isfinite([c.values for c in sheet.table.columns]).all(axis=0)
         for row in np.flatnonzero(~is_complete)[:1]:
             raise sheet.refusal("no_number", line=sheet.table.lines[row], name="one of its columns")
     elif "StartOfData" in above:
-        named = {int(m[1]): " ".join(c[1:]) for c in sheet.table.above if (m := _SIG.match(c[0]))}
+        signals = [(PATTERNS.sig.match(line[0]), line) for line in sheet.table.above]
+        named = {int(found[1]): " ".join(line[1:]) for found, line in signals if found}
         sheet = sheet.titled([named[k] for k in sorted(named)])
     columns = sheet.columns("dsc")
     time, temperature, flow = (sheet.values(*column) for column in columns.values())
@@ -246,7 +223,6 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
     flow = flow * mass if is_specific else flow
     if not 0.0 < mass < _LARGEST_MASS:
         raise sheet.refusal("mass", mass=mass)
-    # The steps of the method: number, rate, rows.
     baseline, program, parts = np.zeros(len(time)), temperature, list[tuple[int, float, slice]]()
     if blocks:
         for column in sheet.table.columns:
@@ -255,7 +231,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
         baseline = sheet.values(columns["baseline"][0], "heat flow")
         program = sheet.values(*columns["program temperature"])
         # A block under its title, its rate in the method above, else by its program.
-        steps = {int(m[1]): m for line in above if (m := _STEP.match(line.strip()))}
+        steps = {int(m[1]): m for line in above if (m := PATTERNS.step.match(line.strip()))}
         ends = [row for row, _ in blocks[1:]] + [len(time)]
         for (first, match), last in zip(blocks, ends, strict=True):
             number, rate, is_held = int(match[1]), 0.0, match[2] == "Isothermal"
@@ -268,7 +244,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
                 rate = float((program[last - 1] - program[first]) / duration)
             parts.append((number, rate, slice(first, last)))
     else:
-        ramps = [float(m[1]) / 60.0 for _, text in marks if (m := _RAMP.search(text))]
+        ramps = [float(m[1]) / 60.0 for _, text in marks if (m := PATTERNS.ramp.search(text))]
         parts = _cut(time, temperature, ramps)
         if not any(rate for _, rate, _ in parts):
             raise sheet.refusal("no_scan")
@@ -277,11 +253,10 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
     announced = header.get("Total Points in Run", "")
     if re.fullmatch(r"\d{1,9}", announced) and int(announced) != len(time):
         sheet.remark("warning", path.name, "cut_short", points=len(time), announced=announced)
-    # Which way exothermic is.
     lines = [" ".join(re.split(r"[:\s]+", text.lstrip("# "))) for text in above]
     lines = [text for text in lines if text.lower().startswith(("exo", "endo"))]
     text = plain_title(" ".join([*lines, columns["heat flow"][0].name]))
-    exotherm = next((way for way, words in _EXOTHERM.items() if re.search(words, text)), "")
+    exotherm = next((way for way, words in WORDS["exotherm"].items() if re.search(words, text)), "")
     names = ("Instrument", "INSTRUMENT", "Instrument Type")
     default = "PerkinElmer Pyris DSC" if blocks else "DSC"
     instrument = next((header[name] for name in names if name in header), default)
@@ -314,8 +289,8 @@ def _cut(time: Array, temperature: Array, ramps: Sequence[float]) -> list[tuple[
 
 
 def is_isobaric(sheet: Sheet) -> bool:
-    """Whether a table has a changing temperature, strain or extension, and a load; or without
-    titles a first column that goes up and down, a second one, and a third that is held."""
+    """Whether a table has a changing temperature, strain or extension, and a load; or, without
+    titles, a column that goes up and down, a second, and one that is held."""
     columns, has_load = sheet.table.columns, _has_load(sheet)
     if sheet.titles:
         found, loaded = sheet.find("temperature"), sheet.find("stress", "force")
@@ -355,9 +330,7 @@ def _has_load(sheet: Sheet) -> bool:
 
 
 def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
-    """The test in a table that `is_isobaric`, without titles in degC and MPa or in the units of a
-    note beside the file, such as "Data Source.txt"; `gauge_length` that of an extension. Raises
-    InputError for a malformed line (named), and without a thermal cycle."""
+    """The test in a table that `is_isobaric`; without titles in degC, strain and MPa."""
     if not is_isobaric(sheet):
         return None
     path, table, has_load = sheet.file.path, sheet.table, _has_load(sheet)
@@ -413,7 +386,6 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     temperature, strain, stress = temperature[held], strain[held], stress[held]
     if is_relative:
         strain = (strain - strain.min()) / np.ptp(strain)
-    # A thermometer's spikes and noise, then the cycles.
     good, spikes = instruments.without_spikes(temperature)
     if count := len(spikes):
         of, most = f"{len(temperature)}", f"{np.abs(spikes).max():.1f}"
@@ -429,38 +401,23 @@ def isobaric_of(sheet: Sheet) -> IsobaricRecord | None:
     name = f"{path.parent.name}/{path.stem}"
     name += f"/{table.name}" if len(sheet.file.tables) > 1 else ""
     account, unit = sheet.account(columns, int(np.sum(good))), "relative" if is_relative else "1"
-    findings = (*sheet.findings, *remarks)
-    return IsobaricRecord(path, name, median, unit, cycles, findings, account)
+    return IsobaricRecord(path, name, median, unit, cycles, (*sheet.findings, *remarks), account)
 
 
 def _named(sheet: Sheet, is_loaded: bool) -> Sheet:
-    """A table without titles under those of the known form, with the units of a note to it."""
-    path, columns = sheet.file.path, sheet.table.columns
-    units = {"temperature": "degC", "strain": "", "stress": "MPa"}
-    noted: dict[str, str] = {}  # lines such as "Strain = %"
-    for note in sorted(n for n in path.parent.iterdir() if n.suffix in (".txt", ".md")):
-        is_one = note != path and any(word in note.stem.lower() for word in _NOTES)
-        if is_one and note.stat().st_size < _LARGEST_NOTE:
-            lines = map(_UNIT_LINE.match, decoded_lines(read_bytes(note, _LARGEST_NOTE)))
-            for match in filter(None, lines):
-                noted.setdefault(match[1].lower(), match[2].strip())
+    """A table without titles under those of the known form."""
+    columns = sheet.table.columns
     coldest = float(np.nanquantile(columns[0].values, 0.05))
-    if "temperature" not in noted and not _COLDEST[0] < coldest < _COLDEST[1]:
+    if not _COLDEST[0] < coldest < _COLDEST[1]:
         raise sheet.refusal("celsius", coldest=coldest)
     level = 0.0 if is_loaded else float(np.nanmedian(columns[-1].values))
-    if "stress" not in noted and 1e6 * level >= instruments.STRONGEST:
+    if 1e6 * level >= instruments.STRONGEST:
         raise sheet.refusal("megapascal", level=level)
-    for what, unit in noted.items():
-        known = parse_unit(unit)
-        if known is None or known.quantity != {"strain": "ratio"}.get(what, what):
-            raise sheet.refusal("unit_noted", what=what, unit=unit)
-    named = [f"{what} [{unit}]" if unit else what for what, unit in (units | noted).items()]
-    return sheet.titled(named[: len(columns)])
+    return sheet.titled(["temperature [degC]", "strain", "stress [MPa]"][: len(columns)])
 
 
 def tensile_of(sheet: Sheet) -> TensileRecord | None:
-    """The test in a table of strain or extension, and stress or force, and no drive. Raises
-    InputError for a malformed line (named), or values that no test gives."""
+    """The test in a table of strain or extension, and stress or force, and no drive."""
     if sheet.lacks("tensile") or sheet.is_driven():
         return None
     table = sheet.table
@@ -496,7 +453,7 @@ def tensile_of(sheet: Sheet) -> TensileRecord | None:
         if np.ptp(kelvin) > most:
             sheet.remark("warning", "temperature", "unsteady", span=np.ptp(kelvin), most=most)
         temperature = float(np.median(kelvin))
-    noted = [m[1].lower() for c in table.above if (m := _PHASE.search(" ".join(c)))]
+    noted = [m[1].lower() for c in table.above if (m := PATTERNS.phase.search(" ".join(c)))]
     phase = next((phase for phase in instruments.PHASES if phase in noted[:1]), None)
     account, findings = sheet.account(columns, len(strain)), tuple(sheet.findings)
     return TensileRecord(sheet.file.path, strain, stress, temperature, findings, phase,

@@ -1,5 +1,4 @@
-"""Records of instruments' files: runs of a calorimeter, isobaric and tensile tests, and the thermal
-cycles of a test, between the turns of its temperature without a thermometer's spikes and noise."""
+"""Records of calorimeters, isobaric and tensile tests, and the thermal cycles of a test."""
 
 import math
 from dataclasses import dataclass
@@ -20,18 +19,11 @@ if TYPE_CHECKING:
 
 Phase = Literal["martensite", "austenite"]
 PHASES: tuple[Phase, ...] = get_args(Phase)
-FEWEST_ROWS = 20  # of a mechanical test
-STRONGEST = 1.5e9  # Pa: cold-drawn NiTi wire breaks at 1.4 to 1.9 GPa
-STEADY = 3.0  # K
-SMALLEST_RANGE = 5.0  # K
-_SMALLEST_SPIKE = 3.0  # K
-_TURN = 0.15  # of the range, that a turn goes back
-_COMPLETE = 0.6  # of the range, that a branch spans
-_WINDOW = 11  # rows
-_FEWEST_SAMPLES = 8
-NOISY, _SMOOTH = 0.5, 0.2  # K
-
 Direction = Literal["heating", "cooling"]
+FEWEST_ROWS, _FEWEST_SAMPLES, _WINDOW = 20, 8, 11  # of a mechanical test, of a branch; rows
+STRONGEST = 1.5e9  # Pa: cold-drawn NiTi wire breaks at 1.4 to 1.9 GPa
+STEADY, SMALLEST_RANGE, _SMALLEST_SPIKE, NOISY, _SMOOTH = 3.0, 5.0, 3.0, 0.5, 0.2  # K
+_TURN, _COMPLETE = 0.15, 0.6  # of the range: that a turn goes back, that a branch spans
 
 
 @dataclass(frozen=True)
@@ -99,8 +91,8 @@ class DscRecord(Drawn):
 
     @property
     def endothermic_up(self) -> bool | None:
-        """Whether heat into the sample counts positive, as the file says, else as heat flow less
-        baseline is larger over the heating scans; None where the run does not show it."""
+        """Whether heat into the sample counts positive, as stated, else as the heating scans lie
+        above the cooling ones; None where neither shows it."""
         if self.exotherm:
             return self.exotherm == "down"
         means = [(s.kind, float(np.mean(s.heat_flow - s.baseline))) for s in self.segments]
@@ -144,15 +136,14 @@ class TensileRecord(Drawn):
 
 
 def without_spikes(temperature: Array) -> tuple[Mask, Array]:
-    """(n,) True for readings of temperature (n,) K but single ones that jump away from the line
-    through those around and back, and the heights (K) of these."""
+    """(n,) False for single readings of temperature (n,) K that jump off the line around and back,
+    and their heights (K)."""
     half, steps = _WINDOW // 2, np.diff(temperature)
     around = sliding_window_view(np.pad(steps, (half, half + 1), mode="edge"), _WINDOW)
     slope = np.median(around, axis=1)[: len(temperature), None]
     windows = sliding_window_view(np.pad(temperature, half, mode="edge"), _WINDOW)
     away = temperature - np.median(windows - slope * np.arange(-half, half + 1), axis=1)
-    scatter = 1.4826 * float(np.median(np.abs(away)))
-    bad = np.abs(away) > max(_SMALLEST_SPIKE, 6.0 * scatter)
+    bad = np.abs(away) > max(_SMALLEST_SPIKE, 6.0 * 1.4826 * float(np.median(np.abs(away))))
     # It stands out from both its neighbours: a corner or a step does not.
     before, after = np.pad(steps, (1, 0)), np.pad(steps, (0, 1))
     bad &= (before * after < 0.0) & (np.minimum(abs(before), abs(after)) > _SMALLEST_SPIKE)
@@ -160,8 +151,8 @@ def without_spikes(temperature: Array) -> tuple[Mask, Array]:
 
 
 def without_noise(temperature: Array) -> tuple[Array, float, int]:
-    """(n,) K without the scatter of a noisy thermometer, which would widen the transformation, that
-    scatter, and through how many rows a parabola goes for it, 0 for none."""
+    """(n,) K without a noisy thermometer's scatter, that scatter, and through how many rows a
+    parabola goes for it, 0 for none."""
     from scipy.signal import savgol_filter  # half a second to load
     noise = 0.0
     if len(temperature) >= _FEWEST_SAMPLES:
@@ -180,12 +171,12 @@ def without_noise(temperature: Array) -> tuple[Array, float, int]:
 
 def find_cycles(temperature: Array, strain: Array, stress: Array,
                 where: str) -> tuple[tuple[Cycle, ...], list[Finding]]:
-    """Split a test at the reversals of temperature (n,) K, with strain (n,) and stress (n,) Pa in
-    order of time; `where` leads the messages. Raises InputError where there is no branch."""
+    """Cycles between the turns of temperature (n,) K, with strain (n,) and stress (n,) Pa; `where`
+    leads the messages. InputError: there is no branch."""
     span = float(np.ptp(temperature)) if len(temperature) else 0.0
     if span < SMALLEST_RANGE:
-        least = f"expected a cycle of {SMALLEST_RANGE:g} K or more"
-        raise InputError(f"{where}: temperature changes by {span:.3g} K, {least}")
+        raise InputError(f"{where}: temperature changes by {span:.3g} K, expected a cycle of "
+                         f"{SMALLEST_RANGE:g} K or more")
     # Extremes that a change of more than the threshold follows, and both ends.
     threshold = max(_TURN * span, 2.0)
     turns, extreme, direction = [0], 0, 0
@@ -197,7 +188,6 @@ def find_cycles(temperature: Array, strain: Array, stress: Array,
             turns += [extreme] if direction else []
             direction, extreme = (1 if change > 0.0 else -1), i
     turns.append(extreme)
-    # A branch lies between two; two of opposite direction make a cycle.
     cycles, partial = list[tuple[Branch, ...]](), 0
     for first, last in pairwise(turns):
         change = temperature[last] - temperature[first]

@@ -15,15 +15,12 @@ from sma_bench.records.check import FEWEST, check_response, kind_of, said
 from sma_bench.records.record import Record, Signal, as_calibrated
 
 _MOVED = 1.0  # s: a camera's picture may take as long on its way, with a right stamp
-_TRANSFORMS = 3e-3  # strain, more than a wire expands by
-_BELIEVED = 0.1  # of the scatter, least of a stated deviation
+_TRANSFORMS, _BELIEVED = 3e-3, 0.1  # strain beyond expansion; of the scatter, a stated deviation
 # Share of readings this near, of the range, to one of two values; jumps; samples of the briefer.
 _SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
-_SUSPECT = {"value", "drift", "turns", "common", "follows", "apart"}  # of the numbers of a finding
-# Of a sensor's readings, each published as often as the others; times where one more is no chance.
-_STEADY, _TWO_CLOCKS = 0.95, 5
-# A gap: s, usual steps; readings on either side of it that show a ramp; of a step, how far a ramp
-# may miss it; of the voltage's range, what counts as the same level.
+_SUSPECT = {"value", "drift", "common", "follows", "apart"}  # of the numbers of a finding
+_STEADY, _TWO_CLOCKS = 0.95, 5  # of readings published alike; times where one more is no chance
+# A gap: s, usual steps; readings beside it; how far a ramp may miss a step, levels be apart.
 _GAP, _GAP_STEPS, _FEW, _RAMP, _LEVEL = 2.0, 10.0, 8, 0.2, 0.03
 
 
@@ -63,19 +60,17 @@ def prepare(records: Sequence[Record], parameters: Parameters,
 
 
 def _kept(record: Record, without: Collection[str]) -> Record:
-    """The record without some signals."""
     return replace(record, signals={n: s for n, s in record.signals.items() if n not in without})
 
 
 def _compared(name: str) -> str:
-    """The quantity that a signal is compared as."""
     kind = kind_of(name)
     return "deflection" if kind == "elongation" else kind
 
 
 def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, list[Finding]]:
-    """The record without temperatures that are another wire's, by the `findings` on it, and without
-    readings at the end of a sensor's range (a source may hold a current there); what was left."""
+    """The record without temperatures of another wire, by the `findings` on it, and readings at the
+    end of a sensor's range; what was left out."""
     kept, left_out = dict(record.signals), []
     others = {f.subject for f in findings if "follows" in f.numbers}
     ended = (*check.DROPS_OUT, "elongation", "force")
@@ -92,7 +87,7 @@ def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, lis
 
 def without_unseen_drive(record: Record) -> tuple[Record, list[Finding]]:
     """The record's longest stretch without a gap of all its signals over which a voltage went
-    elsewhere, neither held nor on a ramp: nothing says what its wire was given meanwhile."""
+    elsewhere, neither held nor on a ramp."""
     times = np.unique(np.concatenate([[], *(s.time for s in record.signals.values())]))
     steps = np.diff(times)
     if not len(steps):
@@ -155,10 +150,9 @@ def _published_again(signal: Signal) -> IntArray:
 
 
 def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record, list[Finding]]:
-    """The record without what is known to be wrong of it, and what that was: clocks a constant time
-    off the drive's, by receive times, are moved onto it; currents against their voltage and, with
-    `parameters`, motions against the heat are turned; readings far off their neighbours, or again
-    published and not imposed, and deviations far below a reading's scatter are left out."""
+    """The record without what is known to be wrong of it, and what that was: clocks off the
+    drive's, currents against their voltage, with `parameters` motions against the heat, readings
+    far off or published again, and deviations far below a reading's scatter."""
     is_imposed = parameters is not None and load_kind(parameters) == "displacement"
     imposed = "elongation" if is_imposed else ""
     moved, found = dict[str, Signal](), list[Finding]()
@@ -186,8 +180,7 @@ def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record
     drive = next((n for n in delays if n.endswith(".voltage")), None)
     for name, (delay, growth) in delays.items() if drive else ():
         late = delay - delays[str(drive)][0]
-        is_off = late > _MOVED or late < -check.CLOCK_TOLERANCE
-        if is_off and abs(growth) < check.DRIFT_TOLERANCE:
+        if not -check.CLOCK_TOLERANCE <= late <= _MOVED and abs(growth) < check.DRIFT_TOLERANCE:
             own = moved.get(name, record.signals[name])
             moved[name] = replace(own, time=own.time + late)
             found.append(said("clock_moved", name, offset=late, drive=drive))
@@ -214,8 +207,7 @@ def _without(signal: Signal, which: IntArray) -> Signal:
 
 
 def under_suspicion(record: Record) -> Iterator[Finding]:
-    """Signals whose readings are not what they seem: clipped, of two values, on a clock that
-    drifts, jumps or lies off the others'. The subject is the signal's name."""
+    """What speaks against readings, by signal: clipped, of two values, on a clock that is off."""
     by_topic = {s.topic: n for n, s in record.signals.items() if s.topic}
     for finding in check.check_record(record):
         if finding.severity != "info" and _SUSPECT & set(finding.numbers):

@@ -25,10 +25,10 @@ AnyRecord = Record | DscRecord | IsobaricRecord | TensileRecord
 
 def open_records(path: str | Path, namespace: str | None = None,
                  stated: Mapping[str, float] | None = None) -> list[AnyRecord]:
-    """Read a bag or an instrument's file, of whose sheets each may be a record, by its content.
-    `namespace`: of the bench to take, where two are in one bag; `stated`: what the file of an
-    instrument does not hold, in SI units: `stress`, `mass`, `gauge_length`, `area`, `diameter`,
-    `temperature`. Raises InputError: neither, or nothing readable, with the reader's own reason."""
+    """Read a bag (with `namespace` of the bench to take) or an instrument's file, of whose sheets
+    each may be a record. `stated`: what the file does not hold, in SI: `stress`, `mass`,
+    `gauge_length`, `area`, `diameter`, `temperature`. Raises InputError: neither, or nothing
+    readable, with why."""
     path = Path(path)
     if is_bag(path):
         return [read_record(path, namespace)]
@@ -98,8 +98,6 @@ def _what_it_lacks(file: "TableFile", stated: Mapping[str, float]) -> str:
             f"of it: sma-bench import {name} --out {file.path.stem}")
 
 
-# --- Everything `sma-bench info` shows.
-
 def describe(record: AnyRecord) -> dict[str, Any]:
     """What a record holds, as JSON-able data in SI units."""
     def ends(first: str, last: str, values: Array) -> dict[str, float]:
@@ -120,16 +118,6 @@ def describe(record: AnyRecord) -> dict[str, Any]:
             {"cycle": cycle.number, "kind": b.direction, "samples": len(b.temperature),
              **ends("from", "to", b.temperature), **ends("strain_from", "strain_to", b.strain)}
             for cycle in record.cycles for b in cycle.branches]
-        # By names of ASTM E3097: heating recovers actuation strain, a cycle leaves residual strain.
-        standard = parts["cycles"] = []
-        for cycle in (cycle for cycle in record.cycles if len(cycle.branches) == 2):
-            first, last = cycle.branches
-            heating = first if first.direction == "heating" else last
-            kelvin = np.concatenate([first.temperature, last.temperature])
-            standard.append({"cycle": cycle.number, "lower_cycle_temperature": float(kelvin.min()),
-                             "upper_cycle_temperature": float(kelvin.max()),
-                             "actuation_strain": float(heating.strain[0] - heating.strain[-1]),
-                             "residual_strain": float(last.strain[-1] - first.strain[0])})
     elif isinstance(record, TensileRecord):
         about |= {"kind": "tensile", "temperature": record.temperature,
                   "is_extension": record.is_extension, "is_force": record.is_force,
@@ -144,10 +132,10 @@ def describe(record: AnyRecord) -> dict[str, Any]:
         signals = parts["signals"] = []
         for s in record.signals.values():
             steps, finite, count = np.diff(s.time), s.values[np.isfinite(s.values)], len(s)
-            jitter = float(np.subtract(*np.percentile(steps, [95, 5]))) if len(steps) else None
             signals.append({
                 "name": s.name, "unit": s.unit, "topic": s.topic, "samples": count,
-                "rate": 1 / s.period if s.period > 0 else None, "jitter": jitter,
+                "rate": 1 / s.period if s.period > 0 else None,
+                "jitter": float(np.ptp(np.percentile(steps, [5, 95]))) if len(steps) else None,
                 "longest_gap": float(steps.max()) if len(steps) else None,
                 "delay": None if s.received is None else float(np.median(s.received - s.time)),
                 **(ends("start", "end", s.time) if count else {"start": None, "end": None}),

@@ -11,15 +11,13 @@ from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.records.record import Record, samples
 
-_STEP = 0.02  # s, of the voltages that are aligned; longer in long records
-_MOST_STEPS = 100_000
+_STEP, _MOST_STEPS = 0.02, 100_000  # s, of the voltages that are aligned; longer in long records
 _SAME_DRIVE = 0.9  # cosine of two drives that are the same
 
 
 @dataclass(frozen=True)
 class Difference:
-    """Of one signal of a record from that of the first: root mean square, the largest [unit], when
-    [s of the first record's clock], and the rms over the range of the first."""
+    """Of a signal from the first record's: rms, largest [unit] and when [s], rms over its range."""
 
     signal: str
     unit: str
@@ -42,8 +40,7 @@ HEADER = ("signal", "record", "rms", "worst", "at", "rms over range")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Overlay(Drawn):
-    """Records on the clock of the first one, by name; `shifts` [s] were added to their times,
-    `remarks` say where that was not possible; differences from the first, the largest first."""
+    """Records on the first one's clock, by name, `shifts` [s] added; differences, largest first."""
 
     records: dict[str, Record]
     shifts: dict[str, float]
@@ -66,8 +63,8 @@ class Overlay(Drawn):
 
 
 def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
-    """Records on the first one's clock, by their voltages, but for those `aligned` already or of
-    another drive. InputError: fewer than two records, or no signal that two of them share."""
+    """Records on the first one's clock, by their voltages, but for those `aligned` or of another
+    drive. InputError: fewer than two records, or no signal that two of them share."""
     if len(records) < 2:
         raise InputError(f"compare: {len(records)} record or model given, expected two or more")
     first, *others = records
@@ -81,7 +78,6 @@ def overlay(records: dict[str, Record], aligned: Sequence[str] = ()) -> Overlay:
         if shift is None:
             text = f"no drive in common with {first}; both clocks count from their start"
             remarks.append(f"{name}: {text}")
-    # Differences at the first record's samples, where the other has values at the same time.
     found = []
     for where in others:
         pair = shifted[first], shifted[where]

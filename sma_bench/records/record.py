@@ -118,7 +118,7 @@ def require_distinct(records: Sequence[Record], hold_out: Sequence[Record] = ())
 
 def samples(record: Record, name: str) -> tuple[Array, Array]:
     """Time (n,) s and values (n,) of a signal, without NaN, Inf and what no sensor can say.
-    InputError: the signal is absent or holds no finite value."""
+    InputError: it is absent or holds no finite value."""
     signal = record.get(name)
     if signal is None:
         raise InputError(f"{record.path}: no signal {name}")
@@ -146,28 +146,23 @@ def first_order_lag(course: Array, left: float, start: float = 0.0) -> Array:
     return np.asarray(solve_banded((1, 0), bands, coming))
 
 
-# --- Records from arrays and tables in memory, and tables of records, for notebooks.
-
 TIME, _COMMAND = "time", "voltage_command"
 _COMMAND_COLUMN = re.compile(rf"{_COMMAND}\.(\d+)\Z")
 _NAMES = ("<channel>.voltage, .current, .temperature, ambient.temperature, front.range, "
           "back.range, deflection, elongation, force or voltage_command")
-_COLDEST_FRAME = 253.0  # K; what never gets warmer is no bench of SMA wires
-_FARTHEST = 1.0  # m that one moves
+_COLDEST_FRAME, _FARTHEST = 253.0, 1.0  # K, m: no bench is always colder, or moves farther
 
 
 def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Record:
-    """A record of signals that are arrays in memory. `columns`: contract name (`wire.voltage`) to
-    values in SI units: (n,) on the shared clock `time`, (n,) s, or a pair (time, values) on a clock
-    of its own. NaN is what was not measured and is left out, as from a bag. `voltage_command` is
-    (n, k); `where`: the record's name in messages. Raises InputError: a name that is none of the
+    """A record of arrays in memory, in SI units by contract name (`wire.voltage`): (n,) on the
+    clock `time`, (n,) s, or a pair (time, values); `voltage_command` is (n, k). NaN is left out, as
+    from a bag. `where`: the record's name. Raises InputError: names that are none of the
     contract's, arrays that do not fit each other, times that do not increase, or nothing at all."""
     def floats(name: str, values: Any) -> Any:
         try:
             return np.array(values, dtype=np.float64)
         except (TypeError, ValueError):
             raise InputError(f"{where}: {name} does not hold numbers only") from None
-    # The numbered columns of the command, put side by side.
     named = {name: given for name, given in columns.items() if name != TIME}
     found = [(int(n[1]), name) for name in named if (n := _COMMAND_COLUMN.match(str(name)))]
     if parts := [floats(name, named.pop(name)) for _, name in sorted(found)]:
@@ -184,8 +179,8 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
         seconds, numbers = floats(TIME, time), floats(name, values)
         flat = 1 if name != _COMMAND else numbers.ndim
         if seconds.ndim != 1 or numbers.ndim != flat or len(numbers) != len(seconds):
-            shapes = f"has shape {numbers.shape} on times of shape {seconds.shape}"
-            raise InputError(f"{where}: {name} {shapes}, expected one value for each time")
+            raise InputError(f"{where}: {name} has shape {numbers.shape} on times of shape "
+                             f"{seconds.shape}, expected one value for each time")
         missing = np.isnan(numbers if numbers.ndim == 1 else numbers[:, 0])
         seconds, numbers = seconds[~missing], numbers[~missing]
         backward = np.flatnonzero(~(np.diff(seconds) > 0.0))
@@ -208,7 +203,7 @@ def record_from_arrays(columns: Mapping[str, Any], where: str = "arrays") -> Rec
 
 
 def record_from_frame(frame: Any, where: str = "frame") -> Record:
-    """A record of a pandas DataFrame's columns, named as in `record_from_arrays`; raises as that.
+    """A record of a pandas DataFrame, named as in `record_from_arrays`, which says the errors.
     Times are its column `time`, else its index: s, time spans, or dates, the first of them 0."""
     given = frame[TIME] if TIME in frame.columns else frame.index
     times, start_ns = given.to_numpy(), 0
@@ -224,9 +219,8 @@ def record_from_frame(frame: Any, where: str = "frame") -> Record:
 
 
 def frame_from_record(record: Record) -> Any:
-    """The signals as columns of a pandas DataFrame, those of `voltage_command` numbered, units in
-    `attrs["units"]`. The index is the union of all clocks, s since the record's start, with NaN
-    where a signal has no sample; `record_from_frame` turns it back. InputError: no pandas."""
+    """The signals as a DataFrame, `voltage_command` in numbered columns, units in `attrs["units"]`;
+    index: the union of all clocks, s, NaN where a signal has no sample. InputError: no pandas."""
     pandas, columns, units = require_pandas(), dict[str, Any](), dict[str, str]()
     for name, signal in record.signals.items():
         is_wide = signal.values.ndim > 1
@@ -249,13 +243,11 @@ def require_pandas() -> Any:
     return pandas
 
 
-# --- The voltages that a bench applied, on one clock.
-
 def drive_of(record: Record,
              parameters: Parameters) -> tuple[Parameters, Array, Array, Array | None]:
-    """The bench as a record shows it, time (n,) s, volts (n, w) that drive it (of a source, where
-    nothing else was measured, what stands for its current), and the elongation (n,) m imposed, None
-    but for `load.kind` displacement. Raises InputError: the record lacks what drives it."""
+    """The bench as a record shows it, time (n,) s, volts (n, w) that drive it (or stand for a
+    source's current), and the elongation (n,) m imposed, None but for `load.kind` displacement.
+    InputError."""
     record, ohms = with_commands(record, parameters)
     bench = parameters if ohms else as_recorded(parameters)
     time, volts = held_voltages(record, parameters["bench.channels"])
@@ -275,9 +267,8 @@ def imposed_elongation(record: Record) -> tuple[Array, Array]:
 
 
 def with_commands(record: Record, parameters: Parameters) -> tuple[Record, float]:
-    """The record as it is and 0, or with commands and their volts for an ampere: of a source of
-    current in place of its currents where nobody measured voltages, of one of power in place of
-    volts and amperes, whose product it holds; where there are volts alone, these."""
+    """The record as it is and 0, or, of a source of current or power whose volts nobody measured,
+    with commands in place of its readings and the volts for an ampere in them."""
     drive = parameters["bench.drive"]
     is_measured = any(has_samples(record, f"{c}.voltage") for c in record.channels)
     if drive not in SOURCES or (is_measured and drive == "current"):
@@ -333,8 +324,8 @@ def ohms_of_source(parameters: Parameters) -> float:
 
 
 def held_voltages(record: Record, channels: Sequence[str]) -> tuple[Array, Array]:
-    """Time (n,) s, the union of the stamps of `channels`, as bench.channels has them, and (n, w) V,
-    each held until its next sample. InputError: the record lacks the voltage of a channel."""
+    """Time (n,) s, all stamps of `channels`, and (n, w) V, each held until its next sample.
+    InputError: the record lacks the voltage of a channel."""
     driven = [c for c in record.channels if f"{c}.voltage" in record.signals]
     require_channels(record, channels, driven)
     signals = [record[f"{channel}.voltage"] for channel in channels]

@@ -1,7 +1,5 @@
-"""The storage files of a bag, and the serialised messages in them.
-
-An mcap file is walked from its beginning up to its first damage, so one whose recorder died is read
-like any other; an sqlite3 file is read whole or refused. Both spend a Budget, by their sizes."""
+"""The storage files of a bag, and the serialised messages in them: mcap is walked up to its first
+damage, sqlite3 read whole or refused. Both spend a Budget, by their sizes."""
 
 import mmap
 import re
@@ -11,15 +9,13 @@ import sys
 import zlib
 from array import array
 from collections import Counter
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from contextlib import closing, suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path, PurePath
 from tempfile import TemporaryDirectory
 from typing import Any
-
-import numpy as np
 
 from sma_bench import border
 from sma_bench.border import Budget, OverBudget, printable
@@ -37,8 +33,7 @@ _MCAP_MAGIC, _SQLITE_MAGIC = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _SUFFIXES = (".mcap", ".db3", ".mcap.zstd", ".db3.zstd")
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".xlsx", ".mat", ".h5", ".hdf5", ".parquet")
-_LONGEST_NAME = 255  # characters, on every file system
-_LONGEST_PROVENANCE, _MOST_SENTENCES = 2000, 50  # characters, signals
+_LONGEST_NAME, _LONGEST_PROVENANCE, _MOST_SENTENCES = 255, 2000, 50  # characters; signals
 _MOST_TOPICS, _LARGEST_MESSAGE, _PIECE = 4096, 1 << 24, 1 << 16  # the latter two in bytes
 
 
@@ -55,21 +50,11 @@ class RawTopic:
     data: bytearray = field(default_factory=bytearray)
 
     def add(self, time: int, data: bytes) -> None:
-        """Append one message."""
         self.count += 1
         if self.wanted:
             self.times.append(time)
             self.lengths.append(len(data))
             self.data += data
-
-    def add_records(self, records: "np.ndarray") -> None:
-        """Append messages whose mcap records are the rows of an array of bytes."""
-        self.count += len(records)
-        if self.wanted:
-            begin = _RECORD.size + _MESSAGE_HEAD.size
-            self.times.frombytes(records[:, _MESSAGE_TIME : _MESSAGE_TIME + 8].tobytes())
-            self.lengths.extend([records.shape[1] - begin] * len(records))
-            self.data += records[:, begin:].tobytes()
 
 
 @dataclass
@@ -100,8 +85,6 @@ class RawTopics:
         self.findings.append(Finding(severity, printable(of), printable(text), numbers))
 
 
-# --- files of a bag -----------------------------------------------------------------------------
-
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag's, by name or content. InputError: no folder or file to read."""
     border.require_there(path)
@@ -118,8 +101,8 @@ def _head(path: Path) -> bytes:
 
 
 def read_storage(path: Path, wanted: Callable[[str, str], bool]) -> RawTopics:
-    """All messages of a bag's folder or storage file whose topic and type are `wanted`; what cannot
-    be read becomes a finding. Raises InputError: no bag, no message, or a damaged sqlite3 file."""
+    """Messages of a bag's folder or file whose topic and type are `wanted`; what cannot be read is
+    a finding. Raises InputError: no bag, no message, or a damaged sqlite3 file."""
     topics = RawTopics(wanted)
     files, promised = _files_of(path, topics)
     topics.budget = border.reading_budget(sum(file.stat().st_size for file in files))
@@ -165,7 +148,7 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
         raise InputError(f"{path}: not a bag: expected a folder, an .mcap or a .db3 file{how}")
     if not path.is_dir():
         return [path], {}
-    # Storage files of the folder in order of their numbers; links out of it are not followed.
+    # In order of their numbers; links out of the folder are not followed.
     with errors_in(f"{path}: cannot be read"):
         names = {file.name for file in path.iterdir() if file.is_file()}
         own = {name for name in names if border.is_inside(path / name, path)}
@@ -174,7 +157,6 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
             topics.remark(name, "a link out of the bag's folder; not followed")
     numbered = {re.sub(r"\d+", lambda m: m[0].zfill(9), n): n for n in own if n.endswith(_SUFFIXES)}
     present = [path / numbered[key] for key in sorted(numbered)]
-    # What the metadata says, from a file that may be anybody's.
     listed, promised = list[str](), Counter[str]()
     try:
         if METADATA in own:
@@ -214,21 +196,17 @@ def _files_of(path: Path, topics: RawTopics) -> tuple[list[Path], dict[str, int]
 
 
 def _of(kind: type, value: Any) -> Any:
-    """A value of its type; of any other the text alone may be gigabytes, by YAML's aliases."""
+    """A value of its type: the text of another may be gigabytes, by YAML's aliases."""
     if not isinstance(value, kind):
         raise TypeError(kind.__name__)
     return value
 
 
 def _remark_provenance(custom: Any, topics: RawTopics) -> None:
-    """Where an imported bag comes from."""
+    """Where an imported bag comes from. InputError: no JSON."""
     text = custom.get(PROVENANCE) if isinstance(custom, dict) else None
-    if not isinstance(text, str):
-        return
-    try:
-        said = border.read_json_object(text, PROVENANCE)
-    except InputError as error:
-        topics.remark(METADATA, str(error))
+    said = border.read_json_object(text, PROVENANCE) if isinstance(text, str) else {}
+    if not said:
         return
     how, repeated = said.get("how"), said.get("repeated")
     parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]
@@ -239,15 +217,10 @@ def _remark_provenance(custom: Any, topics: RawTopics) -> None:
         topics.remark("record", text, repeated=float(repeated))
 
 
-# --- mcap (https://mcap.dev/spec) ---------------------------------------------------------------
-
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _DATA_END = 0x03, 0x04, 0x05, 0x06, 0x0F
 _RECORD, _MESSAGE_HEAD = struct.Struct("<BQ"), struct.Struct("<HIQQ")
-_CHUNK_HEAD, _RECORD_OF_CHANNEL = struct.Struct("<QQQII"), struct.Struct("<BQH")
-_ALIKE = _RECORD_OF_CHANNEL.size  # bytes that the records of like messages share
-_MESSAGE_TIME = _ALIKE + 4  # where a message's record has its time, behind the sequence number
+_CHUNK_HEAD = struct.Struct("<QQQII")
 _CHECK_TIME_EVERY, _BLOCK = 1 << 17, 512  # bytes, the latter of the smallest block of disks
-_LONGEST_TURN, _LEAST_TURNS = 64, 8  # messages, repetitions worth an array
 
 
 class _Damage(Exception):
@@ -255,7 +228,7 @@ class _Damage(Exception):
 
 
 def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
-    """Add the messages of an mcap file, `name` in findings, up to damage, OSError or OverBudget."""
+    """Add the messages of an mcap file up to damage; raises OSError, OverBudget."""
     if not (size := path.stat().st_size):
         topics.remark(name, "the file is empty")
         return
@@ -264,10 +237,10 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
     reached, orphans, ended, damage = len(_MCAP_MAGIC), 0, False, ""
 
     def take(buffer: bytes | mmap.mmap, position: int, inside: int | None = None) -> None:
-        """The records from `position` on, of the file or of a chunk that begins `inside` it at that
-        byte. Raises _Damage, struct.error: what comes next is no record."""
+        """Records of the file, or of a chunk that begins `inside` it. Raises _Damage,
+        struct.error."""
         nonlocal reached, orphans, ended
-        end, unpack, checked, look = len(buffer), _RECORD.unpack_from, position, position
+        end, unpack, checked = len(buffer), _RECORD.unpack_from, position
         topic: RawTopic | None = None
         while position < end and not ended:
             if position - checked > _CHECK_TIME_EVERY:
@@ -276,28 +249,19 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
             start = position + _RECORD.size
             opcode, length = unpack(buffer, position) if start <= end else (_DATA_END, end)
             stop = start + length
-            if opcode == _MESSAGE and inside is not None and position >= look:
-                turns = _turns(buffer, position, channels)
-                for channel, records in turns.items():
-                    topic = channels[channel]
-                    topic.add_records(records)
-                    position += records.size
-                look = position + (0 if turns else _CHECK_TIME_EVERY // 8)
-                if turns:
-                    continue
             if not 0 < opcode < 0x80:
                 if topic is not None and topic.wanted:
                     # A message before zeros may have begun inside them: lost power leaves blocks.
                     before = _RECORD.size + _MESSAGE_HEAD.size + topic.lengths[-1]
                     block = position - ((inside or 0) + position) % _BLOCK
-                    is_zeroed = not any(buffer[block : position + 1])
-                    if position - before < block < position and is_zeroed:
+                    is_torn = position - before < block < position
+                    if is_torn and not any(buffer[block : position + 1]):
                         del topic.data[-topic.lengths.pop() :], topic.times[-1]
                         topic.count -= 1
                 raise _Damage("the bytes make no sense")
-            if stop > end and inside is not None:
-                raise _Damage("a chunk ends inside a record")
             if stop > end:
+                if inside is not None:
+                    raise _Damage("a chunk ends inside a record")
                 # The whole records of a chunk that the file ends in; no checksum speaks for them.
                 with suppress(_Damage, struct.error):
                     if opcode == _CHUNK:
@@ -362,40 +326,7 @@ def _read_mcap(path: Path, topics: RawTopics, name: str) -> None:
         topics.remark(name, text + f", {share} are not" * bool(lost), bytes=lost)
 
 
-def _turns(buffer: bytes | mmap.mmap, position: int,
-           known: Container[int]) -> dict[int, "np.ndarray"]:
-    """The records of a chunk from `position` on, by channel (that of the last one last), (messages,
-    bytes), where topics take turns with messages of one length each, as a steady bench's do."""
-    places: dict[int, list[slice]] = {}
-    first, longest, at, records = buffer[position : position + _ALIKE], len(buffer) - position, 0, 0
-    while not records or buffer[position + at : position + at + _ALIKE] != first:
-        if records == _LONGEST_TURN or at + _ALIKE > longest:
-            return {}
-        opcode, length, channel = _RECORD_OF_CHANNEL.unpack_from(buffer, position + at)
-        if opcode != _MESSAGE or length < _MESSAGE_HEAD.size or channel not in known:
-            return {}
-        own, begin = places.pop(channel, []), at
-        at, records = at + _RECORD.size + length, records + 1
-        if own and own[0].stop - own[0].start != at - begin:
-            return {}
-        places[channel] = [*own, slice(begin, at)]
-    most = longest // at
-    if most < _LEAST_TURNS:
-        return {}
-    turns = np.frombuffer(buffer, np.uint8, most * at, position).reshape(most, at)
-    alike = np.ones(most, dtype=bool)
-    for begin in (place.start for own in places.values() for place in own):
-        alike &= (turns[:, begin : begin + _ALIKE] == turns[0, begin : begin + _ALIKE]).all(axis=1)
-        alike &= turns[:, begin + _MESSAGE_TIME + 7] < 0x80  # times that fit
-    count = most if alike.all() else int(alike.argmin())
-    if count < _LEAST_TURNS:
-        return {}
-    return {channel: np.stack([turns[:count, p] for p in own], 1).reshape(count * len(own), -1)
-            for channel, own in places.items()}
-
-
 def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
-    """The records in a chunk, one byte more than `size` at most."""
     begin = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[-1] + 8
     codec, data = content[_CHUNK_HEAD.size : begin - 8], content[begin:]
     most = min(size, budget.left) + 1
@@ -414,14 +345,11 @@ def _unpacked(content: bytes, size: int, budget: Budget) -> bytes:
 
 
 def _string(buffer: bytes, position: int) -> tuple[str, int]:
-    (length,) = struct.unpack_from("<I", buffer, position)
-    end = position + 4 + length
+    end = position + 4 + struct.unpack_from("<I", buffer, position)[0]
     if end > len(buffer):
         raise _Damage("a text reaches beyond its record")
     return buffer[position + 4 : end].decode(errors="replace"), end
 
-
-# --- sqlite3 ------------------------------------------------------------------------------------
 
 _STEPS = 10_000  # of SQLite's machine, between two looks at the clock
 # A damaged schema can make sqlite3 fail to decode its own error message.
@@ -434,8 +362,7 @@ _COUNTS = "SELECT topic_id, COUNT(*) FROM messages WHERE topic_id IN ({}) GROUP 
 
 
 def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
-    """Add the messages of one sqlite3 file, `origin` before decompression, but for its journal's.
-    Raises InputError: it is damaged; else as `_read_mcap`."""
+    """Add the messages of one sqlite3 file, `origin` before decompression. InputError: damaged."""
     for journal in (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal")):
         if journal.is_file() and not journal.is_symlink() and journal.stat().st_size:
             text = f"its writer died: what {journal.name} holds is not read; sqlite3 takes it up: "
@@ -455,7 +382,7 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
             database.set_progress_handler(budget.is_over, _STEPS)
             query = database.execute
             query("PRAGMA trusted_schema = OFF")
-            # Tables with columns of their own: a view may be any program, one without end too.
+            # A view may be any program, one without end too.
             tables = query("PRAGMA main.table_list").fetchall()
             kinds = {row[1].decode(errors="replace").lower(): row[2] for row in tables}
             for name in ("messages", "topics"):
@@ -471,7 +398,6 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
 
             def rows_of(sql: str, numbers: list[int]) -> sqlite3.Cursor:
                 return query(sql.format(",".join("?" * len(numbers))), numbers)
-
             last = -1
             for row, number, time, data in rows_of(_MESSAGES, wanted):
                 if not isinstance(row, int) or row <= last:
@@ -489,8 +415,6 @@ def _read_sqlite(path: Path, topics: RawTopics, origin: Path) -> None:
         how = f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
         raise InputError(f"{origin}: damaged: {reason}; what can be saved of it: {how}") from None
 
-
-# --- compression --------------------------------------------------------------------------------
 
 def _decompress_file(source: Path, target: Path, budget: Budget) -> str:
     """Decompress a zstd file as far as it goes, and the budget does; what ended that too early."""

@@ -26,28 +26,22 @@ from sma_bench.records import cells as read
 from sma_bench.records.cells import MISSING, WORDS, cell_kind, parse_unit, said, split_title
 
 Row = tuple[int, list[Any]]  # line number from 1, cells
-MOST_COLUMNS = 1000
-LONGEST_NAME = 120
+MOST_COLUMNS, LONGEST_NAME = 1000, 120
 _FEWEST = 3  # rows of a table beside a larger one
 _SHORT = 0.05  # of the rows: as many without their last cells are sparse, not damaged
-_SAMPLE = 1000  # cells, for what a column holds
-_PLAIN = re.compile(r"[+-]?\d[\d.,:/T +-]*(?:e[+-]\d+)?\Z", re.IGNORECASE)
+_SAMPLE, _LOOK_AT = 1000, 400  # cells, for what a column holds; rows, for the separator
 _END_OF_HEADER = "***End_of_Header***"
-_COMMENT = re.compile(r"(?:#+|%+|//+|!+)\s*")
 _RULE = "-/|:=,"  # signs that part titles and are none
 LARGEST_FILE = 200 * MEGABYTE
-_LIBRARIES = 512 * MEGABYTE  # of addresses: what the reader of a format needs for itself
-# Libraries reserve memory for each of their threads, of which a busy machine has more at once.
+_LIBRARIES = 512 * MEGABYTE  # of addresses: what a format's reader needs, of whose threads each has
 _ONE_THREAD = {"MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1",
                "ARROW_DEFAULT_MEMORY_POOL": "system"}
 _TESTS = "stress", "force", "mass", "length"  # of which a line states one for each test
-_LOOK_AT = 400  # rows, for the separator
 _LONGEST_CELL = 4  # lines that a quoted cell may run over
 _MEANS = {text: key for key, texts in WORDS["attributes"].items() for text in texts}
-_FORMATS = {  # what a file begins with, and its reader in unfold.py
-    b"PK\x03\x04": "Excel", b"\x89HDF\r\n\x1a\n": "HDF5", b"MATLAB 7.3": "HDF5",
-    b"MATLAB 5": "MATLAB", b"PAR1": "Parquet", b"": "text",
-}  # fmt: skip
+# What a file begins with, and its reader in unfold.py.
+_FORMATS = {b"PK\x03\x04": "Excel", b"\x89HDF\r\n\x1a\n": "HDF5", b"MATLAB 7.3": "HDF5",
+            b"MATLAB 5": "MATLAB", b"PAR1": "Parquet", b"": "text"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +96,9 @@ class Account:
         where = f"sheet {self.sheet}: " if self.sheet else ""
         more = f" and {len(self.left_out) - 8} more" if len(self.left_out) > 8 else ""
         rest = f"; outside the table: {', '.join(self.left_out[:8])}{more}" * bool(self.left_out)
-        return printable(
-            f"{where}{self.rows} rows read, {self.rows_used} used; columns used: {used}; "
-            f"ignored: {ignored}; asked about: {', '.join(self.asked) or 'none'}{rest}"
-        )
+        rows = f"{where}{self.rows} rows read, {self.rows_used} used; columns used: {used}; "
+        asked = f"asked about: {', '.join(self.asked) or 'none'}"
+        return printable(f"{rows}ignored: {ignored}; {asked}{rest}")
 
 
 @dataclass(frozen=True)
@@ -151,9 +144,8 @@ class TableFile:
         for table in tables:
             ignored |= table.ignored
             left_out += table.left_out
-            for _, first in table.marks[:1]:
-                count = f"{len(table.marks)} lines of text between the rows"
-                left_out.append(f"{count}, the first {first[:40]!r}")
+            left_out += [f"{len(table.marks)} lines of text between the rows, first {text[:40]!r}"
+                         for _, text in table.marks[:1]]
         left_out += self.outside
         sheet = tables[0].name if len(tables) < len(self.tables) else ""
         rows = sum(table.rows for table in tables)
@@ -161,9 +153,8 @@ class TableFile:
 
 
 def read_table_file(path: str | Path) -> TableFile:
-    """Read a table whose format its content decides; raises InputError where it cannot be read."""
-    path = Path(path)
-    content = read_bytes(path, LARGEST_FILE)
+    """Read a table whose format its content decides. InputError: it cannot be read."""
+    path, content = Path(path), read_bytes(path, LARGEST_FILE)
     with errors_in(str(path)):
         file = _read(content)
     if not file.columns:
@@ -200,7 +191,6 @@ def _read(content: bytes) -> TableFile:
 
 
 def _unfolded(content: bytes, reader: str) -> list[Any]:
-    """Sheets or leaves of a file, of the process that reads its format (`unfold.py`)."""
     import msgspec  # which a robot has not, and its nodes import the records
     budget = reading_budget(len(content))
     seconds, script = math.ceil(budget.seconds), Path(__file__).with_name("unfold.py")
@@ -268,7 +258,6 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
             seconds, start = (array[:, 0] - array[0, 0]) / 1e9, array[0, 0] / 1e9
             columns[len(array)].append(Column(label, last, "s", seconds, group, float(start), 3))
             continue
-        # Attributes that scale, and what stands for a missing value.
         known = {_MEANS[key]: v for key, v in about.items() if key in _MEANS}
         scale = {key: v for key, v in known.items() if isinstance(v, float)}
         said_so = [f"{key} {scale[key]:g}" for key in ("scale", "offset") if key in scale]
@@ -276,7 +265,6 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
             notes[len(array)].append(f"{label}: {' and '.join(said_so)} of its attributes applied")
         array = np.where(array == scale.get("fill"), np.nan, array)
         array = array * scale.get("scale", 1.0) + scale.get("offset", 0.0)
-        # Titles and units, of a matrix of lists of as many texts.
         is_time, many = last.lower() in ("time", "t", "tout"), array.shape[1]
         named = {} if is_time else dict(beside.get(folder, {}))
         named |= {key: known[key] for key in ("unit", "title") if isinstance(known.get(key), str)}
@@ -305,16 +293,15 @@ def _read_leaves(leaves: list[Any], mark: str) -> tuple[list[Table], list[str]]:
 def tables_of(rows: Sequence[Row], separator: str | None, name: str,
               lines: Sequence[str] = ()) -> tuple[list[Table], list[str]]:
     """Tables of a text or sheet, parted by `separator` (None for blanks, "" of a sheet), and the
-    lines in none; raises InputError for titles or cells that cannot be understood."""
+    lines in none. InputError: titles or cells that cannot be understood."""
     headers, start = set[int](), 0  # rows of LabVIEW's headers, which hold numbers of their own
     for k, (_, cells) in enumerate(rows):
         first = str(cells[0]) if cells else ""
         start = k if first == "Channels" else start
         headers |= set(range(start, k + 1)) if first == _END_OF_HEADER else set()
-    blocks, between, width = list[_Block](), list[Row](), -1
+    blocks, between, width, plain = list[_Block](), list[Row](), -1, read.PATTERNS.plain_cell.match
     for k, row in enumerate(rows):
-        is_plain = all(isinstance(c, float) or (isinstance(c, str) and _PLAIN.match(c))
-                       for c in row[1][:2])  # fmt: skip
+        is_plain = all(type(c) is float or (type(c) is str and plain(c)) for c in row[1][:2])
         if k in headers:
             between.append(row)
         elif is_plain and len(row[1]) == width and not between:
@@ -420,7 +407,7 @@ class _Block:
             wide = [text for text in wide if text.strip(_RULE)]
             if len(wide) in (width, width - 1) and len(wide) > 1:
                 return wide
-        lead = _COMMENT.match(texts[0]) if texts else None
+        lead = read.PATTERNS.comment.match(texts[0]) if texts else None
         is_alone = len(texts) == width + 1 and self.separator != ""
         if lead and (lead.end() < len(texts[0]) or is_alone):
             texts[0] = texts[0][lead.end() :].strip('" ')
@@ -464,7 +451,6 @@ class _Block:
                 raise InputError(f"line {line} is {_text(cells)[:60]!r}, expected {width} numbers")
             if beyond:
                 left_out.append(f"line {line}: {_text(cells[width:])!r} beside the table, left out")
-        # Titles and cells must go together.
         columns = list(zip_longest(*(cells[:width] for _, cells in body), fillvalue=""))
         if len(titles) == width + 1 and read.title_meanings(titles[-1]) == ("counter",):
             titles = titles[:-1]  # a comment that no row has

@@ -1,10 +1,10 @@
-"""Reads what unfolds (Excel, MATLAB, HDF5, Parquet) by the libraries of these formats, in a process
-of its own: a small file may ask for all memory, or end a compiled reader.
+"""Reads what unfolds (Excel, MATLAB, HDF5, Parquet) in a process of its own: a small file may ask
+for all memory, or end a compiled reader.
 
-    python unfold.py KIND BYTES SECONDS < file > answer
+python unfold.py KIND BYTES SECONDS < file > answer
 
-This script imports numpy and what a format needs alone. The answer is msgpack: what is wrong, in
-one line, then what was found: path, value and attributes of each sheet or array."""
+It imports numpy and what a format needs alone. The answer is msgpack: what is wrong, in one line,
+then path, value and attributes of each sheet or array."""
 
 import datetime as dt
 import os
@@ -46,7 +46,6 @@ def excel(file: BytesIO) -> Found:
 
 
 def matlab(file: BytesIO) -> Found:
-    """Of several cells or structures each has its number in its path."""
     from scipy.io import loadmat
     def leaves(path: tuple[str, ...], value: Any) -> Found:
         is_cells = str(getattr(value, "dtype", "")) == "object" and hasattr(value, "flat")
@@ -101,8 +100,7 @@ def parquet(file: BytesIO) -> Found:
 
 
 def portable(value: Any) -> Any:
-    """A text; texts; of an array of numbers its type (float64, of moments int64 ns), its shape as
-    columns (n, k), and its bytes; else None."""
+    """A text; texts; of numbers their type, shape (n, k) and bytes; else None."""
     if isinstance(value, (str, bytes)):
         text = value.decode(errors="replace") if isinstance(value, bytes) else value
         return text[:LONGEST_TEXT].strip()
@@ -121,8 +119,7 @@ def portable(value: Any) -> Any:
 
 
 def portable_leaves(found: Found) -> Found:
-    """Leaves without lone numbers; attributes of one text or number, by their names in lower case;
-    why a leaf is not read is its attribute `unread`."""
+    """Leaves without lone numbers, attributes of one text or number, why one is unread."""
     for count, (path, value, attributes) in enumerate(found):
         if count > MOST_LEAVES:
             raise ValueError(f"more than {MOST_LEAVES} arrays")

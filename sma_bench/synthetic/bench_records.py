@@ -29,21 +29,18 @@ from sma_bench.records.record import Record, Signal
 # The sensors of a synthetic record: the simulator node's noise, resolution and rates.
 _SETTINGS = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
 _STANDOFF = _SETTINGS["sensor.range_standoff"]
-COMMAND_PERIOD = 0.05  # s
-REST = 3.0  # s at 0 V before and after a protocol
+COMMAND_PERIOD, REST = 0.05, 3.0  # s, the latter at 0 V before and after a protocol
 PRETENSION = 0.002  # strain under which the wire of E8 is clamped: it must not become slack
 _ROUNDING = 1e-6  # of a period
-# s. The paper's model is exact in any step; effects, latent heat above all, need short ones.
-_FINE_STEP = 0.0025
-_PULL_STEP = 0.1  # s, in which a frame's force stands still
+# s: effects, latent heat above all, need short steps; in which a frame's force stands still.
+_FINE_STEP, _PULL_STEP = 0.0025, 0.1
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
                "bending", "temperature_reading", "mount", "sag")
 
 
 def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike,
                     elongation: ArrayLike | None = None) -> Simulation:
-    """`simulate` at samples time (n,) s and voltage (n, w) V, held to the next, in steps between
-    them short enough for effects; elongation (n,) m as there. InputError: as `simulate`."""
+    """`simulate` at the samples, in steps between them short enough for effects."""
     fine, volts, first = _refined(parameters, time, voltage)
     if elongation is not None and len(fine) > np.size(time) == np.size(elongation):
         elongation = np.interp(fine, np.asarray(time), np.asarray(elongation))
@@ -53,7 +50,6 @@ def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike,
 
 def _refined(parameters: Parameters, time: ArrayLike,
              voltage: ArrayLike) -> tuple[Array, Array, IntArray]:
-    """Time and voltage in short enough steps, and where the given samples are among these."""
     seconds, volts = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
     gaps = np.diff(seconds) if seconds.ndim == 1 else np.zeros(1)
     if not active_effects(parameters) or not np.all(gaps > 0.0):  # as the simulation will say
@@ -66,8 +62,8 @@ def _refined(parameters: Parameters, time: ArrayLike,
 
 
 def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float) -> Simulation:
-    """A protocol on the bench that runs it, read every `period` s; elongation counts from a wire
-    without any force where a frame pulls. InputError: forces on a load that is no held force."""
+    """A protocol on the bench that runs it, read every `period` s. InputError: its steps hold
+    forces, and the load is no held force."""
     bench = protocol.bench(parameters)
     time, voltage = played(protocol, bench, period)
     if not protocol.pulls:
@@ -160,8 +156,8 @@ def read_signals(signals: Sequence[Signal], seed: int, report: Report = silent) 
 
 
 def _read(seeds: np.random.SeedSequence, signal: Signal, celsius: float = 0.0) -> list[Signal]:
-    """A signal as instruments with noise read it; a deflection after the two distances whose half
-    difference it is. An elongation that never changes is clamped; `celsius` [K]: a reading's 0."""
+    """A signal as noisy instruments read it, a deflection behind the two distances that it is of;
+    `celsius` [K]: a reading's 0."""
     quantity, true = signal.name.rpartition(".")[2], np.asarray(signal.values)
 
     def read(sensor: str, values: Array, zero: float = 0.0) -> Array:
@@ -178,12 +174,9 @@ def _read(seeds: np.random.SeedSequence, signal: Signal, celsius: float = 0.0) -
     return [replace(signal, values=true)]
 
 
-# --- Records of the two simulated rigs: protocol or controller, physics, sensors.
-
-
 def protocol_record(name: str, parameters: Parameters, seed: int = 1) -> Record:
-    """Run a protocol, by name or path, on the simulated rig of `parameters`, at rest before and
-    after it. Raises InputError: no such protocol, or one that this rig cannot run."""
+    """Run a protocol, by name or path, on the simulated rig of `parameters`. InputError: no such
+    protocol, or one that this rig cannot run."""
     protocol = load_protocol(name, parameters)
     rig = "composite rig" if len(parameters["bench.channels"]) > 1 else "wire rig"
     title, duration = f"synthetic {name} on the simulated {rig}", protocol.duration + 2.0 * REST
@@ -252,13 +245,11 @@ def run_loop(parameters: Parameters, observe: Callable[[Bench], Array],
              control: Callable[[Array, Array, Array], Array], duration: float,
              period: float = COMMAND_PERIOD, late: int = 0, noise: float = 0.0,
              resolution: float = 0.0, seed: int = 1) -> ClosedLoopRun:
-    """Run a controller on a simulated bench, whose parameters it may not know.
+    """Run a controller on a simulated bench, whose `parameters` it may not know.
 
-    `parameters`: what the bench really is; `observe`: what is controlled, of it; `reference`: at a
-    time in s; `control`: voltages (w,) for the reference, a reading of what is observed, and the
-    reference a period later; `period`: s between commands; `late`: periods from a reading to the
-    command that answers it; `noise`, `resolution`: standard deviation and step of a reading, in its
-    unit, 0 for none."""
+    `observe`: what is controlled, of the bench; `reference`: at a time in s; `control`: voltages
+    (w,) for the reference, a reading, and the reference a `period` [s] later; `late`: periods from
+    a reading to its command; `noise`, `resolution`: of a reading, in its unit, 0 for none."""
     plant, random = Bench(parameters), np.random.default_rng(seed)
     waiting = [np.zeros(len(parameters["bench.channels"]))] * late
     time: Array = period * np.arange(round(duration / period), dtype=np.float64)

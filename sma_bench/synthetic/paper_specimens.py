@@ -1,5 +1,4 @@
-"""The paper's experiments on synthetic specimens, and what its instruments would write down of the
-model's wire (E5 to E7): protocols, cycles and repeats as it did them."""
+"""The paper's experiments on synthetic specimens, as its instruments would write them down."""
 
 import math
 from pathlib import Path
@@ -16,41 +15,33 @@ from sma_bench.physics.material import cooled_fraction, heat_loss, heated_fracti
 from sma_bench.records import instruments
 from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol_record
 
-# --- Numbers that the paper prints besides those of the parameter table.
-
 # Table II, heat cycles 1 and 2 [K]; the table holds cycle 2.
-DSC_CYCLES = (
-    {"A_s": 351.29, "A_f": 371.05, "M_s": 355.49, "M_f": 324.93},
-    {"A_s": 331.81, "A_f": 353.61, "M_s": 353.39, "M_f": 325.09},
-)
+DSC_CYCLES = ({"A_s": 351.29, "A_f": 371.05, "M_s": 355.49, "M_f": 324.93},
+              {"A_s": 331.81, "A_f": 353.61, "M_s": 353.39, "M_f": 325.09})
 # Below Fig. 8, mean and deviation [K] under a holding force of 1 N.
 UPFR_START, UPFR_FINISH = (350.65, 1.06), (361.35, 1.49)
 HOLDING_FORCE = 1.0  # N
 _COLD_TEST, _HOT_TEST = 293.15, 403.15  # K, Table III, of martensite and of austenite
 _DETWINNED_AT = 0.04  # strain up to which martensite detwins, section III.B.2
 
-# --- Synthetic DSC run: what the model's wire would do to a calorimeter (E5, Fig. 7).
-#
-# Heat into the sample is m (c_p dT/dt - L dxi/dt), eq. (1) with xi of eqs. (10), (11) at no
-# stress. The instrument adds a start-up transient, a baseline that drifts, and noise. Thermal
-# lag is left out, so that the onsets are those of the material.
+# --- E5, Fig. 7: heat into the sample is m (c_p dT/dt - L dxi/dt), eq. (1) with xi of eqs. (10),
+# (11) at no stress, behind a start-up transient, a drifting baseline and noise, but no thermal lag.
 
 COLDEST, HOTTEST = 273.15, 453.15  # K, section III.B.1
 RATE = 5.0 / 60.0  # K/s, section III.B.1
 SAMPLE_MASS = 8e-6  # kg, assumed: a few millimetres of wire
 LATENT_HEAT = 20e3  # J/kg, assumed: NiTi has 10 to 25 kJ/kg
-_SCAN_PERIOD = 0.5  # s
+_SCAN_PERIOD, _START_UP = 0.5, 12.0  # s
 _HEAT_FLOW_NOISE = 0.2e-6  # W, sensitivity of the Q2000
 _DRIFT = (25e-6, 12e-6)  # W, linear and quadratic over a scan
-_START_UP = 12.0  # s
 
 
 def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
     """A heating and a cooling for each cycle of Table II; of another wire twice its own."""
     cycles = [parameters, parameters]
     if _is_papers_wire(parameters):
-        own = [{TRANSITIONS[end]: kelvin for end, kelvin in cycle.items()} for cycle in DSC_CYCLES]
-        cycles = [parameters.replace(ends) for ends in own]
+        cycles = [parameters.replace({TRANSITIONS[end]: kelvin for end, kelvin in cycle.items()})
+                  for cycle in DSC_CYCLES]
     random = np.random.default_rng(seed)
     segments: list[instruments.DscSegment] = []
     time = np.arange(0.0, (HOTTEST - COLDEST) / RATE, _SCAN_PERIOD)
@@ -68,20 +59,13 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
             rest = (heat + drift + noise, np.zeros(len(time)), temperature, temperature)
             number = len(segments) + 1
             segments.append(instruments.DscSegment(number, sign * RATE, began + time, *rest))
-    path = Path(f"synthetic DSC run of {len(cycles)} cycles")
-    header = {"Sample ID": "synthetic NiTi wire"}
+    path, header = Path("synthetic DSC run of 2 cycles"), {"Sample ID": "synthetic NiTi wire"}
     return instruments.DscRecord(path, SAMPLE_MASS, header, tuple(segments), instrument="synthetic")
 
 
-# --- Synthetic isobaric tests: the simulated wire heated and cooled while a load is held (E6,
-# Fig. 8).
-#
-# The frame keeps the force and records the travel; the wire is led through a triangle of
-# temperature, slow against its time constant. No measurement: the model behind instruments.
+# --- E6, Fig. 8: the simulated wire led through a slow triangle of temperature under a held force.
 
-_RATE = 0.5  # K/s
-_ABOVE_FINISH = 25.0  # K
-_FRAME_PERIOD = 0.2  # s
+_RATE, _ABOVE_FINISH, _FRAME_PERIOD = 0.5, 25.0, 0.2  # K/s, K, s
 _TEMPERATURE_NOISE = 0.05  # K, a thermocouple in a chamber
 _STRAIN_NOISE = 2e-5  # 4 micrometres of traverse on 0.2 m of wire
 # Of a cosine ramp the steepest tangent takes 2/pi of its width.
@@ -92,7 +76,6 @@ def isobaric_test(parameters: Parameters, stress: float, name: str,
                   seed: int = 1) -> instruments.IsobaricRecord:
     """One heating and cooling of the wire of `parameters` under a held stress [Pa]."""
     random = np.random.default_rng(seed)
-    # The voltage that eq. (2) asks for a triangle of temperature.
     shift = stress / parameters["wire.stress_influence_austenite"]
     hottest = parameters["wire.austenite_finish_temperature"] + shift + _ABOVE_FINISH
     rise = (hottest - parameters["environment.ambient_temperature"]) / _RATE
@@ -110,21 +93,14 @@ def isobaric_test(parameters: Parameters, stress: float, name: str,
     return instruments.IsobaricRecord(Path(name), name, stress, "1", cycles, tuple(findings))
 
 
-# --- Synthetic tensile tests at constant temperature (E7, Fig. 9).
-#
-# Austenite follows the package's own law: under load the range of eq. (11) rises until the wire
-# turns to martensite, eps = sigma/E(xi) + eps_L xi. Martensite is a test curve, not a model:
-# the paper's law starts from detwinned martensite and knows no detwinning, so the curve is an
-# elastic rise E_M, a plateau up to 4 % of strain as Fig. 9 is described, and a rise E_M again,
-# its corners rounded. Both begin with a toe, as a specimen that is not quite straight gives.
+# --- E7, Fig. 9: austenite follows the package's law, eps = sigma/E(xi) + eps_L xi, eq. (11) under
+# load. Martensite, whose detwinning the law does not know, is a test curve: a rise E_M, a plateau
+# up to 4 % of strain, a rise E_M again, corners rounded. Both begin with a toe.
 
 _DETWINNING_STRESS = 130e6  # Pa, assumed: 100 to 200 MPa on NiTi
 _DETWINNING_SLOPE = 0.6e9  # Pa, assumed
-_LARGEST_STRAIN = 0.06
-_TOE = 0.0015
-_ROUNDING = 0.0008
+_LARGEST_STRAIN, _TOE, _ROUNDING, _POINTS = 0.06, 0.0015, 0.0008, 1500
 _STRESS_NOISE = 0.6e6  # Pa, 0.04 N of a 500 N load cell on a 0.3 mm wire
-_POINTS = 1500
 
 
 def tensile_test(parameters: Parameters, temperature: float, name: str,
@@ -141,7 +117,6 @@ def tensile_test(parameters: Parameters, temperature: float, name: str,
         load = np.linspace(0.0, 2e9, 20001)
         xi = cooled_fraction(temperature, load, parameters)
         curve = load / modulus(xi, parameters) + parameters["wire.maximum_recoverable_strain"] * xi
-    # Its corners rounded by a moving mean, and what a load cell makes of it.
     fine = np.linspace(0.0, 1.5 * _LARGEST_STRAIN, 20001)
     width = int(_ROUNDING / (fine[1] - fine[0]))
     padded = np.pad(np.interp(fine, curve, load), width, mode="reflect", reflect_type="odd")
@@ -159,6 +134,8 @@ BACK_STIFFNESS = 3.0
 REPEATS = (-1.0, 0.0, 1.0)  # in standard deviations: their sample deviation is 1
 _WELL_INSIDE = 15.0  # K beyond M_f or A_f
 STRESSES = (10e6, 50e6, 100e6, 150e6, 200e6)
+_PLAYED = {"thermal": (("staircase", 1), ("ramp", 2)), "validation": (("triangle", 3),),
+           "composite": (("composite_triangle", 40), ("composite_step", 41))}  # with seeds
 
 
 def _is_papers_wire(parameters: Parameters) -> bool:
@@ -168,8 +145,8 @@ def _is_papers_wire(parameters: Parameters) -> bool:
 
 def wire_rig(parameters: Parameters) -> Parameters:
     """One clamped wire (Fig. 1)."""
-    one = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
-    return parameters.replace({**one, "load.kind": "clamped"})
+    return parameters.replace({"bench.channels": ("wire",), "bench.channel_sides": ("front",),
+                               "load.kind": "clamped"})
 
 
 def composite_rig(parameters: Parameters) -> Parameters:
@@ -182,36 +159,29 @@ def composite_rig(parameters: Parameters) -> Parameters:
 
 
 def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
-    """The records of one group of the paper's experiments, of the wire of `parameters`: "thermal"
-    (E1, E2: staircase; E3: ramps), "validation" (E4: triangular voltage), "dsc" (E5), "upfr" (E6:
-    three specimens), "isobaric" (E9: a test at each of several stresses), "tensile" (E7: three
-    specimens of each phase), "clamped" (E8: temperature staircase below A_s), "composite" (E12:
-    triangular and step voltage)."""
+    """Of the wire of `parameters`: "thermal" (E1 to E3: staircase, ramps), "validation" (E4:
+    triangle), "dsc" (E5), "upfr" (E6), "isobaric" (E9: several stresses), "tensile" (E7: two
+    phases), "clamped" (E8: temperature staircase below A_s) or "composite" (E12: triangle and
+    step)."""
     wire = wire_rig(parameters)
-    match group:
-        case "thermal":
-            return protocol_record("staircase", wire, 1), protocol_record("ramp", wire, 2)
-        case "validation":
-            return (protocol_record("triangle", wire, 3),)
-        case "dsc":
-            return (dsc_run(parameters),)
-        case "upfr":
-            return _upfr_tests(wire)
-        case "isobaric":
-            tests = [(x, f"synthetic isobaric test at {x / 1e6:.0f} MPa") for x in STRESSES]
-            return tuple(isobaric_test(wire, *test, 10 + k) for k, test in enumerate(tests))
-        case "tensile":
-            return _tensile_tests(parameters)
-        case "clamped":
-            return (clamped_staircase_record(wire, seed=30),)
-    rig = composite_rig(parameters)
-    triangle = protocol_record("composite_triangle", rig, 40)
-    return triangle, protocol_record("composite_step", rig, 41)
+    if group == "dsc":
+        return (dsc_run(parameters),)
+    if group == "upfr":
+        return _upfr_tests(wire)
+    if group == "isobaric":
+        tests = [(x, f"synthetic isobaric test at {x / 1e6:.0f} MPa") for x in STRESSES]
+        return tuple(isobaric_test(wire, *test, 10 + k) for k, test in enumerate(tests))
+    if group == "tensile":
+        return _tensile_tests(parameters)
+    if group == "clamped":
+        return (clamped_staircase_record(wire, seed=30),)
+    rig = composite_rig(parameters) if group == "composite" else wire
+    return tuple(protocol_record(name, rig, seed) for name, seed in _PLAYED[group])
 
 
 def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
-    """E6: specimens with the paper's mean and deviation of where tangents meet under the holding
-    force; first cycle, as prestrained. Another wire's deviate as much from its own."""
+    """E6, first cycle: specimens with the paper's mean and deviation of where tangents meet under
+    the holding force; another wire's deviate as much from its own."""
     stress = HOLDING_FORCE / wire_section(wire)
     shift = stress / wire["wire.stress_influence_austenite"]
     start, finish = UPFR_START[0], UPFR_FINISH[0]

@@ -11,9 +11,7 @@ START = 1_700_000_000 * 10**9
 class Messages:
     """Messages of the contract's types, stamped with ns where they have a header."""
 
-    ros = staticmethod(message)
-    types = TYPES
-    start = START
+    ros, types, start = staticmethod(message), TYPES, START
 
     @staticmethod
     def serialise(given):
@@ -41,17 +39,15 @@ class Messages:
 
 @pytest.fixture(scope="session")
 def messages():
-    """Makes messages."""
     return Messages
 
 
 def _write(path, content, storage="mcap", chunk=None, declare=()):
     writer = Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()])
-    connections = {}
+    kinds = dict(declare) | {topic: given.__msgtype__ for topic, given, _ in content}
     with writer:
-        for topic, msgtype in (*declare, *((t, m.__msgtype__) for t, m, _ in content)):
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, msgtype, typestore=TYPES)
+        connections = {topic: writer.add_connection(topic, kind, typestore=TYPES)
+                       for topic, kind in kinds.items()}
         for count, (topic, given, received) in enumerate(content, start=1):
             writer.write(connections[topic], received, Messages.serialise(given))
             if chunk and count % chunk == 0:
@@ -73,5 +69,5 @@ def ramp():
         power = Messages.power(stamp, k / 1e3, k / 1e3)
         reading = Messages.temperature(stamp, 20 + k / 10)
         content += [("/bench/wire/power", power, stamp + 1_000_000),
-                    ("/bench/wire/temperature", reading, stamp + 3_000_000)]  # fmt: skip
+                    ("/bench/wire/temperature", reading, stamp + 3_000_000)]
     return content

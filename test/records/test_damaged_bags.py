@@ -43,18 +43,14 @@ def require_one_line(path, *named):
 def test_a_db3_whose_pages_lead_back_is_refused_naming_what_saves_it(tmp_path, write_bag, messages):
     """The root of the message table, an interior page that names all the leaves, names the third
     again: it once gave its rows for ever, until the memory was full."""
-    content = []
-    for k in range(3000):
-        stamp = messages.start + k * 10_000_000
-        content.append(("/b/wire/temperature", messages.temperature(stamp, 20 + k), stamp))
+    content = [("/b/wire/temperature", messages.temperature(stamp, 20.0), stamp)
+               for stamp in range(messages.start, messages.start + 3000 * 10**7, 10**7)]
     file = next(write_bag(tmp_path / "bag", content, "sqlite3").glob("*.db3"))
     raw = bytearray(file.read_bytes())
-    root = max(
-        (at for at in range(0, len(raw), 4096) if raw[at] == 0x05),
-        key=lambda at: struct.unpack_from(">H", raw, at + 3)[0],
-    )
+    root = max((at for at in range(0, len(raw), 4096) if raw[at] == 0x05),
+               key=lambda at: struct.unpack_from(">H", raw, at + 3)[0])
     (cells,) = struct.unpack_from(">H", raw, root + 3)
-    pointers = [struct.unpack_from(">H", raw, root + 12 + 2 * k)[0] for k in range(cells)]
+    pointers = struct.unpack_from(f">{cells}H", raw, root + 12)
     first = raw[root + pointers[2] : root + pointers[2] + 4]
     for pointer in pointers[cells // 2 :]:
         raw[root + pointer : root + pointer + 4] = first

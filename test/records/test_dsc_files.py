@@ -18,7 +18,7 @@ MASS = 10.2  # mg, of the file below too
 HEADER = (FILES / "universal_analysis.txt").read_text(encoding="utf-8")
 TRIOS_STEP = "[step]\nRamp 5.00 °C/min to {} °C\nTime\tTemperature\tHeat Flow (Normalized)\n"
 ONSETS = {"austenite_start": 70.0, "austenite_finish": 95.0, "martensite_start": 80.0,
-          "martensite_finish": 50.0}  # fmt: skip
+          "martensite_finish": 50.0}
 
 
 def peak(t, start, finish):
@@ -53,9 +53,8 @@ def trios():
 
 def titled():
     """A plain table with titles and no mass."""
-    return "Time (min),Temperature (C),Heat Flow (W/g)\n" + "".join(
-        f"{a:.6f},{b:.5f},{c:.6f}\n" for a, b, c in scans()
-    )
+    rows = (f"{a:.6f},{b:.5f},{c:.6f}\n" for a, b, c in scans())
+    return "Time (min),Temperature (C),Heat Flow (W/g)\n" + "".join(rows)
 
 
 @pytest.fixture
@@ -74,12 +73,11 @@ def test_units_are_si_and_the_sign_follows_the_run(write):
     assert run.header["Filename"] == "C:\\run.dcd" and run.sample == "NiTi wire"
     assert [s.kind for s in run.segments] == ["isothermal", "cooling", "heating"]
     assert [s.rate for s in run.segments] == pytest.approx([0, -10 / 60, 20 / 60])
-    heating = run.segments[2]
-    assert heating.time.tolist() == [180, 240]
-    assert heating.heat_flow == pytest.approx([0.020, 0.021])
-    assert heating.baseline == pytest.approx([0.001, 0.001])
-    assert heating.temperature == pytest.approx([342.15, 361.15])
-    assert heating.program_temperature == pytest.approx([343.15, 363.15])
+    heating, expected = run.segments[2], {
+        "time": [180, 240], "heat_flow": [0.020, 0.021], "baseline": [0.001, 0.001],
+        "temperature": [342.15, 361.15], "program_temperature": [343.15, 363.15]}
+    for name, values in expected.items():
+        assert getattr(heating, name) == pytest.approx(values)
     assert run.specific_heat_flow(heating) == pytest.approx([1900, 2000])
     assert run.endothermic_up is True and run.findings == ()
     # Where the method is missing, the program gives the rates.
@@ -146,15 +144,21 @@ def test_steps_and_onsets_come_back_from_every_program(write, text):
         assert found == pytest.approx(celsius + 273.15, abs=0.5), name
 
 
+def test_a_french_export_is_read(write):
+    rows = (f"{60 * a:.3f};{b:.3f};{10 * c:.4f}\n".replace(".", ",") for a, b, c in scans())
+    head = "Masse : 12,3 mg\nTemps (s);Temp. échantillon (°C);Flux de chaleur (mW)\n"
+    run = open_record(write(head + "".join(rows)))
+    assert run.mass == pytest.approx(12.3e-6) and len(run.segments) == 3
+
+
 @settings(max_examples=60, deadline=None)
 @given(data=st.data(), text=st.sampled_from([PYRIS, universal()[:2000]]))
 def test_any_mutilation_ends_in_a_record_or_one_line(tmp_path_factory, data, text):
     lines = text.split("\n")
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(lines) - 1))
-        lines[at : at + data.draw(st.integers(0, 3))] = data.draw(
-            st.lists(st.text(st.characters(max_codepoint=255), max_size=30), max_size=2)
-        )
+        texts = st.lists(st.text(st.characters(max_codepoint=255), max_size=30), max_size=2)
+        lines[at : at + data.draw(st.integers(0, 3))] = data.draw(texts)
     path = tmp_path_factory.mktemp("dsc") / "run.txt"
     path.write_bytes("\n".join(lines).encode("latin-1") + data.draw(st.binary(max_size=20)))
     try:

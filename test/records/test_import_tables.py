@@ -1,8 +1,6 @@
 """Tables of other loggers: four formats of one bench, guesses and questions, hostile files."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +8,7 @@ import pytest
 import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from unfolding_tables import TEXT, shared_array, shared_texts, unfolding_tables
+from unfolding_tables import TEXT, dictionary_text, shared_array, shared_texts
 
 from sma_bench import border
 from sma_bench.api import load
@@ -118,9 +116,7 @@ def test_a_bag_says_where_it_comes_from_and_its_map_gives_it_again(tmp_path, rig
 
 
 @pytest.mark.parametrize(("titles", "scale", "said"), CASES["asked"])
-def test_what_is_unsure_is_asked_in_one_line_and_in_the_map(
-    titles, scale, said, tmp_path, rig, capsys
-):
+def test_what_is_unsure_is_asked_and_answered_in_a_map(titles, scale, said, tmp_path, rig, capsys):
     columns = [c * s for c, s in zip((TIME, DUTY, PLACE), scale, strict=True)]
     source = text_file(tmp_path / "odd.csv", titles, columns)
     bag, asked = tmp_path / "bag", tmp_path / "bag.map.yaml"
@@ -159,54 +155,47 @@ def test_other_commands_say_how_a_table_becomes_a_record(tmp_path, capsys, monke
         assert f"sma-bench import {source} --out" in error and error.count("\n") == 1
 
 
-def test_what_needs_no_duty_or_no_position_is_read(tmp_path, rig):
-    """A pull by a load frame, from arrays and from a file; a clamped wire; currents, angles."""
-    pull = np.interp(TIME, [0, 10, 20, 30], [0, 6e-3, 0, 0])
-    arrays = load({"time": TIME, "elongation": pull, "force": pull * 9e3})
-    assert arrays["force"].values.max() == pytest.approx(54)
-    titles = ["t (s)", "elongation (mm)", "force (N)"]
-    pulled = load(text_file(tmp_path / "t.csv", titles, [TIME, 1e3 * pull, -9e3 * pull]), units={})
-    np.testing.assert_allclose(pulled["elongation"].values, pull, atol=1e-12)
-    np.testing.assert_allclose(pulled["force"].values, 9e3 * pull, atol=1e-9)
-    titles = ["time [s]", "duty [%]", "temperature [degC]"]
-    clamped = text_file(tmp_path / "h.csv", titles, [TIME, DUTY * 100, 23.0 + 400.0 * DUTY])
-    assert set(load(clamped, params=rig).signals) == {"wire.voltage", "wire.temperature"}
+PULL, WATTS, ON = np.interp(TIME, [0, 10, 20, 30], [0, 6e-3, 0, 0]), 3.0 * (DUTY > 0), DUTY > 0
+ANGLE, POWER = ["t (s)", "strom (mA)", "winkel (grad)"], ["t (s)", "leistung (mW)", "position (mm)"]
+TURNED, DRAWN = [TIME, 800.0 * ON, MOVED * 4e3], [TIME, 1e3 * WATTS, MOVED * 1e3]
+IMPOSED = ("{kind: spring, stiffness: 200.0, preload: 6.0}", "{kind: displacement}")
+LEVER, OF_CURRENT = ("6.0}", "6.0, lever: 0.02}"), ("duty", "current")
+# What the rig is changed to, titles, columns, and what is read, or the refusal.
+LOADED = [
+    ([], ["t (s)", "elongation (mm)", "force (N)"], [TIME, 1e3 * PULL, -9e3 * PULL],
+     {"elongation": PULL, "force": 9e3 * PULL}),
+    ([], ["time [s]", "duty [%]", "temperature [degC]"], [TIME, DUTY * 100, 23.0 + 400.0 * DUTY],
+     {"wire.voltage": np.sqrt(DUTY) * SUPPLY, "wire.temperature": 296.15 + 400.0 * DUTY}),
     # What a machine imposes is as it counts: heat, which comes with it, tells nothing of its sign.
-    machine = tmp_path / "machine.yaml"
-    machine.write_text(RIG.replace("{kind: spring, stiffness: 200.0, preload: 6.0}",
-                                   "{kind: displacement}"))
-    titles = ["time [s]", "duty [%]", "displacement [mm]", "force [N]"]
-    columns = [TIME, DUTY * 100, 1.5 + 1e3 * MOVED, 20.0 - 1e3 * MOVED]
-    moved = load(text_file(tmp_path / "m.csv", titles, columns), params=machine)["elongation"]
-    np.testing.assert_allclose(moved.values, 1.5e-3 + MOVED, atol=1e-9)
-    titles = ["t (s)", "strom (mA)", "winkel (grad)"]
-    turned = text_file(tmp_path / "w.csv", titles, [TIME, 800.0 * (DUTY > 0), MOVED * 4e3])
-    with pytest.raises(InputError, match=r"m of movement for a radian\? load.lever"):
-        load(turned, units={})
-    rig.write_text(RIG.replace("6.0}", "6.0, lever: 0.02}").replace("duty", "current"))
-    record = imported(turned, rig, tmp_path / "bag")
-    assert record["wire.current"].values.max() == pytest.approx(0.8)
-    moved = -np.radians(MOVED * 4e3) * 0.02
-    np.testing.assert_allclose(record["elongation"].values, moved, atol=1e-9)
+    ([IMPOSED], ["time [s]", "duty [%]", "displacement [mm]", "force [N]"],
+     [TIME, DUTY * 100, 1.5 + 1e3 * MOVED, 20.0 - 1e3 * MOVED], {"elongation": 1.5e-3 + MOVED}),
+    ([OF_CURRENT], ANGLE, TURNED, r"m of movement for a radian\? load.lever"),
+    ([LEVER, OF_CURRENT], ANGLE, TURNED,
+     {"wire.current": 0.8 * ON, "elongation": -np.radians(MOVED * 4e3) * 0.02}),
     # Watts drive where the rig says so.
-    titles = ["t (s)", "leistung (mW)", "position (mm)", "volts (V)"]
-    watts = 3.0 * (DUTY > 0)
-    columns = [TIME, 1e3 * watts, MOVED * 1e3, 9.0 + 0.0 * TIME]
-    table = text_file(tmp_path / "p.csv", titles, columns)
-    rig.write_text(RIG.replace("duty", "power"))
-    record = imported(table, rig, tmp_path / "power")
-    product = record["wire.voltage"].values * record["wire.current"].values
-    np.testing.assert_allclose(product, watts, atol=1e-6)
-    rig.write_text(RIG.replace("duty", "voltage"))
-    record = imported(table, rig, tmp_path / "voltage")
-    assert np.all(record["wire.voltage"].values == 9.0) and "wire.current" not in record.signals
-    alone = text_file(tmp_path / "q.csv", titles[:3], columns[:3])
-    with pytest.raises(InputError, match="power drives with bench.drive: power only"):
-        load(alone, params=rig)
-    rig.write_text(RIG.replace("6.0}", "6.0, lever: 0.02}").replace("duty", "current"))
-    # The rig that turns an angle into movement serves other commands too.
-    words = "simulate --protocol ramp --rate 10 --set bench.drive=duty"
-    assert main([*words.split(), "--params", str(rig), "--out", str(tmp_path / "model")]) == 0
+    ([("duty", "power")], [*POWER, "volts (V)"], [*DRAWN, 9.0 + 0.0 * TIME],
+     {"wire.voltage": np.sqrt(WATTS * 7.0), "wire.current": np.sqrt(WATTS / 7.0)}),
+    ([("duty", "voltage")], [*POWER, "volts (V)"], [*DRAWN, 9.0 + 0.0 * TIME],
+     {"wire.voltage": 9.0 + 0.0 * TIME, "wire.current": None}),
+    ([("duty", "voltage")], POWER, DRAWN, "power drives with bench.drive: power only")]
+
+
+@pytest.mark.parametrize("case", LOADED)
+def test_what_needs_no_duty_or_no_position_is_read(case, tmp_path, rig):
+    """A pull by a load frame, a clamped wire; currents, angles, watts."""
+    changes, titles, columns, expected = case
+    for old, new in changes:
+        rig.write_text(rig.read_text().replace(old, new))
+    source = text_file(tmp_path / "t.csv", titles, columns)
+    if isinstance(expected, str):
+        with pytest.raises(InputError, match=expected):
+            load(source, params=rig)
+        return
+    record = load(source, params=rig)
+    for name, values in expected.items():
+        assert (name in record.signals) == (values is not None)
+        if values is not None:
+            np.testing.assert_allclose(record[name].values, values, atol=2e-6)
 
 
 MATLAB = b"MATLAB 5.0 MAT-file" + b" " * 105 + b"\0\1IM"
@@ -224,46 +213,24 @@ def test_any_bytes_are_a_table_or_one_line(tmp_path_factory, content, magic):
         assert "\n" not in str(error) and str(path) in str(error)
 
 
-INFO = """
-import resource, sys
-from sma_bench.cli import main
-from sma_bench.commands import terminal
-terminal.FIRST_LINE = 1e6  # no line of progress on a busy machine: lines are counted
-statuses = [main(["info", name]) for name in sys.argv[1:]]
-own, children = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
-print(*statuses, max(own.ru_maxrss, children.ru_maxrss))
-"""
-
-
-def test_what_a_table_holds_once_and_refers_to_often_ends_info_in_a_line_and_a_gigabyte(tmp_path):
-    """In their libraries these take 5.7 to 8.8 GB."""
-    pytest.importorskip("pyarrow")
-    tables = unfolding_tables(tmp_path)
-    command = [sys.executable, "-c", INFO, *map(str, tables)]
-    ended = subprocess.run(command, capture_output=True, text=True, check=True)
-    *statuses, peak = map(int, ended.stdout.split())
-    assert statuses == [2, 2, 2]
-    for line, table in zip(ended.stderr.splitlines(), tables, strict=True):
-        assert line.startswith(f"sma-bench: {table}: ")
-    assert peak * 1024 < 1 << 30
-
-
 def test_tables_that_unfold_without_end_are_refused_or_read_without_it(tmp_path, monkeypatch):
-    """What they claim, what they hold once and refer to often, and other files."""
+    """What they claim, what they hold once and refer to often (5.7 to 8.8 GB), and other files."""
     with h5py.File(tmp_path / "claims.h5", "w") as file:
         file.create_dataset("t", shape=(1 << 40,), chunks=(1 << 16,), dtype="f8")
     (tmp_path / "secret").write_bytes(bytes(800))
     with h5py.File(tmp_path / "outside.h5", "w") as file:
         file.create_dataset("t", (100,), "f8", external=[(str(tmp_path / "secret"), 0, 800)])
-    shared_array(tmp_path / "often.h5")
-    refused = {"claims.h5": "more than [0-9]+ MB", "outside.h5": "another file",
-               "often.h5": "memory"}  # fmt: skip
-    for name, said in refused.items():
-        with pytest.raises(InputError, match=said):
-            read_table_file(tmp_path / name)
-    # One text of a megabyte in every cell of a column.
     one = b"<si><t>" + TEXT + b"</t></si>"
-    assert len(read_table_file(shared_texts(tmp_path / "often.xlsx", 1000, one)).columns) == 2
+    refused = {tmp_path / "claims.h5": "more than [0-9]+ MB",
+               tmp_path / "outside.h5": "another file",
+               shared_array(tmp_path / "often.h5"): "memory"}
+    for path, said in refused.items():
+        with pytest.raises(InputError, match=said):
+            read_table_file(path)
+    # Where texts are cut or passed over it is the numbers that are read.
+    for path in (shared_texts(tmp_path / "often.xlsx", 1000, one),
+                 dictionary_text(tmp_path / "often.parquet")):
+        assert len(read_table_file(path).columns) == 2
     monkeypatch.setattr(border, "_SECONDS", 0.5)
     endless = shared_texts(tmp_path / "endless.xlsx", 1000, b"<si><t>x</t></si>" * 1_000_000)
     with pytest.raises(InputError, match="takes more than 1 s"):
@@ -292,9 +259,7 @@ def test_a_damaged_matlab_file_ends_in_one_line_and_what_is_no_series_is_named(t
 
 
 @pytest.mark.parametrize(("text", "said"), CASES["broken"])
-def test_a_broken_table_is_one_line_that_says_where_and_leaves_no_bag(
-    text, said, tmp_path, rig, capsys
-):
+def test_a_broken_table_is_one_line_and_leaves_no_bag(text, said, tmp_path, rig, capsys):
     (tmp_path / "x.csv").write_text(text)
     words = ["import", str(write_csv(tmp_path)), str(tmp_path / "x.csv"), "--params", str(rig)]
     assert main([*words, "--out", str(tmp_path / "week")]) == 2
@@ -314,58 +279,16 @@ def test_the_file_that_parameters_writes_is_a_rig_whose_zero_length_says_nothing
         load(source, params=lab)
 
 
-def test_units_in_the_column_behind_are_each_numbers_own(tmp_path):
-    """As a multimeter writes that chooses its range."""
-    path = tmp_path / "dmm.csv"
-    path.write_text("Time (s),Voltage,Unit\n0,0.5,mV\n1,3.24,V\n2,120,mV\n3,3.3,V\n")
-    _, voltage = read_table_file(path).columns
-    assert voltage.unit == "mV"
-    assert voltage.values == pytest.approx([0.5, 3240.0, 120.0, 3300.0])
-    path.write_text("Time (s),Voltage,Unit\n0,0.5,mV\n1,3.24,lot 7\n2,120,mV\n")
-    assert read_table_file(path).columns[1].unit == ""
-
-
-LABVIEW = """LabVIEW Measurement
-Separator\tTab
-Decimal_Separator\t,
-Multi_Headings\tYes
-Date\t2026/03/01
-Time\t10:00:00,123
-***End_of_Header***
-
-Channels\t2
-Samples\t4\t4
-Date\t2026/03/01\t2026/03/01
-Time\t10:00:00\t10:00:00
-Y_Unit_Label\tVolts\tmm
-X_Dimension\tTime\tTime
-X0\t0,0E+0\t0,0E+0
-Delta_X\t0,5\t0,5
-***End_of_Header***
-X_Value\tDrive\tPosition\tComment
-0,0\t0,25\t20,5
-0,5\t1,25\t20,25
-1,0\t1,25\t19,5
-1,5\t0,0\t19,75
-"""
-
-
-@pytest.mark.parametrize("text", [LABVIEW, LABVIEW.replace(",", ".")])
-def test_labviews_header_is_no_table_and_has_the_units(tmp_path, text):
-    path = tmp_path / "run.lvm"
-    path.write_text(text)
-    (table,) = read_table_file(path).tables
-    assert [(c.title, c.unit) for c in table.columns] == [
-        ("Time", "s"), ("Drive", "Volts"), ("Position", "mm")
-    ]  # fmt: skip
-    assert table.columns[2].values.tolist() == [20.5, 20.25, 19.5, 19.75]
-    # Without a header too, the comment is a title that no row has.
-    path.write_text(text.partition("***\nX")[2].replace("_Value", "X_Value", 1))
-    assert [c.title for c in read_table_file(path).columns] == ["X_Value", "Drive", "Position"]
+@pytest.mark.parametrize(("text", "expected"), CASES["columns"])
+def test_columns_have_the_titles_units_and_numbers_of_their_text(text, expected, tmp_path):
+    path = tmp_path / "log.txt"
+    for written in (text, text.replace(",", ".")) if "LabVIEW" in text else (text,):
+        path.write_text(written)
+        (table,) = read_table_file(path).tables
+        assert [[c.title, c.unit, c.values.tolist()] for c in table.columns] == expected
 
 
 def test_a_scale_that_an_attribute_states_is_applied_and_said(tmp_path):
-    h5py = pytest.importorskip("h5py")
     path = tmp_path / "daq.h5"
     with h5py.File(path, "w") as file:
         file["time"] = np.arange(5.0)
@@ -378,9 +301,8 @@ def test_a_scale_that_an_attribute_states_is_applied_and_said(tmp_path):
 
 def test_a_unit_that_is_guessed_is_said(tmp_path, capsys):
     path = tmp_path / "log.csv"
-    path.write_text("Time (s),Voltage (V),Current\n" + "".join(
-        f"{k},{1.2 * (k % 4 > 1)},{0.6 * (k % 4 > 1)}\n" for k in range(20)
-    ))  # fmt: skip
+    on = np.arange(20) % 4 > 1
+    text_file(path, ["Time (s)", "Voltage (V)", "Current"], [np.arange(20), 1.2 * on, 0.6 * on])
     assert main(["import", str(path), "--out", str(tmp_path / "bag")]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "warning" in said and "Current: no unit is given; 0 to 0.6 is taken as 'A'" in said

@@ -3,6 +3,7 @@
 import os
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from sma_bench.records.contract import TEMPERATURE
 NAMES = {"wire.voltage": ("V", np.float32), "wire.current": ("A", np.float32),
          "wire.temperature": ("K", float), "ambient.temperature": ("K", float),
          "front.range": ("m", np.float32), "deflection": ("m", float), "elongation": ("m", float),
-         "force": ("N", float)}  # fmt: skip
+         "force": ("N", float)}
 CLOCK = np.arange(50) * 0.02
 RAMP = Signal("wire.voltage", "V", CLOCK, 1 + CLOCK)
 
@@ -139,25 +140,22 @@ def test_a_bag_is_readable_after_every_flush_and_takes_what_was_announced(tmp_pa
 
 @pytest.mark.parametrize("whole", [True, False])
 def test_of_many_writers_of_one_path_at_once_one_writes_and_the_others_have_a_line(tmp_path, whole):
-    gate, said = threading.Barrier(8), []
+    gate = threading.Barrier(8)
 
-    def write():
+    def written(_):
         gate.wait()
         try:
             if whole:
                 write_record(tmp_path / "bag", [RAMP])
             else:
                 BagWriter(tmp_path / "bag").close()
-            said.append("written")
+            return "written"
         except InputError as error:
-            said.append(str(error))
+            return str(error)
 
-    writers = [threading.Thread(target=write) for _ in range(gate.parties)]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
+    with ThreadPoolExecutor(gate.parties) as writers:
+        said = sorted(writers.map(written, range(gate.parties)))
     line = f"{tmp_path / 'bag'}: exists already, expected a new path for the bag"
-    assert sorted(said) == sorted(["written", *[line] * (gate.parties - 1)])
+    assert said == sorted(["written", *[line] * (gate.parties - 1)])
     assert [path.name for path in tmp_path.iterdir()] == ["bag"]
     assert not whole or len(read_record(tmp_path / "bag")["wire.voltage"]) == len(CLOCK)

@@ -1,18 +1,15 @@
-"""Small tables that hold one large thing and refer to it often: a text of a megabyte in the cells
-of a workbook, an array in 40,000 rows, a dictionary's text in a column."""
+"""Small tables that hold one large thing and refer to it often."""
 
 import zipfile
 
 import numpy as np
 
-MEGABYTE, ROWS, REFERENCES = 1 << 20, 5000, 40_000
-TEXT = b"x" * MEGABYTE
+TEXT, ROWS, REFERENCES = b"x" * (1 << 20), 5000, 40_000
 
 
 def shared_texts(target, rows, texts):
     """A workbook of two columns of numbers and one of references to the first of shared texts."""
     import openpyxl
-
     book = openpyxl.Workbook()
     for k in range(rows):
         book.active.append([k, 2.0 * k, "x"])
@@ -24,8 +21,7 @@ def shared_texts(target, rows, texts):
     with zipfile.ZipFile(plain) as before, zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as z:
         for name in before.namelist():
             content = before.read(name).replace(b"</Types>", part)
-            content = content.replace(b't="inlineStr"><is><t>x</t></is>', b't="s"><v>0</v>')
-            z.writestr(name, content)
+            z.writestr(name, content.replace(b't="inlineStr"><is><t>x</t></is>', b't="s"><v>0</v>'))
         z.writestr("xl/sharedStrings.xml", f'<sst xmlns="{main}">'.encode() + texts + b"</sst>")
     plain.unlink()
     return target
@@ -34,7 +30,6 @@ def shared_texts(target, rows, texts):
 def shared_array(target):
     """An HDF5 file whose 40,000 rows are one array of 160 kB."""
     import h5py
-
     with h5py.File(target, "w") as file:
         rows = file.create_dataset("t", (REFERENCES,), h5py.vlen_dtype(float))
         rows[0] = np.arange(20_000.0)
@@ -49,7 +44,6 @@ def dictionary_text(target):
     """A Parquet file with a column whose 5,000 rows are one text of a dictionary."""
     import pyarrow
     from pyarrow import parquet
-
     rows, numbers = pyarrow.array(np.zeros(ROWS, "i4")), np.arange(float(ROWS))
     text = pyarrow.DictionaryArray.from_arrays(rows, pyarrow.array([TEXT.decode()]))
     table = pyarrow.table({"time_s": numbers, "voltage_V": numbers, "note": text})
@@ -61,4 +55,4 @@ def unfolding_tables(folder):
     """One of each."""
     texts = b"<si><t>" + TEXT + b"</t></si>"
     return [shared_texts(folder / "often.xlsx", ROWS, texts), shared_array(folder / "often.h5"),
-            dictionary_text(folder / "often.parquet")]  # fmt: skip
+            dictionary_text(folder / "often.parquet")]
