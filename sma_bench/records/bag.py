@@ -23,12 +23,12 @@ _FEW_STAMPS = 15  # messages in a row, of which fewer than half wrong stamps mov
 _PAUSES_OF_RECORDED, _RECORDED_NS, _GAPS_S = 10, 10 * 10**9, (86_400, 3600, 600, 60, 10)
 _TEXT_BYTES, _MOST_MARKERS = 400, 100_000  # of a marker with all that is said of it; markers
 # Of each type of message: the columns made of it, and the field and joint that each is from.
-_COLUMNS: dict[str, list[tuple[str, str, str]]] = {
-    contract.BATTERY_STATE: [(name, name, "") for name in ("voltage", "current")],
-    contract.TEMPERATURE: [(name, name, "") for name in ("temperature", "variance")],
-    contract.RANGE: [(name, name, "") for name in ("range", "min_range", "max_range")],
-    contract.JOINT_STATE: [(signal, source, joint) for joint, fields in
-                           contract.JOINT_SIGNALS.items() for signal, source in fields.items()]}
+_PLAIN = {contract.BATTERY_STATE: "voltage current", contract.TEMPERATURE: "temperature variance",
+          contract.RANGE: "range min_range max_range"}
+_COLUMNS = {kind: [(name, name, "") for name in names.split()] for kind, names in _PLAIN.items()}
+_COLUMNS[contract.JOINT_STATE] = [(signal, source, joint)
+                                  for joint, fields in contract.JOINT_SIGNALS.items()
+                                  for signal, source in fields.items()]
 
 
 @dataclass

@@ -230,18 +230,13 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
                 columns[column.title.lower()] = column, "temperature"
         baseline = sheet.values(columns["baseline"][0], "heat flow")
         program = sheet.values(*columns["program temperature"])
-        # A block under its title, its rate in the method above, else by its program.
-        steps = {int(m[1]): m for line in above if (m := PATTERNS.step.match(line.strip()))}
         ends = [row for row, _ in blocks[1:]] + [len(time)]
         for (first, match), last in zip(blocks, ends, strict=True):
-            number, rate, is_held = int(match[1]), 0.0, match[2] == "Isothermal"
+            number, duration, rate = int(match[1]), time[last - 1] - time[first], 0.0
             if first == last:
                 raise sheet.refusal("no_segment", number=number)
-            step, duration = steps.get(number), time[last - 1] - time[first]
-            if not is_held and step and step["way"]:
-                rate = (1.0 if step["way"] == "Heat" else -1.0) * float(step["rate"]) / 60.0
-            elif not is_held and not step and duration > 0.0:
-                rate = float((program[last - 1] - program[first]) / duration)
+            if match[2] != "Isothermal" and duration > 0.0:  # as it was programmed, in K/min
+                rate = round(60.0 * float(program[last - 1] - program[first]) / duration, 3) / 60.0
             parts.append((number, rate, slice(first, last)))
     else:
         ramps = [float(m[1]) / 60.0 for _, text in marks if (m := PATTERNS.ramp.search(text))]

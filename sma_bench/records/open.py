@@ -109,8 +109,8 @@ def describe(record: AnyRecord) -> dict[str, Any]:
         about |= {"kind": "dsc", "instrument": record.instrument, "sample": record.sample,
                   "mass": record.mass, "endothermic_up": record.endothermic_up}
         parts["segments"] = [
-            {"number": s.number, "kind": s.kind, "rate": s.rate, "samples": len(s.time),
-             **ends("start", "end", s.time), **ends("from", "to", s.temperature)}
+            {"number": s.number, "kind": s.kind, "rate": s.rate, "samples": len(s.time)}
+            | ends("start", "end", s.time) | ends("from", "to", s.temperature)
             for s in record.segments]
     elif isinstance(record, IsobaricRecord):
         about |= {"kind": "isobaric", "stress": record.stress, "strain_unit": record.strain_unit}

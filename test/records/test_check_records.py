@@ -5,22 +5,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_read_bags import FOREIGN
 
 from sma_bench.errors import InputError
 from sma_bench.identify.estimate import fit_linear
 from sma_bench.records import Record, Signal, check_record, read_record
 from sma_bench.records.check import check_response
 
+FOREIGN = ("wire/staircase", "wire/ramp", "composite/triangle", "composite/step")
 CLOCK = np.arange(2000) * 0.01
 TRIANGLE = 3 * np.abs((CLOCK / 10) % 2 - 1)
 
 
 def settling(rise=60.0, start=296.0):
     """A wire warming up and cooling down again."""
-    warm = start + rise * (1 - np.exp(-CLOCK / 1.5))
-    cold = start + rise * np.exp(-(CLOCK - 10) / 1.5)
-    return np.round(np.where(CLOCK < 10, warm, cold), 1)
+    warm, cold = 1 - np.exp(-CLOCK / 1.5), np.exp(-(CLOCK - 10) / 1.5)
+    return np.round(start + rise * np.where(CLOCK < 10, warm, cold), 1)
 
 
 def record(**signals):
@@ -67,62 +66,54 @@ SPIKE = settling()
 SPIKE[700] = 999.9
 DROPPED = settling()
 DROPPED[700:712] = 273.15
-# Name -> a record, and what is said of which subject: severity, and numbers.
-WRONG = {
-    "a gap": (record(wire_voltage=(CLOCK[GAP], TRIANGLE[GAP])), "wire.voltage", "warning",
-              {"gaps": 1, "longest": 3.02}),
-    "losses": (record(wire_voltage=(CLOCK[LOSSES], TRIANGLE[LOSSES])), "wire.voltage", "warning",
-               {"fraction": 1 - LOSSES.mean()}),
-    "disorder": (record(force=(REPEATED, TRIANGLE)), "force", "warning",
-                 {"backward": 1, "duplicates": 1}),
-    "holes": (record(force=HOLES), "force", "warning", {"count": 8}),
-    "a clock off": (received(THREE, "wire.temperature", CLOCK + 2.503, "/b/wire/temperature"),
-                    "/b/wire/temperature", "warning", {"offset": 2.5}),
-    "a clock that drifts": (received(THREE, "deflection", CLOCK * 1.005 + 0.003), "deflection",
-                            "warning", {"drift": 0.09}),
-    "stamps in the future": (received(record(wire_voltage=TRIANGLE), "wire.voltage", CLOCK - 0.05),
-                             "wire.voltage", "warning", {"offset": -0.05}),
-    "below absolute zero": (record(wire_temperature=settling(start=-5)), "wire.temperature",
-                            "error", {"low": -5.0}),
-    "kelvin as Celsius": (record(wire_temperature=settling() + 273.15), "wire.temperature",
-                          "error", {"low": 569.15}),
-    "Celsius as kelvin": (record(wire_temperature=settling() - 273.15), "wire.temperature",
-                          "error", {"low": 22.85}),
-    "millivolts": (record(wire_voltage=TRIANGLE * 1e3), "wire.voltage", "warning", {"high": 3e3}),
-    "milliamperes": (record(wire_current=TRIANGLE * 1e3), "wire.current", "warning", {"high": 3e3}),
-    "centimetres": (record(deflection=TRIANGLE * 10), "deflection", "warning", {"high": 30.0}),
-    "a far target": (record(front_range=TRIANGLE * 30), "front.range", "warning", {"high": 90.0}),
-    "a clipped temperature": (record(wire_voltage=TRIANGLE,
-                                     wire_temperature=np.minimum(settling(), 330.0)),
-                              "wire.temperature", "warning", {"value": 330.0}),
-    "a current limit": (record(wire_voltage=TRIANGLE, wire_current=np.minimum(TRIANGLE, 2.0)),
-                        "wire.current", "warning", {"value": 2.0}),
-    "a reversed current": (record(wire_voltage=TRIANGLE, wire_current=-TRIANGLE), "wire.current",
-                           "warning", {"share": 1.0}),
-    "a current on another clock": (
-        record(wire_voltage=TRIANGLE, wire_current=np.interp(CLOCK - 0.25, CLOCK, TRIANGLE)),
-        "wire.voltage", "warning", {"apart": 0.25}),
-    "an elongation of the wrong sign": (
-        record(wire_voltage=TRIANGLE, wire_temperature=settling(), elongation=1e-5 * settling()),
-        "elongation", "warning", {"together": 1.0}),
-    "a single reading far off": (record(wire_temperature=SPIKE), "wire.temperature", "warning",
-                                 {"outliers": 1}),
-    "a camera that drops out": (record(wire_temperature=DROPPED), "wire.temperature", "warning",
-                                {"outliers": 12}),
-    "a dead sensor": (record(wire_voltage=TRIANGLE, wire_temperature=FLAT), "wire.temperature",
-                      "warning", {"value": 296.0}),
-    "a dead elongation": (record(wire_voltage=TRIANGLE, elongation=0.0 * CLOCK), "elongation",
-                          "warning", {"value": 0.0}),
-    "no channel": (record(deflection=TRIANGLE / 100), "record", "warning", {}),
-    "no current": (record(wire_voltage=TRIANGLE), "wire.current", "info", {}),
-    "no mechanics": (record(wire_voltage=TRIANGLE), "record", "info", {}),
-}  # fmt: skip
+LATE = np.interp(CLOCK - 0.25, CLOCK, TRIANGLE)
+CLIPPED = {"wire_voltage": TRIANGLE, "wire_temperature": np.minimum(settling(), 330.0)}
+GROWN = {"wire_voltage": TRIANGLE, "wire_temperature": settling(), "elongation": 1e-5 * settling()}
+# What is wrong; the subject and numbers of what is said; a record or its signals; severity.
+WRONG = [
+    ("gap", "wire.voltage", {"gaps": 1, "longest": 3.02},
+     {"wire_voltage": (CLOCK[GAP], TRIANGLE[GAP])}),
+    ("losses", "wire.voltage", {"fraction": 1 - LOSSES.mean()},
+     {"wire_voltage": (CLOCK[LOSSES], TRIANGLE[LOSSES])}),
+    ("disorder", "force", {"backward": 1, "duplicates": 1}, {"force": (REPEATED, TRIANGLE)}),
+    ("holes", "force", {"count": 8}, {"force": HOLES}),
+    ("clock off", "/b/wire/temperature", {"offset": 2.5},
+     received(THREE, "wire.temperature", CLOCK + 2.503, "/b/wire/temperature")),
+    ("clock that drifts", "deflection", {"drift": 0.09},
+     received(THREE, "deflection", CLOCK * 1.005 + 0.003)),
+    ("stamps in the future", "wire.voltage", {"offset": -0.05},
+     received(record(wire_voltage=TRIANGLE), "wire.voltage", CLOCK - 0.05)),
+    ("below zero", "wire.temperature", {"low": -5.0}, {"wire_temperature": settling(start=-5)}, 1),
+    ("kelvin", "wire.temperature", {"low": 569.15}, {"wire_temperature": settling() + 273.15}, 1),
+    ("Celsius", "wire.temperature", {"low": 22.85}, {"wire_temperature": settling() - 273.15}, 1),
+    ("millivolts", "wire.voltage", {"high": 3e3}, {"wire_voltage": TRIANGLE * 1e3}),
+    ("milliamperes", "wire.current", {"high": 3e3}, {"wire_current": TRIANGLE * 1e3}),
+    ("centimetres", "deflection", {"high": 30.0}, {"deflection": TRIANGLE * 10}),
+    ("far target", "front.range", {"high": 90.0}, {"front_range": TRIANGLE * 30}),
+    ("clipped", "wire.temperature", {"value": 330.0}, CLIPPED),
+    ("current limit", "wire.current", {"value": 2.0},
+     {"wire_voltage": TRIANGLE, "wire_current": np.minimum(TRIANGLE, 2.0)}),
+    ("reversed current", "wire.current", {"share": 1.0},
+     {"wire_voltage": TRIANGLE, "wire_current": -TRIANGLE}),
+    ("current on another clock", "wire.voltage", {"apart": 0.25},
+     {"wire_voltage": TRIANGLE, "wire_current": LATE}),
+    ("elongation of the wrong sign", "elongation", {"together": 1.0}, GROWN),
+    ("single reading", "wire.temperature", {"outliers": 1}, {"wire_temperature": SPIKE}),
+    ("camera drops out", "wire.temperature", {"outliers": 12}, {"wire_temperature": DROPPED}),
+    ("dead sensor", "wire.temperature", {"value": 296.0},
+     {"wire_voltage": TRIANGLE, "wire_temperature": FLAT}),
+    ("dead elongation", "elongation", {"value": 0.0},
+     {"wire_voltage": TRIANGLE, "elongation": 0.0 * CLOCK}),
+    ("no channel", "record", {}, {"deflection": TRIANGLE / 100}),
+    ("no current", "wire.current", {}, {"wire_voltage": TRIANGLE}, 2),
+    ("no mechanics", "record", {}, {"wire_voltage": TRIANGLE}, 2)]
 
 
-@pytest.mark.parametrize("case", WRONG)
+@pytest.mark.parametrize("case", WRONG, ids=lambda case: case[0])
 def test_what_is_wrong_is_said_with_its_numbers(case):
-    odd, subject, severity, numbers = WRONG[case]
-    told = found(odd, severity)[subject]
+    _, subject, numbers, odd, *severity = case
+    made = odd if isinstance(odd, Record) else record(**odd)
+    told = found(made, ("warning", "error", "info")[sum(severity)])[subject]
     assert {name: told[name] for name in numbers} == pytest.approx(numbers, abs=0.01)
 
 

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
 
 from examination.check.bags import HABITS, LOSS, RAISED, REFUSED, RIGHT, WRONG, outcome
 from examination.check.bags import write_bag as write_drawn
@@ -10,7 +9,6 @@ from sma_bench.errors import InputError
 from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record
 
-FOREIGN = ("wire/staircase", "wire/ramp", "composite/triangle", "composite/step")
 PLAIN = {kind: habits[0] for kind, habits in HABITS.items()}
 # One habit at a time, of those that a db3 file has; what is not read whole.
 OF_FILES = ("files", "metadata", "path")
@@ -73,31 +71,6 @@ def test_topics_that_take_turns_at_rates_of_their_own_are_read_in_order(tmp_path
 def said(record, subject):
     """Severity and numbers of what is said of a topic, signal or file."""
     return [(f.severity, f.numbers) for f in record.findings if f.subject == subject]
-
-
-@pytest.mark.parametrize("name", FOREIGN)
-def test_every_message_of_a_foreign_bag_is_the_one_rosbags_decodes(shared_data, messages, name):
-    bag = shared_data / "foreign" / name
-    record = read_record(bag)
-    assert min(signal.time[0] for signal in record.signals.values()) == 0
-    fields, expected = {"temperature": "temperature", "power": "voltage",
-                        "joint_states": "position"}, {}
-    with Reader(bag) as reader:
-        for connection, _, data in reader.messages(reader.connections):
-            message = messages.types.deserialize_cdr(data, connection.msgtype)
-            stamp = message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
-            channel, kind = connection.topic.split("/")[-2:]
-            value = float(np.ravel(getattr(message, fields[kind]))[0])
-            signal = "deflection" if kind == "joint_states" else f"{channel}.{fields[kind]}"
-            # The first of several messages with one stamp counts.
-            expected.setdefault(signal, {}).setdefault(stamp, value)
-    assert set(expected) == {n for n in record.signals if not n.endswith(".current")}
-    for name, by_stamp in expected.items():
-        times = (np.array(sorted(by_stamp)) - record.start_ns) / 1e9
-        np.testing.assert_allclose(record[name].time, times, rtol=0, atol=1e-9)
-        zero = 273.15 if name.endswith("temperature") else 0.0
-        values = np.array([by_stamp[stamp] for stamp in sorted(by_stamp)]) + zero
-        np.testing.assert_array_equal(record[name].values, values)
 
 
 def test_two_topics_for_one_meaning_are_an_error_that_names_both(tmp_path, write_bag, messages):
