@@ -6,6 +6,7 @@ Imports nothing of weight: a signal while modules are read ends it in silence: n
 import contextlib
 import faulthandler
 import gc
+import json
 import os
 import signal
 import sys
@@ -189,11 +190,7 @@ def node_help(node: str) -> str:
     lines = [f"usage: {node} [--ros-args -r __ns:=/bench --params-file P.yaml -p NAME:=VALUE ...]",
              "", "parameters of this node, besides the contract's (sma-bench parameters):"]
     for p in NODE_TABLES[node]:
-        unit, default = f" [{p.unit}]" if p.unit else "", str(p.default) or "none"
-        if isinstance(p.default, tuple):
-            default = f"[{', '.join(map(str, p.default))}]"
-        elif isinstance(p.default, bool):
-            default = default.lower()
+        unit, default = f" [{p.unit}]" if p.unit else "", json.dumps(p.default)
         lines.append(f"  {p.name:28} {p.description}{unit} (default {default})")
     return "\n".join(lines) + "\n"
 

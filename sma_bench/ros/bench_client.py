@@ -28,7 +28,7 @@ _SPIN, _PATIENCE = 0.05, 60.0  # s
 _MATCHING = 0.3  # s that a server takes to match a client, whose answers are lost until then
 _STOPPING = 5.0  # s that the experiment node may take to answer a stop
 _BUSY = re.compile(r"busy: (\d+) %, (.*)")
-_DISCOVERY = 10.0  # s in which another node finds a new one that we have found
+_DISCOVERY = 10.0  # s in which the experiment finds readings that are there
 
 
 class NodeCalls:
@@ -154,15 +154,17 @@ class NodeCalls:
                 self.set_parameters("experiment", {"protocol": str(Path(protocol).resolve())})
                 self._states["experiment"] = ""  # it may have run one of this name before
                 try:
-                    # It may refuse for want of a recorder that it has not found yet.
-                    end = time.monotonic() + _DISCOVERY
+                    # On a busy machine it may know of the last recorder's end for a while, and not
+                    # yet of ours.
+                    begin = time.monotonic()
                     while True:
                         try:
                             self.trigger("experiment/start", _PATIENCE)
                             break
-                        except InputError:
+                        except InputError as error:
                             look()
-                            if time.monotonic() > end:
+                            patience = _PATIENCE if "recorder" in str(error) else _DISCOVERY
+                            if time.monotonic() - begin > patience:
                                 raise
                     self.wait(name, is_done, seconds * 2.0 + _PATIENCE)
                 except BaseException:

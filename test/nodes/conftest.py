@@ -116,6 +116,11 @@ class TestBench:
             self._executor.spin_once(timeout_sec=0.02)
         return value
 
+    def spend(self, seconds):
+        """Spin for a while."""
+        end = time.monotonic() + seconds
+        self.until(lambda: time.monotonic() > end)
+
     def hear(self, *topics):
         """Messages of topics whose type the end of their names tells; a list, or one for each."""
         heard = [[] for _ in topics]
@@ -187,8 +192,7 @@ class TestBench:
         if service not in self._clients:
             client = self._clients[service] = self.node.create_client(kind, service)
             self.until(client.service_is_ready)
-            matched = time.monotonic() + SETTLING
-            self.until(lambda: time.monotonic() > matched)
+            self.spend(SETTLING)
         return self._clients[service]
 
     def close(self):

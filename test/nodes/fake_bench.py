@@ -40,10 +40,14 @@ class FakeBench:
     def volts(self):
         return list(self.commands[-1].data) if self.commands else [0.0] * self._channels
 
-    def until_sent(self, *volts, count=5):
-        """Wait for that many commands, of which the last three have these volts."""
+    def until_heard(self, count=5):
+        """Wait for that many commands."""
         seen = len(self.commands)
         self.bench.until(lambda: len(self.commands) > seen + count)
+
+    def until_sent(self, *volts, count=5):
+        """Wait for that many commands, of which the last three have these volts."""
+        self.until_heard(count)
         assert [list(m.data) for m in self.commands[-3:]] == [list(volts)] * 3
 
     def until_zero(self):

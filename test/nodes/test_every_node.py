@@ -10,7 +10,6 @@ import json_schema
 import pytest
 import rclpy
 import yaml
-from diagnostic_msgs.msg import DiagnosticArray
 from hostile_texts import hostile_values
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter as RosParameter
@@ -31,7 +30,8 @@ COMPOSITE = Path(__file__).resolve().parents[2] / "config" / "composite_rig.yaml
 COMMANDS = "qos_overrides./bench/voltage_command.publisher"
 QOS = "qos_overrides./bench/{}.reliability:=best_effort"
 CHANNELS = ("front_1", "back_1")
-FILLED = ("-p", "regions:=['', '', '', '']")
+# What a node cannot do without, and pictures that are quickly drawn.
+FILLED = ("-p", "regions:=['', '', '', '']", "-p", "image_width:=96", "-p", "image_height:=72")
 # What the plant, the camera's eye and the bridge are made of, or limit wires by.
 FROZEN = ("simulator", "serial_bridge", "ir_camera")
 CHANGES = yaml.safe_load(Path(__file__).with_name("changes.yaml").read_text())
@@ -91,14 +91,12 @@ def assert_overridable(node, best_effort=""):
                 assert endpoint.qos_profile.reliability.name == "BEST_EFFORT"
 
 
-def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_their_root(make):
-    nodes, heard = {}, {name: [] for name in NODE_TABLES}
-    executor = OneThreadExecutor()
+def test_every_node_has_overridable_qos_latches_texts_and_keeps_results_in_their_root(make):
+    nodes = {}
     marker, progress = "experiment/marker", "experiment/progress"
     for name in NODE_TABLES:
         node = nodes[name] = make(name, "--params-file", str(COMPOSITE), *FILLED, "-p",
                                   QOS.format(f"{progress}.publisher"))  # fmt: skip
-        executor.add_node(node)
         # A best-effort commander is heard.
         drives = name in ("simulator", "serial_bridge")
         assert_overridable(node, "voltage_command" if drives else progress)
@@ -114,34 +112,16 @@ def test_every_node_has_overridable_qos_gives_diagnostics_and_keeps_results_in_t
     assert state.reliability.name == "RELIABLE"  # was made from the profile of `progress`
     marker = offered[f"/bench/{marker}"]
     assert (marker.durability.name, marker.depth) == ("TRANSIENT_LOCAL", 1)  # for latecomers
-    for name, result in (
-        ("diagnosis", "improved"),
-        ("diagnosis", "report"),
-        ("identification", "output_directory"),
-        ("investigation", "folder"),
-    ):
+    for name, result in (("diagnosis", "improved"), ("diagnosis", "report"),
+                         ("identification", "output_directory"), ("investigation", "folder")):
         before = nodes[name].get_parameter(result).value
         (answer,) = nodes[name].set_parameters([RosParameter(result, value="/etc/x.yaml")])
         assert not answer.successful and "/etc/x.yaml lies outside output_root" in answer.reason
         assert nodes[name].get_parameter(result).value == before
 
-    def on_diagnostics(message):
-        for status in message.status:
-            heard[status.name.split("/")[2].partition(": ")[0]].append(message.header.stamp.sec)
-
-    listener = rclpy.create_node("listener")
-    listener.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 100)
-    executor.add_node(listener)
-    end = time.monotonic() + 60.0
-    while not all(heard.values()) and time.monotonic() < end:
-        executor.spin_once(timeout_sec=0.1)
-    assert all(stamps and min(stamps) > 0 for stamps in heard.values())
-    executor.shutdown()
-    listener.destroy_node()
-
 
 @pytest.mark.parametrize("name", sorted(NODE_TABLES))
-def test_what_param_dump_writes_param_load_sets_and_what_need_not_stay_may_change(
+def test_what_param_dump_writes_param_load_sets_and_whatever_is_set_is_answered_in_a_line(
     make, tmp_path, name
 ):
     """As these commands of ros2 do: the file's values become texts, and what these look like."""
@@ -174,12 +154,26 @@ def test_what_param_dump_writes_param_load_sets_and_what_need_not_stay_may_chang
     held = {"use_sim_time": True} | ({"wire.mass": 8e-05} if name in FROZEN else {})
     assert load(held).keys() == held.keys()
     executor.shutdown()
+    for parameter in {p.name for p in NODE_TABLES[name]} | {"bench.channels", "wire.resistance"}:
+        usual = node.get_parameter(parameter).value
+        for value in hostile_values(usual):
+            (answer,) = node.set_parameters([RosParameter(parameter, value=value)])
+            assert answer.successful or "\n" not in answer.reason and len(answer.reason) < 1000
+            if answer.successful:
+                node.set_parameters([RosParameter(parameter, value=usual)])
 
 
-def test_every_node_says_once_that_it_is_ready_and_its_name_where_it_cannot_be(bench, tmp_path):
+def test_every_node_says_once_that_it_is_ready_how_it_does_and_its_name_where_it_cannot_be(
+    bench, tmp_path
+):
+    def speaking():
+        return {status.name.split("/")[2].partition(": ")[0] for message in bench.diagnostics
+                if message.header.stamp.sec > 0 for status in message.status}  # fmt: skip
+
     given = {"ir_camera": {"regions": [""] * 4}, "recorder": {"output": tmp_path / "bag"}}
     nodes = {name: bench.start(name, COMPOSITE, **given.get(name, {})) for name in NODE_TABLES}
     bench.until(lambda: all("ready\n" in node.output for node in nodes.values()), 60.0)
+    bench.until(lambda: speaking() == nodes.keys(), 60.0)
     for node in nodes.values():
         node.process.send_signal(signal.SIGINT)
     for name, node in nodes.items():
@@ -197,18 +191,6 @@ def test_every_node_says_once_that_it_is_ready_and_its_name_where_it_cannot_be(b
     broken = "sys.modules['sma_bench.nodes.twin'] = None; start._run('twin', [])"
     node = bench.run("twin", ["-c", f"import sys; from sma_bench.nodes import start; {broken}"])
     assert node.ended_with(2, "[twin]: import of sma_bench.nodes.twin halted")
-
-
-@pytest.mark.parametrize("name", sorted(NODE_TABLES))
-def test_whatever_a_parameter_is_set_to_the_node_answers_in_a_line_and_goes_on(make, name):
-    node = make(name, "--params-file", str(COMPOSITE), *FILLED)
-    for parameter in {p.name for p in NODE_TABLES[name]} | {"bench.channels", "wire.resistance"}:
-        before = node.get_parameter(parameter).value
-        for value in hostile_values(before):
-            (answer,) = node.set_parameters([RosParameter(parameter, value=value)])
-            assert answer.successful or "\n" not in answer.reason and len(answer.reason) < 1000
-            if answer.successful:
-                node.set_parameters([RosParameter(parameter, value=before)])
 
 
 @pytest.mark.usefixtures("ros_domain")

@@ -32,29 +32,6 @@ def protocol(tmp_path):
     return write
 
 
-@pytest.fixture
-def running(bench, protocol):
-    """A fake bench, an experiment that drives it with 3 V, and how to start another one."""
-    fake = FakeBench(bench)
-
-    def start():
-        node = bench.start(
-            "experiment", protocol=protocol(LONG), autostart=True, feedback_timeout=1.5
-        )
-        bench.until(lambda: "running: long" in node.output and fake.volts == [3.0])
-        return node
-
-    return fake, start(), start
-
-
-def assert_ends_cold(bench, fake, node, number):
-    """A signal ends it cleanly, with 0 V as its last word."""
-    assert fake.volts == [3.0] and node.end(number) == 0
-    bench.until(lambda: fake.volts == [0.0])
-    bench.until(lambda: fake.state == "aborted: the node was ended")
-    assert "Traceback" not in node.output
-
-
 def test_protocol_is_followed_on_a_bench_faster_than_real_time(bench, protocol):
     """In lockstep: simulated time takes a step of 50 ms for each command."""
     markers, states, commands = bench.hear(
@@ -86,7 +63,7 @@ def test_a_clock_of_finer_steps_than_the_commands_has_one_command_a_period(bench
         for _ in range(2):
             clock.publish(Clock(clock=Time(nanoseconds=moments[-1]).to_msg()))
 
-    bench.node.create_timer(0.02, step)
+    bench.node.create_timer(0.01, step)
     bench.until(lambda: fake.state == "idle")
     bench.until(lambda: bench.trigger("experiment/start").success)
     bench.until(lambda: fake.volts == [3.0])
@@ -95,15 +72,21 @@ def test_a_clock_of_finer_steps_than_the_commands_has_one_command_a_period(bench
     assert 55 <= len(fake.commands) - sent <= 62  # 60, and 50 if each period began with its command
 
 
-def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, running):
+def test_limits_and_clock_stay_and_whoever_says_that_something_is_wrong_ends_the_run(
+    bench, protocol
+):
     """The rules themselves are those of test/live; here, that each topic and service is heard."""
-    fake, node, start_another = running
+    fake, long = FakeBench(bench), {"protocol": protocol(LONG), "feedback_timeout": 1.5}
     recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
-    bench.until(recorder.get_subscription_count)
-    recorder.publish(String(data="not what a recorder says"))
-    fake.until_sent(3.0, count=20)
-    told = json.loads(fake.progress[-1].data)
-    assert (told["protocol"], told["step"], told["duration"]) == ("long", "hold", 1000.0)
+
+    def running():
+        node = bench.start("experiment", autostart=True, **long)
+        bench.until(lambda: "running: long" in node.output and fake.volts == [3.0])
+        return node
+
+    def start():
+        bench.until(lambda: bench.trigger("experiment/start").success)
+        bench.until(lambda: fake.volts == [3.0])
 
     def aborts(line):
         bench.until(lambda: fake.state.startswith(f"aborted: {line}"))
@@ -113,12 +96,24 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
         assert bench.refused("experiment/start", "reset first")
         assert bench.trigger("experiment/reset").message == "idle"
 
-    def start():
-        bench.until(lambda: bench.trigger("experiment/start").success)
-        bench.until(lambda: fake.volts == [3.0])
+    node = running()
+    bench.until(recorder.get_subscription_count)
+    recorder.publish(String(data="not what a recorder says"))
+    heat_transfer, limit = "wire.heat_transfer_coefficient", "bench.maximum_temperature"
+    for name, value in ((limit, 700.0), ("bench.maximum_current", 3.5),
+                        ("bench.temperature_tolerance", 400.0), (heat_transfer, 200.0)):
+        result = bench.set_parameter("experiment", name, value)
+        assert not result.successful
+        assert result.reason == f"{name} cannot change while the node runs"
+    assert not bench.set_parameter("experiment", "use_sim_time", True).successful
+    fake.until_sent(3.0, count=20)
+    told = json.loads(fake.progress[-1].data)
+    assert (told["protocol"], told["step"], told["duration"]) == ("long", "hold", 1000.0)
 
     fake.celsius = 160.0
     aborts("over-temperature: wire at 160.0 degC")
+    assert not bench.set_parameter("experiment", limit, 700.0).successful
+    assert bench.set_parameter("experiment", heat_transfer, 200.0).successful
     start()
     fake.ampere = 3.5
     aborts("over-current: wire at 3.50 A, limit 3 A")
@@ -148,7 +143,9 @@ def test_whoever_says_that_something_is_wrong_ends_the_run_until_a_reset(bench, 
     fake.until_sent(3.0, count=20)
     node.end(signal.SIGKILL)  # whoever was killed holds no name
     recorder.publish(String(data=""))
-    assert_ends_cold(bench, fake, start_another(), signal.SIGTERM)
+    node = running()
+    assert node.end() == 0 and "Traceback" not in node.output  # with 0 V as its last word
+    bench.until(lambda: fake.volts == [0.0] and fake.state == "aborted: the node was ended")
 
 
 def test_an_autostart_of_a_composite_waits_until_its_readings_are_in_time(bench):
@@ -156,15 +153,11 @@ def test_an_autostart_of_a_composite_waits_until_its_readings_are_in_time(bench)
     fake = FakeBench(bench, channels=("front_1", "front_2", "back_1", "back_2"))
     bench.start("experiment", COMPOSITE_RIG, protocol="composite_step", autostart=True)
 
-    def spend(seconds):
-        end = time.monotonic() + seconds
-        bench.until(lambda: time.monotonic() > end)
-
     bench.until(lambda: fake.state == "idle")
-    for _ in range(3):
-        spend(1.0)
+    for _ in range(2):
+        bench.spend(1.0)
         fake.silent = {"power", "temperature"}
-        spend(1.1)
+        bench.spend(1.1)
         fake.silent = set()
     assert [m.data for m in fake.states] == ["idle"] and fake.commands == []
     since = time.monotonic()
@@ -196,24 +189,3 @@ def test_start_is_refused_without_feedback_and_a_bad_protocol_is_refused_with_th
     result = bench.set_parameter("experiment", "wire.austenite_start_temperature", 400.0)
     assert not result.successful and "must lie below" in result.reason
     assert bench.trigger("experiment/stop").success
-
-
-def test_limits_and_clock_stay_while_a_node_drives_and_its_stamps_go_on(bench, running):
-    fake, node, _ = running
-    heat_transfer, limit = "wire.heat_transfer_coefficient", "bench.maximum_temperature"
-    for name, value in (
-        (limit, 700.0), ("bench.maximum_current", 3.5), ("bench.temperature_tolerance", 400.0),
-        (heat_transfer, 200.0),
-    ):  # fmt: skip
-        result = bench.set_parameter("experiment", name, value)
-        assert result.reason == f"{name} cannot change while the node runs"
-        assert not result.successful
-    assert not bench.set_parameter("experiment", "use_sim_time", True).successful
-    fake.until_sent(3.0, count=20)
-    bench.trigger("experiment/stop")
-    assert not bench.set_parameter("experiment", limit, 700.0).successful
-    assert bench.set_parameter("experiment", heat_transfer, 200.0).successful
-    bench.trigger("experiment/reset")
-    bench.until(lambda: bench.trigger("experiment/start").success)
-    bench.until(lambda: fake.volts == [3.0])
-    assert_ends_cold(bench, fake, node, signal.SIGINT)

@@ -179,15 +179,12 @@ def test_what_cannot_be_started_or_played_is_one_line(words, bag, monkeypatch):
         plan_replay(changed) if "bag" in changed else plan_bench(WIRE, changed)
 
 
-def test_a_bad_protocol_is_refused_before_launch_has_anything_to_start(built):
+def test_a_bad_protocol_or_argument_is_refused_unless_it_may_be_that_of_an_including_file(
+    built, monkeypatch
+):
     for name in RIGS:
         with pytest.raises(InputError, match="protocol bogus: not one of"):
             built(name, protocol="bogus", autostart="true")
-
-
-def test_an_unknown_argument_is_refused_unless_it_may_be_that_of_an_including_file(
-    built, monkeypatch
-):
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", "my_lab", "lab.launch.py"])
     assert built("wire_bench", lamp="on")
     monkeypatch.setattr(sys, "argv", ["ros2", "launch", "sma_bench", "wire_bench.launch.py"])

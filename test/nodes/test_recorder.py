@@ -68,9 +68,10 @@ def test_everything_published_is_in_the_bag_and_nothing_of_another_bench(bench, 
 HANGS_AT_ITS_END = """
 import ctypes, sys
 import rclpy.node
-from sma_bench.nodes.start import recorder
+from sma_bench.nodes import start
+start._LEAVING = 0.5
 rclpy.node.Node.destroy_node = lambda _: ctypes.PyDLL(None).sleep(600)  # with Python's lock held
-recorder(sys.argv[1:])
+start.recorder(sys.argv[1:])
 """
 
 
