@@ -21,7 +21,7 @@ RAMP = """
 name: short_ramp
 steps:
   - {kind: ramp, name: heat, start: 0.0, stop: 2.7, duration: 5.0}
-  - {kind: rest, name: cool, duration: 6.0}
+  - {kind: rest, name: cool, duration: 2.0}
 """
 WARM = "name: warm\nsteps: [{kind: hold, level: 3.0, duration: 600.0}]\n"
 

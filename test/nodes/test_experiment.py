@@ -76,7 +76,8 @@ def test_limits_and_clock_stay_and_whoever_says_that_something_is_wrong_ends_the
     bench, protocol
 ):
     """The rules themselves are those of test/live; here, that each topic and service is heard."""
-    fake, long = FakeBench(bench), {"protocol": protocol(LONG), "feedback_timeout": 1.5}
+    fake = FakeBench(bench)
+    long = {"protocol": protocol(LONG), "feedback_timeout": 1.5, "command_rate": 50.0}
     recorder = bench.node.create_publisher(String, "recorder/state", LATCHED)
 
     def running():

@@ -29,22 +29,14 @@ def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, 
         step = {"kind": "step", "level": level, "duration": seconds}
         path.write_text(json.dumps({"name": f"step_{level}", "steps": [step]}))
         asked = {"protocol": f"step_{level}", "minutes": seconds / 60.0, "file": path}
-        asked["bag"] = tmp_path / bag
-        for _ in range(40):
-            try:
-                run_bench(asked, SPACE)
-                break
-            except InputError as error:  # a bench that has just started may not be heard yet
-                if "never received" not in str(error):
-                    raise
-                with BenchClient(SPACE) as client:
-                    client.find("experiment/reset")
-                    client.trigger("experiment/reset")
+        run_bench({**asked, "bag": tmp_path / bag}, SPACE)
 
     (tmp_path / "unfinished_record_1").mkdir()  # of one that was killed
     with NodeProcesses(SPACE, tmp_path) as nodes:
         nodes.start("simulator", {}, (file,))
         nodes.start("experiment", {"protocol_root": str(tmp_path)}, (file,))
+        with BenchClient(SPACE, nodes.check) as client:  # the first start may compile the physics
+            client.wait("simulator", lambda: client.simulated_seconds > 1.0, 120.0)
         run(2.0, 1.0, "record_1")
         volts = read_record(tmp_path / "record_1")["wire.voltage"].values
         assert volts.max() == pytest.approx(2.0, abs=0.05) and volts[-1] < 0.1
@@ -77,7 +69,7 @@ def test_the_node_waits_for_confirmation_goes_on_after_kill_9_and_stops_at_0_v(b
         assert told[-1].data.endswith(offer["protocol"]) and 0.0 < offer["volts"] < 10.0
         assert runs[-1].data == "idle" and power[-1].voltage < 0.1
         assert bench.trigger("investigation/confirm").success
-        bench.until(lambda: power[-1].voltage > 0.5)
+        bench.until(lambda: power[-1].voltage > 0.5, 120.0)
         assert not bench.trigger("investigation/start").success
         return node
 
