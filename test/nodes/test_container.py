@@ -5,7 +5,6 @@ import json
 import re
 import signal
 
-import numpy as np
 import pytest
 from rosgraph_msgs.msg import Clock
 
@@ -67,30 +66,13 @@ def test_nodes_of_one_process_run_record_and_work_as_ever_and_their_bag_is_on_on
     assert node.end() == 0 and "Traceback" not in node.output
     assert commands[-1].data[0] == 0.0
 
-    # Every reading is of the time that it says: no voltage before its command, no late temperature.
-    record = read_record(tmp_path / "bag")
-    asked, shown = record["voltage_command"], record["wire.voltage"]
-    (seen, at), (told, when) = rising(shown), rising(asked)
-    # A command's time is when it reached the recorder, which a full machine keeps from running, as
-    # the gaps between stamps show.
-    stalls = [np.diff(signal.time) for signal in (asked, shown)]
-    stalled = max(np.max(gaps) - np.median(gaps) for gaps in stalls)
-    by_then = told[np.searchsorted(when, at + stalled, "right") - 1] * (at + stalled >= when[0])
-    assert np.all(seen <= by_then + 0.014)  # half of a command's step, above the reading's noise
-    assert np.interp(2.0, seen, at) - np.interp(2.0, told, when) < 0.1 + stalled
+    # On one clock: no late temperature.
     (ramps,) = json.loads(answer.message)["experiments"]
     delay = ramps["details"]["delay"]
     # The simulator applies a command at a reading's instant, the fit expects it between two.
     half_a_period = 0.005
     assert abs(delay["value"]) < min(half_a_period + 4.0 * delay["std"], 0.03)
     assert delay["std"] < 0.01
-
-
-def rising(signal):
-    """Volts and time of a signal until it is highest."""
-    volts = signal.values.reshape(len(signal), -1)[:, 0]
-    top = int(np.argmax(volts)) + 1
-    return np.maximum.accumulate(volts[:top]), signal.time[:top]
 
 
 @pytest.mark.parametrize("how", ["a signal", "a node that fails"])

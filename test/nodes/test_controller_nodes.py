@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from fake_bench import FakeBench
-from std_msgs.msg import Float64, Float64MultiArray
+from std_msgs.msg import Float64MultiArray
 
 from sma_bench.installation import share_directory
 from sma_bench.ros.node import seconds_of
@@ -89,16 +89,3 @@ def test_temperatures_come_from_a_topic_in_celsius_and_the_rules_of_the_experime
     fake.until_zero()
     assert node.end(signal.SIGTERM) == 0 and "Traceback" not in node.output
     bench.until(lambda: fake.volts == [0.0])
-
-
-def test_deflection_controller_stops_when_the_deflection_stops_coming(bench):
-    fake = FakeBench(bench, "deflection_controller", ("front_1", "front_2", "back_1", "back_2"))
-    bench.start("deflection_controller", COMPOSITE_RIG, **FROM_A_TOPIC)
-    bench.until(lambda: fake.state == "running: topic")
-    topic = bench.talk("deflection_controller/reference", Float64)
-    topic.publish(Float64(data=-0.02))
-    bench.until(lambda: fake.volts[2] > 3.0)
-    assert fake.volts[:2] == [0.0, 0.0]
-    fake.silent.add("joints")
-    bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new from joint"))
-    fake.until_zero()

@@ -123,6 +123,11 @@ def test_whatever_is_set_and_said_a_node_that_drives_answers_and_its_run_goes_on
             talker.publish(String(data=sound))
             driven.goes_on()
 
+        if name == "deflection_controller":
+            assert fake.volts[:2] == [0.0, 0.0] and min(fake.volts[2:]) > 1.0
+            fake.silent.add("joints")
+            bench.until(lambda: fake.state.startswith("aborted: stale feedback: nothing new"))
+            fake.until_zero()
     assert node.end() == 0 and "Traceback" not in node.output
     if driven.drives:
         bench.until(lambda: max(fake.volts) == 0.0)

@@ -35,15 +35,16 @@ def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, 
     with NodeProcesses(SPACE, tmp_path) as nodes:
         nodes.start("simulator", {}, (file,))
         nodes.start("experiment", {"protocol_root": str(tmp_path)}, (file,))
-        with BenchClient(SPACE, nodes.check) as client:  # the first start may compile the physics
-            client.wait("simulator", lambda: client.simulated_seconds > 1.0, 120.0)
-        run(2.0, 1.0, "record_1")
+        # The first start may compile the physics, and nodes meet in their own time.
+        with BenchClient(SPACE, nodes.check) as client:
+            client.wait("simulator", lambda: client.simulated_seconds > 4.0, 120.0)
+        run(2.0, 2.0, "record_1")
         volts = read_record(tmp_path / "record_1")["wire.voltage"].values
         assert volts.max() == pytest.approx(2.0, abs=0.05) and volts[-1] < 0.1
         with pytest.raises(InputError, match=r"aborted: .*temperature"):
             run(3.5, 20.0, "record_2")
         with pytest.raises(InputError, match=r"aborted: .*expected idle or done; reset it first"):
-            run(2.0, 1.0, "record_2")
+            run(2.0, 2.0, "record_2")
     assert not (tmp_path / "record_2").exists()
     assert len(list(tmp_path.glob("unfinished_record_?_*"))) >= 2
 
