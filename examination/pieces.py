@@ -12,7 +12,7 @@ from contextlib import contextmanager, nullcontext
 from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.stats import chi2
@@ -20,7 +20,7 @@ from scipy.stats import chi2
 from sma_bench.parameters.yaml_file import write_text_atomically
 
 PROCESSES, Z_95 = 2, 1.959964
-_PATIENCE, _SHOWN = 30.0, 5
+_PATIENCE = 30.0
 IN_PIECES = {
     "processes": (PROCESSES, "at once"),
     "json": (Path, "keep every result in this file as it comes; what is in it is not done again")}
@@ -163,26 +163,7 @@ def print_outcomes(found: list[dict], outcomes: Sequence[str], habits: dict[str,
     print(f"silently wrong {wrong} of {len(found)} ({wrong / len(found):.1%})")
 
 
-# --- What a piece of a campaign may take, in memory and time, and what came of it.
-class Outcome(NamedTuple):
-    """A line of the table: how often something was tried, what came of it, what was allowed."""
-
-    section: str
-    what: str
-    tried: int
-    found: str
-    limit: str
-    met: bool
-
-    @classmethod
-    def of(cls, section: str, what: str, tried: int, wrong: Sequence[str],
-           limit: str = "failed 0") -> "Outcome":
-        """Of so many tries, of which each that went wrong has its text."""
-        failures = [text for text in wrong if text]
-        found = "; ".join([f"failed {len(failures)}", *dict.fromkeys(failures[:_SHOWN])])
-        return cls(section, what, tried, found, limit, not failures)
-
-
+# --- What a piece of a campaign may take, in memory and time.
 class TooLong(Exception):
     """The work went on beyond its time."""
 

@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -330,33 +330,34 @@ def sma_bench_command(*arguments: str, module: str = "sma_bench.cli") -> None:
         raise RuntimeError(f"{module} {' '.join(arguments)}: {said[-1]}")
 
 
-# --- the tasks ----------------------------------------------------------------------------------
-@dataclass(frozen=True, eq=False)
-class Task:
-    """A result to be made: see made.yaml."""
+# --- the results --------------------------------------------------------------------------------
+SHOWN = 0.01  # of its tolerance that a number must have moved to be listed
+Results = Mapping[str, Result]
 
-    section: str
-    name: str
-    function: str
-    arguments: tuple[Any, ...] = ()
-    named: Mapping[str, Any] = field(default_factory=dict)
-    needs: str = ""
-    cases: int = 0
 
-    @property
-    def missing(self) -> str:
-        """The data that is not here, in words, or an empty text."""
-        folder = DATA / self.needs
-        return "" if not self.needs or folder.is_dir() else f"no measured data in {folder}"
+def tasks(section: str, cases: str = "", jobs: int = 1) -> dict[str, dict[str, Any]]:
+    """By result of a section, what makes it, as in made.yaml; `cases`: folder of sets by size;
+    `jobs`: processes of blind60."""
 
-    def make(self) -> Result:
-        begin = _processor_time()
-        try:
-            numbers = globals()[self.function](*self.arguments, **self.named)
-        except Exception as error:  # one result that ends badly leaves the others theirs
-            line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
-            return Result({}, _processor_time() - begin, failed=line)
-        return Result(numbers, _processor_time() - begin)
+    def filled(value: Any) -> Any:
+        if isinstance(value, list):
+            return [filled(one) for one in value]
+        return value.format(data=DATA, cases=cases, jobs=jobs) if isinstance(value, str) else value
+
+    return {name: row | {"arguments": filled(row.get("arguments", []))}
+            for name, row in _MADE["tasks"][section].items()}
+
+
+def made(row: Mapping[str, Any]) -> Result:
+    needed, begin = DATA / row.get("needs", ""), _processor_time()
+    if "needs" in row and not needed.is_dir():
+        return Result({}, skipped=f"no measured data in {needed}")
+    try:
+        numbers = globals()[row["function"]](*row["arguments"], **row.get("named", {}))
+    except Exception as error:  # one result that ends badly leaves the others theirs
+        line = f"{type(error).__name__}: {error}".replace(f"{DATA}/", "")
+        return Result({}, _processor_time() - begin, failed=line)
+    return Result(numbers, _processor_time() - begin)
 
 
 def _processor_time() -> float:
@@ -364,29 +365,12 @@ def _processor_time() -> float:
     return sum(os.times()[:4])
 
 
-def tasks(section: str, cases: str = "", jobs: int = 1) -> list[Task]:
-    """Results of a section; `cases`: folder of sets by size; `jobs`: processes of blind60."""
-
-    def filled(value: Any) -> Any:
-        if isinstance(value, list):
-            return tuple(map(filled, value))
-        return value.format(data=DATA, cases=cases, jobs=jobs) if isinstance(value, str) else value
-
-    return [Task(section, name, **{key: filled(value) for key, value in row.items()})
-            for name, row in _MADE["tasks"][section].items()]
-
-
-UNKNOWN_SECONDS = 10.0  # of a result that was never timed
-SHOWN = 0.01  # of its tolerance that a number must have moved to be listed
-Results = Mapping[str, Result]
-
-
 def compare(kept: Results, now: Results) -> Iterator[tuple[bool, str]]:
     """All that moved, is gone or is new: whether it is outside its tolerance, and a line."""
-    for result, made in now.items():
+    for result, found in now.items():
         old = kept[result].numbers if result in kept else {}
-        for name in dict.fromkeys([*old, *made.numbers]) if not made.skipped else ():
-            where, before, after = f"{result}: {name}", old.get(name), made.numbers.get(name)
+        for name in dict.fromkeys([*old, *found.numbers]) if not found.skipped else ():
+            where, before, after = f"{result}: {name}", old.get(name), found.numbers.get(name)
             if before is None:
                 yield False, f"new      {where}: {after}"
             elif after is None:
@@ -404,70 +388,55 @@ def main(argv: Sequence[str] | None = None) -> int:
     add("sections", nargs="*", metavar="SECTION", help=f"of {', '.join(SECTIONS)}")
     add("--only", default="", metavar="NAME", help="results with this in the name")
     add("--write", action="store_true", help="keep the numbers as they are now")
-    add("--kept", type=Path, default=KEPT, metavar="DIR", help="where they are")
     add("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     options = parser.parse_args(argv)
     sections = list(dict.fromkeys(options.sections or DAILY))
     if unknown := [section for section in sections if section not in SECTIONS]:
         parser.error(f"no section {unknown[0]!r}, expected some of {', '.join(SECTIONS)}")
-    if options.jobs < 1:
-        parser.error(f"--jobs is {options.jobs}, expected 1 or more")
 
-    kept = {section: read(options.kept / f"{section}.json") for section in sections}
+    now: dict[str, dict[str, Result]] = {section: {} for section in sections}
     with tempfile.TemporaryDirectory(prefix="sma_bench_golden_") as cases:
-        due = [task for section in sections for task in tasks(section, cases, options.jobs)
-               if options.only in task.name]  # fmt: skip
+        due = [(section, name, row) for section in sections
+               for name, row in tasks(section, cases, options.jobs).items() if options.only in name]
         if not due:
             _say(f"no result has {options.only!r} in its name")
             return 2
-        for number in sorted({task.cases for task in due if task.cases}):
+        for number in sorted({row["cases"] for *_, row in due if "cases" in row}):
             _say(f"making {number} development cases")
             make_cases(f"{cases}/{number}", number, options.jobs)
-        now = _made(due, kept, options.jobs)
-    failures = 0
-    for section, before in kept.items():
-        made = {task.name: now[task] for task in due if task.section == section}
-        if not options.only:
-            gone = Result({}, failed="nothing makes this result any more")
-            made |= {name: gone for name in before if name not in made}
-        moves = sorted(compare(before, made), key=lambda move: not move[0])
-        outside, old = sum(out for out, _ in moves), [before[n] for n in made if n in before]
-        failures += outside
-        print(f"\n{section}: {len(made)} results, {sum(len(r.numbers) for r in old)} numbers kept, "
-              f"{len(moves)} moved, gone or new, {outside} outside; "
-              f"{sum(r.seconds for r in made.values()):.0f} s of processor time, "
-              f"{sum(r.seconds for r in old):.0f} s then")  # fmt: skip
-        for name, result in made.items():
-            if result.skipped or result.failed:
-                word = "skipped" if result.skipped else "FAILED"
-                print(f"  {word:8} {name}: {result.skipped or result.failed}")
-        print(*(f"  {line}\n" for _, line in moves), sep="", end="")
-        if options.write:
-            written = {name: result for name, result in made.items() if result.numbers}
-            write(options.kept / f"{section}.json", {**before, **written}, list(made))
+        calls = (joblib.delayed(made)(row) for *_, row in due)
+        results = joblib.Parallel(options.jobs, return_as="generator")(calls)
+        for count, ((section, name, _), result) in enumerate(zip(due, results, strict=True), 1):
+            now[section][name] = result
+            _say(f"{count}/{len(due)}  ({section}: {name})")
+    failures = sum(report(section, found, options) for section, found in now.items())
     print("FAILED" if failures else "PASSED")
     return 1 if failures and not options.write else 0
 
 
-def _made(due: Sequence[Task], kept: Mapping[str, Results], jobs: int) -> dict[Task, Result]:
-    """All results, the longest begun first."""
-
-    def expected(task: Task) -> float:
-        before = kept[task.section].get(task.name)
-        return before.seconds if before and before.seconds else UNKNOWN_SECONDS
-
-    made = {task: Result({}, 0.0, task.missing) for task in due if task.missing}
-    waiting = sorted((task for task in due if not task.missing), key=expected, reverse=True)
-    calls = (joblib.delayed(_numbered)(k, task) for k, task in enumerate(waiting))
-    results = joblib.Parallel(jobs, return_as="generator_unordered")(calls)
-    for count, (k, result) in enumerate(results, 1):
-        made[task := waiting[k]] = result
-        _say(f"{count}/{len(waiting)}  ({task.section}: {task.name})")
-    return made
-
-
-def _numbered(k: int, task: Task) -> tuple[int, Result]:
-    return k, task.make()
+def report(section: str, found: dict[str, Result], options: argparse.Namespace) -> int:
+    """Print what moved in a section, keep it if that is asked for; how many are outside."""
+    file = KEPT / f"{section}.json"
+    before = read(file)
+    if not options.only:
+        gone = Result({}, failed="nothing makes this result any more")
+        found |= {name: gone for name in before if name not in found}
+    moves = sorted(compare(before, found), key=lambda move: not move[0])
+    outside, old = sum(out for out, _ in moves), [before[n] for n in found if n in before]
+    print(f"\n{section}: {len(found)} results, {sum(len(r.numbers) for r in old)} numbers kept, "
+          f"{len(moves)} moved, gone or new, {outside} outside; "
+          f"{sum(r.seconds for r in found.values()):.0f} s of processor time, "
+          f"{sum(r.seconds for r in old):.0f} s then")  # fmt: skip
+    for name, result in found.items():
+        if result.skipped or result.failed:
+            word = "skipped" if result.skipped else "FAILED"
+            print(f"  {word:8} {name}: {result.skipped or result.failed}")
+    print(*(f"  {line}\n" for _, line in moves), sep="", end="")
+    if options.write:
+        written = before | {name: result for name, result in found.items() if result.numbers}
+        order = [*(name for name in found if name in written), *written]
+        write(file, {name: written[name] for name in order})
+    return outside
 
 
 def _say(text: str) -> None:
@@ -483,21 +452,19 @@ def read(path: Path) -> dict[str, Result]:
     return results
 
 
-def write(path: Path, results: Results, order: Sequence[str]) -> None:
+def write(path: Path, results: Results) -> None:
     """One number a line: its value alone if it is exact, else value, tolerance, reason, side."""
-    names = [*(n for n in order if n in results), *(n for n in results if n not in order)]
     used = {n.reason for result in results.values() for n in result.numbers.values()}
     reasons = {reason: text for reason, text in REASONS.items() if reason in used}
     blocks = []
-    for name in names:
+    for name, result in results.items():
         lines = []
-        for key, n in results[name].numbers.items():
+        for key, n in result.numbers.items():
             entry = [n.value, n.tolerance, n.reason, *([n.side] if n.side else [])]
             text = json.dumps(n.value if n.reason == "exact" else entry)
             lines.append(f"    {json.dumps(key)}: {text}")
-        seconds, text = results[name].seconds, ",\n".join(lines)
-        head = f'  {json.dumps(name)}: {{"seconds": {seconds:.1f}, "numbers": {{'
-        blocks.append(f"{head}\n{text}\n  }}}}")
+        head, text = f'{{"seconds": {result.seconds:.1f}, "numbers": {{', ",\n".join(lines)
+        blocks.append(f"  {json.dumps(name)}: {head}\n{text}\n  }}}}")
     text, tolerances = ",\n".join(blocks), json.dumps(reasons, indent=1)
     path.parent.mkdir(exist_ok=True)
     path.write_text(f'{{"tolerances": {tolerances},\n"results": {{\n{text}\n}}}}\n')

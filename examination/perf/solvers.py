@@ -21,12 +21,11 @@ from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.physics import bending_coefficients, simulate
 
 _OF_PHASE = "effect.phase_dependent_resistance"
-NUMBERS = [*TRANSITIONS.values()]
-NUMBERS += [f"wire.stress_influence_{phase}" for phase in ("austenite", "martensite")]
-NUMBERS += [f"wire.{phase}_modulus" for phase in ("austenite", "martensite")]
-NUMBERS += ["wire.maximum_recoverable_strain", "wire.thermal_expansion_factor"]
-NUMBERS += ["environment.ambient_temperature", "wire.mass", "wire.specific_heat"]
-NUMBERS += ["wire.heat_transfer_coefficient", "wire.surface_area", "wire.resistance"]
+NUMBERS = [*TRANSITIONS.values(), *(f"wire.{name}" for name in (
+    "stress_influence_austenite", "stress_influence_martensite", "austenite_modulus",
+    "martensite_modulus", "maximum_recoverable_strain", "thermal_expansion_factor"))]
+NUMBERS += ["environment.ambient_temperature", *(f"wire.{name}" for name in (
+    "mass", "specific_heat", "heat_transfer_coefficient", "surface_area", "resistance"))]
 NUMBERS += [f"{_OF_PHASE}.austenite_change", f"{_OF_PHASE}.temperature_coefficient"]
 NUMBERS += ["effect.temperature_dependent_convection.rise", "effect.latent_heat.heat"]
 LEAST = 0.05  # of resistance and loss that a slope in temperature leaves, as the contract has it

@@ -1,25 +1,40 @@
 """Every section of `./bench check reliability`, small: what it found once stays mended."""
 
-import random
+import resource
 
 import pytest
 
-from examination.campaign.hostile_inputs import (
+from examination.campaign.inputs import (
     FOR_ALL,
+    edited,
     edited_inputs,
-    full_disk,
     hostile_inputs,
+    parsers,
     try_input,
 )
-from examination.campaign.mutations import edited, parsers
+from sma_bench.cli import main
 
 
 def failed(outcomes):
     return [f"{o.what}: {o.found}" for o in outcomes if not o.met]
 
 
-def test_a_full_disk_costs_one_line_and_nothing_good(tmp_path):
-    assert failed(full_disk(1, 1, tmp_path)) == []
+@pytest.mark.parametrize(
+    "words", ["simulate --protocol quick_ramp --out {}/bag", "parameters --out {}/good --force"]
+)
+def test_a_full_disk_costs_one_line_and_nothing_good(tmp_path, capsys, words):
+    good, limits = tmp_path / "good", resource.getrlimit(resource.RLIMIT_FSIZE)
+    good.write_text("good")
+    main(words.replace("{}/", f"{tmp_path}/warm_").split())  # it compiles
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        status = main(words.replace("{}", str(tmp_path)).split())
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    said = [line for line in capsys.readouterr().err.splitlines() if "cannot" in line]
+    assert status == 2 and len(said) == 1 and good.read_text() == "good"
+    left = {path.name for path in tmp_path.iterdir() if not path.name.startswith("warm")}
+    assert left <= {"good", "bag"}
 
 
 def test_parsers_take_anything(tmp_path):
@@ -46,17 +61,6 @@ def test_well_formed_hostile_inputs_end_every_command_in_a_line_or_a_result(tmp_
     results = " ".join(outcome.found for outcome in outcomes)
     assert [command for command in FOR_ALL if f" {command}" not in results] == []
     assert failed(outcomes) == []
-
-
-@pytest.mark.slow
-def test_killed_recorders_lose_a_second_at_most(ros_domain, nodes_forked, tmp_path):
-    from examination.campaign.nodes import killed_recorder, lost_seconds
-
-    seed = random.SystemRandom().randrange(100)
-    print(f"killed_recorder(2, {seed})")  # shown where it fails
-    assert failed(killed_recorder(2, seed, tmp_path)) == []
-    # A bag that cannot be read has lost all since it began.
-    assert lost_seconds(tmp_path / "nothing", 1005.0, 1000.0) == 5.0
 
 
 @pytest.mark.slow

@@ -13,9 +13,10 @@ ONE_RESULT = ("simulate", "--only", "plain, wire", "--jobs", "1")
 
 def test_one_that_moved_or_ends_badly_fails_where_it_was_kept(tmp_path, capsys, monkeypatch):
     def again(*more):
-        status = golden.main([*ONE_RESULT, "--kept", str(tmp_path), *more])
+        status = golden.main([*ONE_RESULT, *more])
         return status, capsys.readouterr().out
 
+    monkeypatch.setattr(golden, "KEPT", tmp_path)
     assert again("--write")[0] == 0
     status, out = again()
     assert status == 0 and "0 moved, gone or new, 0 outside" in out
@@ -28,7 +29,7 @@ def test_one_that_moved_or_ends_badly_fails_where_it_was_kept(tmp_path, capsys, 
     status, out = again()
     assert status == 1 and "1 outside" in out and "-3.00 tolerances (span)" in out
     assert "OUTSIDE  plain, wire: wire.temperature, largest" in out
-    monkeypatch.setattr(golden.Task, "make", lambda task: golden.Result({}, failed="no wire"))
+    monkeypatch.setattr(golden, "made", lambda row: golden.Result({}, failed="no wire"))
     status, out = again()
     assert status == 1 and "FAILED   plain, wire: no wire" in out
     file.unlink()
@@ -54,6 +55,6 @@ def test_kept_numbers_are_compared_with_what_makes_them():
     assert {"identify", "paper", "simulate"} <= {file.stem for file in files} <= {*golden.SECTIONS}
     for file in files:
         kept = golden.read(file)
-        assert set(kept) <= {task.name for task in golden.tasks(file.stem)}
+        assert set(kept) <= set(golden.tasks(file.stem))
         reasons = {number.reason for result in kept.values() for number in result.numbers.values()}
         assert reasons <= {*golden.REASONS, "exact"}

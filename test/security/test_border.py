@@ -47,25 +47,19 @@ def test_yaml_that_nothing_can_use_is_one_line():
             assert border.load_yaml(text) is not None  # some of it is a text to YAML
 
 
-@pytest.mark.parametrize(("text", "aliases", "said"), [
-    ("a: &a 1\nb: *a", False, "not taken"), ("a: " + "9" * 401, False, "64 bits|digits"),
-    ("[" * 3000, False, "nested deeper than 64"), (MERGED, True, "merge keys"),
-])  # fmt: skip
-def test_yaml_is_refused_with_its_reason_in_a_moment(text, aliases, said):
+def test_yaml_is_read_or_refused_with_its_reason_in_a_moment():
     assert border.load_yaml("a: &a [1]\nb: *a", aliases=True) == {"a": [1], "b": [1]}
-    started = time.thread_time()
-    with pytest.raises(InputError, match=said):
-        border.load_yaml(text, aliases=aliases)
-    assert time.thread_time() - started < 1.0
-
-
-def test_long_yaml_is_read_or_refused_in_a_moment():
     # A megabyte is the limit; a quarter of it takes a quarter of the time.
-    for text in ("[" + "a," * 125_000 + "]", "- " * 60 + "{a: b}", "? a\n" * 60_000):
+    for text, aliases, said in (
+        ("a: &a 1\nb: *a", False, "not taken"), ("a: " + "9" * 401, False, "64 bits|digits"),
+        ("[" * 3000, False, "nested deeper than 64"), (MERGED, True, "merge keys"),
+        ("[" + "a," * 125_000 + "]", False, ""), ("- " * 60 + "{a: b}", False, ""),
+        ("? a\n" * 60_000, False, ""),
+    ):  # fmt: skip
         started = time.thread_time()
-        with contextlib.suppress(InputError):
-            border.load_yaml(text)
-        assert time.thread_time() - started < 2.5
+        with pytest.raises(InputError, match=said) if said else contextlib.suppress(InputError):
+            border.load_yaml(text, aliases=aliases)
+        assert time.thread_time() - started < 2.5, text[:20]
 
 
 def test_a_pipe_or_a_device_is_not_read(tmp_path):
@@ -127,7 +121,7 @@ def test_files_are_replaced_together_or_not_at_all_and_keep_mode_and_link(tmp_pa
 
     folder = tmp_path / "together"
     folder.mkdir()
-    first, second, third = (folder / name for name in ("a", "b", "c"))
+    first, second, third = (folder / name for name in "abc")
     first.write_text("old a")
     second.write_text("old b")
     replace, calls = os.replace, []
@@ -138,12 +132,11 @@ def test_files_are_replaced_together_or_not_at_all_and_keep_mode_and_link(tmp_pa
             raise OSError(28, "No space left on device")
         return replace(source, target)
 
-    monkeypatch.setattr(os, "replace", fail_at_the_last)
-    with pytest.raises(OSError, match="No space"):
+    with monkeypatch.context() as patch, pytest.raises(OSError, match="No space"):
+        patch.setattr(os, "replace", fail_at_the_last)
         border.write_files({third: b"new", first: b"new", second: b"new"})
-    assert (first.read_text(), second.read_text()) == ("old a", "old b")
-    assert sorted(p.name for p in folder.iterdir()) == ["a", "b"]
-    monkeypatch.undo()
+    found = {path.name: path.read_text() for path in folder.iterdir()}
+    assert found == {"a": "old a", "b": "old b"}
     third.mkdir()
     with pytest.raises(OSError, match="something else than a file"):
         border.write_files({first: b"new", third: b"new"})

@@ -14,12 +14,10 @@ ROOT = Path(__file__).resolve().parents[2]
 SAYS = f"""
 import os, runpy, sys
 import sma_bench.commands.nodes as command
-def node(module, run_name):
-    from sma_bench.ros.processes import choose_discovery
-    choose_discovery()
-    print(os.environ.get("{RANGE}"), sys.argv[1:])
-runpy.run_module = node
 from sma_bench.commands.options import run_command
+from sma_bench.ros.processes import choose_discovery
+runpy.run_module = lambda module, run_name: (
+    choose_discovery(), print(os.environ.get("{RANGE}"), sys.argv[1:]))
 run_command(command.run_run, "sma-bench run", sys.argv[1:])
 """
 

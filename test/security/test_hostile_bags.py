@@ -5,23 +5,67 @@ import os
 import re
 import sqlite3
 import struct
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import zstandard
 from hostile_texts import MERGED
 
-from examination.campaign import mutations as harm
+from examination.bags import in_sqlite3
 from examination.pieces import allowance
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import observe
 from sma_bench.parameters import Parameters
 from sma_bench.records import Record, Signal, contract, read_record
+from sma_bench.records.bag_writer import write_record
 from sma_bench.records.storage import METADATA
 
+MAGIC = b"\x89MCAP0\r\n"
+# What a program may put in place of the messages of an sqlite3 bag.
+TRICKS = (
+    "CREATE VIEW messages AS WITH RECURSIVE r(n) AS (SELECT 1 UNION ALL SELECT n + 1 FROM r) "
+    "SELECT n AS id, 1 AS topic_id, n AS timestamp, zeroblob(64) AS data FROM r",
+    "CREATE TABLE messages (id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
+    "data BLOB AS (zeroblob(60000000)))",
+    "CREATE VIRTUAL TABLE messages USING fts5(topic_id, timestamp, data)",
+)
 
-def said_of(path) -> tuple[str, int]:
+
+def small_bag(path, storage):
+    write_record(path, [Signal("wire.voltage", "V", np.arange(20) * 0.1, np.ones(20))])
+    if storage == "sqlite3":
+        in_sqlite3(path)
+    return path
+
+
+def record(opcode, content):
+    return struct.pack("<BQ", opcode, len(content)) + content
+
+
+def message(channel, data):
+    """A message record; `channel` counts from 1, in the order of the topics."""
+    return record(5, struct.pack("<HIQQ", channel, 0, 0, 0) + data)
+
+
+def chunk(content, compressed=True):
+    stored = zstandard.compress(content, 3) if compressed else content
+    codec = b"zstd" if compressed else b""
+    head = struct.pack("<QQQII", 0, 0, len(content), 0, len(codec))
+    return record(6, head + codec + struct.pack("<Q", len(stored)) + stored)
+
+
+def journal_naming(db3, victim):
+    """A dead writer's journal with `victim`: SQLite deletes that file once it has rolled back."""
+    magic, page, sector, name = b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7", 4096, 512, str(victim).encode()
+    head = struct.pack(">8sIIIII", magic, 0, 1, db3.stat().st_size // page, sector, page)
+    tail = struct.pack(">I", (1 << 30) // page + 1) + name
+    tail += struct.pack(">II", len(name), sum(name)) + magic
+    journal = db3.with_name(db3.name + "-journal")
+    journal.write_bytes(head.ljust(sector, b"\0") + tail)
+    return journal
+
+
+def said_of(path):
     """What is said of a bag that is read or refused within 1 GB and 10 s; voltages that it has."""
     with allowance(1 << 30, 10.0):
         try:
@@ -38,13 +82,13 @@ def storage_of(bag):
 
 @pytest.fixture
 def db3(tmp_path):
-    return storage_of(harm.small_bag(tmp_path / "bag", "sqlite3"))
+    return storage_of(small_bag(tmp_path / "bag", "sqlite3"))
 
 
 def test_no_file_is_deleted_by_the_journal_beside_a_bag_nor_read_through_a_link(db3, tmp_path):
     victim = tmp_path / "thesis.tex"
     victim.write_text("years of work")
-    journal = harm.journal_naming(db3, victim)
+    journal = journal_naming(db3, victim)
     db3.with_name(db3.name + "-wal").symlink_to(victim)
     before = db3.read_bytes(), journal.read_bytes()
     assert said_of(db3)[1] == 20
@@ -55,15 +99,15 @@ def test_no_file_is_deleted_by_the_journal_beside_a_bag_nor_read_through_a_link(
 # The schema is data too: what it calls a table may be a view's text.
 ENTERED_VIEW = (
     "PRAGMA writable_schema = ON",
-    f"UPDATE sqlite_master SET sql = '{harm.TRICKS[0]}' WHERE name = 'messages'",
+    f"UPDATE sqlite_master SET sql = '{TRICKS[0]}' WHERE name = 'messages'",
 )
 ODD_STAMPS = "UPDATE messages SET timestamp = {} WHERE rowid % 7 = 3"
 
 
 @pytest.mark.parametrize(("statements", "said", "readings"), [
-    (("DROP TABLE messages", harm.TRICKS[0]), "refused: .*messages is no", 0),
-    (("DROP TABLE messages", harm.TRICKS[1]), "refused: .*messages has columns", 0),
-    (("DROP TABLE messages", harm.TRICKS[2]), "refused: .*messages is no", 0),
+    (("DROP TABLE messages", TRICKS[0]), "refused: .*messages is no", 0),
+    (("DROP TABLE messages", TRICKS[1]), "refused: .*messages has columns", 0),
+    (("DROP TABLE messages", TRICKS[2]), "refused: .*messages is no", 0),
     (ENTERED_VIEW, "refused: .*(messages is no|malformed)", 0),
     ((ODD_STAMPS.format("'now'"),), "", 17), ((ODD_STAMPS.format("1e308"),), "", 17),
 ])  # fmt: skip
@@ -84,47 +128,40 @@ BENCH_TOPICS = (("/bench/wire/power", contract.BATTERY_STATE),
                 ("/bench/joint_states", contract.JOINT_STATE))
 
 
-def mcap_of(*parts: bytes, topics: Sequence[tuple[str, str]] = BENCH_TOPICS) -> bytes:
+def mcap_of(*parts, topics=BENCH_TOPICS):
     """A file with these topics, never finished."""
-    file = [harm.MAGIC, harm.record(1, text_of(b"ros2") + text_of(b""))]
+    file = [MAGIC, record(1, texts("ros2", ""))]
     for number, (name, msgtype) in enumerate(topics, 1):
-        topic = text_of(name.encode("utf-8", "surrogateescape"))
-        schema = struct.pack("<H", number) + text_of(msgtype.encode()) + text_of(b"ros2msg")
-        channel = struct.pack("<HH", number, number) + topic + text_of(b"cdr")
-        file += [harm.record(3, schema + text_of(b"")), harm.record(4, channel + text_of(b""))]
+        file.append(record(3, struct.pack("<H", number) + texts(msgtype, "ros2msg", "")))
+        file.append(record(4, struct.pack("<HH", number, number) + texts(name, "cdr", "")))
     return b"".join([*file, *parts])
 
 
-def text_of(content: bytes) -> bytes:
-    return struct.pack("<I", len(content)) + content
+def texts(*several):
+    return b"".join(struct.pack("<I", len(text)) + text.encode() for text in several)
 
 
-def named_joints(count: int) -> bytes:
+def named_joints(count):
     """A JointState of so many joints without a name."""
     head = b"\0\1\0\0" + struct.pack("<iII4sI", 0, 0, 2, b"f", count)
     return head + bytes(4 * count) + bytes(12)
 
 
-def chunks_in_chunks(content: bytes) -> bytes:
+def chunks_in_chunks(content):
     for _ in range(1500):
-        content = harm.chunk(content, compressed=False)
+        content = chunk(content, compressed=False)
     return mcap_of(content)
 
 
 HARMFUL_FILES = {
     # 183 kB took 3.8 GB: a million messages in compressed chunks.
     "bag.mcap: unfolds to more than": lambda: mcap_of(
-        *[harm.chunk(harm.message(1, 0, b"\0\1\0\0" + bytes(200)) * 80_000)] * 30
-    ),
-    "a chunk inside a chunk": lambda: chunks_in_chunks(harm.message(1, 0, b"\0\1\0\0")),
-    "1 of 1 messages cannot be decoded": lambda: mcap_of(
-        harm.chunk(harm.message(2, 0, named_joints(10**6)))
-    ),
-    "more than 4096 topics": lambda: mcap_of(
-        topics=[(f"/t{k}", "a/msg/B") for k in range(5000)]
-    ),
+        *[chunk(message(1, b"\0\1\0\0" + bytes(200)) * 80_000)] * 30),
+    "a chunk inside a chunk": lambda: chunks_in_chunks(message(1, b"\0\1\0\0")),
+    "1 of 1 messages cannot be decoded": lambda: mcap_of(chunk(message(2, named_joints(10**6)))),
+    "more than 4096 topics": lambda: mcap_of(topics=[(f"/t{k}", "a/msg/B") for k in range(5000)]),
     "zstd: unfolds to more than": lambda: zstandard.compress(bytes(1 << 28), 19),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("expected", HARMFUL_FILES)
@@ -136,17 +173,14 @@ def test_a_small_file_does_not_unfold_to_gigabytes(tmp_path, monkeypatch, expect
     assert expected in said_of(bag)[0]
 
 
-BOMB = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n" + "".join(
-    f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 9)}]\n" for k in range(1, 12)
-)
-BOMB += (
+BOMB = "a0: &a0 [x]\n" + "".join(f"a{k}: &a{k} [{f'*a{k - 1},' * 9}]\n" for k in range(1, 12)) + (
     "rosbag2_bagfile_information:\n  relative_file_paths: [bag.mcap]\n"
     "  topics_with_message_count: [{topic_metadata: {name: %s}, message_count: %s}]\n"
 )
 
 
 def test_metadata_is_read_within_bounds_and_the_bag_without_it(tmp_path):
-    bag = harm.small_bag(tmp_path / "bag", "mcap")
+    bag = small_bag(tmp_path / "bag", "mcap")
     good = (bag / METADATA).read_text()
     deep, long = good + "y: " + "[" * 5000, good + "x: " + "9" * 401
     odd = ["{", "rosbag2_bagfile_information: 3", "\0\0", "", "#" * (2 << 20)]
@@ -157,8 +191,8 @@ def test_metadata_is_read_within_bounds_and_the_bag_without_it(tmp_path):
 
 
 def test_links_out_of_the_folder_of_a_bag_are_not_followed(tmp_path):
-    bag = harm.small_bag(tmp_path / "bag", "mcap")
-    (bag / "stolen.mcap").symlink_to(storage_of(harm.small_bag(tmp_path / "other", "mcap")))
+    bag = small_bag(tmp_path / "bag", "mcap")
+    (bag / "stolen.mcap").symlink_to(storage_of(small_bag(tmp_path / "other", "mcap")))
     said, readings = said_of(bag)
     assert "stolen.mcap: a link out of the bag's folder; not followed" in said and readings == 20
     storage_of(bag).unlink()
