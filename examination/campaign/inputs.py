@@ -298,9 +298,10 @@ def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     outcomes = []
     for k, name in enumerate(MAKERS):
         counts = [f"{n} {command}" for command in COMMANDS if (n := results[name].count(command))]
-        limit = f"results: {', '.join(counts) or 'none'}; failed 0"
         tried, what = len(range(k, size, len(MAKERS))), f"{name}, through all commands"
-        outcomes.append(counted(what, tried, failed[name], limit))
+        one = counted(what, tried, failed[name])
+        found = f"{one.found}, results: {', '.join(counts) or 'none'}"
+        outcomes.append(one._replace(found=found))
     return outcomes
 
 

@@ -3,7 +3,7 @@
 Hostile inputs, foreign traffic, nodes killed and started again in all orders, hours of a bench in
 virtual time, parsers fed with anything.
 Each line says what was tried how often, what came of it and what is allowed. Some forty minutes
-on two free cores; sizes by option, the same seed damages the same places.
+on two free cores; the same seed damages the same places.
 
     ./bench check reliability [--only SECTION ...] [--scale 0.1]
 """
