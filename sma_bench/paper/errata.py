@@ -18,7 +18,7 @@ from sma_bench.paper import printed as paper
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.audit import audit
 from sma_bench.parameters.parameter import TRANSITIONS
-from sma_bench.physics import bending, material
+from sma_bench.physics import bending, kernel, material
 from sma_bench.physics.bending import Beam
 from sma_bench.physics.boundary import Boundary
 from sma_bench.physics.linearised import OperatingPoint, maximum_deflection
@@ -132,8 +132,8 @@ def _linearised(point: OperatingPoint) -> Facts:
     ends_of = (parameters[f"wire.martensite_{end}_temperature"] for end in ("start", "finish"))
     found[6] = {}
     places: dict[paper.Branch, Any] = {
-        "heating": (material.heated_fraction, kelvin, sigma),
-        "cooling": (material.cooled_fraction, 0.5 * sum(ends_of), 0.0),
+        "heating": (kernel.heated_fraction, kelvin, sigma),
+        "cooling": (kernel.cooled_fraction, 0.5 * sum(ends_of), 0.0),
     }
     for name, (ramp, t, s) in places.items():
         printed, per_kelvin, per_pascal = paper.kinetics_slopes(name, t, s, parameters)
@@ -181,7 +181,7 @@ def _loads(numbers: Parameters) -> Facts:
     x, y = 0.5 * diameter * np.cos(angles), 0.5 * diameter * np.sin(angles)
     shoelace = 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
     sigma, kelvin = 100e6, np.linspace(300.0, 400.0, 100001)
-    xi = [material.heated_fraction(kelvin, held, numbers) for held in (0.0, sigma)]
+    xi = [kernel.heated_fraction(kelvin, held, numbers) for held in (0.0, sigma)]
     middles = [float(np.interp(0.5, fraction[::-1], kelvin[::-1])) for fraction in xi]
     ohm, force = numbers["wire.resistance"], specimens.HOLDING_FORCE
     return {

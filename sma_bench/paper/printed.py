@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.physics import bending, material
+from sma_bench.physics import bending, kernel, material
 from sma_bench.physics.bending import Beam
 from sma_bench.physics.boundary import side_of_channels
 from sma_bench.physics.linearised import Branch, OperatingPoint, linearise
@@ -42,9 +42,9 @@ def deflection_as_printed(strain: float, beam: Beam) -> float:
 def kinetics_slopes(branch: Branch, kelvin: float, sigma: float,
                     parameters: Parameters) -> tuple[float, float, float]:
     """b_1 of eq. (20) or b_3 of eq. (21): as printed [1]; corrected for K [1/K] and Pa [1/Pa]."""
-    phase, ramp = {"heating": ("austenite", material.austenite_ramp),
-                   "cooling": ("martensite", material.martensite_ramp)}[branch]  # fmt: skip
-    share = float(ramp(kelvin, sigma, parameters))
+    phase, law = {"heating": ("austenite", kernel.heated_fraction),
+                  "cooling": ("martensite", kernel.cooled_fraction)}[branch]  # fmt: skip
+    share = float(law(kelvin, sigma, parameters))
     printed = math.sqrt(share * (1.0 - share))  # sin(x)/2 where the ramp is (1 +- cos x)/2
     start, finish = (parameters[f"wire.{phase}_{end}_temperature"] for end in ("start", "finish"))
     per_kelvin = math.pi / abs(finish - start) * printed
@@ -87,7 +87,7 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     # Eqs. (20), (21), of the kinetics.
     b1, b1_kelvin, b1_pascal = kinetics_slopes("heating", kelvin, sigma, parameters)
     b3, b3_kelvin, b3_pascal = kinetics_slopes("cooling", kelvin, sigma, parameters)
-    laws = (material.heated_fraction, material.cooled_fraction)
+    laws = (kernel.heated_fraction, kernel.cooled_fraction)
     b2, b4 = (float(law(kelvin, sigma, parameters)) for law in laws)
     sign = "sign of eps* - eps_0"
     rows = [

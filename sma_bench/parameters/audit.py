@@ -1,7 +1,6 @@
 """Do the numbers of a lab fit each other, and physics? The first suspect of any gap is here."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -25,14 +24,12 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
     """Check a lab's numbers against each other and correlations: a "warning" where they clash (its
     text says which and by how much), else "info". `papers_own`: whether findings on numbers all the
     paper's stand one by one, or in one line. Warnings of these: PAPER_NOTES, 7 to 10 and 16."""
-    thermal = _thermal(parameters)
-    checked = [*_wire(parameters), *thermal[:2], _explanations(parameters, thermal), *thermal[2:],
-               *_material(parameters), *_drive_and_load(parameters)]
-    found = [finding for finding in checked if finding is not None]
+    found = [finding for check in (_wire, _thermal, _material, _drive_and_load)
+             for finding in check(parameters)]
     if not papers_own:
         papers = [finding for finding in found if all(parameters[n] == BY_NAME[n].default
                                                       for n in _TEXTS[finding.subject]["of"])]
-        clashes = _clashing(papers)
+        clashes = [finding.subject for finding in papers if finding.severity != "info"]
         found = [finding for finding in found if finding not in papers]
         if papers:
             count = f"{len(papers)} checks rest on the paper's own numbers"
@@ -42,10 +39,6 @@ def audit(parameters: Parameters, *, papers_own: bool = True) -> list[Finding]:
             number = {"clashes": float(len(clashes))}
             found.append(Finding("info", "the paper's numbers", text, number))
     return [replace(finding, audit=True) for finding in found]
-
-
-def _clashing(findings: Sequence[Finding]) -> list[str]:
-    return [finding.subject for finding in findings if finding.severity != "info"]
 
 
 def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str, float],
@@ -58,19 +51,10 @@ def _judged(parameters: Parameters, subject: str, clash: str, numbers: dict[str,
     return Finding(severity, subject, text.format(**numbers, **facts), numbers)
 
 
-def _length_from_area(parameters: Parameters) -> float:
-    """Length [m] of a cylinder of the given lateral area and diameter."""
-    return float(parameters["wire.surface_area"]) / (math.pi * parameters["wire.diameter"])
-
-
-def _area_from_mass(parameters: Parameters) -> float:
-    """Lateral area [m2] of a cylinder of the given mass and diameter."""
-    return math.pi * float(parameters["wire.diameter"]) * law.wire_length_from_mass(parameters)
-
-
 def _wire(p: Parameters) -> list[Finding]:
     """Length of the wire by its mass and by its area, and its resistivity over either."""
-    by_mass, by_area = law.wire_length_from_mass(p), _length_from_area(p)
+    by_mass = law.wire_length_from_mass(p)
+    by_area = float(p["wire.surface_area"]) / (math.pi * p["wire.diameter"])
     ratio = by_area / by_mass
     numbers = {"length_from_mass": by_mass, "length_from_area": by_area, "ratio": ratio}
     if apart := abs(ratio - 1.0) > LENGTH_TOLERANCE:
@@ -114,7 +98,7 @@ def _thermal(p: Parameters) -> list[Finding]:
         for grey, kelvin in zip(WIRE_EMISSIVITY, (warm, hot), strict=True)
     )
     heat, capacity = p["wire.specific_heat"], p["wire.mass"] * p["wire.specific_heat"]
-    area = _area_from_mass(p)
+    area = math.pi * diameter * law.wire_length_from_mass(p)
     slow, fast = capacity / (low * area), capacity / (high * area)
     return [
         _against(p, "heat transfer", "heat_transfer_coefficient", h, low, high, CONVECTION_FACTOR),
@@ -122,42 +106,6 @@ def _thermal(p: Parameters) -> list[Finding]:
                  fast, slow, CONVECTION_FACTOR),
         _against(p, "specific heat", "specific_heat", heat, *NITI_SPECIFIC_HEAT),
     ]  # fmt: skip
-
-
-def _explanations(p: Parameters, thermal: Sequence[Finding]) -> Finding | None:
-    """What explains a heat transfer unlike still air's: each error is undone, all checked again."""
-    def listed(names: Sequence[str]) -> str:
-        return ", ".join(names[:-1]) + f" and {names[-1]}" if len(names) > 1 else "".join(names)
-
-    before = _clashing(thermal)
-    if "heat transfer" not in before:
-        return None
-    h, heat = p["wire.heat_transfer_coefficient"], p["wire.specific_heat"]
-    factor, area = thermal[0].numbers["factor"], _area_from_mass(p)
-    grown = p["wire.surface_area"] / area
-    mass = _length_from_area(p) / law.wire_length_from_mass(p)
-    # What is measured stays: h A_c by E2, c_p m by E3, both per kelvin that the sensor says.
-    undone = {
-        f"a temperature read {'low' if factor > 1.0 else 'high'} by a factor {factor:.1f}": {
-            "wire.heat_transfer_coefficient": h / factor, "wire.specific_heat": heat / factor},
-        "an area of the mass's length": {
-            "wire.surface_area": area, "wire.heat_transfer_coefficient": h * grown},
-        "a mass of the area's length": {
-            "wire.mass": p["wire.mass"] * mass, "wire.specific_heat": heat / mass},
-    }
-    texts, numbers = [], {"factor": factor}
-    for what, changed in undone.items():
-        limits = {name: (BY_NAME[name].low, BY_NAME[name].high) for name in changed}
-        values = {name: min(max(changed[name], low), high) for name, (low, high) in limits.items()}
-        then = _clashing(_thermal(p.replace(values)))
-        mended = listed([name for name in before if name not in then]) or "none of it"
-        c_p, left = values.get("wire.specific_heat", heat), listed(then) or "nothing"
-        texts.append(f"{what} mends {mended} and leaves {left} (c_p {c_p:.0f})")
-        numbers[f"left by {what.partition(' by ')[0]}"] = float(len(then))
-    rest = [name for name in before if name not in ("heat transfer", "time constant")]
-    left = f" and leave {listed(rest)}" if rest else ""
-    texts.append(f"moving air or a wire in contact explain heat transfer and time constant{left}")
-    return Finding("info", "heat transfer explained", "; ".join(texts), numbers)
 
 
 def _material(p: Parameters) -> list[Finding]:

@@ -136,18 +136,16 @@ class Parameters(Mapping[str, Value]):
         channels, sides, law = self["bench.channels"], self["bench.channel_sides"], self["wire.law"]
         if not channels:
             yield "bench.channels is empty, expected one name or more"
-        for channel in channels:
-            if not _CHANNEL_NAME.match(channel):
-                rule = "(a letter, then letters, digits, underscores)"
-                yield f"bench.channels: {channel!r} is not a ROS name {rule}"
+        rule = "(a letter, then letters, digits, underscores)"
+        for channel in (name for name in channels if not _CHANNEL_NAME.match(name)):
+            yield f"bench.channels: {channel!r} is not a ROS name {rule}"
         if len(set(channels)) != len(channels):
             yield f"bench.channels: {list(channels)} has a name twice"
         if len(sides) != len(channels):
             entries = f"{len(sides)} entries, expected {len(channels)} as bench.channels"
             yield f"bench.channel_sides has {entries}"
-        for side in sides:
-            if side not in SIDES:
-                yield f"bench.channel_sides: {side!r}, expected front or back"
+        for side in (name for name in sides if name not in SIDES):
+            yield f"bench.channel_sides: {side!r}, expected front or back"
         for name, choices in CHOICES.items():
             if self[name] not in choices:
                 yield f"{name} is {self[name]!r}, expected {', '.join(filter(None, choices))}"
@@ -158,10 +156,8 @@ class Parameters(Mapping[str, Value]):
                 value = f"{name} is {self[name]:g}{' m' * (BY_NAME[name].unit == 'm')}"
                 yield f"{value} with wire.law {law}, expected 0, or law normal"
         kind, used = load_kind(self), len(set(sides))
-        for name in LOAD_NEEDS.get(kind, ()):
-            if self[name] <= 0.0:
-                value = f"{self[name]:g} {BY_NAME[name].unit}"
-                yield f"{name} is {value}, expected above 0 with load.kind {kind}"
+        if kind == "spring" and (stiffness := self["load.stiffness"]) <= 0.0:
+            yield f"load.stiffness is {stiffness:g} N/m, expected above 0 with load.kind spring"
         wanted = {"antagonist": 2, "beam": used}.get(kind, 1)
         if used != wanted:
             wants = f"{kind}, expected {'front and back' if wanted == 2 else 'one side'}"

@@ -46,9 +46,23 @@ def wire_layer_width(parameters: Parameters) -> float:
     return section / float(parameters["composite.wire_layer_thickness"])
 
 
+def _of_one_width(beam: Beam) -> Beam:
+    """A layer of another width is one of modulus E w_s/w_c."""
+    modulus = beam.layer_modulus * beam.layer_width / beam.width
+    return replace(beam, layer_modulus=modulus, layer_width=beam.width)
+
+
+def stiffness_terms(beam: Beam, factor: float) -> float:
+    """The bracket of eq. (14), its first term times `factor` [Pa2 m4]."""
+    passive, active = beam.thickness, beam.layer_thickness
+    mixed = 4.0 * passive**2 + 6.0 * passive * active + 4.0 * active**2
+    both = beam.modulus * passive * (beam.layer_modulus * active) * mixed
+    return factor * beam.modulus**2 * passive**4 + both + beam.layer_modulus**2 * active**4
+
+
 def bending_stiffness(beam: Beam) -> float:
     """EI [N m2] of eq. (14), corrected: two layers about the neutral axis, the width at each term,
-    12 (E_c h_c + E h) below all; a layer of another width is one of modulus E w_s/w_c."""
+    12 (E_c h_c + E h) below all."""
     beam = _of_one_width(beam)
     matrix, layer = beam.modulus * beam.thickness, beam.layer_modulus * beam.layer_thickness
     return beam.width * stiffness_terms(beam, 1.0) / (12.0 * (matrix + layer))
@@ -82,17 +96,3 @@ def bending_coefficients(parameters: Parameters) -> tuple[float, float, float]:
     beam = Beam.of(parameters)
     beta = stress_per_deflection(beam)
     return alpha or deflection(1.0, beam), front or beta, back or beta
-
-
-def _of_one_width(beam: Beam) -> Beam:
-    modulus = beam.layer_modulus * beam.layer_width / beam.width
-    return replace(beam, layer_modulus=modulus, layer_width=beam.width)
-
-
-def stiffness_terms(beam: Beam, factor: float) -> float:
-    """The bracket of eq. (14), its first term times `factor` [Pa2 m4]."""
-    passive, active = beam.thickness, beam.layer_thickness
-    mixed = 4.0 * passive**2 + 6.0 * passive * active + 4.0 * active**2
-    both = beam.modulus * passive * (beam.layer_modulus * active) * mixed
-    alone = factor * beam.modulus**2 * passive**4
-    return alone + both + beam.layer_modulus**2 * active**4

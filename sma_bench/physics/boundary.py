@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -88,13 +88,17 @@ class Boundary:
         return cls(stiffness, held / section, lever=-length, prestretch=stretch, friction=rubs,
                    stiffening=stiffening)
 
+    def per_side(self, name: str, sides: int) -> Array:
+        """(s,) of a field; InputError: wrong number of sides, or not finite."""
+        return per_side(f"boundary: {name}", getattr(self, name), sides)
+
     def levers(self, parameters: Parameters) -> Array:
         """(s,) m, deflection per contraction of each side."""
-        return per_side("lever", self.lever, len(side_names(parameters)))
+        return self.per_side("lever", len(side_names(parameters)))
 
     def stretch_of_wires(self, parameters: Parameters) -> Array:
         """(w,) prestretch of each wire."""
-        sides = per_side("prestretch", self.prestretch, len(side_names(parameters)))
+        sides = self.per_side("prestretch", len(side_names(parameters)))
         return sides[side_of_channels(parameters)]
 
 
@@ -121,12 +125,11 @@ def _sides(of_channels: tuple[str, ...]) -> tuple[tuple[str, ...], IntArray]:
     return names, numbers
 
 
-def per_side(name: str, value: PerSide, sides: int) -> Array:
-    """(s,) array of a field of Boundary; InputError: wrong number of sides, or not finite."""
+def per_side(name: str, value: Any, sides: int) -> Array:
+    """(s,) array of one or s values; InputError: wrong number of these, or not finite."""
     array = np.array(value, dtype=np.float64)
     if array.shape not in ((), (sides,)):
-        shapes = f"{array.shape}, expected one or {sides} values"
-        raise InputError(f"boundary: {name} has shape {shapes}")
+        raise InputError(f"{name} has shape {array.shape}, expected one or {sides} values")
     if not np.isfinite(array).all():
-        raise InputError(f"boundary: {name} is {value}, expected finite numbers")
+        raise InputError(f"{name} is {value}, expected finite numbers")
     return np.full(sides, array)

@@ -4,17 +4,15 @@ A step of length dt at held voltages, for every wire i of every side s:
 
     T_i     = T_eq + (T_i0 - T_eq) exp(-dt/tau) + lag (xi_i - xi_i0)      (lag: latent heat)
     sigma_i = E(xi_i) [eps_L (1 - xi_i) - e_s] + Theta_T (T_i - T_inf)
-    xi_i    = the law (laws/, material.py) at T_i, sigma_i
+    xi_i    = the law (laws/, kinetics.py) at T_i, sigma_i
     sum sigma_i = load_s + K_s e_s +- F_s,   or e_s prescribed            (e: contraction)
 
-Dry friction F_s is against the motion; within +-F_s of balance the side stays where it was.
-
-Two sides that pull on one slider are one equation: the sum of the front's stresses less that of the
+Dry friction F_s is against the motion; within +-F_s of balance the side stays where it was. Two
+sides that pull on one slider are one equation: the sum of the front's stresses less that of the
 back's, e_back = -e_front.
 
-A wire's temperature is monotone within the step, so reversals fall on samples. A wire whose ends
-are moved turns where T - sigma/C_A would, did it only stretch: that is what its phase goes by, and
-at a held temperature all that changes.
+A wire's temperature is monotone within the step, so reversals fall on samples. One whose ends are
+moved turns where T - sigma/C_A would, did it only stretch: that is what its phase goes by.
 
 All lies in two plain arrays (columns.py): `wires` (w, WIRE_COLUMNS), `sides` (s, SIDE_COLUMNS);
 `i` is a wire, `side` a side. `run` allocates nothing, so no function counts references, and those
@@ -140,8 +138,7 @@ def change_regime(wires, sides, side):
     """After a solution: take another regime where it contradicts this one; whether it did."""
     changed = False
     for i in range(wires.shape[0]):
-        if pull_sign(wires, sides, i, side) != 0.0 and passes_most(wires, i):
-            changed = True
+        changed |= pull_sign(wires, sides, i, side) != 0.0 and passes_most(wires, i)
     if changed or sides[side, at.PRESCRIBED] > 0.0:
         return changed
     if sides[side, at.ENGAGEMENT] > 0.0:

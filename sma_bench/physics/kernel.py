@@ -13,7 +13,7 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EFFECTS, LAWS, SOURCES
 from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
-from sma_bench.physics import core, material, orientation
+from sma_bench.physics import core, kinetics, material, orientation
 from sma_bench.physics.boundary import Boundary, per_side, side_names, side_of_channels
 from sma_bench.physics.laws import extended, law_of, normal
 from sma_bench.physics.material import heat_loss, heated_resistance, heating_voltage, time_constant
@@ -42,17 +42,11 @@ def initial_state(parameters: Parameters, *, temperature: ArrayLike | None = Non
     """State without history: at rest, or at one or (w,) K (`temperature`) and fractions (0 to 1).
     `boundary`: the rig's own when not given; it decides stress and contraction. Raises InputError:
     wrong shape, or a fraction that cannot be at that temperature and stress."""
-    wires, given = len(parameters["bench.channels"]), []
+    wires = len(parameters["bench.channels"])
     if temperature is None:
         temperature = parameters["environment.ambient_temperature"]
-    for name, value in (("temperature", temperature), ("martensite_fraction", martensite_fraction)):
-        array, lead = np.asarray(value, dtype=float), f"initial state: {name}"
-        if array.shape not in ((), (wires,)):
-            raise InputError(f"{lead} has shape {array.shape}, expected one or {wires} values")
-        if not np.all(np.isfinite(array)):
-            raise InputError(f"{lead} is {array}, expected finite numbers")
-        given.append(np.array(np.broadcast_to(array, (wires,))))
-    kelvin, xi = given
+    kelvin = per_side("initial state: temperature", temperature, wires)
+    xi = per_side("initial state: martensite_fraction", martensite_fraction, wires)
     if np.any(kelvin <= 0.0):
         raise InputError(f"initial state: temperature is {kelvin.min():g} K, expected above 0 K")
     if np.any((xi < 0.0) | (xi > 1.0)):
@@ -78,9 +72,9 @@ def _balanced(kelvin: Array, xi: Array, parameters: Parameters, boundary: Bounda
     parameters = orientation.as_oriented(parameters, float(prestretch.mean()))
     pull = np.bincount(side, material.stress(kelvin, xi, -prestretch, parameters), sides)
     modulus = np.bincount(side, material.modulus(xi, parameters), sides)
-    own, load = (per_side(n, getattr(boundary, n), sides) for n in ("stiffness", "load"))
+    own, load = (boundary.per_side(name, sides) for name in ("stiffness", "load"))
     if boundary.contraction is not None:
-        contraction = per_side("contraction", boundary.contraction, sides)
+        contraction = boundary.per_side("contraction", sides)
     elif boundary.coupled:
         front = (pull[0] - pull[1] - load[0]) / (modulus.sum() + own[0])
         contraction = np.array([front, -front])
@@ -96,8 +90,7 @@ def require_possible(state: State, parameters: Parameters) -> None:
     finish = parameters["wire.austenite_finish_temperature"]
     if np.all((xi == 1.0) & (kelvin < finish) & (sigma >= 0.0)):
         return  # cold martensite, where most benches begin
-    f = material.austenite_ramp(kelvin, sigma, parameters)
-    g = material.martensite_ramp(kelvin, sigma, parameters)
+    f, g = ramps(kelvin, sigma, parameters)
     least = law_of(parameters).UNDONE
     for impossible, expected in (
         ((f <= least) & (g >= 1.0 - least) & (xi > least), "0 above A_f"),
@@ -197,7 +190,7 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
     sides = np.zeros((count, at.SIDE_COLUMNS))
     sides[:, at.PRESCRIBED] = boundary.contraction is not None
     sides[:, at.COUPLED] = boundary.coupled
-    stiffness, load, sides[:, at.FRICTION] = (per_side(name, getattr(boundary, name), count)
+    stiffness, load, sides[:, at.FRICTION] = (boundary.per_side(name, count)
                                               for name in ("stiffness", "load", "friction"))
     sides[:, at.STIFFNESS] = sides[:, at.OWN_STIFFNESS] = stiffness
     sides[:, at.LOAD] = sides[:, at.OWN_LOAD] = load
@@ -218,6 +211,26 @@ def side_rows(parameters: Parameters, boundary: Boundary) -> Array:
         sides[load > 0.0, column] = 0.0  # which draws the wires straight
     sides[:, at.RUBBING] *= sides[:, at.RUBBING_SLACK] > 0.0
     return sides
+
+
+def ramps(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> tuple[Array, Array]:
+    """f and g of the full loop (kinetics.py) at T [K] and sigma [Pa], which broadcast."""
+    given = (np.asarray(a, float) for a in (temperature, stress))
+    kelvin, sigma = np.broadcast_arrays(*given)
+    f, g = np.empty(kelvin.shape), np.empty(kelvin.shape)
+    wire = wire_rows(parameters, Boundary())[:1]
+    kinetics.full_loop(wire, kelvin.ravel(), sigma.ravel(), f.reshape(-1), g.reshape(-1))
+    return f, g
+
+
+def heated_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
+    """Martensite fraction on heating from martensite, eq. (10)."""
+    return ramps(temperature, stress, parameters)[0]
+
+
+def cooled_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
+    """Martensite fraction on cooling from austenite, eq. (11)."""
+    return 1.0 - ramps(temperature, stress, parameters)[1]
 
 
 _AT_ONCE = 1e-6  # s, in which nothing but the balance of stresses changes
@@ -269,8 +282,8 @@ class Kernel:
         wires[:, at.OFFSET] = wires[:, at.PRESTRETCH]
         sides[sides[:, at.ENGAGEMENT] == 0.0, at.PASSIVE_BENDING] = 0.0
         if self.boundary.contraction is not None:
-            given = per_side("contraction", self.boundary.contraction, len(sides))
-            sides[:, at.CONTRACTION], sides[:, at.CONTRACTION_CHANGE] = given, 0.0
+            sides[:, at.CONTRACTION] = self.boundary.per_side("contraction", len(sides))
+            sides[:, at.CONTRACTION_CHANGE] = 0.0
         return wires, sides
 
     def carry_over(self, memory: tuple[Array, Array], most_austenite: Array) -> None:

@@ -1,4 +1,24 @@
-"""The martensite fraction of a wire by its law, compiled: by the rule of material.py or its own."""
+"""The martensite fraction of a wire by its law, compiled: eqs. (10), (11), and the contract's rule
+of incomplete loops. The two ramps are, of the contract's law,
+
+    f = cos^2[pi/2 (T - A_s - sigma/C_A)/(A_f - A_s)],   1 below and 0 above its range,
+    g = sin^2[pi/2 (T - M_f - sigma/C_M)/(M_s - M_f)],   0 below and 1 above its range,
+
+and xi_r, f_r, g_r are xi, f, g at the last reversal of the temperature, at the stress of then:
+
+    T rising:   xi     = max[xi_r f/f_r,       min(1 - g/g_r, f)]
+    T falling:  1 - xi = max[(1 - xi_r) g/g_r, min(1 - f/f_r, g)]
+
+The first terms are the contract's. The second ones matter only when stress moves a range
+against the direction of the temperature (a rising wire whose g falls below g_r), so in any
+history at constant stress they are inactive, whatever the order of the ranges. They keep
+the fraction going continuously to 1 below both ranges and to 0 above both. The second line is
+the first with the phases and the ramps exchanged.
+
+Three details keep it continuous in every case. xi stays within [0, 1]. Above A_f, where f_r = 0,
+some martensite can be left if M_s lies higher still: then f/f_r is replaced by (1 - g)/(1 - g_r),
+the cooling curve traced back; mirrored below M_f. Where M_s (with stress) lies above A_f,
+eqs. (10) and (11) contradict "xi = 0 above A_f", and the equations win on cooling."""
 
 import math
 
@@ -10,16 +30,21 @@ from sma_bench.physics.effects.stress_dependent_transition import bent
 from sma_bench.physics.effects.transformation_law import mixed
 from sma_bench.physics.effects.transition_drift import drifts, shift_transition
 from sma_bench.physics.laws import brinson, cosine, exponential, extended, logistic, normal
-from sma_bench.physics.material import GRAIN, NORMAL_DEVIATION, NORMAL_REACH, OUTER
 
 _, EXPONENTIAL, LOGISTIC, NORMAL, BRINSON, EXTENDED = range(len(LAWS))
 SQRT_2, SQRT_2_PI = math.sqrt(2.0), math.sqrt(2.0 * math.pi)
+# Of `wire.transition_spread`, grains whose temperatures are normally distributed, as three groups
+# (Gauss and Hermite's): where the outer ones lie, in deviations; share of each.
+GRAIN, OUTER = math.sqrt(3.0), 1.0 / 6.0
+# Of `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
+# normal distribution of the same deviation is cut off, in deviations.
+NORMAL_DEVIATION, NORMAL_REACH = math.sqrt(0.25 - 2.0 / math.pi**2), 5.0
 NORMAL_REST = 0.5 * math.erfc(NORMAL_REACH / SQRT_2)  # of the grains on either side of the cut
 
 
 @inlined
 def cosine_ramp(wires, i, position, spread):
-    """Ramp of grains that do not transform alike (material.py), and its slope."""
+    """Ramp of grains that do not transform alike, and its slope."""
     share, slope = cosine.ramp(position)
     if spread > 0.0:
         early, early_slope = cosine.ramp(position + GRAIN * spread)
@@ -91,11 +116,11 @@ def positions(wires, i, temperature, on_f, on_g):
 
 
 def rule_of(ramp, shifting):
-    """The rule of material.py for a law's ramp, and the stresses by which its ranges shift."""
+    """The rule of above for a law's ramp, and the stresses by which its ranges shift."""
 
     @inlined
     def phase_left(wires, i, own, other, own_spread, other_spread):
-        """What is left of the vanishing phase (material.py), its slopes along both positions."""
+        """What is left of the phase that vanishes, its slopes along both positions."""
         phase, own_reversed = wires[i, at.PHASE_REVERSED], wires[i, at.OWN_REVERSED]
         other_reversed = wires[i, at.OTHER_REVERSED]
         share, share_slope = ramp(wires, i, own, own_spread)
@@ -128,7 +153,7 @@ def rule_of(ramp, shifting):
 
     @inlined
     def by_rule(wires, i, temperature, stress):
-        """xi of wire i by the rule of material.py, d xi/dT and d xi/d sigma."""
+        """xi of wire i, d xi/dT and d xi/d sigma."""
         on_f, f_slope, on_g, g_slope = shifting(wires, i, stress)
         of_f, of_g = positions(wires, i, temperature, on_f, on_g)
         f_spread, g_spread = wires[i, at.AUSTENITE_SPREAD], wires[i, at.MARTENSITE_SPREAD]
@@ -169,10 +194,19 @@ def fraction(wires, i, temperature, stress):
 
 
 @inlined
-def present_positions(wires, i):
-    """Where wire i lies on its ramps."""
-    on_f, _, on_g, _ = any_shifting(wires, i, wires[i, at.STRESS])
-    return positions(wires, i, wires[i, at.TEMPERATURE], on_f, on_g)
+def ramps(wires, i, temperature, stress):
+    """f and g of wire i, and where it lies on them."""
+    on_f, _, on_g, _ = any_shifting(wires, i, stress)
+    of_f, of_g = positions(wires, i, temperature, on_f, on_g)
+    f = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
+    return f, any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0], of_f, of_g
+
+
+@borrowing
+def full_loop(wires, temperature, stress, f, g):
+    """Write the ramps f, g (n,) of the first wire at temperatures [K] and stresses [Pa] (n,)."""
+    for k in range(temperature.size):
+        f[k], g[k], _, _ = ramps(wires, 0, temperature[k], stress[k])
 
 
 @borrowing
@@ -181,9 +215,7 @@ def reverse(wires, i, trend):
     if drifts(wires, i):
         wires[i, at.TURNED_CYCLES] = wires[i, at.CYCLES]
         shift_transition(wires, i)
-    of_f, of_g = present_positions(wires, i)
-    f = any_ramp(wires, i, of_f, wires[i, at.AUSTENITE_SPREAD])[0]
-    g = any_ramp(wires, i, of_g, wires[i, at.MARTENSITE_SPREAD])[0]
+    f, g, of_f, of_g = ramps(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
     if wires[i, at.RETURN_POINT] != 0.0:
         partial.remember_turn(wires, i, f, g)
     phase = wires[i, at.FRACTION]
@@ -197,8 +229,5 @@ def reverse(wires, i, trend):
 @borrowing
 def close_loops(wires, i):
     """After a step: forget the loops that wire i has run out of."""
-    position, of_g = present_positions(wires, i)
-    spread = wires[i, at.AUSTENITE_SPREAD]
-    if wires[i, at.TREND] < 0.0:
-        position, spread = of_g, wires[i, at.MARTENSITE_SPREAD]
-    partial.forget_closed(wires, i, any_ramp(wires, i, position, spread)[0])
+    f, g, _, _ = ramps(wires, i, wires[i, at.TEMPERATURE], wires[i, at.STRESS])
+    partial.forget_closed(wires, i, g if wires[i, at.TREND] < 0.0 else f)

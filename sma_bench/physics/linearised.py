@@ -23,11 +23,11 @@ from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import SMOOTHER
-from sma_bench.physics import material
-from sma_bench.physics.boundary import Boundary, moves_tip, per_side, side_names, side_of_channels
+from sma_bench.physics import kinetics, material
+from sma_bench.physics.boundary import Boundary, moves_tip, side_names, side_of_channels
 from sma_bench.physics.effects import active_effects
-from sma_bench.physics.kernel import State, initial_state
-from sma_bench.physics.laws import law_of, shifting_stress
+from sma_bench.physics.kernel import State, at_rest, initial_state, ramps, wire_rows
+from sma_bench.physics.laws import law_of
 from sma_bench.physics.orientation import as_oriented
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
@@ -47,7 +47,7 @@ _NO_TANGENT = 0.3  # of a fraction's change: where half the step differs so much
 @dataclass(frozen=True)
 class SideModel:
     """n equal wires that pull together against a boundary that gives. Along a branch xi = s f
-    (heating) or 1 - xi = s g (cooling), f, g of material.py, s constant between reversals."""
+    (heating) or 1 - xi = s g (cooling), f, g of kinetics.py, s constant between reversals."""
 
     parameters: Parameters  # of the wires
     wires: int  # n
@@ -67,22 +67,23 @@ class SideModel:
         if boundary.contraction is not None:
             raise InputError(f"the wires of the {side} are clamped, they do not contract")
         stiffness, load, lever, prestretch = (
-            float(per_side(name, getattr(boundary, name), len(names))[number])
-            for name in ("stiffness", "load", "lever", "prestretch")
-        )
-        if boundary.coupled:
-            # What it contracts stretches the antagonists: their stiffness and load are added.
-            others = side_of_channels(parameters) != number
-            xi, kelvin = np.ones(others.sum()), parameters["environment.ambient_temperature"]
-            if state is not None:
-                xi, kelvin = state.martensite_fraction[others], state.temperature[others]
-            stretch = boundary.stretch_of_wires(parameters)[others]
+            float(boundary.per_side(name, len(names))[number])
+            for name in ("stiffness", "load", "lever", "prestretch"))
+        own = side_of_channels(parameters) == number
+        if boundary.coupled:  # what it contracts stretches the others: stiffness and load are added
+            now = state or at_rest(parameters, boundary)
+            xi, kelvin = now.martensite_fraction[~own], now.temperature[~own]
+            stretch = boundary.stretch_of_wires(parameters)[~own]
             stiffness += float(material.modulus(xi, parameters).sum())
             load = load if number == 0 else -load
             load += float(np.sum(material.stress(kelvin, xi, -stretch, parameters)))
             lever *= 2.0  # both sides move
-        wires = int((side_of_channels(parameters) == number).sum())
-        return cls(as_oriented(parameters, prestretch), wires, stiffness, load, lever, prestretch)
+        oriented = as_oriented(parameters, prestretch)
+        return cls(oriented, int(own.sum()), stiffness, load, lever, prestretch)
+
+    @cached_property
+    def _wire(self) -> Array:
+        return wire_rows(self.parameters, Boundary())[:1]
 
     def wire_stress(self, contraction: float) -> float:
         """sigma [Pa] of one wire that the boundary asks for at a contraction."""
@@ -96,8 +97,7 @@ class SideModel:
 
     def share(self, temperature: float, sigma: float, xi: float, branch: Branch) -> float:
         """s of the branch that leaves from a state; 1 where the ramp is 0 and any would do."""
-        law = material.austenite_ramp if branch == "heating" else material.martensite_ramp
-        ramp = float(law(temperature, sigma, self.parameters))
+        ramp = float(ramps(temperature, sigma, self.parameters)[branch == "cooling"])
         return (xi if branch == "heating" else 1.0 - xi) / ramp if ramp > 0.0 else 1.0
 
     def at_contraction(self, contraction: float, branch: Branch,
@@ -105,8 +105,8 @@ class SideModel:
         """T [K] and xi at a contraction along a branch; beyond it its end, before it cold."""
         start, finish, influence = (self.parameters[name] for name in _RANGES[branch])
         heating, stress = branch == "heating", self.wire_stress(contraction)
-        shift = shifting_stress(stress, self.parameters)[0 if heating else 1] / influence
-        # The stress of a wire at each fraction, at the temperature that it has there.
+        shift = kinetics.any_shifting(self._wire, 0, stress)[0 if heating else 2] / influence
+
         def kelvin(xi: float) -> float:
             left = xi if heating else 1.0 - xi
             ramp = min(left / share, 1.0) if share > 0.0 else 0.0
@@ -131,10 +131,9 @@ class SideModel:
     def largest_contraction(self) -> float:
         """e at which the wires, heated, have just become austenite: T = A_f + sigma/C_A."""
         _, finish, influence = (self.parameters[name] for name in _RANGES["heating"])
-        none, all_of_it = (  # a straight line
-            self.excess(e, finish + self.wire_stress(e) / influence, 0.0) for e in (0.0, 1.0)
-        )
-        return none / (none - all_of_it)
+        none, whole = (self.excess(e, finish + self.wire_stress(e) / influence, 0.0)
+                       for e in (0.0, 1.0))  # of a straight line
+        return none / (none - whole)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -158,8 +157,8 @@ class OperatingPoint(State):
         """Any state, within a partial loop too: one or (w,) K and fractions; InputError: as
         `initial_state`, or a temperature that no voltage holds."""
         p, boundary = parameters, boundary or Boundary.of(parameters)
-        given = {"temperature": temperature, "martensite_fraction": martensite_fraction}
-        state = initial_state(p, boundary=boundary, **given)
+        state = initial_state(p, temperature=temperature, martensite_fraction=martensite_fraction,
+                              boundary=boundary)
         ambient = p["environment.ambient_temperature"]
         if np.any(state.temperature < ambient):
             below = f"{state.temperature.min():g} K lies below ambient {ambient:g} K"
@@ -174,7 +173,7 @@ class OperatingPoint(State):
                        boundary: Boundary | None = None) -> Self:
         """On the full loop, eq. (10) or (11), at one or (w,) K; InputError: as `of_state`."""
         wires = len(parameters["bench.channels"])
-        kelvin = np.array(np.broadcast_to(np.asarray(temperature, dtype=float), (wires,)))
+        kelvin = np.full(wires, temperature, dtype=float)
         hot = _AUSTENITE if branch == "cooling" else None
         state = warmed_from_rest(parameters, kelvin, boundary, hot)
         return cls.of_state(parameters, kelvin, state.martensite_fraction, branch, boundary)

@@ -1,92 +1,16 @@
-"""One wire: its heat (eqs. 1 to 5), its phase (eqs. 10, 11 and the contract's kinetics of
-incomplete loops), its stress by the constitutive law of Liang and Rogers (eqs. 6 to 9).
-
-The rule of the phase, between reversals of the temperature. The two ramps of the contract are
-
-    f = cos^2[pi/2 (T - A_s - sigma/C_A)/(A_f - A_s)],   1 below and 0 above its range,
-    g = sin^2[pi/2 (T - M_f - sigma/C_M)/(M_s - M_f)],   0 below and 1 above its range,
-
-and xi_r, f_r, g_r are xi, f, g at the last reversal, at the stress of that moment:
-
-    T rising:   xi     = max[xi_r f/f_r,       min(1 - g/g_r, f)]
-    T falling:  1 - xi = max[(1 - xi_r) g/g_r, min(1 - f/f_r, g)]
-
-The first terms are the contract's. The second ones matter only when stress moves a range
-against the direction of the temperature (a rising wire whose g falls below g_r), so in any
-history at constant stress they are inactive, whatever the order of the ranges. They keep
-the fraction going continuously to 1 below both ranges and to 0 above both. The second line is
-the first with the phases and the ramps exchanged.
-
-Three details keep it continuous in every case. xi stays within [0, 1]. Above A_f, where f_r = 0,
-some martensite can be left if M_s lies higher still: then f/f_r is replaced by (1 - g)/(1 - g_r),
-the cooling curve traced back; mirrored below M_f. Where M_s (with stress) lies above A_f,
-eqs. (10) and (11) contradict "xi = 0 above A_f", and the equations win on cooling."""
+"""One wire: its heat (eqs. 1 to 5) and its stress by the constitutive law of Liang and Rogers (eqs.
+6 to 9); its phase is in kinetics.py."""
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import ndtr
 
 from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import EFFECTS, SOURCES
+from sma_bench.parameters.parameter import SOURCES
 from sma_bench.parameters.parameters import OXIDISED, REFERENCE_EXCESS, free_exponent, radiation
 from sma_bench.physics import columns as at
 from sma_bench.physics.effects.phase_dependent_resistance import LEAST
-from sma_bench.physics.effects.transformation_law import mixture
-from sma_bench.physics.laws import law_of, shifting_stress
-
-# Of `wire.transition_tail`: deviation of the cosine's distribution over a range of 1, and where the
-# normal distribution of the same deviation is cut off, in deviations.
-NORMAL_DEVIATION = float(np.sqrt(0.25 - 2.0 / np.pi**2))
-NORMAL_REACH = 5.0
-# Of `wire.transition_spread`: where the outer groups of grains lie, in deviations; share of each.
-GRAIN, OUTER = float(np.sqrt(3.0)), 1.0 / 6.0
-
-
-def austenite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
-    """f(T [K], sigma [Pa]) of the full loop: 1 below A_s + sigma/C_A, 0 above A_f + sigma/C_A, eq.
-    (10) between; of another `wire.law` as its file has it."""
-    finish = parameters["wire.austenite_finish_temperature"]
-    shift = shifting_stress(stress, parameters)[0] / parameters["wire.stress_influence_austenite"]
-    below = finish - np.asarray(temperature, float) + shift
-    return _smooth_ramp(below, finish - parameters["wire.austenite_start_temperature"], parameters)
-
-
-def martensite_ramp(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
-    """g(T [K], sigma [Pa]): 0 below M_f + sigma/C_M, 1 above M_s + sigma/C_M, 1 less eq. (11)."""
-    finish = parameters["wire.martensite_finish_temperature"]
-    shift = shifting_stress(stress, parameters)[1] / parameters["wire.stress_influence_martensite"]
-    above = np.asarray(temperature, float) - shift - finish
-    return _smooth_ramp(above, parameters["wire.martensite_start_temperature"] - finish, parameters)
-
-
-heated_fraction = austenite_ramp  # from martensite, eq. (10)
-
-
-def cooled_fraction(temperature: ArrayLike, stress: ArrayLike, parameters: Parameters) -> Array:
-    """Martensite fraction on cooling from austenite, eq. (11)."""
-    return 1.0 - martensite_ramp(temperature, stress, parameters)
-
-
-def _smooth_ramp(distance: Array, width: float, parameters: Parameters) -> Array:
-    """Ramp of grains that do not transform alike: their temperatures are normally distributed with
-    the deviation `wire.transition_spread`, as three groups (Gauss and Hermite's); a share
-    `wire.transition_tail` has a normal distribution for a ramp, which the cosine's is nearly."""
-    spread, tail = parameters["wire.transition_spread"] / width, parameters["wire.transition_tail"]
-    position, ramp = distance / width, law_of(parameters).share
-    share = ramp(position)
-    if spread > 0.0:
-        outer = ramp(position + GRAIN * spread) + ramp(position - GRAIN * spread)
-        share = share + OUTER * (outer - 2.0 * share)
-    if tail > 0.0:
-        deviations = (position - 0.5) / np.hypot(NORMAL_DEVIATION, spread)
-        least = ndtr(-NORMAL_REACH)
-        shares = ndtr(np.clip(deviations, -NORMAL_REACH, NORMAL_REACH))
-        share = share + tail * (np.asarray((shares - least) / (1.0 - 2.0 * least)) - share)
-    if EFFECTS["transformation_law"].is_on(parameters):
-        share = mixture(position, share, parameters)
-    return share
 
 
 def modulus(martensite_fraction: ArrayLike, parameters: Parameters) -> Array:
@@ -128,29 +52,22 @@ def current(parameters: Parameters, voltage: ArrayLike, temperature: ArrayLike, 
     names = ("austenite_change", "hump", "temperature_coefficient", "martensite_coefficient")
     change, hump, growth, of_martensite = (parameters[f"effect.phase_dependent_resistance.{name}"]
                                            for name in names)
-    count, shape = parameters["wire.count"], np.broadcast_shapes(kelvin.shape, xi.shape)
-    resistance = np.full(shape, parameters["wire.resistance"])
+    count, rise = parameters["wire.count"], kelvin - parameters["environment.ambient_temperature"]
+    of_phase = np.maximum(1.0 + change * (1.0 - xi) + 4.0 * hump * xi * (1.0 - xi), LEAST)
+    of_heat = np.maximum(1.0 + (growth + of_martensite * xi) * rise, LEAST)
+    resistance = parameters["wire.resistance"] * of_phase * of_heat
     if parameters["bench.drive"] == "current":
-        return np.asarray(count * volts / resistance)
-    if change or growth or hump or of_martensite:
-        rise = kelvin - parameters["environment.ambient_temperature"]
-        of_phase = 1.0 + change * (1.0 - xi)
-        if hump != 0.0:
-            of_phase = np.maximum(of_phase + 4.0 * hump * xi * (1.0 - xi), LEAST)
-        of_heat = np.maximum(1.0 + (growth + of_martensite * xi) * rise, LEAST)
-        resistance = resistance * of_phase * of_heat
+        return count * volts / np.full_like(resistance, parameters["wire.resistance"])
     if parameters["bench.drive"] == "power":
         return np.asarray(count * volts / np.sqrt(parameters["wire.resistance"] * resistance))
     leads = parameters["bench.lead_resistance"] + parameters["effect.supply_drop.resistance"]
     resists = resistance + count * leads
     if parameters["effect.supply_drop.battery"]:
         volts = np.maximum(volts - np.asarray(sag, dtype=np.float64), 0.0)
-    found = count * volts / resists
-    if overload := count * parameters["effect.supply_drop.overload"]:
-        knee = parameters["effect.supply_drop.knee"]
-        beyond = (count * volts + overload * knee) / (resists + overload)
-        found = np.where(found > knee, beyond, found)
-    return np.asarray(found)
+    found, overload = count * volts / resists, count * parameters["effect.supply_drop.overload"]
+    knee = parameters["effect.supply_drop.knee"]
+    beyond = (count * volts + overload * knee) / (resists + overload)
+    return np.where(found > knee, beyond, found)
 
 
 def heating_voltage(voltage: ArrayLike, parameters: Parameters) -> Array:

@@ -107,12 +107,11 @@ def simulate(parameters: Parameters, time: ArrayLike, voltage: ArrayLike, *,
              elongation: ArrayLike | None = None) -> Simulation:
     """Solve the baseline model (contract section 4) with the law and effects that are named.
 
-    Temperatures are exact for the held voltages; phase, stress and contraction are solved
-    together at every sample. With latent heat the transformation rate is constant over a step;
-    what other effects depend on (T in h(T), xi in R(xi), the other side's temperature) is taken
-    from its start. Raises InputError: wrong shape, time that does not increase, a number that is
-    not finite, an elongation that another load is to decide, or, with no `initial`, a bench that is
-    too warm at rest for martensite.
+    Temperatures are exact for the held voltages; phase, stress and contraction are solved together
+    at every sample. With latent heat the rate of transformation is constant over a step; what other
+    effects depend on is taken from its start. InputError: wrong shape, time that does not increase,
+    a number that is not finite, an elongation that another load decides, or, with no `initial`, a
+    bench that is too warm at rest for martensite.
 
     Args:
         time: (n,) s, increasing.
@@ -152,15 +151,15 @@ def run_once() -> None:
     simulate(bench, [0.0, 0.05, 0.1], np.ones((3, len(bench["bench.channels"]))))
 
 
-def _require_shape(what: str, array: Array, expected: tuple[int, ...]) -> None:
+def _checked(name: str, given: ArrayLike, expected: tuple[int, ...]) -> Array:
+    """As an array. InputError: another shape, or not finite."""
+    array = np.ascontiguousarray(given, dtype=float)
     if array.shape != expected:
-        raise InputError(f"{what} has shape {array.shape}, expected {expected}")
-
-
-def _require_finite(name: str, array: Array) -> None:
+        raise InputError(f"simulation: {name} has shape {array.shape}, expected {expected}")
     if not np.all(np.isfinite(array)):
         k = int(np.argwhere(~np.isfinite(array))[0][0])
         raise InputError(f"simulation: {name} of sample {k} is {array[k]}, expected finite")
+    return array
 
 
 class Bench(Readings):
@@ -183,35 +182,27 @@ class Bench(Readings):
         InputError: wrong shape, not finite, dt not above 0, an elongation that the load decides."""
         if not 0.0 < dt < np.inf:
             raise InputError(f"bench step: dt is {dt} s, expected above 0")
-        volts = np.ascontiguousarray(voltage, dtype=float)
-        _require_shape("bench step: voltage", volts, (self._kernel.wires,))
-        if not np.all(np.isfinite(volts)):
-            raise InputError(f"bench step: voltage is {volts}, expected finite numbers")
+        volts = _checked("voltage", np.asarray(voltage, float)[np.newaxis], (1, self._kernel.wires))
         moved = None if elongation is None else self._contraction(np.full(2, elongation), 2)
-        self._kernel.run(np.array([0.0, dt]), np.stack([volts, volts]), self._memory, moved)
+        self._kernel.run(np.array([0.0, dt]), np.vstack([volts, volts]), self._memory, moved)
         return self._settle()
 
     def _contraction(self, elongation: ArrayLike, samples: int) -> Array:
         """(n,) of the wires at an imposed elongation (n,) m; InputError: as `simulate`."""
-        metres = np.asarray(elongation, dtype=float)
         if (kind := load_kind(self.parameters)) != "displacement":
             raise InputError(f"simulation: elongation with load.kind {kind}, expected displacement")
-        _require_shape("simulation: elongation", metres, (samples,))
-        _require_finite("elongation", metres)
-        return -metres / wire_length(self.parameters)
+        return -_checked("elongation", elongation, (samples,)) / wire_length(self.parameters)
 
     def follow(self, time: ArrayLike, voltage: ArrayLike,
                elongation: ArrayLike | None = None) -> Simulation:
         """Go on over samples as `simulate` takes them, the first that of the present state."""
-        seconds = np.ascontiguousarray(time, dtype=float)
-        volts = np.ascontiguousarray(voltage, dtype=float)
+        seconds, volts = np.asarray(time, dtype=float), np.asarray(voltage, dtype=float)
         if seconds.ndim != 1 or seconds.size == 0:
             raise InputError(f"simulation: time has shape {seconds.shape}, expected (n,)")
         if volts.ndim == 1 and self._kernel.wires == 1:
             volts = volts[:, np.newaxis]
-        _require_shape("simulation: voltage", volts, (seconds.size, self._kernel.wires))
-        _require_finite("time", seconds)
-        _require_finite("voltage", volts)
+        volts = _checked("voltage", volts, (seconds.size, self._kernel.wires))
+        seconds = _checked("time", seconds, seconds.shape)
         if not np.all(seconds[1:] > seconds[:-1]):
             k = int(np.argmax(seconds[1:] <= seconds[:-1]))
             goes = f"from {seconds[k]} to {seconds[k + 1]} s at sample {k + 1}"
@@ -248,10 +239,8 @@ class Bench(Readings):
         return now
 
 
-# --- The bench with its heat taken away: wires pass through given temperatures.
-#
-# A wire without heat capacity is where its heating settles it at the end of every step, so a
-# heating is chosen that settles it at the temperature that is wanted.
+# --- Wires that pass through given temperatures: one without heat capacity is, at the end of every
+# step, where its heating settles it, so a heating is chosen that settles it as wanted.
 
 _NO_TIME = 1e-9  # s, time constant of such a wire
 _RAMP_STEP = 1e-3  # s
@@ -263,8 +252,8 @@ class TemperatureDriven:
     def __init__(self, parameters: Parameters, initial: State | None = None,
                  boundary: Boundary | None = None) -> None:
         """At rest, or in the state `initial`; effects on the heating are left out."""
-        heating = [e for e in EFFECTS.values() if e.stage in ("electrical", "thermal")]
-        plain = {p.name: p.default for effect in heating for p in effect.parameters}
+        plain = {p.name: p.default for effect in EFFECTS.values()
+                 if effect.stage in ("electrical", "thermal") for p in effect.parameters}
         plain |= {"bench.drive": "voltage", "bench.lead_resistance": 0.0}
         self._parameters = parameters.replace({**plain, "wire.convection": "constant"})
         self._kernel = Kernel(self._parameters, boundary)
@@ -300,8 +289,8 @@ def warmed_from_rest(parameters: Parameters, temperature: Array, boundary: Bound
     """The state of a bench heated from rest to (w,) K, ambient at least; first to `by_way_of` K."""
     start = np.full_like(temperature, parameters["environment.ambient_temperature"])
     bench, share = TemperatureDriven(parameters, None, boundary), np.linspace(0.0, 1.0, 201)
-    hot = [] if by_way_of is None else [np.full_like(temperature, by_way_of)]
-    for end in (*hot, np.maximum(temperature, start)):
+    ends = [np.maximum(temperature, start)]
+    for end in ends if by_way_of is None else [np.full_like(temperature, by_way_of), *ends]:
         bench.run(_RAMP_STEP * 200.0 * share, start + share[1:, np.newaxis] * (end - start))
         start = end
     return bench.state

@@ -11,7 +11,8 @@ from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import wire_section
 from sma_bench.physics import Boundary, simulate
 from sma_bench.physics.bending import bending_coefficients
-from sma_bench.physics.material import cooled_fraction, heat_loss, heated_fraction, modulus
+from sma_bench.physics.kernel import cooled_fraction, heated_fraction
+from sma_bench.physics.material import heat_loss, modulus
 from sma_bench.records import instruments
 from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol_record
 

@@ -70,32 +70,24 @@ def triangle(time, peak, period):
     return peak * (1.0 - np.abs(time / period % 1.0 * 2.0 - 1.0))
 
 
-def stiffly(rig, time, voltage, rtol, stiffness=None, load=0.0):
+def stiffly(rig, time, voltage, rtol):
     """T, xi, stress and contraction by LSODA, restarted at every sample, on the contract's
-    equations in d xi/dt; a wire pulls against `stiffness` [Pa] and bears `load` [Pa] at rest."""
+    equations in d xi/dt."""
     pytest.importorskip("numba")
     from examination.perf.solvers import Problem, lsoda
 
     problem = Problem.of(rig)
     w = problem.sides.size
     member = np.equal.outer(np.unique(problem.sides), problem.sides).astype(float)
-    borne = np.full(w, load)
-    if stiffness is not None:
-        problem = problem._replace(stiffness=np.array([stiffness]), loads=borne)
     states = problem.solve(time, voltage, lsoda(rtol), restart=True)
     kelvin, xi = states[:, :w], states[:, w:]
-    cold = rig["wire.martensite_modulus"]
-    modulus = rig["wire.austenite_modulus"] * (1 - xi) + cold * xi
-    strain = rig["wire.maximum_recoverable_strain"] * (1 - xi) + borne / cold
-    free = modulus * strain
+    modulus = rig["wire.austenite_modulus"] * (1 - xi) + rig["wire.martensite_modulus"] * xi
+    free = modulus * rig["wire.maximum_recoverable_strain"] * (1 - xi)
     free += rig["wire.thermal_expansion_factor"] * (kelvin - rig["environment.ambient_temperature"])
-    stiff = modulus @ member.T + problem.stiffness[: len(member)]
-    contraction = (free - borne) @ member.T / stiff
-    return {
-        "temperature": kelvin, "martensite_fraction": xi,
-        "stress": free - modulus * (contraction @ member),
-        "contraction": contraction[:, ::-1],  # front before back
-    }  # fmt: skip
+    contraction = free @ member.T / (modulus @ member.T + problem.stiffness[: len(member)])
+    return {"temperature": kelvin, "martensite_fraction": xi,
+            "stress": free - modulus * (contraction @ member),
+            "contraction": contraction[:, ::-1]}  # front before back
 
 
 def refined(time, voltage, parts):
@@ -161,6 +153,14 @@ class Heat:
         return np.array(rows)[:, : voltage.shape[1]]
 
 
+def full_loop(rig, kelvin, sigma=0.0):
+    """f and g of the contract's law."""
+    a_s, a_f, m_s, m_f = (rig[name] for name in TRANSITIONS.values())
+    hot, cold = (sigma / rig[name] for name in INFLUENCES)
+    places = (a_f + hot - kelvin) / (a_f - a_s), (kelvin - m_f - cold) / (m_s - m_f)
+    return [np.sin(0.5 * np.pi * np.clip(place, 0.0, 1.0)) ** 2 for place in places]
+
+
 def lagged_heating(elapsed, rise, tau, lag):
     """What a first-order sensor reads of rise [1 - exp(-t/tau)]."""
     return rise * (1 - (tau * np.exp(-elapsed / tau) - lag * np.exp(-elapsed / lag)) / (tau - lag))
@@ -170,10 +170,14 @@ def done(cycles, scale):
     return 1 - exp(-cycles / scale)
 
 
-def forces_of_passive_wires(felt, modulus, limit, hardening):
-    """Force and stretch along a path of what the wires feel, hardening, by radial return."""
+def forces_of_passive_wires(felt, modulus, limit, hardening, buckled):
+    """Force and stretch along a path of what the wires feel, hardening, by radial return; wires
+    that are `buckled` do not push."""
     stretch, path = 0.0, []
     for reach in felt:
+        if buckled and reach < stretch:
+            path.append((0.0, stretch))
+            continue
         beyond = modulus * (reach - stretch) - hardening * stretch
         if abs(beyond) > limit:
             stretch += np.sign(beyond) * (abs(beyond) - limit) / (modulus + hardening)
@@ -182,7 +186,7 @@ def forces_of_passive_wires(felt, modulus, limit, hardening):
 
 
 def fraction_since_reversal(rising, fraction_reversed, ramps_reversed, ramps):
-    """Martensite fraction by the rule of material.py since xi_r at the last reversal; `ramps`:
+    """Martensite fraction by the rule of kinetics.py since xi_r at the last reversal; `ramps`:
     (f, g)."""
     f, g = ramps
     f_reversed, g_reversed = ramps_reversed

@@ -26,31 +26,28 @@ print(before, compiled.is_compiled(function), len(told), sum(function.stats.cach
 """
 
 
-def run(program, environment):
-    return subprocess.Popen(
-        [sys.executable, "-P", "-c", program], stdout=subprocess.PIPE, text=True, env=environment
-    )
-
-
 @pytest.fixture
-def fresh(tmp_path):
-    """Environment of a package that has no machine code yet."""
+def run(tmp_path):
+    """Start a program with a package that has no machine code yet."""
     source = Path(compiled.__file__).parent
-    shutil.copytree(
-        source, tmp_path / "sma_bench", ignore=shutil.ignore_patterns("__pycache__", "*.html")
-    )
+    leave = shutil.ignore_patterns("__pycache__", "*.html")
+    shutil.copytree(source, tmp_path / "sma_bench", ignore=leave)
     (tmp_path / "package.xml").symlink_to(source.parent / "package.xml")
-    return {**os.environ, "PYTHONPATH": str(tmp_path)}
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    return lambda: subprocess.Popen([sys.executable, "-P", "-c", ONCE], stdout=subprocess.PIPE,
+                                    text=True, env=environment)  # fmt: skip
 
 
-def test_of_processes_that_need_a_function_one_compiles_and_each_that_waits_says_so_once(fresh):
-    running = [run(ONCE, fresh) for _ in range(2)]
+def test_of_processes_that_need_a_function_one_compiles_and_each_that_waits_says_so_once(
+    run, tmp_path
+):
+    running = [run() for _ in range(2)]
     said = [process.communicate()[0].split() for process in running]
     assert sorted(misses for *_, misses in said) == ["0", "1"]
     for before, after, told, _ in said:
         assert after == "True" and told == ("0" if before == "True" else "1")
-    assert run(ONCE, fresh).communicate()[0].split() == ["True", "True", "0", "0"]
+    assert run().communicate()[0].split() == ["True", "True", "0", "0"]
     # Numba notices a change of a function's own file; of a neighbour's, the room's digest does.
-    with (Path(fresh["PYTHONPATH"]) / "sma_bench" / "estimation" / "solver.py").open("a") as source:
+    with (tmp_path / "sma_bench" / "estimation" / "solver.py").open("a") as source:
         source.write("# changed\n")
-    assert run(ONCE, fresh).communicate()[0].split() == ["False", "True", "1", "1"]
+    assert run().communicate()[0].split() == ["False", "True", "1", "1"]

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from sma_bench.parameters import Parameters
-from sma_bench.physics.material import cooled_fraction, heated_fraction, modulus
+from sma_bench.physics.kernel import cooled_fraction, heated_fraction
+from sma_bench.physics.material import modulus
 from sma_bench.records import open_record
 from sma_bench.records.instruments import Branch, Cycle, IsobaricRecord
 

@@ -10,12 +10,7 @@ Ikuta et al. 1991; Tanaka 1986. Normal tails are `wire.transition_tail`, and inn
 
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from sma_bench.arrays import Array
 from sma_bench.compiled import borrowing
-from sma_bench.parameters import Parameters
 from sma_bench.physics import columns as at
 from sma_bench.physics.laws import exponential, logistic
 
@@ -36,13 +31,3 @@ def mixed(wires, i, position, share, slope):
     mix = share + soft * (of_soft - share) + sharp * (of_sharp - share)
     by_mix = slope + soft * (soft_slope * _WIDER - slope) + sharp * (sharp_slope * _LONGER - slope)
     return mix, by_mix
-
-
-def mixture(position: ArrayLike, share: Array, parameters: Parameters) -> Array:
-    """The same of arrays."""
-    away, names = np.asarray(position, float) - 0.5, ("logistic", "exponential")
-    shares = [parameters[f"effect.transformation_law.{name}"] for name in names]
-    soft, sharp = (own / max(1.0, sum(shares)) for own in shares)
-    of_soft = logistic.share(0.5 + away * _WIDER)
-    of_sharp = exponential.share(_LATER + away * _LONGER)
-    return np.asarray(share + soft * (of_soft - share) + sharp * (of_sharp - share))

@@ -25,7 +25,7 @@ from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
 from sma_bench.parameters.parameters import ORIENTING
 from sma_bench.physics import columns as at
-from sma_bench.physics.laws.cosine import UNDONE, position, ramp, share  # noqa: F401 (the law's)
+from sma_bench.physics.laws.cosine import UNDONE, position, ramp  # noqa: F401 (the law's)
 
 FROM, WITHIN = ORIENTING["brinson"]
 
@@ -44,11 +44,7 @@ def orients(wires, i, stress):
     return oriented, slope / wires[i, at.ORIENTS_WITHIN]
 
 
-def shifting_stress(stress: ArrayLike, p: Mapping[str, Any]) -> tuple[Array, Array]:
-    """As `shifting`, of arrays, without slopes."""
-    return np.asarray(stress, float), np.maximum(np.asarray(stress, float) - p[FROM], 0.0)
-
-
 def oriented(stress: ArrayLike, p: Mapping[str, Any]) -> Array:
     """As `orients`, of arrays."""
-    return share((np.asarray(stress, float) - p[FROM]) / p[WITHIN])
+    place = np.clip((np.asarray(stress, float) - p[FROM]) / p[WITHIN], 0.0, 1.0)
+    return np.square(np.sin(0.5 * np.pi * place))

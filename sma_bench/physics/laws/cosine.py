@@ -6,10 +6,6 @@ Source: eqs. (10), (11); Liang and Rogers 1990. No parameters but the four tempe
 
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
 
 UNDONE = 0.0  # share where the transformation is said to end
@@ -24,12 +20,6 @@ def ramp(position):
         return 1.0, 0.0
     root = math.sin(0.5 * math.pi * position)
     return root * root, math.pi * root * math.sqrt(1.0 - root * root)
-
-
-def share(position: ArrayLike) -> Array:
-    """As `ramp`, of arrays."""
-    # sin^2 keeps relative precision near 0, which (1 - cos)/2 loses: ratios of ramps are taken.
-    return np.square(np.sin(0.5 * np.pi * np.clip(position, 0.0, 1.0)))
 
 
 def position(share: float) -> float:

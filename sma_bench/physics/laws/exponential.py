@@ -13,10 +13,6 @@ whose ends are at 99 %. No parameters but the four temperatures."""
 
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
 
 UNDONE = 0.025  # share where the transformation is said to end
@@ -31,11 +27,6 @@ def ramp(position):
         return 1.0, 0.0
     share = math.exp(RATE * (position - 1.0))
     return share, RATE * share
-
-
-def share(position: ArrayLike) -> Array:
-    """As `ramp`, of arrays."""
-    return np.exp(RATE * (np.minimum(position, 1.0) - 1.0))
 
 
 def position(share: float) -> float:

@@ -61,12 +61,6 @@ def shifting(wires, i, stress):
     return s, by_stress, s, by_stress
 
 
-def share(position: ArrayLike) -> Array:
-    """As `ramp`, of arrays."""
-    y = np.clip(2.0 * np.asarray(position, float) - 1.0, -1.0, 1.0)
-    return np.asarray(0.5 * (1.0 + y * np.sqrt(2.0 - np.square(y))))
-
-
 def position(share: float) -> float:
     """Inverse of `ramp`."""
     return 0.5 + math.sin(math.asin(math.sqrt(share)) - 0.25 * math.pi) / math.sqrt(2.0)
@@ -86,10 +80,3 @@ def mismatch(p: Mapping[str, Any]) -> float:
     """What softer martensite adds to the slope of s, 1/Pa."""
     softer = 1.0 / p["wire.martensite_modulus"] - 1.0 / p["wire.austenite_modulus"]
     return float(max(softer, 0.0) / p["wire.maximum_recoverable_strain"])
-
-
-def shifting_stress(stress: ArrayLike, p: Mapping[str, Any]) -> tuple[Array, Array]:
-    """As `shifting`, of arrays, without slopes."""
-    sigma = np.asarray(stress, float)
-    s = (oriented(sigma, p) + 0.5 * mismatch(p) * np.maximum(sigma, 0.0)) * sigma
-    return s, s

@@ -12,11 +12,6 @@ Dutta and Ghorbel 2005. No parameters but the four temperatures."""
 
 import math
 
-import numpy as np
-from numpy.typing import ArrayLike
-from scipy.special import expit
-
-from sma_bench.arrays import Array
 from sma_bench.compiled import inlined
 
 UNDONE = 0.025  # share where the transformation is said to end
@@ -29,11 +24,6 @@ def ramp(position):
     """Share and slope."""
     share = 1.0 / (1.0 + math.exp(-STEEPNESS * (position - 0.5)))
     return share, STEEPNESS * share * (1.0 - share)
-
-
-def share(position: ArrayLike) -> Array:
-    """As `ramp`, of arrays."""
-    return np.asarray(expit(STEEPNESS * (np.asarray(position, float) - 0.5)))
 
 
 def position(share: float) -> float:

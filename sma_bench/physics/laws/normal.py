@@ -27,7 +27,7 @@ deviations (1 - a) s' below and (1 + a) s' above their peak (Fechner 1897): for 
     (1 - a) Phi[z/(1 - a)] below,   (1 + a) Phi[z/(1 + a)] - a above,   z = (p_j - c_j)/s'
 
 Their variance stays s^2, and the four temperatures to half a kelvin where 2.5 and 97.5 % are done
-(Cornish and Fisher 1938). `ramp` and `share` leave a out.
+(Cornish and Fisher 1938). `ramp` leaves a out.
 
 The clamps keep the ends of a wire cold (`wire.end_length` L, about sqrt(k d/4h)): at x from a clamp
 it is 1 - exp(-x/L) as warm above the room as in the middle. Each end is three pieces of length L
@@ -38,7 +38,6 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import ndtr, ndtri
 
 from sma_bench.arrays import Array
@@ -71,11 +70,6 @@ def ramp(position):
     """Share of a full branch and its slope."""
     away = BRANCH * (position - 0.5)
     return 0.5 * math.erfc(-away / _SQRT_2), BRANCH * math.exp(-0.5 * away * away) / _SQRT_2_PI
-
-
-def share(position: ArrayLike) -> Array:
-    """As `ramp`, of arrays."""
-    return np.asarray(ndtr(BRANCH * (np.asarray(position, float) - 0.5)))
 
 
 def position(share: float) -> float:
