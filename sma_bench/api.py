@@ -18,7 +18,6 @@ from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.identify import Identification
 from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
-from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.yaml_file import flatten
 from sma_bench.physics import Simulation
@@ -39,19 +38,17 @@ __all__ = ["Diagnosis", "Identification", "InputError", "Overlay", "Parameters",
 
 def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] | None = None,
          params: str | Path | None = None) -> AnyRecord:
-    """One record: named signals, each with its unit and its own clock (`records/`).
+    """One record: `record["wire.voltage"]` has `time` (n,) s and `values` (n,).
 
     Args:
-        source: path of a bag (folder, .mcap, .db3) or of an instrument file (DSC, isobaric,
-            tensile); a mapping of contract names (`wire.voltage`) to arrays (n,) in SI units on
-            the shared clock `time` (n,) s, or to pairs (time, values); a pandas DataFrame with
-            such columns; a simulation, which is then read exactly; a record as it is.
+        source: path of a bag or of an instrument file (a record of its own kind); a mapping of
+            contract names (`wire.voltage`) to arrays (n,) in SI units on the shared clock `time`
+            (n,) s, or to pairs (time, values); a pandas DataFrame with such columns; a simulation,
+            which is then read exactly; a record as it is.
         namespace: where two benches are in one bag, the one to take.
-        units: of a logger's table, by column, read as `sma-bench import` does.
-        params: of a logger's table, the rig's parameter file.
+        units, params: of a logger's table, units by column and the rig's parameter file.
 
-    `record["wire.voltage"]` has `time` (n,) s and `values` (n,); an instrument file is a record of
-    its own kind. Raises InputError: nothing readable, or arrays that do not fit each other."""
+    Raises InputError: nothing readable, or arrays that do not fit each other."""
     if isinstance(source, AnyRecord):
         return source
     if isinstance(source, Simulation):
@@ -69,11 +66,10 @@ def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] 
 
 
 def load_parameters(source: Any = None) -> Parameters:
-    """Parameters of a bench, each with its uncertainty (`parameters/`). `source`: path of a ROS 2
-    parameter file; a mapping of names to values, flat (`{"wire.resistance": 2.8,
-    "uncertainty.wire.resistance": 0.02}`) or nested; None for the table's defaults; parameters as
-    they are. What is absent keeps its default. Raises InputError: unreadable file, unknown name,
-    wrong type or a value out of its range."""
+    """Parameters of a bench, each with its uncertainty. `source`: path of a ROS 2 parameter file; a
+    mapping of names to values, flat (`{"wire.resistance": 2.8, "uncertainty.wire.resistance":
+    0.02}`) or nested; None for the defaults; parameters as they are. Raises InputError: unreadable
+    file, unknown name, wrong type or a value out of its range."""
     if isinstance(source, Parameters):
         return source
     if source is None:
@@ -88,22 +84,20 @@ def load_parameters(source: Any = None) -> Parameters:
 
 def simulate(drive: Any, parameters: Any = None, *, effects: Mapping[str, float] | None = None,
              rate: float = 100.0) -> Simulation:
-    """The paper's model, and what effects are switched on, under given voltages (`physics/`).
+    """The paper's model, and what effects are switched on, under given voltages.
 
     Args:
-        drive: name of a protocol or path of its file; the mapping of such a file (`steps`);
-            a pair of time (n,) s and voltage (n, w) V, one column a channel, each held to the next
-            sample, and third, under `load.kind` displacement, the imposed elongation (n,) m (else
-            a warning says that it stands); or anything that `load` takes, whose measured voltages
-            (and elongation) then drive it, whatever the bench's limit.
+        drive: name of a protocol, path of its file, or the mapping of such a file (`steps`); time
+            (n,) s and voltage (n, w) V, one column a channel, each held to the next sample, and
+            third, under `load.kind` displacement, the imposed elongation (n,) m; or anything that
+            `load` takes, whose measured voltages then drive it, whatever the bench's limit.
         parameters: as for `load_parameters`; `bench.channels` says which rig it is.
-        effects: size by name, `{"latent_heat": 12e3}`, beyond those in the parameters; other
-            numbers of an effect by `name.number`.
+        effects: size by name, `{"latent_heat": 12e3}`; other numbers by `name.number`.
         rate: samples a second of a protocol.
 
     The simulation has `time` (n,) s, `voltage`, `current`, `temperature`, `martensite_fraction`,
-    `stress` (n, w), `deflection` (n,) m; `measure` makes a record of it. Raises InputError: no such
-    protocol or effect, one that the load cannot have, wrong shapes, a voltage above the limit."""
+    `stress` (n, w), `deflection` (n,) m. Raises InputError: no such protocol or effect, one that
+    the load cannot have, wrong shapes, a voltage above the limit."""
     bench = load_parameters(parameters)
     for name, size in (effects or {}).items():
         with errors_in(f"effects: {name}"):
@@ -151,23 +145,22 @@ def measure(simulation: Simulation, seed: int = 1) -> Record:
 
 def identify(records: Any, parameters: Any = None,
              experiments: Iterable[str] | None = None) -> Identification:
-    """Parameters with standard errors from what the records hold (`identify/`).
+    """Parameters with standard errors from what the records hold.
 
     Args:
         records: one of what `load` takes, or a list of them; they are combined.
         parameters: what is known beforehand (mass, area, ...), as for `load_parameters`.
         experiments: one of E0 to E10, or several; all that the records allow when None.
 
-    `estimates` by name have `value`, `std`, `unit`; `parameters` are the given ones improved;
-    `warnings` are to be read before the numbers are used. Raises InputError: nothing to identify,
-    or an experiment asked for that the records do not allow."""
+    `estimates` by name have `value`, `std`, `unit`; `parameters` are the given ones improved.
+    Raises InputError: nothing to identify, or an experiment that the records do not allow."""
     wanted = [experiments] if isinstance(experiments, str) else experiments
     return _identify(_records(records), load_parameters(parameters), wanted)
 
 
 def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
              signals: Sequence[str] = QUANTITIES) -> Diagnosis:
-    """Where bench and model disagree, which effect causes it, how far it shrinks (`diagnose/`).
+    """Where bench and model disagree, which effect causes it, how far it shrinks.
 
     Args:
         records: bags of one bench, one or a list of what `load` takes.
@@ -190,19 +183,15 @@ def compare(records: Any, models: Any = ()) -> Overlay:
     Args:
         records: one of what `load` takes, or a list of them, or a mapping of names to them; the
             first is what the others are compared with.
-        models: parameters (as for `load_parameters`), a list or a mapping of names to them; each
-            is simulated under the voltages of the first record.
+        models: a list of parameters (as for `load_parameters`), or a mapping of names to them;
+            each is simulated under the voltages of the first record.
 
     `differences` has the largest first; `print` shows a table, `plot()` a figure. Raises
     InputError: fewer than two in all, or nothing in common."""
 
     def named(given: Any, kind: str) -> dict[str, Any]:
         """Things by name: their own, that of their file, or a number."""
-        groups = {"uncertainty", *(name.partition(".")[0] for name in BY_NAME)}
-        things = str | Path | Record | Parameters | Simulation
-        if isinstance(given, Mapping) and not set(given) & set(BY_NAME) and all(
-                isinstance(v, things) or (isinstance(v, Mapping) and name not in groups)
-                for name, v in given.items()):
+        if isinstance(given, Mapping):
             return dict(given)
         found: dict[str, Any] = {}
         for k, thing in enumerate(given if isinstance(given, list | tuple) else [given], 1):

@@ -52,20 +52,17 @@ LOCKS = Path(tempfile.gettempdir()) / f"sma_bench_ros_domains_{os.getuid()}"
 
 
 def pytest_addoption(parser):
-    parser.addoption(
-        "--acceptance", action="store_true", help="the minutes in real time on the emulated Uno too"
-    )
+    what = "the minutes in real time on the emulated Uno too"
+    parser.addoption("--acceptance", action="store_true", help=what)
 
 
 def pytest_collection_modifyitems(config, items):
     for item in items:
         if item.get_closest_marker("acceptance") and not config.getoption("--acceptance"):
-            reason = "minutes in real time: only with --acceptance"
-            item.add_marker(pytest.mark.skip(reason=reason))
+            item.add_marker(pytest.mark.skip(reason="minutes in real time: only with --acceptance"))
         if item.nodeid.partition("[")[0] in RERUN:
             item.add_marker(pytest.mark.flaky(reruns=2))
-    # Those in their order, lest one worker is left with them at the end; then whatever has long
-    # tests.
+    # Those in their order, lest one worker is left with them; then whatever has long tests.
     long = {item.path for item in items if item.get_closest_marker("slow")}
     order = {ROOT / "test" / f"{name}.py": k for k, name in enumerate(LONGEST)}
     items.sort(key=lambda item: order.get(item.path, len(LONGEST) + (item.path not in long)))
@@ -77,23 +74,20 @@ def pytest_runtest_setup(item):
 
 
 def pytest_collection_finish():
-    """Modules and tests are no garbage, and many: to look through them time and again took a sixth
-    of the processor's time."""
+    """Modules and tests are no garbage: to look through them took a sixth of the time."""
     gc.collect()
     gc.freeze()
 
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers():
-    """Of `-n auto`: two more than there are processors, as tests of nodes wait most of their time
-    for what goes on in real time."""
+    """Of `-n auto`: two more than there are processors, as tests of nodes mostly wait."""
     return len(os.sched_getaffinity(0)) + 2
 
 
 @pytest.fixture(scope="session", autouse=True)
 def _one_core_a_worker():
-    """Beside other workers the two halves of a fit only wait for one another: it computes on one
-    core, as in a part of a larger calculation. A process that a test starts has both."""
+    """Of several workers the two halves of a fit only wait for one another."""
     with pytest.MonkeyPatch.context() as patch:
         if "PYTEST_XDIST_WORKER" in os.environ:
             from sma_bench import compiled
@@ -112,8 +106,7 @@ def both_cores(monkeypatch):
 
 @pytest.fixture
 def as_any_process(monkeypatch):
-    """Nodes that are made in the test's own process leave it scheduled as it was: later tests, and
-    all that these start, would run before the nodes of other workers."""
+    """Nodes that are made in the test's own process leave it scheduled as it was."""
     monkeypatch.setattr(os, "sched_setscheduler", lambda *given: None)
 
 
@@ -121,14 +114,6 @@ def as_any_process(monkeypatch):
 def _scheduled_as_before():
     yield
     assert os.sched_getscheduler(0) == os.SCHED_OTHER, "ask for as_any_process"
-
-
-@pytest.fixture(autouse=True)
-def _no_progress_lines(monkeypatch):
-    """On a loaded machine any command may be slow enough to say so; errors are counted by line."""
-    from sma_bench.commands import terminal
-
-    monkeypatch.setattr(terminal, "FIRST_LINE", 1e6)
 
 
 @pytest.fixture(scope="session")
@@ -173,8 +158,7 @@ def undrawn(monkeypatch):
 
 @pytest.fixture(scope="session")
 def papers_experiments_once():
-    """Every page of `sma-bench paper` has the same synthetic experiments of the paper's own wire;
-    to make and identify them takes seconds."""
+    """The same synthetic experiments of the paper's own wire for every page of `paper`."""
     from sma_bench.paper import lab
     from sma_bench.parameters import Parameters
 
@@ -252,8 +236,7 @@ def ros_domain(monkeypatch):
 
 @pytest.fixture
 def nodes_forked(monkeypatch):
-    """The nodes of NodeProcesses forked, as those of test/nodes are: a process each, without the
-    second that reading the libraries takes."""
+    """The nodes of NodeProcesses forked: without the second that reading libraries takes."""
     from forked_nodes import ForkedNode
 
     from sma_bench.ros import processes

@@ -3,7 +3,7 @@
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +32,6 @@ BAD_INPUT, MISFIT = 2, 3  # exit status: a record failed; the model does not fit
 
 @options.command("identify")
 def run_identify(args: SimpleNamespace) -> int:
-    """Identify, print a table, write files; 3 where the model does not fit the records."""
     from sma_bench.records.open import parse_stated
     from sma_bench.tasks.work import identify_files, write_identified
 
@@ -46,9 +45,9 @@ def run_identify(args: SimpleNamespace) -> int:
     terminal.write_json(args.json, result.to_json())
     if args.out:
         write_identified(args.out, result, "sma-bench identify", args.records, args.params)
-    # The card, with advice that depends on what was asked: only bags can be diagnosed.
+    # Only bags can be diagnosed next.
     bags = [r for r in args.records if Path(r).is_dir() or {".mcap", ".db3"} & {*Path(r).suffixes}]
-    asked = Invocation(tuple(bags), *(text or "" for text in (args.params, args.out, args.report)))
+    asked = _asked(args, bags)
     console, text = terminal.output_console(), card_text(result, asked=asked)
     if max(map(len, text.splitlines())) > console.width:  # no room for columns
         text = "\n".join(card_lines(card(result, asked, numbers=True), console.width))
@@ -59,13 +58,7 @@ def run_identify(args: SimpleNamespace) -> int:
         terminal.print_findings(experiment.findings)
     for line in result.accounts:
         terminal.say(line)
-    if args.report:
-        from sma_bench.report.reports import write_identification_report
-
-        made = options.made_of(args, args.records)
-        with terminal.progress("drawing the report") as report:
-            page = write_identification_report(args.report, result, report, made, column)
-        terminal.say(f"report {page}")
+    _write_report(args, result, column, args.records)
     return MISFIT if result.is_misfit else 0
 
 
@@ -81,9 +74,7 @@ def run_diagnose(args: SimpleNamespace) -> int:
     terminal.write_json(args.json, result.to_json())
     if args.out:
         write_improved(args.out, result, "sma-bench diagnose")
-    # The card, the tables, what speaks for it, and what should be known of the records.
-    given = (text or "" for text in (args.params, args.out, args.report))
-    console, asked = terminal.output_console(), Invocation(tuple(args.records), *given)
+    console, asked = terminal.output_console(), _asked(args, args.records)
     console.print(f"{card_text(result, console.width, asked)}\n", markup=False, soft_wrap=True)
     for name, table in diagnosis_tables(result).items():
         rows = table.rows[:_CELLS_SHOWN] if name == "where" else table.rows
@@ -93,14 +84,22 @@ def run_diagnose(args: SimpleNamespace) -> int:
         console.print(printable(sentence), markup=False)
     own, audit = fold_audit(result.findings)
     terminal.print_findings([*own, *audit[:1]])
-    if args.report:
-        from sma_bench.report.reports import write_diagnosis_report
-
-        made = options.made_of(args, args.records, args.hold_out)
-        with terminal.progress("drawing the report") as report:
-            page = write_diagnosis_report(args.report, result, report, made, column)
-        terminal.say(f"report {page}")
+    _write_report(args, result, column, args.records, args.hold_out)
     return 0
+
+
+def _asked(args: SimpleNamespace, records: Sequence[str]) -> Invocation:
+    """The command, on which the card's advice depends."""
+    return Invocation(tuple(records), args.params or "", args.out or "", args.report or "")
+
+
+def _write_report(args: SimpleNamespace, result: Any, column: Any, *inputs: Any) -> None:
+    """The page of a result, where --report asks for one."""
+    if args.report:
+        made = options.made_of(args, *inputs)
+        with terminal.progress("drawing the report") as report:
+            page = result.report(args.report, report, made, column)
+        terminal.say(f"report {page}")
 
 
 @options.command("try")
@@ -113,7 +112,7 @@ def run_try(args: SimpleNamespace) -> int:
     from sma_bench.tasks import work
 
     out = Path(args.out or f"{Path(args.files[0]).stem}_tried")
-    given = options.paths_in([args.files, args.map_file, args.params])
+    given = options.paths_in([args.files, args.params])
     names = "identified.json", "identified.yaml", "diagnosis.json", "improved.yaml"
     written, page = {name: out / name for name in names}, out / "page"
     kept = {name: (path, options.FILE) for name, path in written.items()}
@@ -176,13 +175,11 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
             records.append(file)
         except InputError:  # import says what is wrong with what is no logger's table either
             tables.append(file)
-    for files in [tables] if args.together and tables else [[table] for table in tables]:
-        bag = out / Path(files[0]).stem
-        asked = [*files, "--out", str(bag)]
-        for option, values in (("--map", [args.map_file]), ("--params", [args.params]),
-                               ("--unit", args.units)):
+    for table in tables:
+        bag = out / Path(table).stem
+        asked = [table, "--out", str(bag), *(["--force"] if args.force else [])]
+        for option, values in (("--params", [args.params]), ("--unit", args.units)):
             asked += [word for value in values if value for word in (option, value)]
-        asked += [f"--{name}" for name in ("together", "force") if getattr(args, name)]
         options.run_command(run_import, "sma-bench try", asked)
         is_one = (bag / "metadata.yaml").is_file()
         records += map(str, [bag] if is_one else sorted(bag.iterdir()))
@@ -227,13 +224,9 @@ def run_batch(args: SimpleNamespace) -> int:
 
 
 def file_names(paths: list[str]) -> list[str]:
-    """A name a record for its files: the record's own, numbered where it comes again."""
-    own = [Path(path).name for path in paths]
-    counts = [own[: k + 1].count(name) for k, name in enumerate(own)]
-    names = [f"{name}_{n}" if n > 1 else name for name, n in zip(own, counts, strict=True)]
-    while len(set(names)) < len(names):  # a record may be called as another's number makes it
-        names = [f"{k + 1}_{name}" for k, name in enumerate(names)]
-    return names
+    """A name a record for its files: the record's own, all numbered where one comes again."""
+    names = [Path(path).name for path in paths]
+    return names if len({*names}) == len(names) else [f"{k}_{n}" for k, n in enumerate(names, 1)]
 
 
 def _print_outcomes(args: SimpleNamespace, outcomes: "list[Outcome]") -> int:

@@ -91,17 +91,16 @@ def run_linearise(args: SimpleNamespace) -> int:
     from sma_bench.physics.linearised import OperatingPoint, linearise
     from sma_bench.report.tables import Table
 
-    # The point, of voltages, of temperatures or of a deflection.
-    options.one_only(args, "deflection", "voltage", "temperature")
-    parameters, column = options.parameters_from_options(args), options.column_of(args)
+    # The point, of voltages or of a deflection.
+    options.one_only(args, "deflection", "voltage")
+    parameters = options.parameters_from_options(args)
     channels = parameters["bench.channels"]
-    name = "voltage" if args.voltage else "temperature"
-    if given := args.voltage or args.temperature:
+    if given := args.voltage:
         if len(given) not in (1, len(channels)) or not np.isfinite(given).all():
             shown = " ".join(f"{number:g}" for number in given)
-            raise InputError(f"--{name} {shown}: expected 1 or {len(channels)} finite numbers")
-        at = OperatingPoint.at_voltage if args.voltage else OperatingPoint.at_temperature
-        point = at(parameters, given[0] if len(given) == 1 else given, args.branch)
+            raise InputError(f"--voltage {shown}: expected 1 or {len(channels)} finite numbers")
+        volts = given[0] if len(given) == 1 else given
+        point = OperatingPoint.at_voltage(parameters, volts, args.branch)
     else:
         point = OperatingPoint.at_deflection(parameters, args.deflection, args.branch)
     model = linearise(point, args.latent_heat)
@@ -142,6 +141,6 @@ def run_linearise(args: SimpleNamespace) -> int:
 
         section = Section("", tables=tables, pictures=[operating_point_picture(model)])
         page = write_report(args.report, "Linearised model", "E11, eqs. (18) to (23), corrected.",
-                            [section], options.made_of(args), column=column)
+                            [section], options.made_of(args), column=options.column_of(args))
         say(f"report {page}")
     return 0

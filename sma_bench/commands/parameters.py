@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 from types import SimpleNamespace
 
+from sma_bench.border import make_folder
 from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, print_table, say, write_json
 from sma_bench.errors import InputError, did_you_mean
@@ -31,7 +32,7 @@ def run_example(args: SimpleNamespace) -> int:
         raise InputError(f"no example {args.name!r}{hint}")
     folder = Path(args.out or args.name)
     options.keep_safe({"--out": (folder, options.FOLDER)}, [], args.force)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     for name, path in files[args.name].items():
         shutil.copyfile(path, folder / name)
         say(f"{folder / name}")

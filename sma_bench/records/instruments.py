@@ -10,7 +10,6 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from sma_bench.arrays import Array, Mask
-from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.findings import Finding
 
@@ -65,7 +64,7 @@ class DscSegment:
 
 
 @dataclass(frozen=True, repr=False)
-class DscRecord(Drawn):
+class DscRecord:
     """A differential scanning calorimetry run."""
 
     path: Path
@@ -101,7 +100,7 @@ class DscRecord(Drawn):
 
 
 @dataclass(frozen=True, repr=False)
-class IsobaricRecord(Drawn):
+class IsobaricRecord:
     """One test at one stress. Strain that is "relative" is the extension over its full range."""
 
     path: Path
@@ -118,7 +117,7 @@ class IsobaricRecord(Drawn):
 
 
 @dataclass(frozen=True, repr=False)
-class TensileRecord(Drawn):
+class TensileRecord:
     """One tensile test; the specimen's length and section may stand in no file."""
 
     path: Path

@@ -1,4 +1,4 @@
-"""Figures: the look that all share, their lines as data for a script and a table, and in print."""
+"""Figures: the look that all share, their curves as data for a script and a table, and in print."""
 
 import copy
 import math
@@ -9,14 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
-from matplotlib.container import BarContainer, Container
 from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
-from matplotlib.ticker import FixedFormatter, FuncFormatter
+from matplotlib.ticker import AutoLocator
 
 from sma_bench.arrays import Array
 
@@ -32,7 +30,7 @@ MOST_POINTS = 1000  # of a line, least and largest of equal parts; the figure's 
 _DASHES = {"-": [], "None": [], "": [], "--": [6.0, 4.0], "-.": [7.0, 3.0, 1.5, 3.0],
            ":": [1.5, 3.0]}
 _WIDE = 2.0
-TABLE_HEADER = ("panel", "curve", "across", "x", "y", "value")
+CURVE_HEADER = ("panel", "curve", "across", "x", "y")
 _INCH = 25.4  # mm
 _LEAST_FONT, _TALLEST = 5.0, 9.5  # pt; inches, of a page
 
@@ -144,9 +142,10 @@ def curves_of(figure: Figure) -> list[dict[str, Any]]:
             elif len(x) > 1:  # else a mark on another line
                 x, y = thinned(x, y, MOST_POINTS)
                 style, colour = str(line.get_linestyle()), to_hex(line.get_color())
-                labels.setdefault(colour + style, _label(line))
+                label = _label(line)
+                labels.setdefault(colour + style, label)
                 lines.append({
-                    "label": _label(line) or labels[colour + style], "colour": colour,
+                    "label": label or labels[colour + style], "colour": colour,
                     "dash": _DASHES.get(style, [2.0, 2.0]), "wide": line.get_linewidth() > _WIDE,
                     "x": [float(f"{value:.6g}") for value in x],
                     "y": [float(f"{value:.5g}") if np.isfinite(value) else None for value in y]})
@@ -168,8 +167,8 @@ def script() -> str:
     return f"{plot}\n{own}"
 
 
-def _label(drawn: Line2D | Container) -> str:
-    label = str(drawn.get_label())
+def _label(line: Line2D) -> str:
+    label = str(line.get_label())
     return "" if label.startswith("_") else label
 
 
@@ -177,56 +176,19 @@ def _title(ax: Axes) -> str:
     return " ".join(f"{ax.get_title(loc='left')} {ax.get_ylabel()}".split())
 
 
-def drawn_rows(figure: Figure) -> list[tuple[str, ...]]:
-    """Lines point by point, bars, error bars and cells of maps, a row each, as `TABLE_HEADER`."""
-    rows: list[tuple[str, ...]] = []
+def curve_rows(figure: Figure) -> list[tuple[str, ...]]:
+    """Its curves point by point, a row each, as `CURVE_HEADER`; an empty y is a gap."""
     across = next((ax.get_xlabel() for ax in reversed(figure.axes) if ax.get_xlabel()), "")
-    for k, ax in enumerate(figure.axes, 1):
-        if ax.get_label() == "<colorbar>":
-            continue
-        points: list[tuple[Any, ...]] = []  # curve, x, y, and of a map the value there
-        wide, high = _categories(ax.xaxis), dict[float, str]()
-        for own in (ax, *ax.get_shared_y_axes().get_siblings(ax)):
-            high = high or _categories(own.yaxis)
+    rows: list[tuple[str, ...]] = []
+    for ax in figure.axes:
         for line in ax.lines:
             # Not a mark across the axes, nor the end of an error bar.
             if line.get_transform() == ax.transData and line.get_marker() not in ("|", "_"):
-                xs, ys = map(np.asarray, line.get_data())
-                points += [(_label(line), wide.get(float(x), x), high.get(float(y), y))
-                           for x, y in zip(xs, ys, strict=True)]
-        for bars in ax.containers:
-            for bar in bars.patches if isinstance(bars, BarContainer) else ():
-                if bar.get_x() + bar.get_width():
-                    middle = bar.get_y() + bar.get_height() / 2.0
-                    distance = {abs(y - middle): y for y in high}
-                    near = distance[min(distance)] if distance else middle
-                    points.append((_label(bars), bar.get_width(), high.get(near, near)))
-        points += [("error bar", x, high.get(float(y), y)) for found in ax.collections
-                   if isinstance(found, LineCollection)
-                   for segment in found.get_segments() for x, y in segment]
-        for image in ax.images:
-            # Colours may be cut where numbers are not.
-            table = np.asarray(vars(image).get("table", image.get_array()), dtype=float)
-            points += [("", wide.get(column, column), high.get(row, row), value)
-                       for (row, column), value in np.ndenumerate(table)]
-        head, along = _plain(_title(ax) or ax.get_title()) or f"{k}", ax.get_xlabel() or across
-        rows += [(head, name, along, *map(_plain, (x, y, *(value or [""]))))
-                 for name, x, y, *value in points]
+                head = _title(ax), _label(line), across
+                xs, ys = (np.asarray(values, dtype=float) for values in line.get_data())
+                rows += [(*head, f"{x:.8g}", f"{y:.8g}" if np.isfinite(y) else "")
+                         for x, y in zip(xs, ys, strict=True)]
     return rows
-
-
-def _categories(axis: Any) -> dict[float, str]:
-    """Names of places on an axis that has names in place of numbers."""
-    if not isinstance(axis.get_major_formatter(), FixedFormatter | FuncFormatter):
-        return {}
-    texts = [tick.get_text() for tick in axis.get_ticklabels()]
-    return dict(zip(map(float, axis.get_ticklocs()), texts, strict=False)) if any(texts) else {}
-
-
-def _plain(value: float | str) -> str:
-    if isinstance(value, str):
-        return " ".join(value.split())
-    return f"{float(value):.8g}" if np.isfinite(value) else ""
 
 
 class PaperColumn(NamedTuple):
@@ -254,6 +216,6 @@ def in_column(figure: Figure, column: PaperColumn) -> Figure:
         assert isinstance(legend, Legend)
         legend.set_ncols(max(1, min(int(vars(legend)["_ncols"]), math.floor(new / 1.6))))
     for ax in shown.axes:
-        if not _categories(ax.xaxis) and ax.get_xscale() == "linear":
+        if isinstance(ax.xaxis.get_major_locator(), AutoLocator):
             ax.locator_params(axis="x", nbins=max(3, min(9, math.floor(new * 1.6))))
     return shown

@@ -6,7 +6,6 @@ import hashlib
 import io
 import os
 import platform
-import re
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -25,13 +24,12 @@ from sma_bench.errors import InputError, errors_in
 from sma_bench.installation import VERSION
 from sma_bench.progress import Report, in_turn, silent
 from sma_bench.report import drawing
-from sma_bench.report.drawing import COLUMNS, TABLE_HEADER, PaperColumn
+from sma_bench.report.drawing import COLUMNS, CURVE_HEADER, PaperColumn
 from sma_bench.report.tables import Table
 from sma_bench.results import TEMPLATES, Card
 
 _PAGE, _LARGEST_PAGE = "index.html", 1 << 30  # bytes
 _MARK = b'<meta name="generator" content="sma_bench">'
-_MEASURE = re.compile(r"([-+]?[\d.]+(?:e[-+]?\d+)?)(?: to ([-+]?[\d.]+))?(?: (\D\S*))?")
 
 
 @dataclass(frozen=True)
@@ -54,9 +52,10 @@ class Picture:
         return self._file(self.figure, "png")
 
     def files(self, column: PaperColumn) -> dict[str, bytes]:
-        """SVG and PDF in the width of a column, their text as text, and as CSV what is drawn."""
+        """SVG and PDF in the width of a column, their text as text, and its curves as CSV."""
         shown = drawing.in_column(self.figure, column)
-        return {f"{self.name}.{kind}": self._file(shown, kind) for kind in ("svg", "pdf", "csv")}
+        kinds = ("svg", "pdf", "csv") if drawing.curve_rows(self.figure) else ("svg", "pdf")
+        return {f"{self.name}.{kind}": self._file(shown, kind) for kind in kinds}
 
     def save(self, path: str | Path, column: PaperColumn = COLUMNS["double"]) -> None:
         """Write PNG, SVG or PDF in a column's width, or CSV. InputError: no such kind, no place."""
@@ -73,9 +72,9 @@ class Picture:
         return self.content
 
     def _file(self, figure: Figure, kind: str, dpi: float = 130) -> bytes:
-        """PNG, SVG or PDF, or CSV of all that is drawn, in plain numbers."""
+        """PNG, SVG or PDF, or the curves as CSV."""
         if kind == "csv":
-            return csv_text(Table(TABLE_HEADER, drawing.drawn_rows(figure)))
+            return csv_text(Table(CURVE_HEADER, drawing.curve_rows(figure)))
         buffer = io.BytesIO()
         dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
         with rc_context({"svg.fonttype": "none", "svg.hashsalt": self.name, "pdf.fonttype": 42}):
@@ -139,7 +138,7 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
     """Write `index.html` (everything inside, all text escaped) and one PNG a figure; its path. All
     files appear, or none: a report that lies there already is replaced as a whole, other files are
     not. `made` adds the date to the head, and a last section with the inputs' hashes; for a paper's
-    `column` every figure is written as SVG and PDF too, and as CSV what is drawn and the named
+    `column` every figure is written as SVG and PDF too, and as CSV its curves and the named
     tables; `report` hears of each figure. Raises InputError: the folder cannot be written or holds
     another file of a report's name, an input is gone, or a report is being written there."""
     directory = Path(directory)
@@ -155,14 +154,12 @@ def write_report(directory: str | Path, title: str, summary: str, sections: Sequ
                 files |= picture.files(column)
         if column is not None:
             tables = [t for section in sections for t in section.tables if t.name]
-            files |= {f"{table.name}.csv": csv_text(_in_plain_numbers(table)) for table in tables}
+            files |= {f"{table.name}.csv": csv_text(table) for table in tables}
         # Nothing from elsewhere, and no other script than the page's own.
         own = base64.b64encode(hashlib.sha256(drawing.script().encode()).digest()).decode("ascii")
-        policy = ("default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
-                  f"script-src 'sha256-{own}'; base-uri 'none'; form-action 'none'")
-        style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
         script = drawing.script() if any(picture.over_time for picture in pictures) else ""
-        page = _template().render(title=title, summary=summary, sections=sections, policy=policy,
+        style = resources.files("sma_bench.dashboard").joinpath("uPlot.min.css").read_text("utf-8")
+        page = _template().render(title=title, summary=summary, sections=sections, own=own,
                                   curves_of=drawing.curves_of, plot_style=style, script=script)
         _write_together(directory, {**files, _PAGE: page.encode("utf-8")})
         return directory / _PAGE
@@ -186,23 +183,6 @@ def csv_text(table: Table) -> bytes:
     rows = [map(border.csv_cell, row) for row in (table.header, *table.rows)]
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode("utf-8")
-
-
-def _in_plain_numbers(table: Table) -> Table:
-    """Its columns of numbers, units and the upper ends of intervals in columns of their own."""
-    columns: list[tuple[str, Sequence[str]]] = []
-    for k, head in enumerate(table.header):
-        cells = [row[k] for row in table.rows]
-        found = [_MEASURE.fullmatch(cell) for cell in cells]
-        odd = any(c and not f for c, f in zip(cells, found, strict=True))
-        if not cells or odd or k not in table.numeric:
-            columns.append((head, cells))
-            continue
-        parts = zip(*(f.groups(default="") if f else ("", "", "") for f in found), strict=True)
-        numbers, *more = zip((head, f"{head}, to", f"{head}, unit"), parts, strict=False)
-        columns += [numbers, *((name, own) for name, own in more if any(own))]
-    rows = [[own[r] for _, own in columns] for r in range(len(table.rows))]
-    return Table([name for name, _ in columns], rows, name=table.name)
 
 
 def _write_together(directory: Path, files: Mapping[str, bytes]) -> None:

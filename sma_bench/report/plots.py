@@ -1,10 +1,9 @@
-"""What records, simulations, overlays and results look like, for `plot()` and reports."""
+"""What records, overlays and results look like, for `plot()` and reports."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.container import BarContainer
 from matplotlib.figure import Figure
@@ -12,119 +11,64 @@ from matplotlib.ticker import NullLocator
 
 from sma_bench.arrays import Array
 from sma_bench.diagnose import Diagnosis
-from sma_bench.diagnose.result import JOIN, NO_GAP, RECALIBRATION, UNEXPLAINED, DiagnosisResult
+from sma_bench.diagnose.result import JOIN, UNEXPLAINED
 from sma_bench.diagnose.sizes import locate, sample_noise
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, BinnedSignal
 from sma_bench.identify import Identification
-from sma_bench.parameters import Parameters
-from sma_bench.physics import Simulation
 from sma_bench.physics.effects import EFFECTS
-from sma_bench.protocols import parse_protocol
-from sma_bench.records import DscRecord, Record
-from sma_bench.records.instruments import IsobaricRecord
-from sma_bench.records.open import AnyRecord
+from sma_bench.records import Record
 from sma_bench.records.overlay import Overlay
 from sma_bench.report import drawing as draw
 from sma_bench.report.page import Picture, pictured
-from sma_bench.report.tables import LEAST_SHOWN
 from sma_bench.results import scale_of
-
-Curves = Sequence[tuple[str, Array, Array]]  # label, time or abscissa, values
 
 _MOST_DRAWN, _MOST_MARKERS = 3000, 40
 _QUANTITIES = ("voltage_command", "voltage", "current", "temperature", "deflection", "range",
                "elongation", "force")  # from above
-# States of a simulation: label and factor from SI to its unit.
-_STATES = {
-    "voltage": ("voltage\n[V]", 1.0), "current": ("current\n[A]", 1.0),
-    "temperature": ("temperature\n[K]", 1.0), "martensite_fraction": ("martensite\nfraction", 1.0),
-    "stress": ("stress\n[MPa]", 1e-6), "deflection": ("deflection\n[mm]", 1e3)}
-_FEW, _MOST_NUMBERS = 8, 14  # of a correlation map, in whose cells numbers can be read
 STAGE_COLOURS = {"electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
                  "mechanical": "#2a7f62", "sensor": "#1f4e79"}
-_TWO_STAGES, _MOST_BARS = "#4a4a4a", 10
-_RIVALS = (RECALIBRATION, NO_GAP, UNEXPLAINED)
+_TWO_STAGES = "#4a4a4a"
 _LINEAR = 3.0  # nats, within which the axis of evidence is linear
 _AS_BAD = 20.0  # nats below recalibration, where bars are cut
-_PROTOCOL_STEP = 0.05  # s
 PHASES = ("initial", "drive", "rest")
 _LOWEST, _HIGHEST = 0.1, 30.0  # of the noise
 _DARK = 0.65  # of the colours, from where on letters are white
 _MOST_SIGNALS, _WORTH_A_PICTURE = 3, 0.05  # of all that is missing
-_COLOURS = dict(zip(PHASES, (draw.FAINT, draw.MODEL, draw.MEASURED), strict=True))
 
 
-def record_picture(record: AnyRecord, name: str) -> Picture | None:
-    """Signals of a bag; heat flow, strain or stress of an instrument's file; None of nothing."""
-    if isinstance(record, Record):
-        return _bag_picture(record, f"{name}_signals_over_time")
-    axes, facts = ("temperature [K]", ""), dict[str, Any]()
-    curves: Curves
-    if isinstance(record, DscRecord):
-        key, axes = "heat_flow", ("temperature [K]", "heat flow [W/g], the file's sign")
-        curves = [(f"{s.number} {s.kind}", s.temperature, 1e-3 * record.specific_heat_flow(s))
-                  for s in record.segments if s.kind != "isothermal"]
-    elif isinstance(record, IsobaricRecord):
-        relative = record.strain_unit == "relative"
-        key, axes = "strain", (axes[0], "strain over its range" if relative else "strain [%]")
-        facts["stress"], factor = record.stress / 1e6, 1.0 if relative else 100.0
-        curves = [(f"cycle {cycle.number} {branch.direction}", branch.temperature,
-                   factor * branch.strain) for cycle in record.cycles for branch in cycle.branches]
-    else:
-        key, axes = "stress", ("strain [%]", "stress [MPa]")
-        curves = [("test", 100.0 * record.strain, record.stress / 1e6)]
-    if not curves:
-        return None
-    figure, ax = draw.graph(*axes, height=4.2)
-    for k, (what, x, y) in enumerate(curves):
-        style = draw.line_style(k, len(curves), len(x))
-        ax.plot(draw.drawable(x), draw.drawable(y), label=what, **style)
-    if len(curves) > 1:
-        ax.legend(fontsize=7, ncols=2)
-    return pictured(key, draw.plain(figure), f"{name}_{key}", path=record.path, **facts)
-
-
-def _bag_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
-    """Every signal over time, or those that are named, a row a quantity; None without any."""
-    rows = []
+def record_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
+    """Every signal over time, or those that are named, a row a quantity, long ones by least and
+    largest of each stretch; None without any."""
+    rows: list[tuple[str, list[tuple[str, Array, Array]]]] = []
     for quantity in _QUANTITIES:
         unit, factor = scale_of(quantity)
         curves: list[tuple[str, Array, Array]] = []
         for full, signal in record.signals.items():
             wanted = not what or full in what or quantity in what
-            if full.rpartition(".")[2] != quantity or not len(signal) or not wanted:
-                continue
-            head = signal.name.rpartition(".")[0] or signal.name
-            columns = np.atleast_2d(factor * signal.values.T)
-            names = [f"{head}[{k}]" for k in range(len(columns))]
-            names = names if signal.values.ndim > 1 else [head]
-            curves += [(n, signal.time, v) for n, v in zip(names, columns, strict=True)]
+            if full.rpartition(".")[2] == quantity and len(signal) and wanted:
+                head = signal.name.rpartition(".")[0] or signal.name
+                columns = np.atleast_2d(factor * signal.values.T)
+                names = [f"{head}[{k}]" for k in range(len(columns))]
+                names = names if signal.values.ndim > 1 else [head]
+                curves += [(n, signal.time, v) for n, v in zip(names, columns, strict=True)]
         if curves:
             rows.append((f"{quantity.replace('_', ' ')}\n[{unit}]", curves))
     if not rows:
         return None
-    return pictured("signals_over_time", _over_time(rows, record.markers), name, over_time=True,
-                    which="Signals" if what else "All signals", path=record.path,
-                    steps="; vertical lines: steps of the protocol" if record.markers else "")
-
-
-def _over_time(rows: Sequence[tuple[str, Curves]],
-               markers: Sequence[tuple[float, str]] = ()) -> Figure:
-    """A graph a row, long signals by least and largest of each stretch; markers: protocol steps."""
     figure, axes = draw.new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
-        for k, (what, time, values) in enumerate(curves):
+        for k, (curve, time, values) in enumerate(curves):
             t, v = draw.thinned(time, draw.drawable(values), _MOST_DRAWN)
-            ax.plot(t, v, label=what, **draw.line_style(k, len(curves), len(t)))
+            ax.plot(t, v, label=curve, **draw.line_style(k, len(curves), len(t)))
         ax.set_ylabel(label)
     most = max(range(len(rows)), key=lambda k: len(rows[k][1]))
     if len(rows[most][1]) > 1:
         figure.legend(*axes[most].get_legend_handles_labels(), fontsize=8, frameon=False, ncols=4,
                       loc="outside upper right")
-    # Names that would lie over each other are left out.
+    # Steps of the protocol; names that would lie over each other are left out.
     room, named = float(np.ptp(axes[0].get_xlim())) / 12.0, -np.inf
-    for at, text in markers if len(markers) <= _MOST_MARKERS else ():
+    for at, text in record.markers if len(record.markers) <= _MOST_MARKERS else ():
         for ax in axes:
             ax.axvline(at, color=draw.FAINT, lw=0.6, ls=":")
         if at - named > room:
@@ -132,21 +76,9 @@ def _over_time(rows: Sequence[tuple[str, Curves]],
             axes[0].annotate(text, (at, 1.0), xycoords=("data", "axes fraction"), fontsize=6,
                              rotation=30, color=draw.FAINT, annotation_clip=True)
     axes[-1].set_xlabel("time [s]")
-    return draw.plain(figure)
-
-
-def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Picture | None:
-    """Voltages, states and motion over time; None where nothing of that name is there."""
-    channels, rows = simulation.parameters["bench.channels"], []
-    for state, (label, factor) in _STATES.items():
-        values = factor * getattr(simulation, state).reshape(len(simulation.time), -1)
-        is_still = state == "deflection" and not what and not values.any()
-        if (not what or state in what) and not is_still:
-            names = ("deflection",) if state == "deflection" else channels
-            rows.append((label, [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]))
-    if not rows:
-        return None
-    return pictured("simulation", _over_time(rows), over_time=True, channels=", ".join(channels))
+    return pictured("signals_over_time", draw.plain(figure), name, over_time=True,
+                    which="Signals" if what else "All signals", path=record.path,
+                    steps="; vertical lines: steps of the protocol" if record.markers else "")
 
 
 def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
@@ -219,26 +151,6 @@ def agreement_picture(result: Identification, name: str = "agreement") -> Pictur
     return pictured("agreement", draw.plain(figure), name)
 
 
-def correlation_picture(result: Identification, name: str = "correlation") -> Picture | None:
-    """The correlation matrix as a map; None where it is not known or all stand alone."""
-    names, matrix = result.correlation.names, result.correlation.matrix
-    if len(names) < 2:
-        return None
-    short = [n.partition(".")[2] or n for n in names]
-    size = 2.2 + 0.26 * len(names)
-    figure = Figure(figsize=(size + 1.6, size), layout="constrained")
-    ax = figure.subplots()
-    image = ax.imshow(matrix, cmap="RdBu_r", vmin=-1.0, vmax=1.0)
-    ax.set_xticks(range(len(names)), short, rotation=45, ha="right", fontsize=7)
-    ax.set_yticks(range(len(names)), short, fontsize=7)
-    form = ".2f" if len(names) <= _FEW else ".1f"
-    draw.cell_texts(ax, {(row, column): (format(value, form), bool(abs(value) > 0.6))
-                         for (row, column), value in np.ndenumerate(matrix) if row != column
-                         and np.isfinite(value) and len(names) <= _MOST_NUMBERS}, 6)
-    figure.colorbar(image, ax=ax, label="correlation of the errors", fraction=0.04)
-    return pictured("correlation", draw.plain(figure), name)
-
-
 def signal_pictures(result: Diagnosis) -> list[Picture]:
     """Measured against simulated, before and after: a picture a quantity of the held-out data."""
     pictures = []
@@ -272,37 +184,8 @@ def signal_pictures(result: Diagnosis) -> list[Picture]:
     return pictures
 
 
-def candidate_picture(result: DiagnosisResult, name: str = "diagnosis_candidates") -> Picture:
-    """Probabilities of the candidates."""
-    shown = [c for k, c in enumerate(result.candidates) if c.name in _RIVALS
-             or (k < _MOST_BARS and c.probability >= LEAST_SHOWN)]
-    figure, (ax,) = draw.new_figure(height=1.2 + 0.32 * len(shown))
-    names = [f"{c.name} *" if c.name in result.credible else c.name for c in shown]
-    stages = [[part for part in c.stage.split(JOIN) if part] for c in shown]
-    place = _bars(ax, names, [c.probability for c in shown], stages)
-    for y, c in zip(place, shown, strict=True):
-        ax.text(c.probability + 0.01, y, f"{c.probability:.3f}", va="center", fontsize=8)
-    ax.set(xlabel="probability", xlim=(0.0, 1.12))
-    return pictured("diagnosis_candidates", draw.plain(figure), name)
-
-
-def _bars(ax: Axes, names: Sequence[str], values: Sequence[float],
-          stages: Sequence[Sequence[str]]) -> Array:
-    """A bar a name in the colour of its stages; (n,) where they are."""
-    place, legend = draw.named_rows(ax, names), dict[str, BarContainer]()
-    for y, value, own in zip(place, values, stages, strict=True):
-        colour = _TWO_STAGES if len(own) > 1 else STAGE_COLOURS[own[0]] if own else draw.FAINT
-        bar = ax.barh(y, value, color=colour, height=0.7, label=" and ".join(own))
-        if own:
-            legend.setdefault(" and ".join(own), bar)
-    if legend:
-        ax.legend(legend.values(), legend.keys(), fontsize=8, loc="lower right", title="stage",
-                  title_fontsize=8)
-    return place
-
-
 def evidence_picture(result: Diagnosis) -> Picture:
-    """What each effect alone, and the best pairs, would explain."""
+    """What each effect alone, and the best pairs, would explain, in the colours of their stages."""
     search = result.search
     base, gains = search.recalibrated.evidence, {n: search.gain(n) for n in search.ranked}
     gains |= {JOIN.join(pair): fit.evidence - base for pair, fit in search.pairs.items()
@@ -310,9 +193,16 @@ def evidence_picture(result: Diagnosis) -> Picture:
     gains["response of free form"] = search.flexible.gain
     ranked = sorted(gains, key=gains.__getitem__, reverse=True)
     figure, (ax,) = draw.new_figure(height=1.2 + 0.28 * len(ranked))
-    stages = [list(dict.fromkeys(EFFECTS[e].stage for e in n.split(JOIN) if e in EFFECTS))
-              for n in ranked]
-    _bars(ax, ranked, [gains[name] for name in ranked], stages)
+    legend = dict[str, BarContainer]()
+    for y, name in zip(draw.named_rows(ax, ranked), ranked, strict=True):
+        stages = list(dict.fromkeys(EFFECTS[e].stage for e in name.split(JOIN) if e in EFFECTS))
+        several = _TWO_STAGES if stages else draw.FAINT
+        colour = STAGE_COLOURS[stages[0]] if len(stages) == 1 else several
+        bar = ax.barh(y, gains[name], color=colour, height=0.7)
+        if stages:
+            legend.setdefault(" and ".join(stages), bar)
+    ax.legend(legend.values(), legend.keys(), fontsize=8, loc="lower right", title="stage",
+              title_fontsize=8)
     left, right = max(min(gains.values()), -_AS_BAD), 1.5 * max(*gains.values(), _LINEAR)
     ax.set_xscale("symlog", linthresh=_LINEAR)
     ax.set_xlim(left, right)
@@ -322,21 +212,6 @@ def evidence_picture(result: Diagnosis) -> Picture:
     ax.axvline(0.0, color=draw.FAINT, lw=0.8)
     ax.set_xlabel("log evidence over recalibration alone [nats]")
     return pictured("diagnosis_evidence", figure, cut=-_AS_BAD)
-
-
-def next_experiment_picture(result: Diagnosis, parameters: Parameters) -> Picture | None:
-    """Voltages of the proposed protocol, None without. InputError: it cannot be run on this rig."""
-    if result.next_experiment is None or not result.next_experiment.protocol:
-        return None
-    protocol = parse_protocol(dict(result.next_experiment.protocol), parameters)
-    time, voltage = protocol.sample(_PROTOCOL_STEP)
-    sides = np.array(parameters["bench.channel_sides"])
-    figure, ax = draw.graph("time [s]", "voltage [V]", height=2.8)
-    for side, colour in zip(dict.fromkeys(sides), (draw.MEASURED, draw.MODEL), strict=False):
-        ax.plot(time, voltage[:, sides == side].max(axis=1), color=colour, lw=1.2, label=side)
-    ax.legend(fontsize=8)
-    return pictured("diagnosis_next_experiment", figure,
-                    separates=", ".join(result.next_experiment.separates))
 
 
 def gap_picture(result: Diagnosis) -> Picture:
@@ -368,7 +243,6 @@ def gap_picture(result: Diagnosis) -> Picture:
         table = np.array([[numbers.get((r, p), np.nan) for p in PHASES] for r in rows])
         shown = np.clip(table, norm.vmin, norm.vmax)
         image = ax.imshow(shown, aspect="auto", cmap="YlOrRd", norm=norm)
-        vars(image)["table"] = table
         draw.cell_texts(ax, {cell: (_short(value), float(norm(shown[cell])) > _DARK)
                              for cell, value in np.ndenumerate(table) if np.isfinite(value)}, 8)
         ax.tick_params(length=0)
@@ -388,62 +262,38 @@ def _short(value: float) -> str:
 
 
 def missing_pictures(result: Diagnosis) -> list[Picture]:
-    """A picture for each signal that most of what is missing lies in."""
+    """What recalibration leaves over time, a picture for each signal in which most of it lies."""
+    model = result.search.recalibrated
     shares: dict[str, float] = {}
-    for cell in locate(result.model.problem, result.search.recalibrated.left):
+    for cell in locate(result.model.problem, model.left):
         shares[cell.signal] = shares.get(cell.signal, 0.0) + cell.share
     ranked = sorted(shares, key=lambda name: shares[name], reverse=True)[:_MOST_SIGNALS]
-    return [_missing(result, name) for name in ranked if shares[name] > _WORTH_A_PICTURE]
-
-
-def _missing(result: Diagnosis, name: str) -> Picture:
-    """Left by recalibration, over time (the first record's), simulated temperature and voltage."""
-    unit, factor = scale_of(name)
-    figure, (over_time, temperature, voltage) = draw.new_figure(3, 8.0, shared=False)
-    model, shown = result.search.recalibrated, ""
-    for block in model.problem.of_signal(name):
-        obs, time, left = block.observation, block.signal.time, factor * model.left[block.rows]
-        if not shown:
-            shown = obs.path
-            over_time.plot(time, left, color=draw.FAINT, lw=1.0)
-            if found := result.missed:
-                response = factor * result.search.inputs[found.stage].response[block.rows]
-                label = f"an input to the {found.stage} stage"
-                over_time.plot(time, response, color=draw.MODEL, lw=1.2, label=label)
-                if found.record == obs.path:
-                    over_time.axvspan(found.start, found.stop, color=draw.FAINT, alpha=0.2)
-                draw.legend_above(over_time)
-        # What the term may depend on: of a wire, or of the sides' warmest and highest.
-        at = np.clip(np.searchsorted(obs.grid, time), 0, len(obs.grid) - 1)
-        causes = (obs.simulate(model.parameters).temperature[at], obs.voltage[at])
-        front = np.array(obs.sides) == obs.sides[0]
-        for ax, values in zip((temperature, voltage), causes, strict=True):
-            cause = values[:, block.signal.wire]
-            if block.signal.quantity == "deflection":
-                cause = values[:, front].max(axis=1)
-                cause = cause - values[:, ~front].max(axis=1) if (~front).any() else cause
-            for phase, colour in _COLOURS.items():
-                here = obs.phase_of(time) == phase
-                ax.plot(cause[here], left[here], ".", ms=2.5, color=colour)
-    for phase, colour in _COLOURS.items():
-        temperature.plot([], [], ".", ms=8, color=colour, label=phase)
-    draw.legend_above(temperature)
-    across = ("simulated temperature of the wire [K]", "voltage of the wire [V]")
-    if name == "deflection":
-        across = "simulated temperature, front less back [K]", "voltage, back counted negative [V]"
-    for ax, label in zip((over_time, temperature, voltage), ("time [s]", *across), strict=True):
-        ax.set(xlabel=label, ylabel=f"missing [{unit}]")
-    return pictured("diagnosis_missing", figure, f"diagnosis_missing_{name.replace('.', '_')}",
-                    signal=name, shown=shown)
+    pictures = []
+    for name in (name for name in ranked if shares[name] > _WORTH_A_PICTURE):
+        unit, factor = scale_of(name)
+        block = next(iter(model.problem.of_signal(name)))
+        obs, time = block.observation, block.signal.time
+        look = {"color": draw.FAINT, "lw": 1.0, "label": "left"}
+        curves = [(time, factor * model.left[block.rows], look)]
+        if found := result.missed:
+            response = factor * result.search.inputs[found.stage].response[block.rows]
+            label = f"an input to the {found.stage} stage"
+            curves.append((time, response, {"color": draw.MODEL, "lw": 1.2, "label": label}))
+        figure, ax = draw.graph("time [s]", f"missing [{unit}]", curves, 3.2, fontsize=8)
+        if found and found.record == obs.path:
+            ax.axvspan(found.start, found.stop, color=draw.FAINT, alpha=0.2)
+        pictures.append(pictured("diagnosis_missing", figure,
+                                 f"diagnosis_missing_{name.replace('.', '_')}", signal=name,
+                                 shown=obs.path))
+    return pictures
 
 
 # Parts of a result by name, the one that matters most first.
 _PARTS: dict[type, dict[str, Callable[[Any], Picture | None]]] = {
-    Identification: {"agreement": agreement_picture, "correlation": correlation_picture},
+    Identification: {"agreement": agreement_picture},
     Diagnosis: {
         "signals": lambda result: signal_pictures(result)[0], "where": gap_picture,
-        "candidates": candidate_picture, "evidence": evidence_picture,
-        "next": lambda result: next_experiment_picture(result, result.parameters)}}
+        "evidence": evidence_picture}}
 
 
 def picture_of(thing: Any, *what: str) -> Picture:
@@ -456,13 +306,9 @@ def picture_of(thing: Any, *what: str) -> Picture:
             raise InputError(f"plot: {', '.join(what)}, expected one of {', '.join(parts)}")
         picture = parts[name](thing)
     elif isinstance(thing, Record):
-        picture, held = _bag_picture(thing, "signals", what), thing.signals
-    elif isinstance(thing, Simulation):
-        picture, held = simulation_picture(thing, what), _STATES
-    elif isinstance(thing, Overlay):
-        picture = overlay_picture(thing, "overlay", what)
+        picture, held = record_picture(thing, "signals", what), thing.signals
     else:
-        picture = record_picture(thing, "record")
+        picture = overlay_picture(thing, "overlay", what)
     if picture is None:
         names = f": it has {', '.join(held)}" if held else ""
         raise InputError(f"plot: no {', '.join(what) or 'signal'} to draw{names}")

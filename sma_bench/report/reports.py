@@ -30,7 +30,7 @@ def write_identification_report(directory: str | Path, result: Identification,
                                 column: PaperColumn | None = None) -> Path:
     """The page of an identification: `made` of which inputs, `column`: of a paper, for which the
     figures are written; `report` hears which comes. InputError: the folder cannot be written."""
-    pictures = _present(plots.agreement_picture(result), plots.correlation_picture(result))
+    pictures = _present(plots.agreement_picture(result))
     sections = [
         Section("", notes=list(map(str, result.notes)), pictures=pictures,
                 card=card(result, numbers=True)),
@@ -47,7 +47,6 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
                            made: Made | None = None, column: PaperColumn | None = None) -> Path:
     """The same of a diagnosis."""
     tables = diagnosis_tables(result)
-    proposed = plots.next_experiment_picture(result, result.parameters)
     # Of every sensor, those of the worst quantity first.
     problem, order = result.model.problem, [*(q for q, _ in result.worst_first), *QUANTITIES]
     names = sorted(problem.noise, key=lambda name: order.index(name.rpartition(".")[2]))
@@ -60,7 +59,7 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
         Section("Where is it?", sentences(result, "where"), pictures=[plots.gap_picture(result)]),
         Section("Which effect, and how sure?", [*sentences(result, "which"), *result.why],
                 tables=[tables["candidates"]],
-                pictures=[plots.candidate_picture(result), plots.evidence_picture(result)])]
+                pictures=[plots.evidence_picture(result)])]
     if result.verdict == UNEXPLAINED:
         text = ("What a further effect would have to do to the readings; what causes it, the "
                 "figures can only suggest.")
@@ -79,7 +78,7 @@ def write_diagnosis_report(directory: str | Path, result: Diagnosis, report: Rep
         Section("How far does it shrink?", sentences(result, "how_far"),
                 tables=[tables["shrinkage"],
                         *([] if result.verdict == NO_GAP else [improvements(result)])]),
-        Section("What next?", sentences(result, "next", None), pictures=_present(proposed)),
+        Section("What next?", sentences(result, "next", None)),
         Section("What was looked at", paragraphs, findings,
                 [Table(header, rows, frozenset({4, 5}))], folded=audit)]
     numbered = [replace(s, title=f"{k}. {s.title}") for k, s in enumerate(sections, 1)]
@@ -128,15 +127,16 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
         said = record_line(described)
         lines = [(f["severity"], f"{f['subject']}: {f['text']}") for f in described["findings"]]
         worth = [f"{path}: {text}" for severity, text in lines if severity != "info"]
+        is_bag, figures = isinstance(record, Record), list[Picture]()
+        if isinstance(record, Record):
+            figures = _present(plots.record_picture(record, f"{name}_signals_over_time"))
         section = Section(f"Record {path}", [f"{said}."], [": ".join(line) for line in lines],
-                          record_tables(described, name),
-                          _present(plots.record_picture(record, name)))
-        kind = "bag" if isinstance(record, Record) else "instrument file"
+                          record_tables(described, name), figures)
+        kind = "bag" if is_bag else "instrument file"
         return ReportedInput(path, kind, said, section, worth, *digest(of_file))
 
     result = read_result(path)
     if isinstance(result, Identification):
-        # How numbers agree with what is known, how errors correlate, what else was given.
         kind, warnings = "identification", [*result.warnings]
         tables = [table_of(result, "plain_numbers", result.estimates, name=f"{name}_parameters",
                            title="Parameters")]
@@ -147,15 +147,14 @@ def shown_input(path: str, number: int, namespace: str | None) -> ReportedInput:
             if own:
                 tables.append(table_of(result, "plain_numbers", own, name=f"{name}_experiment_{k}",
                                        title=f"{e.name} {e.title}, from {e.source}"))
-        pictures = _present(plots.agreement_picture(result, f"{name}_agreement"),
-                            plots.correlation_picture(result, f"{name}_correlation"))
+        pictures = _present(plots.agreement_picture(result, f"{name}_agreement"))
         section = Section(f"Identification {path}", [], warnings, tables, pictures)
     else:
         kind = "diagnosis"
-        warnings = [str(f) for f in result.findings if f.severity != "info"]
+        notes = [str(f) for f in result.findings]
+        warnings = [note for note in notes if not note.startswith("info")]
         tables = [replace(t, name=f"{name}_{t.name}") for t in diagnosis_tables(result).values()]
-        section = Section(f"Diagnosis {path}", result.why, [str(f) for f in result.findings],
-                          tables, [plots.candidate_picture(result, f"{name}_candidates")])
+        section = Section(f"Diagnosis {path}", result.why, notes, tables)
     (said,) = sentences(result, "headline")
     worth = [f"{path}: {text}" for text in warnings]
     answer = Section(path, card=card(result, numbers=True))

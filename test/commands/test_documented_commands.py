@@ -9,7 +9,7 @@ import click
 
 from examination.blind.command import blind
 from examination.perf.perf import SECTIONS
-from sma_bench.cli import COMMANDS, load_command
+from sma_bench.cli import load_command
 from sma_bench.errors import InputError
 from sma_bench.nodes import bench_plan
 from sma_bench.nodes.bench_plan import COMPOSITE, WIRE
@@ -19,18 +19,16 @@ from sma_bench.protocols import protocol_names
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-DEVELOPER = {"test", "blind", "perf", "check"}
 FENCED = re.compile(r"^```[^\n]*\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INLINE = re.compile(r"`([^`]+)`")
 LAUNCH_ARGUMENTS = {"wire_bench.launch.py": WIRE.arguments,
                     "composite_bench.launch.py": COMPOSITE.arguments,
                     "replay.launch.py": bench_plan.REPLAY}  # fmt: skip
-PLACEHOLDERS = {"NODE": "simulator"}
 # Within a sentence, without what they take.
 NAMED_ONLY = {"call", "import", "info", "notebook", "python", "run"}
 
 
-def documented(*programs: str) -> list[tuple[str, list[str]]]:
+def documented(*programs):
     """Command lines of the pages, in a block or within a sentence: where, and words."""
     found = []
     for page in PAGES:
@@ -41,7 +39,7 @@ def documented(*programs: str) -> list[tuple[str, list[str]]]:
             if line.startswith(tuple(f"{program} " for program in programs)):
                 words = shlex.split(line, comments=True)
                 taken = itertools.takewhile(lambda word: word not in (">", ">>"), words)
-                shown = [PLACEHOLDERS.get(w, w) for w in taken]
+                shown = ["simulator" if word == "NODE" else word for word in taken]
                 found.append((f"{page.relative_to(ROOT)}: {line}", shown[1:]))
     return found
 
@@ -49,34 +47,34 @@ def documented(*programs: str) -> list[tuple[str, list[str]]]:
 OURS, ROS = documented("./bench", "sma-bench"), documented("ros2")
 
 
-def check_command(words: list[str]) -> str:
-    """Why sma-bench would not take these words, or ""."""
+def is_protocol(name):
+    """Whether it names a shipped protocol or a file of the reader's own."""
+    return name in protocol_names() or name.endswith(".yaml")
+
+
+def check_command(words):
+    """Why ./bench or sma-bench would not take these words, or ""."""
     name, *rest = words
+    if name == "test" or (len(words) == 1 and name in NAMED_ONLY):
+        return ""
     if name == "perf":
         sections = {word for word in rest if word.replace("-", "").isalpha() and word[0] != "-"}
         return "" if sections <= set(SECTIONS) else f"no section among {sections}"
-    if name == "blind":
-        if len(rest) < 2:
-            return ""
-        try:
-            blind.commands[rest[0]].make_context(rest[0], rest[1:])
-        except (KeyError, click.UsageError) as error:
-            return str(error)
-        return ""
-    if name in DEVELOPER:
-        script = ROOT / "examination" / name / f"{(rest or [name])[0]}.py"
-        return "" if name == "test" or script.is_file() else f"no {script}"
-    if len(words) == 1 and name in NAMED_ONLY:
-        return ""
+    if name == "check":
+        script = ROOT / "examination" / "check" / f"{rest[0]}.py"
+        return "" if script.is_file() else f"no {script}"
     if name == "python":
         return "" if (ROOT / rest[0]).is_file() else f"no {rest[0]}"
-    if name not in COMMANDS:
-        return f"no command {name}"
     if name == "run":
         return "" if rest and rest[0] in NODE_TABLES else f"no node {rest[:1]}"
+    if name == "blind" and len(rest) < 2:
+        return ""
     try:
-        load_command(name).make_context(name, rest)
-    except (click.UsageError, InputError) as error:
+        if name == "blind":
+            blind.commands[rest[0]].make_context(rest[0], rest[1:])
+        else:
+            load_command(name).make_context(name, rest)
+    except (KeyError, click.UsageError, InputError) as error:
         return str(error)
     for word in rest:
         if word.startswith("config/") and not (ROOT / word).is_file():
@@ -86,12 +84,7 @@ def check_command(words: list[str]) -> str:
     return ""
 
 
-def is_protocol(name: str) -> bool:
-    """Whether it names a shipped protocol or a file of the reader's own."""
-    return name in protocol_names() or name.endswith(".yaml")
-
-
-def check_ros(words: list[str]) -> str:
+def check_ros(words):
     """Why ros2 would not know what these words name, or ""."""
     settings = dict(word.split(":=", 1) for word in words if ":=" in word)
     if not is_protocol(settings.get("protocol", protocol_names()[0])):
@@ -101,9 +94,8 @@ def check_ros(words: list[str]) -> str:
             return "" if words[3:] == ["--help"] else check_command(words[3:])
         return "" if words[2 + (words[2] == CONTAINER)] in NODE_TABLES else f"no node {words[2]}"
     if words[:2] == ["launch", "sma_bench"]:
-        launch = ROOT / "launch" / words[2]
-        if not launch.is_file():
-            return f"no {launch}"
+        if not (ROOT / "launch" / words[2]).is_file():
+            return f"no {words[2]}"
         unknown = [name for name in settings if name not in LAUNCH_ARGUMENTS[words[2]]]
         return f"no launch argument {unknown}" if unknown else ""
     return ""

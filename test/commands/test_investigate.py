@@ -82,31 +82,30 @@ def test_a_folder_is_begun_with_nothing_stated_and_one_of_other_things_stays(lab
 
 
 CHAPTER = {"records": 1, "minutes": 0.0, "verdict": "ambiguous", "cause": [], "probabilities": {}}
+PROPOSED = {"why": "", "protocol": [], "separates": ["a"], "minutes": "1"}
+DAMAGED = [[], {"given": []}, {"given": "x", "chapters": []}, {"given": [5], "chapters": []},
+           {"given": [], "chapters": {}}, {"given": [], "chapters": [[]]},
+           *({"given": [], "chapters": [CHAPTER | change]} for change in (
+               {"records": "two"}, {"cause": "x"}, {"probabilities": {"a": "b"}},
+               {"proposed": {"why": 1}}, {"proposed": PROPOSED}))]  # fmt: skip
 
 
-@pytest.mark.parametrize("story", [
-    [], {"given": []}, {"given": "x", "chapters": []}, {"given": [5], "chapters": []},
-    {"given": [], "chapters": {}}, {"given": [], "chapters": [[]]},
-    {"given": [], "chapters": [{**CHAPTER, "records": "two"}]},
-    {"given": [], "chapters": [{**CHAPTER, "cause": "x"}]},
-    {"given": [], "chapters": [{**CHAPTER, "probabilities": {"a": "b"}}]},
-    {"given": [], "chapters": [{**CHAPTER, "proposed": {"why": 1}}]},
-    {"given": [], "chapters": [{**CHAPTER, "proposed": {
-        "why": "", "protocol": [], "separates": ["a"], "minutes": "1"}}]},
-])  # fmt: skip
+def tell(lab, folder, story):
+    folder.mkdir(exist_ok=True)
+    (folder / "believed.yaml").write_text((lab / "lab.yaml").read_text())
+    (folder / "investigation.json").write_text(json.dumps(story))
+
+
+@pytest.mark.parametrize("story", DAMAGED)
 def test_a_story_that_someone_has_crafted_is_one_line(lab, tmp_path, capsys, story):
-    (tmp_path / "believed.yaml").write_text((lab / "lab.yaml").read_text())
-    (tmp_path / "investigation.json").write_text(json.dumps(story))
+    tell(lab, tmp_path, story)
     assert investigate(lab, "--folder", str(tmp_path)) == 2
     said = capsys.readouterr().err
     assert "investigation.json: damaged: " in said and said.count("\n") == 1
 
 
 def test_a_story_names_no_records_that_a_node_may_not_read(lab, tmp_path):
-    (tmp_path / "gap").mkdir()
-    (tmp_path / "gap" / "believed.yaml").write_text((lab / "lab.yaml").read_text())
-    story = {"given": [str(lab / "short")], "chapters": []}
-    (tmp_path / "gap" / "investigation.json").write_text(json.dumps(story))
+    tell(lab, tmp_path / "gap", {"given": [str(lab / "short")], "chapters": []})
     root = str(tmp_path)
     settings = {"record": [""], "record_root": root, "output_root": root, "folder": "gap",
                 "signals": [""], "budget": 1.0}  # fmt: skip

@@ -9,6 +9,8 @@ from sma_bench.cli import main
 from sma_bench.installation import share_directory
 from sma_bench.parameters import read_parameters
 
+pytestmark = pytest.mark.usefixtures("undrawn")
+
 EXAMPLES = share_directory() / "examples"
 TABLE, LAB = EXAMPLES / "ten_tasks" / "run.csv", EXAMPLES / "ten_tasks" / "lab.yaml"
 

@@ -53,9 +53,10 @@ def test_a_card_carries_the_facts_of_a_diagnosis():
         assert fact in said
 
 
-@pytest.mark.parametrize(
-    "verdict", ["effect", "ambiguous", "no_gap", "recalibration", "unexplained"]
-)
+VERDICTS = ["effect", "ambiguous", "no_gap", "recalibration", "unexplained"]
+
+
+@pytest.mark.parametrize("verdict", VERDICTS)
 def test_every_verdict_has_a_title_of_its_own_and_a_next_step_that_knows_what_was_given(verdict):
     cause = ["supply_drop"] if verdict == "effect" else []
     result = diagnosed(verdict=verdict, cause=cause)

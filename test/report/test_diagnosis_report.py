@@ -4,21 +4,14 @@ import html
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
-from planted import believed
 
 from sma_bench.diagnose.left_over import missed
-from sma_bench.diagnose.next_experiment import NextExperiment
-from sma_bench.report.plots import missing_pictures, next_experiment_picture
+from sma_bench.report.plots import missing_pictures
 from sma_bench.report.reports import improvements, write_diagnosis_report
 from sma_bench.results import card
 
 pytest.importorskip("numba", reason="diagnoses take minutes uncompiled")
-
-STEP = {"kind": "step", "level": 2.0, "duration": 5.0, "drive": "front"}
-PROTOCOL = {"steps": [STEP, {"kind": "rest", "duration": 10.0}]}
-
 
 @pytest.fixture(scope="module")
 def page(planted_diagnosis, tmp_path_factory):
@@ -47,7 +40,7 @@ def test_the_page_makes_the_argument_in_order_with_every_figure(page, planted_di
     assert titles[2:4] == ["Which effect, and how sure?", "How far does it shrink?"]
     assert titles[4:] == ["What next?", "What was looked at", "Provenance"]
     names = {path.stem.removeprefix("diagnosis_") for path in folder.glob("*.png")}
-    maps = {"where", "candidates", "evidence"}
+    maps = {"where", "evidence"}
     assert names == {"current", "temperature", "deflection"} | maps
     assert text.count('src="data:image/png;base64,iVBOR') == len(names)
 
@@ -77,14 +70,3 @@ def test_an_unexplained_gap_shows_the_shape_of_what_is_missing(planted_diagnosis
     assert "The shape of what is missing" in text and "the heat is missed most" in text
     drawn = {path.stem for path in tmp_path.glob("diagnosis_missing_*.png")}
     assert drawn & {"diagnosis_missing_back_1_temperature", "diagnosis_missing_deflection"}
-
-
-def test_the_next_experiment_is_drawn_and_explained(planted_diagnosis):
-    assert next_experiment_picture(planted_diagnosis, believed()) is None
-    names = ("slack", "residual_strain")
-    proposed = NextExperiment("protocol", "a long rest", names, PROTOCOL, 0.25, 0.9, 0.4)
-    result = replace(planted_diagnosis, next_experiment=proposed)
-    picture = next_experiment_picture(result, believed())
-    lines = picture.figure.axes[0].lines
-    assert max(float(np.max(line.get_ydata())) for line in lines) == pytest.approx(2.0)
-    assert "slack, residual_strain" in picture.caption
