@@ -1,8 +1,4 @@
-"""Records of small benches on which an effect, or none, has been planted.
-
-The model itself makes them, so they test the plumbing and the arithmetic of a diagnosis; how it
-fares against another reality is for `./bench blind`.
-"""
+"""Records of small benches on which an effect, or none, has been planted, by the model itself."""
 
 from contextlib import contextmanager
 from pathlib import Path
@@ -40,9 +36,8 @@ def believed():
     """Parameters of the lab, with their uncertainties."""
     rig = {"bench.channels": CHANNELS, "bench.channel_sides": ("front", "back")}
     values = {name: value for name, (value, _, _) in LAB.items()}
-    return Parameters.of_paper().replace(
-        rig | values, {name: std for name, (_, std, _) in LAB.items()}
-    )
+    stds = {name: std for name, (_, std, _) in LAB.items()}
+    return Parameters.of_paper().replace(rig | values, stds)
 
 
 def true_bench(effects=None):
@@ -74,10 +69,8 @@ def sensor_noise(kind, count, std, random):
     return 0.7 * white + lfilter([1.0], [1.0, -phi], driving)
 
 
-def planted_record(
-    path, effects=None, *, quantities=ALL, kind="white", seed=1, turned=False, bench=None,
-    protocol=None,
-):  # fmt: skip
+def planted_record(path, effects=None, *, quantities=ALL, kind="white", seed=1, turned=False,
+                   bench=None, protocol=None):  # fmt: skip
     """Write a bag of the true bench, or of `bench`, on a protocol or the drive; read it again."""
     parameters = bench or true_bench(effects)
     channels = parameters["bench.channels"]
@@ -110,8 +103,7 @@ def planted_record(
 
 
 def supply_drop_lab(folder):
-    """The folder, with a `bag` of a wire whose leads drop voltage and what its lab believes of it
-    in `lab.yaml`."""
+    """The folder, with a `bag` of a wire whose leads drop voltage, and its lab's `lab.yaml`."""
     belief = believed().replace(ONE_WIRE)
     write_parameters(folder / "lab.yaml", belief)
     bench = belief.replace({"effect.supply_drop.resistance": 0.3})
@@ -150,8 +142,7 @@ def moving_lab(load, more=(), stds=()):
 
 
 def strokes(bench, shape, period, duration, top=5.5):
-    """Time at 25 Hz and volts up to `top`: strokes of `period` s for `duration` s, one wire after
-    the other, or duties of the same heat."""
+    """Time at 25 Hz and volts up to `top`, or duties of the same heat: one wire after the other."""
     time = np.arange(0.0, duration, 0.04)
     inside = ((time - 2.0) % period) / period
     stroke = {
@@ -168,8 +159,7 @@ def strokes(bench, shape, period, duration, top=5.5):
 
 
 def machine_drive(bench, shape, period, duration, top=5.5):
-    """The same strokes of a wire between grips that go to and fro, with rests: time, volts and the
-    elongation [m] that is imposed."""
+    """The same strokes of a wire between grips that go to and fro: also the elongation [m]."""
     rough, volts = strokes(bench, shape, period, duration, top)
     time = np.arange(0.0, rough[-1], 0.004)  # a force that is read to 0.1 % tells 20 ms of a drive
     turn, corners = (time / (1.4 * period)) % 1.0, [0.0, 0.15, 0.45, 0.6, 0.8]

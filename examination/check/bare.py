@@ -1,10 +1,8 @@
 """The tests where nothing optional is installed, and something like ROS's `launch` is.
 
-`colcon test` runs wherever somebody builds the package: with what package.xml and
-requirements-robot.txt bring, without pyarrow, pandas, a browser or any tool of this checkout, and
-with `launch`, whose plugins for pytest make every logger keep its records to itself. This makes
-such an environment of links to what ./bench has installed, and runs the tests there. The rooms
-without numba are those of .ci/noble.
+`colcon test` runs with what package.xml and requirements-robot.txt bring, and with `launch`, whose
+plugins for pytest make every logger keep its records to itself. This makes such an environment of
+links to what ./bench has installed. The rooms without numba are those of .ci/noble.
 
     ./bench check bare [pytest options]
 """
@@ -15,7 +13,7 @@ import subprocess
 import sys
 import tempfile
 import venv
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
@@ -93,23 +91,17 @@ def linked(folder: Path) -> list[str]:
     return sorted((installed & pinned) - chosen.keys())
 
 
-def options(arguments: Sequence[str]) -> Iterator[str]:
-    """Side by side unless it is said how."""
-    yield from () if "-n" in arguments else SIDE_BY_SIDE
-    yield from arguments
-
-
 def main(arguments: Sequence[str]) -> int:
-    """The status of pytest."""
+    """The status of pytest, side by side unless it is said how."""
     with tempfile.TemporaryDirectory() as folder:
         without = linked(Path(folder))
         print(f"without {', '.join(without)}; with launch's logging", flush=True)
-        command = [f"{folder}/bin/python", "-m", "pytest", *options(arguments)]
-        path = f"{folder}/bin{os.pathsep}{os.defpath}"
-        environment = dict(os.environ, VIRTUAL_ENV=folder, PATH=path)
-        for name in ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE"):
-            environment.pop(name, None)
+        python, path = f"{folder}/bin/python", f"{folder}/bin{os.pathsep}{os.defpath}"
+        left_out = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+        kept = {name: value for name, value in os.environ.items() if name not in left_out}
+        environment = {**kept, "VIRTUAL_ENV": folder, "PATH": path}
         # As ./bench does after an installation, lest the first tests of nodes wait for it.
-        compiled = [command[0], "-m", "sma_bench.physics"]
-        subprocess.run(compiled, cwd=ROOT, env=environment, check=True)
-        return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
+        compiling = [python, "-m", "sma_bench.physics"]
+        subprocess.run(compiling, cwd=ROOT, env=environment, check=True)
+        words = [python, "-m", "pytest", *(() if "-n" in arguments else SIDE_BY_SIDE), *arguments]
+        return subprocess.run(words, cwd=ROOT, env=environment, check=False).returncode

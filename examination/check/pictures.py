@@ -1,16 +1,14 @@
 """Pictures of the documentation, taken by a browser from pages of synthetic records.
 
-    ./bench check pictures [--write]     which are older than what they show; takes them anew
+    ./bench check pictures
 
 The record, its results and the bench on the dashboard are of the first tutorial; the diagnosis
 takes minutes. The notebook is run and keeps what its cells show (`./bench notebook` installs what
-runs it). What a picture shows is known by a hash of the code that draws it.
+runs it).
 """
 
 import contextlib
-import hashlib
 import io
-import json
 import subprocess
 import sys
 import tempfile
@@ -18,6 +16,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from PIL import Image
+from playwright.sync_api import sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT / "test"), str(ROOT / "test" / "dashboard")]
@@ -33,18 +32,15 @@ from sma_bench.physics.effects import with_effect  # noqa: E402
 from sma_bench.protocols import load_protocol  # noqa: E402
 
 FOLDER, NOTEBOOK = ROOT / "docs" / "pictures", ROOT / "docs" / "tutorials" / "notebook.ipynb"
-KNOWN, RIG = FOLDER / "pictures.json", ROOT / "config" / "composite_rig.yaml"
+RIG = ROOT / "config" / "composite_rig.yaml"
 LARGEST, COLOURS = 1_000_000, 128  # bytes of all of them
 EFFECT = ("side_heat_coupling", 0.004)
 SHOWN_AT, PERIOD = 58.0, 0.02  # s of the protocol
-# Picture: page, window, scheme, element (the window where none), and the code that draws it.
-_DASHBOARD = ("sma_bench/dashboard/*",)
-_REPORT = ("sma_bench/report/*", "sma_bench/results.py", "sma_bench/templates/*")
-PICTURES: dict[str, tuple[str, tuple[int, int], str, str, tuple[str, ...]]] = {
-    "dashboard.png": ("dashboard", DESKTOP, "light", "", _DASHBOARD),
-    "dashboard_phone.png": ("dashboard", PHONE, "dark", "", _DASHBOARD),
-    "twin.png": ("dashboard", DESKTOP, "light", "#plots", _DASHBOARD),
-    "diagnosis.png": ("gap", DESKTOP, "light", "", _REPORT)}
+# Picture: page, window, scheme, element (the window where none).
+PICTURES = {"dashboard.png": ("dashboard", DESKTOP, "light", ""),
+            "dashboard_phone.png": ("dashboard", PHONE, "dark", ""),
+            "twin.png": ("dashboard", DESKTOP, "light", "#plots"),
+            "diagnosis.png": ("gap", DESKTOP, "light", "")}
 # The tutorial's commands, with what they write.
 _COMMANDS = (f"parameters --params {RIG} --set wire.resistance=2.72 --out lab.yaml",
              f"simulate --protocol composite_triangle --params {RIG} --rate 50 "
@@ -108,24 +104,7 @@ def small(picture: bytes) -> bytes:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """0 when no picture is older than what it shows."""
-    options = options_of("pictures", __doc__, arguments, write=(False, "take them anew"))
-    hashes = {}
-    for name, (*_, patterns) in PICTURES.items():
-        files = sorted({file for one in patterns for file in ROOT.glob(one) if file.is_file()})
-        content = b"".join(file.read_bytes() for file in files)
-        hashes[name] = hashlib.sha256(content).hexdigest()[:16]
-    if not options.write:
-        known = json.loads(KNOWN.read_text()) if KNOWN.is_file() else {}
-        lines = [
-            f"{name}: {'older than ' + ', '.join(patterns) if name in known else 'not taken yet'}"
-            for name, (*_, patterns) in PICTURES.items()
-            if known.get(name) != hashes[name] or not (FOLDER / name).is_file()]
-        print("\n".join(lines) or f"{len(PICTURES)} pictures, none is old")
-        return 1 if lines else 0
-
-    from playwright.sync_api import sync_playwright
-
+    options_of("pictures", __doc__, arguments)
     made = {}
     with tempfile.TemporaryDirectory() as own, sync_playwright() as driver:
         folder = Path(own)
@@ -135,7 +114,7 @@ def main(arguments: Sequence[str]) -> int:
         window = driver.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
         with contextlib.closing(window), served(live_bench(folder)) as dashboard:
             pages = {"dashboard": dashboard, "gap": (folder / "gap" / "index.html").as_uri()}
-            for name, (page, size, scheme, element, _) in PICTURES.items():
+            for name, (page, size, scheme, element) in PICTURES.items():
                 with opened(window, pages[page], size, scheme) as shown:
                     shown.page.wait_for_timeout(1500)  # figures and the first updates are drawn
                     target = shown.page.locator(element) if element else shown.page
@@ -148,6 +127,5 @@ def main(arguments: Sequence[str]) -> int:
         (FOLDER / name).write_bytes(content)
     command = "jupyter nbconvert --to notebook --execute --inplace --log-level=ERROR"
     subprocess.run([sys.executable, "-m", *command.split(), str(NOTEBOOK)], check=True)
-    KNOWN.write_text(json.dumps(hashes, indent=1) + "\n")
     print(f"{FOLDER}: {len(made)} pictures, {total} bytes, and those of the notebook")
     return 0

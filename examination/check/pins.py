@@ -1,9 +1,8 @@
 """The locks of all that is installed: whether they are whole, agree, and are safe.
 
-A requirement file says which version; its lock in `locks/` adds the hash of every file of it that
-the package index has, and what it requires; `./bench` installs locks without resolving. Without an
-option this says, offline, whether a lock is its requirement file with hashes, and whether two name
-different versions. `--write` asks the index anew (with uv, fetched for the purpose, and pip) and is
+A requirement file says which version; its lock in `locks/` adds the hash of every file of it and
+what it requires; `./bench` installs locks without resolving. Without an option this compares them
+offline. `--write` asks the package index anew (with uv, fetched for the purpose, and pip) and is
 due after every change of a requirement file. `--audit` asks for known vulnerabilities (with
 pip-audit) and, where it cannot ask, says so.
 
@@ -70,16 +69,13 @@ def problems() -> list[str]:
 
     found = []
     for path in requirement_files():
-        lock = LOCKS / path.name
+        text = (LOCKS / path.name).read_text() if (LOCKS / path.name).exists() else ""
         if path.name not in BELOW:
             found.append(f"{path.name}: not in BELOW of {__file__}")
-        if not lock.exists():
-            found.append(f"{path.name}: no lock")
-            continue
-        wanted, given = pinned(path.read_text()), pinned(lock.read_text())
+        wanted, given = pinned(path.read_text()), pinned(text)
         for pins, what in ((wanted - given, "locked"), (given - wanted, "required")):
             found += sorted(f"{path.name}: {n}=={version} is not {what}" for n, version, _ in pins)
-        if bare := len(given) - len(_HASHED.findall(lock.read_text())):
+        if bare := len(given) - len(_HASHED.findall(text)):
             found.append(f"{path.name}: {bare} without a hash")
     versions: dict[tuple[bool, str], dict[str, str]] = defaultdict(dict)
     for file, below in BELOW.items():
@@ -90,12 +86,10 @@ def problems() -> list[str]:
         for package in own.values():
             versions[file in UBUNTU, package.name][file] = package.version
             for needed in package.requires:
+                markers = filter(None, (package.marker, needed.marker))
                 has = there.get(canonical(needed.name))
-                if package.marker and not package.marker.evaluate(place):
-                    continue
-                if needed.marker and not needed.marker.evaluate(place):
-                    continue
-                if has is None or not needed.specifier.contains(has.version, prereleases=True):
+                fits = has and needed.specifier.contains(has.version, prereleases=True)
+                if not fits and all(marker.evaluate(place) for marker in markers):
                     found.append(f"{file}: {package.name} requires {needed}")
     for (_, name), each in sorted(versions.items()):
         if len(set(each.values())) > 1:
@@ -160,24 +154,21 @@ def audit(folder: Path) -> int:
         return 0
     found = 0
     for path in requirement_files():
-        process = subprocess.run(
-            [str(tool), "--disable-pip", "--no-deps", "--progress-spinner", "off", "--timeout",
-             "15", "--format", "json", "-r", str(LOCKS / path.name)],
-            capture_output=True, text=True, check=False)
+        words = "--disable-pip --no-deps --progress-spinner off --timeout 15 --format json -r"
+        process = subprocess.run([str(tool), *words.split(), str(LOCKS / path.name)],
+                                 capture_output=True, text=True, check=False)
         if not process.stdout.strip():
             last = process.stderr.strip().splitlines()[-1:] or ["no answer"]
             print(f"pins: not audited: the vulnerability service cannot be asked: {last[0][:120]}")
             return 0
-        # How many packages of the lock the service knows, then a line for each vulnerability.
         packages = json.loads(process.stdout)["dependencies"]
         known = [package for package in packages if "skip_reason" not in package]
         print(f"{path.name}: the service knows {len(known)} of {len(packages)} packages")
-        for package in known:
-            for flaw in package["vulns"]:
-                mended = ", ".join(flaw["fix_versions"]) or "no version yet"
-                name = f"{package['name']} {package['version']}"
-                print(f"  {name}: {flaw['id']}, mended in {mended}")
-                found = 1
+        for name, version, flaw in [(package["name"], package["version"], flaw)
+                                    for package in known for flaw in package["vulns"]]:
+            mended = ", ".join(flaw["fix_versions"]) or "no version yet"
+            print(f"  {name} {version}: {flaw['id']}, mended in {mended}")
+            found = 1
     return found
 
 

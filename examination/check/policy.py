@@ -101,8 +101,7 @@ def missing_rules(wanted: Rules, given: Rules) -> Rules:
     for node, kinds in wanted.items():
         for kind, names in kinds.items():
             rules = given.get(node, {}).get(kind, set())
-            covered = {n for n in names for rule in rules if n == rule or fnmatchcase(n, rule)}
-            if lacking := names - covered:
+            if lacking := {n for n in names if not any(fnmatchcase(n, rule) for rule in rules)}:
                 missing.setdefault(node, {})[kind] = lacking
     return missing
 
@@ -128,11 +127,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "Written from the nodes by ./bench check policy with its option write. -->\n")
         POLICY.write_text(head + ElementTree.tostring(policy, encoding="unicode") + "\n")
     policy = read_policy()
-    absent, unused = missing_rules(found, policy), missing_rules(policy, found)
-    for title, rules in (("had, but not allowed", absent), ("allowed, but not had", unused)):
-        for node, kinds in rules.items():
-            for kind, names in kinds.items():
-                print(f"{title}: {node} {kind} {', '.join(sorted(names))}")
-    count = sum(len(names) for node in policy.values() for names in node.values())
-    print(f"{len(policy)} nodes, {count} rules")
-    return 1 if absent or unused else 0
+    problems = [f"{title}: {node} {kind} {', '.join(sorted(names))}" for title, rules in (
+        ("had, but not allowed", missing_rules(found, policy)),
+        ("allowed, but not had", missing_rules(policy, found)))
+        for node, kinds in rules.items() for kind, names in kinds.items()]
+    print(*problems, f"{len(policy)} nodes", sep="\n")
+    return 1 if problems else 0

@@ -1,9 +1,8 @@
 """Runs the commands of a documentation page in an empty folder, in the page's order.
 
-Nothing is there but `sma-bench` and what the page itself gives.
-
-Fenced blocks are told by their language: none, `bash` or `console` holds commands, `python` is run,
-all others are shown only. A comment right before a block says what the block needs:
+Nothing is there but `sma-bench` and what the page itself gives. Fenced blocks without a language
+hold commands, `python` is run, all others are shown only. A comment right before a block says what
+it needs:
 
     <!-- file: NAME -->            the reader writes the block into this file
     <!-- shown: NAME -->           the block is the text of a file that `sma-bench example` gave
@@ -18,9 +17,8 @@ import re
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from sma_bench.cli import main
 
@@ -35,8 +33,7 @@ _SHELL = re.compile(r"[|<>;&$`*~]")
 _BENCH = '#!/bin/sh\nexec "{python}" -P -m sma_bench.cli "$@"\n'
 
 
-@dataclass(frozen=True)
-class Block:
+class Block(NamedTuple):
     """A fenced block: its language, text, and what the comments before it say."""
 
     kind: str
@@ -46,9 +43,8 @@ class Block:
     not_run: str | None = None
 
     @property
-    def commands(self) -> list[str]:
-        """Commands that end by themselves, without ROS 2; those that go on in the next line joined,
-        without comments."""
+    def commands(self):
+        """Those that end by themselves, without ROS 2; those that go on in the next line joined."""
         if self.kind not in ("", "bash", "console") or self.file or self.not_run:
             return []
         found = []
@@ -59,61 +55,50 @@ class Block:
         return found
 
     @property
-    def runs(self) -> bool:
+    def runs(self):
         return not self.not_run and bool(self.kind == "python" or self.commands or self.file)
 
 
-def blocks_of(page: Path) -> Iterator[Block]:
+def blocks_of(page):
     """All fenced blocks of a page."""
     for found in _BLOCK.finditer(page.read_text()):
         notes = dict(_NOTE.findall(found["notes"]))
         yield Block(found["kind"], found["text"], *map(notes.get, ("file", "shown", "not run")))
 
 
-class PageRunner:
-    """The reader's terminal, in the folder that is current.
+def play(page, home):
+    """Run a page in the current folder by a reader with this home, where the command is installed;
+    the number of commands. AssertionError: one ended with another exit code than 0; it is named."""
+    program = home / ".bin" / "sma-bench"
+    program.parent.mkdir(parents=True)
+    program.write_text(_BENCH.format(python=sys.executable))
+    program.chmod(0o755)
+    path = f"{program.parent}:{os.environ['PATH']}"
+    names, count = {"__name__": "__main__"}, 0
+    for block in blocks_of(page):
+        if block.not_run:
+            continue
+        if block.shown:
+            assert Path(block.shown).read_text() == block.text, f"{page.name}: {block.shown}"
+        if block.file:
+            Path(block.file).write_text(block.text)
+        elif block.kind == "python":
+            exec(compile(block.text, f"{page.name}: python", "exec"), names)
+            count += 1
+        for command in block.commands:
+            run(command, dict(os.environ, HOME=str(home), PATH=path))
+            count += 1
+    return count
 
-    Args:
-        home: the reader's home, where the command is installed too.
-    """
 
-    def __init__(self, home: Path) -> None:
-        program = home / ".bin" / "sma-bench"
-        program.parent.mkdir(parents=True)
-        program.write_text(_BENCH.format(python=sys.executable))
-        program.chmod(0o755)
-        path = f"{program.parent}:{os.environ['PATH']}"
-        self._shell = dict(os.environ, HOME=str(home), PATH=path)
-
-    def play(self, page: Path) -> int:
-        """Run a page; the number of commands that were run.
-
-        Raises:
-            AssertionError: one ended with another exit code than 0; it is named.
-        """
-        names: dict[str, object] = {"__name__": "__main__"}
-        count = 0
-        for block in blocks_of(page):
-            if block.shown and not block.not_run:
-                assert Path(block.shown).read_text() == block.text, f"{page.name}: {block.shown}"
-            if block.file and not block.not_run:
-                Path(block.file).write_text(block.text)
-            elif block.kind == "python" and not block.not_run:
-                exec(compile(block.text, f"{page.name}: python", "exec"), names)
-                count += 1
-            for command in block.commands:
-                self.run(command)
-                count += 1
-        return count
-
-    def run(self, command: str) -> None:
-        """One command: those of sma-bench in this process, which spares seconds each."""
-        words = shlex.split(command)
-        if words[0] == "cd" and not _SHELL.search(command):
-            os.chdir(words[1])
-        elif words[0] in PROGRAMS and not _SHELL.search(command):
-            assert main(words[1:]) == 0, command
-        else:
-            shell = ["bash", "-eo", "pipefail", "-c", command]
-            done = subprocess.run(shell, env=self._shell, text=True, capture_output=True)
-            assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"
+def run(command, environment):
+    """One command: those of sma-bench in this process, which spares seconds each."""
+    words, is_plain = shlex.split(command), not _SHELL.search(command)
+    if words[0] == "cd" and is_plain:
+        os.chdir(words[1])
+    elif words[0] in PROGRAMS and is_plain:
+        assert main(words[1:]) == 0, command
+    else:
+        shell = ["bash", "-eo", "pipefail", "-c", command]
+        done = subprocess.run(shell, env=environment, text=True, capture_output=True)
+        assert done.returncode == 0, f"{command}\n{done.stdout}{done.stderr}"

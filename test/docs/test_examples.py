@@ -33,28 +33,26 @@ def test_the_tables_are_those_that_the_maker_writes(tmp_path, monkeypatch, capsy
             assert float(new) == pytest.approx(float(old), abs=1.01 * last_digit), path.name
 
 
-def test_examples_are_small_and_each_has_what_a_lab_states(capsys):
+def test_examples_are_small_and_each_is_handed_out_as_a_folder_of_the_readers_own(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
     assert len(FOLDERS) >= 4
-    for folder in FOLDERS:
-        assert "wire.resistance" in read_parameters(folder / "lab.yaml")
     assert sum(path.stat().st_size for path in (ROOT / "examples").rglob("*.*")) < 500_000
     assert main(["example"]) == 0
     assert "ten_tasks: lab.yaml, run.csv" in capsys.readouterr().out
     # One that is not there is one line with the nearest.
     assert main(["example", "ten_task"]) == 2
     assert "ten_tasks" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("name", [*(folder.name for folder in FOLDERS), "wire_rig"])
-def test_an_example_is_a_folder_of_the_readers_own(name, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    assert main(["example", name]) == 0
-    made = {path.name: path.read_text() for path in Path(name).iterdir()}
-    source = ROOT / "examples" / name
-    given = source.iterdir() if source.is_dir() else [ROOT / "config" / f"{name}.yaml"]
-    assert sorted(made.values()) == sorted(path.read_text() for path in given)
-    Path(name, "lab.yaml").write_text("mine")
-    assert main(["example", name]) == 2
-    assert Path(name, "lab.yaml").read_text() == "mine"
+    for source in [*FOLDERS, ROOT / "config" / "wire_rig.yaml"]:
+        name = source.stem
+        assert main(["example", name]) == 0
+        made = {path.name: path.read_text() for path in Path(name).iterdir()}
+        given = source.iterdir() if source.is_dir() else [source]
+        assert sorted(made.values()) == sorted(path.read_text() for path in given)
+        assert "wire.resistance" in read_parameters(Path(name, "lab.yaml"))
+        Path(name, "lab.yaml").write_text("mine")
+        assert main(["example", name]) == 2
+        assert Path(name, "lab.yaml").read_text() == "mine"
     assert main(["example", name, "--out", "elsewhere"]) == 0
     assert Path("elsewhere", "lab.yaml").read_text() == made["lab.yaml"]

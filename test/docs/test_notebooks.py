@@ -1,40 +1,20 @@
 """The example notebook runs from top to bottom, and lies in the repository with what it showed."""
 
-import ast
 import json
 from pathlib import Path
 
 import pytest
 
+import sma_bench
 from sma_bench import compiled
 
-ROOT = Path(__file__).resolve().parents[2]
-NOTEBOOK = ROOT / "docs" / "tutorials" / "notebook.ipynb"
-
-
-def code_cells(path: Path) -> list[dict]:
-    cells = json.loads(path.read_text())["cells"]
-    return [cell for cell in cells if cell["cell_type"] == "code"]
-
-
-def run(path: Path, show) -> dict:
-    """Run the cells in one namespace as Jupyter does; `show` gets the value at a cell's end."""
-    names: dict = {"__name__": "__main__"}
-    for number, cell in enumerate(code_cells(path), start=1):
-        where, source = f"{path.name}, code cell {number}", "".join(cell["source"])
-        *first, last = ast.parse(source, where).body
-        if not isinstance(last, ast.Expr) or source.rstrip().endswith(";"):
-            exec(compile(source, where, "exec"), names)
-            continue
-        exec(compile(ast.Module(first, []), where, "exec"), names)
-        show(eval(compile(ast.Expression(last.value), where, "eval"), names))
-    return names
+NOTEBOOK = Path(__file__).resolve().parents[2] / "docs" / "tutorials" / "notebook.ipynb"
+CELLS = [c for c in json.loads(NOTEBOOK.read_text())["cells"] if c["cell_type"] == "code"]
 
 
 def test_notebook_is_committed_as_it_was_run_from_top_to_bottom():
-    cells = code_cells(NOTEBOOK)
-    assert [cell["execution_count"] for cell in cells] == list(range(1, len(cells) + 1))
-    outputs = [output for cell in cells for output in cell["outputs"]]
+    assert [cell["execution_count"] for cell in CELLS] == list(range(1, len(CELLS) + 1))
+    outputs = [output for cell in CELLS for output in cell["outputs"]]
     assert {"execute_result", "display_data", "stream"} == {o["output_type"] for o in outputs}
     assert sum("image/png" in output.get("data", {}) for output in outputs) == 2
     assert NOTEBOOK.stat().st_size < 300_000
@@ -47,17 +27,14 @@ def test_the_notebook_identifies_names_the_effect_and_draws_two_figures():
     import matplotlib.pyplot as plt
 
     plt.close("all")
-    shown: list = []
-    names = run(NOTEBOOK, shown.append)
-    tables = [thing for thing in shown if hasattr(thing, "columns")]
-    table = next(t for t in tables if t.index.name == "parameter")
-    found = table.loc["wire.resistance"]
-    true = names["run"].parameters["wire.resistance"]
-    assert abs(found["value"] - true) < 4.0 * found["std"]
-    assert list(names["record"].signals) in [s for s in shown if isinstance(s, list)]
-
+    names = {"__name__": "__main__"}
+    for number, cell in enumerate(CELLS, start=1):
+        exec(compile("".join(cell["source"]), f"code cell {number}", "exec"), names)
+    found = sma_bench.to_frame(names["found"]).loc["wire.resistance"]
+    assert abs(found["value"] - names["run"].parameters["wire.resistance"]) < 4.0 * found["std"]
+    assert list(names["record"].signals) == ["wire.voltage", "wire.current", "wire.temperature"]
     assert names["gap"].cause == ("supply_drop",)
-    assert any("supply_drop" in t.index for t in tables)
+    assert "supply_drop" in sma_bench.to_frame(names["gap"]).index
     assert names["gap"].shrinkage["temperature"].fraction > 0.7
     measured = names["arrays"]["wire.temperature"]
     missed = [abs(measured - names[m].temperature[:, 0]).mean() for m in ("before", "after")]

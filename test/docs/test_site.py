@@ -14,9 +14,7 @@ from sma_bench.cli import COMMANDS
 from sma_bench.parameters.node_tables import NODE_TABLES
 
 ROOT = Path(__file__).resolve().parents[2]
-
-NEEDED = ("mkdocs", "material", "mkdocstrings")
-MISSING = [name for name in NEEDED if importlib.util.find_spec(name) is None]
+MISSING = [n for n in ("mkdocs", "material", "mkdocstrings") if importlib.util.find_spec(n) is None]
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(MISSING), reason="no tools for a site")]
 
@@ -31,7 +29,7 @@ def site(tmp_path_factory):
     return folder
 
 
-def text_of(page: Path) -> str:
+def text_of(page):
     return re.sub(r"<[^>]*>", "", page.read_text())
 
 
@@ -44,14 +42,15 @@ def test_every_page_of_docs_is_on_the_site(site):
     tabs = re.findall(r'<li class="md-tabs__item.*?</li>', (site / "index.html").read_text(), re.S)
     titles = [re.sub(r"<[^>]*>", "", tab).strip() for tab in tabs]
     assert "Explanation" in titles and "More" not in titles  # every page has its place
+    # Nothing is fetched from elsewhere.
+    fetched = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="https?://', re.I)
+    assert [p.name for p in sorted(site.rglob("*.html")) if fetched.search(p.read_text())] == []
 
 
-def test_commands_and_nodes_are_what_the_package_says_of_them(site):
+def test_commands_nodes_and_functions_are_what_the_package_says_of_them(site):
     page = text_of(site / "reference" / "commands.html")
-    for name in COMMANDS:
-        assert f"Usage: sma-bench {name}" in page
+    assert [name for name in COMMANDS if f"Usage: sma-bench {name}" not in page] == []
     assert "--hold-out RECORD" in page
-
     page = (site / "reference" / "nodes.html").read_text().replace("<wbr>", "")
     parts = re.split(r'<h2 id="(\w+)"[^\n]*\n', page)[1:]
     nodes = dict(zip(parts[::2], parts[1::2], strict=True))
@@ -61,6 +60,8 @@ def test_commands_and_nodes_are_what_the_package_says_of_them(site):
         assert first and len(first[1]) > 30, f"nothing is said of {node}"
         assert all(f"<code>{parameter.name}</code>" in nodes[node] for parameter in table)
     assert "~/enable" in nodes["serial_bridge"] and "voltage_command" in nodes["experiment"]
+    python = text_of(site / "reference" / "python.html")
+    assert [said for said in (*api.__all__, "Raises InputError") if said not in python] == []
 
 
 def test_pages_are_as_they_are_meant(site):
@@ -69,17 +70,10 @@ def test_pages_are_as_they_are_meant(site):
         text = (site / f"{page}.html").read_text()
         assert len(re.findall(r'<svg role="img" aria-label="[^"]{8,}"', text)) >= least
         assert "language-math" not in text
-    python = text_of(site / "reference" / "python.html")
-    for said in (*api.__all__, "DataFrame of a record or a result", "Raises InputError"):
-        assert said in python
     errata = text_of(site / "explanation" / "errata.html")
     assert len(re.findall(r"^\s*\d+\. ", errata, re.MULTILINE)) >= 11 and "N m²" in errata
     # The notebook is a page, whose tables scroll as all do, and a file; sources are neither.
     assert json.loads((site / "tutorials" / "notebook.ipynb").read_text())["nbformat"] == 4
     notebook = site / "tutorials" / "notebook.html"
     assert "sma_bench.diagnose" in text_of(notebook) and "wire.resistance" in text_of(notebook)
-    assert "dataframe" not in notebook.read_text()
-    assert not (site / "site").exists()
-    # Nothing is fetched from elsewhere.
-    fetched = re.compile(r'<(?:script|link|img)[^>]*(?:src|href)="https?://', re.I)
-    assert [p.name for p in sorted(site.rglob("*.html")) if fetched.search(p.read_text())] == []
+    assert "dataframe" not in notebook.read_text() and not (site / "site").exists()

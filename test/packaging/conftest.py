@@ -5,7 +5,6 @@ import subprocess
 from importlib.machinery import SourceFileLoader
 from importlib.util import module_from_spec, spec_from_loader
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
@@ -13,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture
-def bench_script() -> ModuleType:
+def bench_script():
     loader = SourceFileLoader("bench_script", str(ROOT / "bench"))
     module = module_from_spec(spec_from_loader("bench_script", loader))
     loader.exec_module(module)
@@ -21,7 +20,7 @@ def bench_script() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
-def checkout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def checkout(tmp_path_factory):
     """Every file that a commit of everything here would hold, to be copied."""
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("not a git checkout")

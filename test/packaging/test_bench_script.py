@@ -8,8 +8,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -20,16 +18,16 @@ COMMANDS_FILE = "sma_bench/commands/__init__.py"
 COMMAND_LINE = "import sys\nprint(*sys.argv[1:])\nsys.exit(len(sys.argv) - 1)\n"
 CHECK = "def main(arguments):\n    print(*arguments)\n    return len(arguments)\n"
 SETUP = 'import setuptools\nsetuptools.setup(name="sma_bench", version="0", packages=["sma_bench"])'
-NOT_THERE = f"no-such-package-of-sma-bench==1.0 --hash=sha256:{'0' * 64}\n"
+NOT_THERE = f"--no-index\nno-such-package-of-sma-bench==1.0 --hash=sha256:{'0' * 64}\n"
 
 
-def locked(name: str) -> str:
+def locked(name):
     """The lines of a package in the real locks."""
     locks = "\n".join(path.read_text() for path in sorted((ROOT / "locks").iterdir()))
     return re.search(rf"^{name}==.*\n(?: +--hash=.*\n)+", locks, re.MULTILINE)[0]
 
 
-def make_house(folder: Path, requirements: str | None = None) -> Path:
+def make_house(folder, requirements=None):
     """A checkout whose setup takes seconds; its commands print their arguments and count them."""
     rest = [f"locks/requirements-{name}.txt" for name in ("test", "docs", "perf", "notebook")]
     texts = dict.fromkeys(rest, locked("cycler"))
@@ -38,15 +36,14 @@ def make_house(folder: Path, requirements: str | None = None) -> Path:
     texts |= dict.fromkeys(("package.xml", "sma_bench/__init__.py", COMMANDS_FILE), "")
     real = ("bench", "locks/requirements-build.txt", "setup.cfg", "pyproject.toml")
     real += ("examination/check/__main__.py",)
-    texts |= {name: (ROOT / name).read_text() for name in real}
-    for name, text in texts.items():
+    for name, text in (texts | {name: (ROOT / name).read_text() for name in real}).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
     (folder / "bench").chmod(0o755)
     return folder
 
 
-def start(house: Path, *arguments: str, python: str = sys.executable) -> subprocess.Popen:
+def start(house, *arguments, python=sys.executable):
     # Byte code of what is only looked at would take most of the time.
     variables = {**os.environ, "BENCH_PYTHON": python, "PIP_NO_COMPILE": "1"}
     streams = dict.fromkeys(("stdout", "stderr"), subprocess.PIPE) | {"stdin": subprocess.DEVNULL}
@@ -55,22 +52,22 @@ def start(house: Path, *arguments: str, python: str = sys.executable) -> subproc
     return subprocess.Popen([house / "bench", *arguments], **streams, **own)
 
 
-def bench(house: Path, *arguments: str, python: str = sys.executable) -> tuple[int, str, str]:
-    process = start(house, *arguments, python=python)
+def bench(house, *arguments, **options):
+    process = start(house, *arguments, **options)
     out, err = process.communicate()
     return process.returncode, out, err
 
 
-def environment(house: Path) -> Path:
+def environment(house):
     return next(path for path in house.glob(".venv-*") if path.is_dir())
 
 
-def installed(house: Path) -> str:
+def installed(house):
     return " ".join(p.name for p in environment(house).glob("lib/*/site-packages/*.dist-info"))
 
 
 @pytest.fixture(scope="module")
-def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def house(tmp_path_factory):
     """A checkout whose first setup was killed and then begun again, by two uses at once."""
     house = make_house(tmp_path_factory.mktemp("house with space") / "sma_bench")
     killed = start(house, "killed")
@@ -93,8 +90,8 @@ def house(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_after_an_interrupted_setup_commands_run_at_once_and_what_is_needed_comes_when_it_is(
-    house: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    house, monkeypatch
+):
     words = ("audit", "lab file.yaml", "--json")
     assert bench(house, *words) == (3, "audit lab file.yaml --json\n", "")
     # Its Python has one thread for linear algebra.
@@ -107,22 +104,20 @@ def test_after_an_interrupted_setup_commands_run_at_once_and_what_is_needed_come
     assert "cycler" in installed(house)
     (house / "setup.py").write_text(SETUP.replace('version="0"', 'version="1"'))
     code, _, err = bench(house, "x")
-    assert code == 1
-    assert "sma_bench itself" in err and "setting up" not in err
+    assert code == 1 and "sma_bench itself" in err and "setting up" not in err
     assert "sma_bench-1.dist-info" in installed(house)
 
 
 @pytest.mark.slow
-def test_package_that_does_not_exist_is_told_in_short(house: Path, tmp_path: Path) -> None:
+def test_package_that_does_not_exist_is_told_in_short(house, tmp_path):
     made = environment(house)
-    house = make_house(tmp_path / "house", f"--no-index\n{NOT_THERE}")
+    house = make_house(tmp_path / "house", NOT_THERE)
     # A copy of an environment, as it takes seconds to make one.
     text, making = (house / "bench").read_text(), '[sys.executable, "-m", "venv", self.path]'
     assert making in text
     (house / "bench").write_text(text.replace(making, f'["cp", "-a", {str(made)!r}, self.path]'))
     code, out, err = bench(house, "x")
-    assert (code, out) == (2, "")
-    assert "1 packages of requirements.txt: failed" in err
+    assert (code, out) == (2, "") and "1 packages of requirements.txt: failed" in err
     assert "No matching distribution found for no-such-package-of-sma-bench==1.0" in err
     assert "Traceback" not in err and len(err.splitlines()) < 15
     log = Path(err.rsplit("everything it said: ", 1)[1].strip())
@@ -141,26 +136,24 @@ import sma_bench.physics.__main__
 """
 
 
-def run_python(*words: str, cwd: Path = ROOT) -> tuple[int, str]:
+def run_python(*words, cwd=ROOT):
     command = [sys.executable, "-c", *words]
     done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
     return done.returncode, done.stderr
 
 
-def test_the_physics_compiles_from_what_is_installed_first(bench_script: ModuleType) -> None:
+def test_the_physics_compiles_from_what_is_installed_first(bench_script):
     first = [{"pyyaml": "yaml"}.get(name, name) for name in bench_script.FIRST]
     assert run_python(ONLY, *first) == (0, "")
     assert "ModuleNotFoundError" in run_python(ONLY, *first[:-2])[1]
 
 
-def test_a_folder_of_its_name_does_not_pass_for_the_package(tmp_path: Path) -> None:
+def test_a_folder_of_its_name_does_not_pass_for_the_package(tmp_path):
     (tmp_path / "sma_bench" / "sma_bench").mkdir(parents=True)  # the parent of a checkout
     assert run_python("import sma_bench; sma_bench.__version__", cwd=tmp_path) == (0, "")
 
 
-def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_setup(
-    tmp_path: Path,
-) -> None:
+def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_setup(tmp_path):
     house = make_house(tmp_path / "house")
     shutil.copy2(ROOT / COMMANDS_FILE, house / COMMANDS_FILE)
     status, out, err = bench(house)
@@ -174,47 +167,34 @@ def test_help_lists_every_command_and_a_wrong_one_gets_a_suggestion_before_any_s
     assert not list(house.glob(".venv-*"))
 
 
-# --- What an interrupted setup leaves behind, without the minutes of a real one.
-
-
-@pytest.fixture
-def good(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench_script: ModuleType) -> Any:
-    """An environment with runtime and package."""
-    house = make_house(tmp_path / "house")
+def test_an_interrupted_or_killed_setup_never_takes_a_good_environment(
+    tmp_path, monkeypatch, bench_script
+):
+    """Without the minutes of a real one."""
+    house, stages = make_house(tmp_path / "house"), ["runtime", "package"]
     monkeypatch.setattr(bench_script, "ROOT", house)
-    found = bench_script.Environment(house / ".venv")
-    (found.path / "bin").mkdir(parents=True)
-    found.python.write_text("good")
-    done = {stage: bench_script.fingerprint(stage) for stage in ("runtime", "package")}
-    found.stamp.write_text(json.dumps(done))
-    return found
+    good = bench_script.Environment(house / ".venv")
+    (good.path / "bin").mkdir(parents=True)
+    good.python.write_text("good")
+    good.stamp.write_text(json.dumps({stage: bench_script.fingerprint(stage) for stage in stages}))
 
-
-def ended_by(error: BaseException, half: Path | None = None) -> Any:
-    """A step of a setup that ends like this, after it made half of something."""
-
-    def step(what: str, *_: Any) -> None:
-        if half is not None:
-            half.mkdir(parents=True, exist_ok=True)
+    def step(*_):
+        """What a setup does, half done."""
+        good.path.mkdir(exist_ok=True)
         raise error
 
-    return step
-
-
-def test_an_interrupted_or_killed_setup_never_takes_a_good_environment(good: Any) -> None:
-    good._put_aside()
+    good._put_aside()  # a setup that was killed then
     (good.path / "bin").mkdir(parents=True)
     good.python.write_text("half")
-    good._step = ended_by(AssertionError("nothing is to be installed"))
-    good.set_up(["runtime", "package"])
+    good._step, error = step, AssertionError("nothing is to be installed")
+    good.set_up(stages)
     assert good.python.read_text() == "good" and not good.before.exists()
-    (good.path.parent / "locks" / "requirements.txt").write_text("mdurl==0.1.1\n")
+    (house / "locks" / "requirements.txt").write_text("mdurl==0.1.1\n")
     for error in (KeyboardInterrupt(), OSError("disk full")):
-        good._step = ended_by(error, good.path)
         with pytest.raises(type(error)):
-            good.set_up(["runtime", "package"])
+            good.set_up(stages)
         assert good.python.read_text() == "good" and not good.before.exists()
-        assert good.missing(["runtime", "package"]) == ["runtime"]
+        assert good.missing(stages) == ["runtime"]
 
 
 UNUSABLE = {"is Python 3.9": "echo 3.9",
@@ -224,7 +204,7 @@ UNUSABLE = {"is Python 3.9": "echo 3.9",
 
 
 @pytest.mark.parametrize("reason", [*UNUSABLE, "there is units", "cannot set up"])
-def test_what_cannot_be_done_is_one_line_before_any_setup(reason: str, tmp_path: Path) -> None:
+def test_what_cannot_be_done_is_one_line_before_any_setup(reason, tmp_path):
     house, words, python = make_house(tmp_path / "house"), ["x"], sys.executable
     if reason in UNUSABLE:
         python = str(tmp_path / "python3")
