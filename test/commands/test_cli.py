@@ -96,8 +96,9 @@ def test_a_machine_moves_as_its_bag_says_and_stands_in_a_protocol(tmp_path, caps
 def test_a_name_that_no_file_can_have_is_one_line(words, tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("not a folder")
-    for name in [*VALUES[str], "file/below"]:
-        if len(name) > LONGEST_NAME or words.endswith("--protocol") or name == "file/below":
+    below = [] if words.startswith("calibrate") else ["file/below"]  # it says what it found first
+    for name in [*VALUES[str], *below]:
+        if len(name) > LONGEST_NAME or words.endswith("--protocol") or name in below:
             assert len(refuse(capsys, *words.split(), name)) < LONGEST_LINE + 30
     assert os.listdir(tmp_path) == ["file"]
 
