@@ -26,7 +26,6 @@ from examination.bags import in_sqlite3
 from examination.campaign import Outcome, counted
 from examination.pieces import allowance
 from sma_bench.cli import LONGEST_LINE, main
-from sma_bench.commands import terminal
 from sma_bench.commands.answers import MISFIT
 from sma_bench.errors import InputError
 from sma_bench.hardware.serial_messages import ProtocolError, Splitter, decode, line
@@ -279,7 +278,6 @@ FOR_ALL = tuple(command for command in COMMANDS if command != "import")
 
 def hostile_inputs(size: int, seed: int, folder: Path) -> list[Outcome]:
     """`size` inputs of all kinds by turns, each through all commands."""
-    terminal.FIRST_LINE = 1e6  # said on a machine that is busy with something else
     failed: dict[str, list[str]] = {name: [] for name in MAKERS}
     results: dict[str, list[str]] = {name: [] for name in MAKERS}
     _warm_up(folder)
