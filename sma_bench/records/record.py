@@ -247,7 +247,7 @@ def drive_of(record: Record,
              parameters: Parameters) -> tuple[Parameters, Array, Array, Array | None]:
     """The bench as a record shows it, time (n,) s, volts (n, w) that drive it (or stand for a
     source's current), and the elongation (n,) m imposed, None but for `load.kind` displacement.
-    InputError."""
+    InputError: the record lacks what drives it."""
     record, ohms = with_commands(record, parameters)
     bench = parameters if ohms else as_recorded(parameters)
     time, volts = held_voltages(record, parameters["bench.channels"])
