@@ -45,14 +45,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     return 1 if problems else 0
 
 
-def fuzzed(program: Path, inputs: int, seed: int) -> tuple[list[int], str]:
+def fuzzed(program: Path, inputs: int, seed: int) -> tuple[tuple[int, ...], str]:
     """(inputs, drove on, stopped) of one part, and what went wrong, "" for nothing."""
     words = [program, str(inputs), str(seed)]
     try:
         ended = subprocess.run(words, capture_output=True, text=True, timeout=LONGEST, check=False)
     except subprocess.TimeoutExpired:
-        return [0, 0, 0], f"seed {seed}: hangs"
+        return (0, 0, 0), f"seed {seed}: hangs"
     if ended.returncode:
         said = (ended.stderr.strip() or "crashed").splitlines()[0]
-        return [0, 0, 0], f"seed {seed}: {said}"
-    return [int(digits) for digits in re.findall(r"\d+", ended.stdout)], ""
+        return (0, 0, 0), f"seed {seed}: {said}"
+    return tuple(map(int, re.findall(r"\d+", ended.stdout))), ""
