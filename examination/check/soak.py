@@ -10,12 +10,10 @@ host       hardware/safety.py on the physics and instruments of the virtual benc
            twenty a wire under the rules of the node that commands, else four wires under the
            bridge's driver
 firmware   safety.c and session.c compiled for this computer (test/firmware/host/soak.c)
-uno        the image on an emulated Uno and the bridge's driver, in minutes of virtual time
 
-    ./bench check soak [--only host firmware uno] [--hours 1000] [--minutes 180] [--json soak.json]
+    ./bench check soak [--hours 1000] [--json soak.json]
 """
 
-import atexit
 import contextlib
 import functools
 import math
@@ -27,32 +25,27 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "firmware"))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 
 from host_firmware import build_program
-from uno.emulated_bench import Plant
-from uno.emulated_uno import EmulatedUno, build_emulator, build_firmware
-from virtual_host import VirtualHost
 
 from examination.pieces import IN_PIECES, in_pieces, options_of, poisson_bound, print_table
 from sma_bench.arrays import Array
 from sma_bench.hardware.bench_driver import BenchDriver, device_limits
 from sma_bench.hardware.bench_sensors import BenchSensors, Instrument
-from sma_bench.hardware.safety import CELSIUS_ZERO, CommandGate, Guard, Limits
+from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
 from sma_bench.hardware.serial_link import LinkStatus
-from sma_bench.hardware.serial_messages import CAUSES, DeviceIdentity, DeviceState, Telemetry
+from sma_bench.hardware.serial_messages import CAUSES, DeviceIdentity, Telemetry
 from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE, SIMULATOR
 from sma_bench.physics import Bench
 
-ROOT = Path(__file__).resolve().parents[2]
-PARTS = ("host", "firmware", "uno")
-HOUR, MINUTE = 3600.0, 60.0
+ROOT, HOUR = Path(__file__).resolve().parents[2], 3600.0
 GRID, COMMANDS = 0.01, 0.02  # s, of the physics and between commands
 GUST = 30.0  # s of one draught, and of one programme
 N, TICKS = round(GUST / COMMANDS), round(GUST / GRID)  # commands and steps in it
@@ -62,19 +55,15 @@ BELIEVED = {"a wire": Parameters.defaults()}
 BELIEVED["four wires"] = read_parameters(ROOT / "config" / "composite_rig.yaml")
 SIMULATED = {p.name: p.default for p in SIMULATOR}
 BRIDGE = {p.name: p.default for p in SERIAL_BRIDGE}
-TIMEOUT = BRIDGE["feedback_timeout"]
-DEVICE = DeviceIdentity("sma-uno", "0", "power-on", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0,
-                        2.0)
+DEVICE = DeviceIdentity("sma-uno", "0", "", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0, 2.0)
 COOLER, SHARE_OF_CURRENT = 10.0, 0.8  # K and share that a sound bench stays below its limits
 SWING = 1.5  # K, of the room in an hour
-NOT_ASKED = "the gate's outputs are not those that were asked for"
 Cuts = list[tuple[float, str]]  # when, and why
 CURRENT_NOISE = 0.018  # A, of one conversion: an ACS712-20A
 DRIFT = 3.4e-3  # A/K, of its offset
 CONVERSIONS = 24  # of a board in a window of telemetry
 
 
-# --- A sound bench, drawn
 @dataclass(frozen=True)
 class World:
     """What an hour is like; factors, unless a unit stands there."""
@@ -90,18 +79,10 @@ class World:
     camera: bool
     errors: tuple[float, ...]  # of volts, amperes, kelvins above the room; offsets in A, K
 
-    @property
-    def stresses(self) -> list[str]:
-        celsius = self.room - CELSIUS_ZERO
-        found = {"room below 12 degC": celsius < 12.0, "room above 33 degC": celsius > 33.0,
-                 "draughts": self.draught > 0.0, "aged wires": max(self.age) > 1.0,
-                 "noisy sensors": self.noise > 1.0, "slow sensors": self.slow,
-                 "supply that sags": self.sag > 0.0, "no camera": not self.camera}  # fmt: skip
-        return [name for name, true in found.items() if true]
-
-    @property
-    def feedback(self) -> tuple[str, ...]:
-        return ("power", "temperature") if self.camera else ("power",)
+    def guard(self, channels: Sequence[str]) -> Guard:
+        """New rules, for what this bench measures."""
+        feedback = ("power", "temperature") if self.camera else ("power",)
+        return Guard(channels, feedback, BRIDGE["feedback_timeout"])
 
     def parameters(self, believed: Parameters, loss: float, warmer: float) -> Parameters:
         """What the bench is made of, in a draught of `loss` and a room `warmer` K than at first."""
@@ -140,24 +121,18 @@ def gusts(rng: np.random.Generator, world: World, seconds: float) -> Iterator[tu
 
 def programme(rng: np.random.Generator, most: float) -> Array:
     """(N,) V by command: a second of nothing; rest, hold, staircase, triangle or pulses."""
-    found = _shape(rng, most, np.arange(N))
+    at, level, shape = np.arange(N), most * rng.random() ** 0.5, rng.integers(5)
+    if shape < 2:
+        found = np.full(N, level * shape)
+    elif shape == 2:
+        found = (most * rng.random(rng.integers(2, 9)))[at * 2 // N]
+    else:
+        period = rng.uniform(4.0, 30.0) if shape == 3 else rng.uniform(0.2, 4.0)
+        phase = at * COMMANDS / period % 1.0
+        shown = 1.0 - np.abs(2.0 * phase - 1.0) if shape == 3 else phase < rng.uniform(0.2, 0.8)
+        found = level * shown
     found[: round(1.0 / COMMANDS)] = 0.0
     return found
-
-
-def _shape(rng: np.random.Generator, most: float, at: Array) -> Array:
-    level = most * rng.random() ** 0.5
-    shape = rng.integers(5)
-    if shape == 0:
-        return np.zeros(N)
-    if shape == 1:
-        return np.full(N, level)
-    if shape == 2:
-        return np.asarray(most * rng.random(rng.integers(2, 9)))[at * 2 // N]
-    period = rng.uniform(4.0, 30.0) if shape == 3 else rng.uniform(0.2, 4.0)
-    phase = at * COMMANDS / period % 1.0
-    shown = 1.0 - np.abs(2.0 * phase - 1.0) if shape == 3 else phase < rng.uniform(0.2, 0.8)
-    return np.asarray(level * shown)
 
 
 def dips(rng: np.random.Generator, world: World) -> Array:
@@ -169,19 +144,16 @@ def dips(rng: np.random.Generator, world: World) -> Array:
     return share
 
 
-def rates(rng: np.random.Generator, world: World) -> tuple[int, int]:
-    """Steps of GRID between two readings of power and of temperature."""
-    if world.slow:
-        return 20, 25
-    return (2, 2) if rng.random() < 0.05 else (20, 20)
-
-
-def instruments(world: World, seed: int) -> dict[str, Instrument]:
+def instruments(rng: np.random.Generator, world: World,
+                seed: int) -> tuple[dict[str, Instrument], int, int]:
+    """By quantity; steps of GRID between two readings of power and of temperature."""
     settings = {name: value * world.noise if name.endswith("_noise") else value
                 for name, value in SIMULATED.items()}
     kinds = ("voltage", "current", "temperature")
     seeds = np.random.SeedSequence(seed).spawn(len(kinds))
-    return {k: Instrument(settings, k, s) for k, s in zip(kinds, seeds, strict=True)}
+    chain = {k: Instrument(settings, k, s) for k, s in zip(kinds, seeds, strict=True)}
+    steps = (20, 25) if world.slow else (2, 2) if rng.random() < 0.05 else (20, 20)
+    return chain, *steps
 
 
 def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
@@ -192,16 +164,15 @@ def silences(rng: np.random.Generator, world: World, n: int) -> list[bool]:
     return silent.tolist()
 
 
-# --- The host's rules
 def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """When, and why, the rules of a node that commands cut a sound wire."""
     rng, believed = np.random.default_rng([1, seed]), BELIEVED["a wire"]
-    limits, chain = Limits.from_parameters(believed), instruments(world, seed)
-    power_every, kelvin_every = rates(rng, world)
+    limits = Limits.from_parameters(believed)
+    chain, power_every, kelvin_every = instruments(rng, world, seed)
     volt_gain, ampere_gain, kelvin_gain = (1.0 + error for error in world.errors[:3])
     bench, cuts, begun, arrived = Bench(world.parameters(believed, 1.0, 0.0)), [], 0.0, [0.0]
     heard = 1.0  # s, when every reading of a new guard has come
-    guard, gate = Guard(["wire"], world.feedback, TIMEOUT), CommandGate(1, limits)
+    guard = world.guard(["wire"])
     for loss, warmer in gusts(rng, world, seconds):
         commands = programme(rng, world.highest(limits))
         # The bench: what its supply leaves of the volts, and what instruments make of it.
@@ -224,67 +195,44 @@ def hour_of_a_wire(world: World, seed: int, seconds: float = HOUR) -> Cuts:
         late = begun + CLOCK + rng.uniform(0.0, 0.04, TICKS + 1)
         late[0] = arrived[-1]
         arrived = np.maximum.accumulate(late).tolist()
-        held = 0
         for k in range(1, TICKS + 1):
-            stamp = begun + GRID * k
+            stamp, reason, now = begun + GRID * k, "", arrived[k]
             if k % 2:
-                command = asked[k // 2]
-                held = held + 1 if k > 1 and command == asked[k // 2 - 1] else 0
-                guard.commanded((command,))
-                if held % 5 == 0:
-                    gate.command((command,), stamp, "soak")
-            reason, now = "", arrived[k]
+                guard.commanded((asked[k // 2],))
             if k % kelvin_every == 0 and not silent[k // kelvin_every - 1] and world.camera:
                 reason = guard.fault(now) if stamp > heard else ""  # the oldest that it gets
                 guard.temperature("wire", temperatures[k // kelvin_every - 1], stamp, now, limits)
             if k % power_every == 0:
                 guard.power("wire", *powers[k // power_every - 1], stamp, now, limits)
                 reason = reason or (guard.fault(now) if stamp > heard else "")
-                if gate.outputs(now) != (asked[(k - 1) // 2],):
-                    reason = reason or NOT_ASKED
             if reason:
                 cuts.append((stamp, reason))
-                guard, heard = Guard(["wire"], world.feedback, TIMEOUT), begun + GUST + 1.0
+                guard, heard = world.guard(["wire"]), begun + GUST + 1.0
                 break
         begun += GUST
     return cuts
 
 
-class SoundLink:
-    """A device that does as it is told."""
-
-    def __init__(self) -> None:
-        self.status = LinkStatus(connected=True, device=DEVICE, connections=1)
-
-    def limit(self, numbers: Sequence[int]) -> None: ...
-
-    def arm(self) -> None:
-        self.status.state = DeviceState.ARMED
-
-    def drive(self, millivolts: Sequence[int]) -> None: ...
-
-    def stop(self) -> None:
-        self.status.state = DeviceState.STOPPED
-
-    def reset(self) -> None:
-        self.status.state, self.status.cause = DeviceState.IDLE, 0
-
-
-def driver_of(link: Any, world: World) -> tuple[BenchDriver, Guard, Limits]:
-    """The bridge's driver of four wires, which never looks at a device before it enables."""
-    believed = BELIEVED["four wires"]
+def driver_of(world: World) -> tuple[BenchDriver, Guard, Limits]:
+    """The bridge's driver of four wires, of a device that does as it is told and is not tested."""
+    believed, doing = BELIEVED["four wires"], dict.fromkeys(("limit", "arm", "drive", "stop"), done)
     limits, channels = Limits.from_parameters(believed), believed["bench.channels"]
-    guard = Guard(channels, world.feedback, TIMEOUT)
+    link: Any = SimpleNamespace(status=LinkStatus(True, DEVICE, connections=1), **doing)
+    guard = world.guard(channels)
     sensors = BenchSensors(believed["bench.channel_sides"], BRIDGE)
     return BenchDriver(link, sensors, guard, channels, limits, waiver="soak"), guard, limits
+
+
+def done(*_: Any) -> None:
+    """What such a device is asked."""
 
 
 def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """When, and why, the bridge's driver cuts four sound wires."""
     rng, believed = np.random.default_rng([2, seed]), BELIEVED["four wires"]
-    driver, guard, limits = driver_of(SoundLink(), world)
-    chain, channels = instruments(world, seed), believed["bench.channels"]
-    power_every, kelvin_every = rates(rng, world)
+    driver, guard, limits = driver_of(world)
+    chain, power_every, kelvin_every = instruments(rng, world, seed)
+    channels = believed["bench.channels"]
     bench, cuts, begun = Bench(world.parameters(believed, 1.0, 0.0)), [], 0.0
     own, most = limits.resistance * max(world.age), world.highest(limits)
     for loss, warmer in gusts(rng, world, seconds):
@@ -328,11 +276,11 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
                 continue
             timeouts = driver.gate.timeouts
             reason = driver.command(commands[k // 2].tolist(), now, "soak") or driver.tick(now)
-            if not reason and driver.gate.timeouts > timeouts:
-                reason = NOT_ASKED
+            if driver.gate.timeouts > timeouts:
+                reason = reason or "a command timed out"
             if reason:
                 cuts.append((stamp, reason))
-                driver, guard, limits = driver_of(SoundLink(), world)
+                driver, guard, limits = driver_of(world)
                 break
         begun += GUST
     return cuts
@@ -340,133 +288,53 @@ def hour_of_four_wires(world: World, seed: int, seconds: float = HOUR) -> Cuts:
 
 # --- The firmware's rules
 @functools.cache
-def built(what: str) -> Any:
-    """The host's program, or emulator and image, once a process."""
+def built() -> tuple[Any, Path]:
+    """The firmware's program, once a process, and the folder that it lives in."""
     folder = tempfile.TemporaryDirectory(prefix="soak_")
-    atexit.register(folder.cleanup)
-    place = Path(folder.name)
-    if what == "firmware":
-        return build_program("soak.c", place, ("-O3",))
-    return build_emulator(place), build_firmware(place)
+    return folder, build_program("soak.c", Path(folder.name), ("-O3",))
 
 
 def hour_of_the_firmware(world: World, seed: int, seconds: float = HOUR) -> Cuts:
     """When, and why, safety.c cuts four sound wires."""
     limits = Limits.from_parameters(BELIEVED["four wires"])
-    own = limits.resistance * max(world.age)
     numbers = (seed, seconds, 12.0, world.sag, world.dip, CURRENT_NOISE * world.noise,
-               2.0 * world.errors[3], DRIFT * SWING, own, world.austenite, world.room,
-               limits.heat_loss * (1.0 + 0.3 * world.draught), limits.heat_capacity,
-               world.highest(limits))  # fmt: skip
+               2.0 * world.errors[3], DRIFT * SWING, limits.resistance * max(world.age),
+               world.austenite, world.room, limits.heat_loss * (1.0 + 0.3 * world.draught),
+               limits.heat_capacity, world.highest(limits))
     asked = "C " + " ".join(map(str, device_limits(limits, DEVICE, 12.0)))
-    ended = subprocess.run([built("firmware"), *map(repr, map(float, numbers)), asked],
-                           capture_output=True, text=True, check=True)  # fmt: skip
+    ended = subprocess.run([built()[1], *map(repr, map(float, numbers)), asked],
+                           capture_output=True, text=True, check=True)
     lines = [line.split() for line in ended.stdout.splitlines()]
     return [(float(at), f"device: {CAUSES[int(cause)]}") for at, cause in lines]
 
 
-class UnoLink(SoundLink):
-    """An emulated Uno, in virtual time."""
-
-    def __init__(self, host: VirtualHost) -> None:
-        super().__init__()
-        self.host = host
-
-    def limit(self, numbers: Sequence[int]) -> None:
-        self.host.consent("C", *numbers)
-
-    def arm(self) -> None:
-        self.host.arm()
-        super().arm()
-
-    def drive(self, millivolts: Sequence[int]) -> None:
-        self.host.drive(*millivolts)
-
-
-def minutes_of_the_uno(world: World, seed: int, seconds: float = MINUTE) -> Cuts:
-    """When, and why, the image or the bridge's driver cuts four sound wires."""
-    rng, believed = np.random.default_rng([3, seed]), BELIEVED["four wires"]
-    emulator, image = built("uno")
-    uno = EmulatedUno(emulator, image, seed + 1)
-    pins, chain = uno.electrics, instruments(world, seed)
-    pins.supply_resistance, pins.noise = world.sag, 2e-3 * world.noise
-    pins.offset[:] = [0.1 * world.errors[3]] * 2
-    plant, host = Plant(uno, world.parameters(believed, 1.0, 0.0)), VirtualHost(uno)
-    host.run(0.2)
-    link = UnoLink(host)
-    driver, guard, limits = driver_of(link, world)
-    _, kelvin_every = rates(rng, world)
-    channels, most, step = believed["bench.channels"], world.highest(limits), 0
-    for loss, warmer in gusts(rng, world, seconds):
-        plant.bench = Bench(world.parameters(believed, loss, warmer), initial=plant.bench.state)
-        commands = np.column_stack([programme(rng, most) for _ in channels])
-        supply = 12.0 * dips(rng, world)
-        for k in range(min(N, round(seconds / COMMANDS) - step)):
-            step += 1
-            pins.supply = supply[k]
-            pins.resistance[:] = (1.0 / np.maximum(plant.bench.current(np.ones(4)), 1e-3)).tolist()
-            read = host.run(COMMANDS)
-            plant.advance()
-            now = uno.time
-            if step * 2 % kelvin_every < 2 and world.camera:
-                for name, kelvin in zip(channels, plant.bench.temperature_reading, strict=True):
-                    celsius = chain["temperature"].read(float(kelvin) - CELSIUS_ZERO)
-                    guard.temperature(name, celsius + CELSIUS_ZERO, now, now, limits)
-            for frame in read:
-                if isinstance(frame, Telemetry):
-                    link.status.note(frame)
-                    driver.take(frame._replace(time=1e-6 * frame.time_us), now)
-            host.messages.clear()
-            if step < round(0.5 / COMMANDS):
-                continue
-            if not driver.enabled:
-                driver.enable(now)
-                driver.take(link.status.newest._replace(time=now), now)
-                link.status.state = DeviceState.ARMED
-            reason = driver.command(commands[k].tolist(), now, "soak") or driver.tick(now)
-            if reason:
-                return [(now, reason)]  # what is left of these minutes is not counted
-    return []
-
-
-# --- Counted
 PLAYS = {"a wire": hour_of_a_wire, "four wires": hour_of_four_wires,
-         "firmware": hour_of_the_firmware, "uno": minutes_of_the_uno}  # fmt: skip
+         "firmware": hour_of_the_firmware}
 
 
-def some_played(kind: str, seed: int, first: int, stop: int, seconds: float) -> list[dict]:
-    """Drawn stretches of time: of each its stresses, its cuts, and how long it took."""
+def some_played(kind: str, seed: int, first: int, stop: int) -> list[dict]:
+    """Drawn hours: of each its cuts, and how long it took."""
     found = []
     for number in range(10_000 * seed + first, 10_000 * seed + stop):
         started = time.monotonic()
         world = draw_world(np.random.default_rng([list(PLAYS).index(kind), number]))
-        cuts = PLAYS[kind](world, number, seconds)
-        lasted = cuts[0][0] if kind == "uno" and cuts else seconds
-        found.append({"kind": kind, "seed": number, "seconds": lasted, "stresses": world.stresses,
-                      "cuts": cuts, "took": time.monotonic() - started})
+        cuts = PLAYS[kind](world, number)
+        took = time.monotonic() - started
+        found.append({"kind": kind, "seed": number, "cuts": cuts, "took": took})
     return found
 
 
 def report(found: Sequence[dict[str, Any]]) -> int:
     """Print the tables; number of cuts."""
-    names = {"a wire": "host: rules of the node that commands, a wire",
-             "four wires": "host: the bridge's driver, four wires",
-             "firmware": "firmware: its logic on this computer",
-             "uno": "emulated Uno: its image and the bridge's driver"}  # fmt: skip
-    groups = {name: [o for o in found if o["kind"] == kind] for kind, name in names.items()}
-    groups["host, all"] = [one for one in found if one["kind"] in ("a wire", "four wires")]
-    stresses = sorted({stress for one in found for stress in one["stresses"]})
-    groups |= {f"with {s}": [one for one in found if s in one["stresses"]] for s in stresses}
     rows = []
-    for name, own in groups.items():
-        if own:
-            seconds, cuts = sum(o["seconds"] for o in own), sum(len(o["cuts"]) for o in own)
-            hours = seconds / HOUR
-            rows.append((name, f"{hours:.4g}", cuts, f"{cuts / hours:.2g}",
-                         f"{poisson_bound(cuts) / hours:.2g}",
-                         f"{seconds / sum(o['took'] for o in own):.3g}"))
-    print_table(("synthetic hours of sound benches", ">hours", ">false cuts", ">an hour",
-                 ">at most (95 %)", ">times real time"), rows)
+    for kind in PLAYS:
+        if own := [one for one in found if one["kind"] == kind]:
+            hours, cuts = len(own), sum(len(one["cuts"]) for one in own)
+            speed = HOUR * hours / sum(one["took"] for one in own)
+            rows.append((kind, hours, cuts, f"{cuts / hours:.2g}",
+                         f"{poisson_bound(cuts) / hours:.2g}", f"{speed:.3g}"))
+    print_table(("sound benches", ">hours", ">false cuts", ">an hour", ">at most (95 %)",
+                 ">times real time"), rows)
     kinds: dict[str, list[str]] = {}
     for one in found:
         for at, reason in one["cuts"]:
@@ -479,19 +347,13 @@ def report(found: Sequence[dict[str, Any]]) -> int:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when nothing was cut."""
-    options = options_of("soak", __doc__, argv, only=(PARTS, "parts"),
-                         hours=(1000, "of host and of firmware, each"),
-                         minutes=(180, "of the emulated Uno"), seed=(1, "of all"), **IN_PIECES)
-    sizes: dict[str, tuple[int, float, int]] = {}  # how many, s of each, together in a piece
-    if "host" in options.only:
-        driven = options.hours // EVERY_DRIVEN
-        sizes |= {"a wire": (options.hours - driven, HOUR, 10), "four wires": (driven, HOUR, 2)}
-    if "firmware" in options.only:
-        sizes["firmware"] = options.hours, HOUR, 10
-    if "uno" in options.only:
-        sizes["uno"] = options.minutes, MINUTE, 1
-    jobs = [(kind, options.seed, first, min(first + step, count), seconds)
-            for kind, (count, seconds, step) in sizes.items() for first in range(0, count, step)]
+    options = options_of("soak", __doc__, argv, seed=(1, "of all"),
+                         hours=(1000, "of host and of firmware, each"), **IN_PIECES)
+    driven = options.hours // EVERY_DRIVEN
+    sizes = {"a wire": (options.hours - driven, 10), "four wires": (driven, 2),
+             "firmware": (options.hours, 10)}  # hours, and how many together in a piece
+    jobs = [(kind, options.seed, first, min(first + step, count))
+            for kind, (count, step) in sizes.items() for first in range(0, count, step)]
     with contextlib.suppress(KeyboardInterrupt):
         found = [one for some in in_pieces(some_played, jobs, options) for one in some]
         return 1 if report(found) else 0

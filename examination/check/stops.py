@@ -1,9 +1,8 @@
-"""Does every node end when it is asked to? Groups of eight, Ctrl-C at random instants.
+"""Does every node end when it is asked to? Groups of six, Ctrl-C at random instants.
 
 Real processes: while they start, from the interpreter's first line on, or while a simulated bench
 is driven and recorded. None may be there 3 s after Ctrl-C or stay in the graph that another program
-sees, and none may say more than lines. Two at least of each group are bare nodes of rclpy, for
-comparison: of these ghosts alone are counted. Ten seconds a group on two free cores.
+sees, and none may say more than lines. Ten seconds a group on two free cores.
 
     ./bench check stops --groups 250 [--only experiment serial_bridge] --json stops.json
 """
@@ -27,7 +26,7 @@ from sma_bench.lifeline import tied_to_this_process
 from sma_bench.nodes.start import NODES
 from sma_bench.ros.processes import private_ros_environment
 
-GROUP, NAMESPACE = 8, "/stops"
+GROUP, NAMESPACE = 6, "/stops"
 LIMIT = 3.0  # s
 _SLOWEST_START, _LONGEST_RUN, _PATIENCE, _FOR_EVER = 8.0, 3.0, 180.0, 30.0  # s
 _DISCOVERY = 0.5  # s that another program may take to hear of an end
@@ -42,29 +41,11 @@ signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGINT])
 from sma_bench.nodes import start
 getattr(start, sys.argv.pop(1))()
 """
-_BARE = """\
-import rclpy
-from rclpy.executors import ExternalShutdownException
-from std_msgs.msg import String
-rclpy.init()
-node = rclpy.create_node("node")
-publisher = node.create_publisher(String, "chatter", 10)
-node.create_timer(0.05, lambda: publisher.publish(String(data="hello")))
-print("ready", flush=True)
-try:
-    rclpy.spin(node)
-except (KeyboardInterrupt, ExternalShutdownException):
-    pass
-finally:
-    node.destroy_node()
-    rclpy.try_shutdown()
-"""
-BARE = tuple(f"bare_{k}" for k in range(GROUP))
 _SMALL = {"image_width": 64, "image_height": 64}
 _OWN = {"experiment": {"protocol": "composite_triangle", "autostart": "true"},
         "recorder": {"output": "bag"},
         "ir_camera": {**_SMALL, "regions": list(regions_side_by_side(4, 64, 64))},
-        "synthetic_camera": _SMALL}  # fmt: skip
+        "synthetic_camera": _SMALL}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -74,71 +55,74 @@ def main(argv: Sequence[str] | None = None) -> int:
                          **IN_PIECES | {"processes": (1, "at once")})
     jobs = [(options.seed, number, GROUP, tuple(options.only)) for number in range(options.groups)]
     stops = [one for group in in_pieces(stopped, jobs, options) for one in group]
-    rows = []
-    kinds = {name: (name,) for name in NODES} | {"all": tuple(NODES), "bare rclpy": BARE}
-    for name, alike in kinds.items():
-        if found := [one for one in stops if one["node"] in alike]:
-            seconds, wrong = [one["seconds"] for one in found], [o for o in found if o["wrong"]]
-            starting = sum(not one["ready"] for one in found)
+    rows, wrong = [], [one for one in stops if one["wrong"]]
+    for name in (*NODES, "all"):
+        if found := [one for one in stops if name in (one["node"], "all")]:
+            seconds, starting = [o["seconds"] for o in found], sum(not o["ready"] for o in found)
             times = f"{np.median(seconds):.2f}", f"{max(seconds):.2f}"
-            rows.append((name, len(found), starting, *times, len(wrong)))
+            rows.append((name, len(found), starting, *times, sum(one in wrong for one in found)))
     print_table(("node", ">stops", ">of a start", ">median s", ">longest s", ">wrong"), rows)
-    for one in (one for one in stops if one["wrong"]):
+    for one in wrong:
         print(f"group {one['group']}: {one['node']}: {one['wrong']}")
-    return 1 if any(one["wrong"] for one in stops if one["node"] in NODES) else 0
+    return 1 if wrong else 0
 
 
 def stopped(seed: int, number: int, size: int,
             only: Sequence[str] = tuple(NODES)) -> list[dict[str, Any]]:
     """How long each of a group took to stop and what was wrong; every other as it starts."""
-    rng = random.Random(f"{seed}/{number}")
-    names = rng.sample(sorted(only), min(size - 2, len(only)))
-    names += BARE[: size - len(names)]
+    rng, while_starting = random.Random(f"{seed}/{number}"), number % 2 == 0
     private_ros_environment()
     with (ros_node("watcher", "/elsewhere") as node,
-          tempfile.TemporaryDirectory(prefix="sma_bench_stops_") as folder):
-        processes = {name: _started(name, Path(folder)) for name in names}
+          tempfile.TemporaryDirectory(prefix="sma_bench_stops_") as name):
+        folder = Path(name)
+        processes = {name: _started(name, folder)
+                     for name in rng.sample(sorted(only), min(size, len(only)))}
+
+        def ready() -> dict[str, bool]:
+            return {name: "ready" in (folder / f"{name}.log").read_text(errors="replace")
+                    for name in processes}
+
         try:
-            found = _stopped(rng, number % 2 == 0, processes, Path(folder), node)
+            wait = rng.uniform(0.0, _SLOWEST_START) if while_starting else _PATIENCE
+            until = time.monotonic() + wait
+            while time.monotonic() < until and (while_starting or not all(ready().values())):
+                time.sleep(_LOOK)
+            time.sleep(0.0 if while_starting else rng.uniform(0.0, _LONGEST_RUN))
+            were = ready()
+            ended, ghosts = _interrupted(processes, node)
         finally:
             for process in processes.values():
                 process.kill()
                 process.wait()
-    return [{"group": number, "node": name, **one} for name, one in found.items()]
+        found = []
+        for name, process in processes.items():
+            text, status = (folder / f"{name}.log").read_text(errors="replace"), process.returncode
+            seconds = round(ended.get(name, _FOR_EVER), 3)
+            wrong = [f"there after {seconds:.1f} s" if seconds > LIMIT else "",
+                     f"status {status}" if status and name in ended else "",
+                     "still in the graph" if name in ghosts and name in ended else "",
+                     "not ready" if not (while_starting or were[name]) else "",
+                     "a traceback" if "Traceback" in text else ""]
+            line = ", ".join(filter(None, wrong))
+            found.append({"group": number, "node": name, "seconds": seconds, "ready": were[name],
+                          "wrong": line + (f" ({text[-300:]})" if line else "")})
+        return found
 
 
 def _started(name: str, folder: Path) -> subprocess.Popen[bytes]:
-    given = ["--ros-args", "-r", f"__ns:={NAMESPACE}"]
-    command = [sys.executable, "-c", _BARE, *given, "-r", f"__node:={name}"]
-    if name in NODES:
-        given += ["--params-file", str(share_directory() / "config" / "composite_rig.yaml")]
-        for key, value in _OWN.get(name, {}).items():
-            given += ["-p", f"{key}:={value}"]
-        command = [*_HELD, sys.executable, "-c", _HEARD, name, *given]
+    command = [*_HELD, sys.executable, "-c", _HEARD, name, "--ros-args", "-r", f"__ns:={NAMESPACE}",
+               "--params-file", str(share_directory() / "config" / "composite_rig.yaml")]
+    for key, value in _OWN.get(name, {}).items():
+        command += ["-p", f"{key}:={value}"]
     with (folder / f"{name}.log").open("wb") as log:
         return subprocess.Popen(command, stdout=log, stderr=log, stdin=subprocess.DEVNULL,
-                                cwd=folder, env=tied_to_this_process())  # fmt: skip
+                                cwd=folder, env=tied_to_this_process())
 
 
-def _stopped(rng: random.Random, while_starting: bool,
-             processes: dict[str, subprocess.Popen[bytes]], folder: Path,
-             node: Any) -> dict[str, dict[str, Any]]:
-    """By node: s until it had ended, whether it was ready, and what was wrong, "" for nothing."""
-
-    def said(name: str) -> str:
-        return (folder / f"{name}.log").read_text(errors="replace")
-
-    def ready() -> dict[str, bool]:
-        return {name: "ready" in said(name) for name in processes}
-
-    # The instant.
-    until = time.monotonic() + (rng.uniform(0.0, _SLOWEST_START) if while_starting else _PATIENCE)
-    while time.monotonic() < until and (while_starting or not all(ready().values())):
-        time.sleep(_LOOK)
-    time.sleep(0.0 if while_starting else rng.uniform(0.0, _LONGEST_RUN))
-    # Ctrl-C, as a terminal sends it: to all of them.
-    were, ended = ready(), dict[str, float]()
-    begin = time.monotonic()
+def _interrupted(processes: dict[str, subprocess.Popen[bytes]],
+                 node: Any) -> tuple[dict[str, float], set[str]]:
+    """By name: s from Ctrl-C, as a terminal sends it, to its end; those another program sees."""
+    ended, begin = dict[str, float](), time.monotonic()
     for process in processes.values():
         process.send_signal(signal.SIGINT)
     while len(ended) < len(processes) and time.monotonic() < begin + _FOR_EVER:
@@ -146,22 +130,8 @@ def _stopped(rng: random.Random, while_starting: bool,
             if process.poll() is not None:
                 ended.setdefault(name, time.monotonic() - begin)
         time.sleep(_LOOK)
-    # Whom another program still sees.
     while ghosts := {n for n, where in node.get_node_names_and_namespaces() if where == NAMESPACE}:
         if time.monotonic() > begin + max(LIMIT, *ended.values(), 0.0) + _DISCOVERY:
             break
         time.sleep(_LOOK)
-
-    found, seconds = {}, {name: round(ended.get(name, _FOR_EVER), 3) for name in processes}
-    for name, process in processes.items():
-        text, status = said(name), process.poll()
-        wrong = [f"there after {seconds[name]:.1f} s" if seconds[name] > LIMIT else "",
-                 f"status {status}" if status else "",
-                 "still in the graph" if name in ghosts and name in ended else "",
-                 "not ready" if not (while_starting or were[name]) else "",
-                 "a traceback" if "Traceback" in text else ""]  # fmt: skip
-        wrong = wrong if name in NODES else wrong[2:3]
-        line = ", ".join(filter(None, wrong))
-        line += f" ({text[-300:]})" if line else ""
-        found[name] = {"seconds": seconds[name], "ready": were[name], "wrong": line}
-    return found
+    return ended, ghosts

@@ -12,12 +12,10 @@ _BUFFER = 65536
 
 
 def _compile(output, *arguments):
-    subprocess.run(
-        ["cc", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-Wshadow",
-         f"-I{FIRMWARE}", f"-I{HERE / 'host'}", "-o", output, *arguments,
-         HERE / "host" / "fake_hardware.c", *(FIRMWARE / name for name in LOGIC), "-lm"],
-        check=True,
-    )
+    subprocess.run(["cc", "-std=gnu11", "-Wall", "-Wextra", "-Werror", "-Wshadow", f"-I{FIRMWARE}",
+                    f"-I{HERE / 'host'}", "-o", output, *arguments,
+                    HERE / "host" / "fake_hardware.c", *(FIRMWARE / name for name in LOGIC), "-lm"],
+                   check=True)
     return output
 
 

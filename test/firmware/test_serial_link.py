@@ -16,12 +16,13 @@ from sma_bench.hardware import serial_link
 from sma_bench.hardware.serial_messages import DeviceState, line
 
 PATIENCE = 30.0
-QUICK = serial_link.LinkOptions(greeting_timeout=0.3, first_back_off=0.05, longest_back_off=0.2)
 VOLTS = (6000, 0, 0, 3000)
 
 
 class Watched(serial_link.SerialLink):
     """A link that remembers what it told; what it reads next becomes what `change` makes of it."""
+
+    greeting_timeout, first_back_off, longest_back_off = 0.3, 0.05, 0.2
 
     def __init__(self, path):
         self.readings, self.events, self.change = [], [], None
@@ -32,7 +33,7 @@ class Watched(serial_link.SerialLink):
             port.read = lambda size=1: self._changed_once(read(size))
             return port
 
-        super().__init__(opened, QUICK, self.readings.append, self.events.append)
+        super().__init__(opened, 100, self.readings.append, self.events.append)
 
     def _changed_once(self, data):
         change, self.change = self.change, None
@@ -233,8 +234,7 @@ class OldFirmware:
 
 
 def test_the_reason_of_a_stop_is_told_after_the_power_came_back_until_it_is_acknowledged(
-    bench, link
-):
+        bench, link):
     """Of a firmware that keeps none, nothing is expected."""
 
     def cut_power():
@@ -269,11 +269,9 @@ def test_the_reason_of_a_stop_is_told_after_the_power_came_back_until_it_is_ackn
 
 
 def test_device_that_does_not_speak_the_protocol_is_refused_and_a_port_is_found_by_its_name(
-    tmp_path,
-):
-    stranger = SimpleNamespace(
-        run=lambda seconds: None, write=lambda data: None, read=lambda: b"AT OK\r\n"
-    )
+        tmp_path):
+    stranger = SimpleNamespace(run=lambda seconds: None, write=lambda data: None,
+                               read=lambda: b"AT OK\r\n")
     with on_a_port(stranger) as bench, linked(lambda: bench.path) as link:
         wait_for(lambda: link.status.problem)
         assert link.status.problem.startswith("no answer to the handshake")
@@ -302,8 +300,7 @@ def failure(data):
     ],
 )
 def test_whatever_ends_the_conversation_is_told_and_the_stop_byte_is_sent(
-    bench, link, change, said
-):
+        bench, link, change, said):
     for _ in range(20):
         drive(link, bench)
         connected, link.change = link.status.connections, change
@@ -360,7 +357,7 @@ def test_a_host_that_was_stopped_itself_does_not_call_the_device_silent(link):
     """It finds nothing to read, and its clock beyond the limit of silence, as after SIGSTOP."""
 
     def stopped(data):
-        time.sleep(1.2 * QUICK.silence_limit)
+        time.sleep(1.2 * serial_link.SILENCE_LIMIT)
         return b""
 
     link.change, frames = stopped, link.status.telemetry

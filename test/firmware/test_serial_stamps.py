@@ -7,7 +7,7 @@ import pytest
 from uno.emulated_uno import START_UP
 from virtual_host import VirtualPort
 
-from sma_bench.hardware.serial_link import LinkError, LinkOptions, SerialLink
+from sma_bench.hardware.serial_link import LinkError, SerialLink
 from sma_bench.hardware.serial_messages import DeviceState
 
 VOLTS = (6000, 0, 0, 3000)
@@ -27,9 +27,7 @@ class Drive:
         self.frames, self.commands, self.sent = [], 0, 0
         self.hung = self._loses = False
         self._write, self.port.write = self.port.write, self._lossy
-        self.link = SerialLink(
-            lambda: self.port, LinkOptions(), self._on_reading, clock=self.port.clock
-        )
+        self.link = SerialLink(lambda: self.port, 100, self._on_reading, clock=self.port.clock)
 
     def _lossy(self, data):
         if data.startswith(b"V "):
@@ -82,11 +80,8 @@ def test_a_command_that_lost_a_byte_is_said_again_before_the_timeout(uno, lost):
     with driving(uno, 12, lost) as drive:
         status = drive.link.status
         assert status.refused >= drive.commands - 2
-        assert status.last_refusal in {
-            f"device refused {letter}: {reason}"
-            for letter in "-V"
-            for reason in ("bad format", "wrong checksum")
-        }
+        assert status.last_refusal in {f"device refused {letter}: {reason}" for letter in "-V"
+                                       for reason in ("bad format", "wrong checksum")}
 
 
 def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno):
@@ -101,7 +96,7 @@ def test_a_late_driver_is_spoken_for_but_not_one_that_hangs(uno):
 @pytest.mark.parametrize(("rate", "drift"), [(100, 2e-3), (500, -2e-3)])
 def test_stamps_are_acquisition_times_within_a_millisecond(uno, rate, drift):
     port, readings = VirtualPort(uno, drift), []
-    link = SerialLink(lambda: port, LinkOptions(rate=rate), readings.append, clock=port.clock)
+    link = SerialLink(lambda: port, rate, readings.append, clock=port.clock)
     link.start()
     while not readings or readings[-1].time < 4.0:
         assert link.status.problem == ""

@@ -41,10 +41,8 @@ TOLERANCES = yaml.safe_load(Path(__file__).with_name("golden_numbers.yaml").read
 
 @pytest.mark.parametrize(("number", "now", "outside"), TOLERANCES)
 def test_each_number_has_its_own_tolerance(number, now, outside):
-    kept, found, other = (
-        {"a wire": golden.Result({name: golden.Number(*given)})}
-        for name, given in (("x", number), ("x", now), ("y", number))
-    )
+    kept, found, other = ({"a wire": golden.Result({name: golden.Number(*given)})}
+                          for name, given in (("x", number), ("x", now), ("y", number)))
     assert any(out for out, _ in golden.compare(kept, found)) is outside
     # One that is gone fails, and a new one does not.
     assert [out for out, _ in golden.compare(kept, other)] == [True, False]

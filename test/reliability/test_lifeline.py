@@ -95,8 +95,7 @@ def ends_with(parent, pid):
     (STARTS_A_NODE, []), (STARTS_AS_LAUNCH_DOES, []), (STARTS_AS_LAUNCH_DOES, ["setsid"]),
 ], ids=["by a command", "as launch does", "setsid"])  # fmt: skip
 def test_a_node_ends_with_whoever_started_it_unless_it_lives_by_itself_and_leaves_a_whole_bag(
-    tmp_path, ros_domain, program, setsid
-):
+        tmp_path, ros_domain, program, setsid):
     bag = tmp_path / "bag"
     parent, pid = started(program, bag, *setsid)
     assert within(bag.exists)

@@ -27,13 +27,3 @@ def test_a_sound_bench_is_let_be_and_one_that_is_not_is_cut(kind, seconds, unsou
     cuts = soak.PLAYS[kind](replace(SOUND, **unsound), 1, seconds)
     assert cuts and all(0.0 <= at <= seconds for at, _ in cuts)
     assert any(reason.startswith(said) for _, reason in cuts), cuts
-
-
-def test_an_emulated_uno_drives_as_it_is_asked_for_some_seconds(
-    emulator, firmware_image, monkeypatch
-):
-    monkeypatch.setattr(soak, "built", lambda _: (emulator, firmware_image))
-    assert soak.minutes_of_the_uno(SOUND, 1, 4.0) == []
-    # What a supply of 5 V cannot give is no false cut, but it shows that somebody looks.
-    cuts = soak.minutes_of_the_uno(replace(SOUND, sag=3.0), 1, 8.0)
-    assert cuts, "nobody looked"

@@ -1064,7 +1064,7 @@ TEST(whatever_comes_between_two_cuts_no_reason_is_ever_made_up)
     unsigned newest = 0, stored = 0;
     fake_start(1);
     noted[0] = trips_last();
-    while (cuts < 100000) {
+    while (cuts < 20000) {
         draw = draw * 1664525u + 1013904223u;
         uint8_t what = draw >> 24;
         if (what < 10) {
