@@ -18,9 +18,9 @@ SIDES = ("front", "back")  # of the device's boards, and of its range sensors
 _PER_SIDE = CHANNELS // len(SIDES)
 _RECENT = 0.05  # of the mean at rest, a reading
 _LEAST_DUTY = 1e-3  # below it a converter's step of mean current is amplified more than 30 times
-# Of a shared current sensor: s between two readings whose difference is what a step of the voltage
-# did to the power, much less than a phase change takes; V^2; W; differences that are enough, and of
-# which, overlapping, one counts; what is kept of the known from one to the next.
+# Of a shared current sensor: s between two readings whose difference is a step's, much less than a
+# phase change takes; V^2; W; differences that are enough, and of which, overlapping, one counts;
+# what is kept of the known from one to the next.
 _STEP_BASE, _LEAST_STEP, _LEAST_NOISE = 0.05, 0.5, 0.02
 _LEAST_PAIRS, _OVERLAP, _FORGOTTEN = 20, 5, 0.995
 _INDEPENDENT = 0.1  # of a wire's own excitation, what must not be its neighbour's too
@@ -66,9 +66,8 @@ SENSORS = {"supply": CalibratedSensor("V", "V", "voltage", lambda t: t.supply),
 
 
 class ChannelPower(NamedTuple):
-    """Equivalent direct voltage (V) and current (A) of one wire; NaN is not measured. A wire
-    switched on for the share d of the time has the heat of sqrt(d) U and, in that sense, the
-    current I/sqrt(d), I its mean: V/I is the resistance, V^2/R the power, as for direct voltage."""
+    """Direct voltage (V) and current (A) of the same heat; NaN is not measured. A wire that is on
+    for the share d of the time has sqrt(d) U and I/sqrt(d), I its mean: V/I is its resistance."""
 
     voltage: float
     current: float
@@ -155,8 +154,8 @@ class BenchSensors:
                             currents, (supply * totals[0], supply * totals[1]))
 
     def millivolts(self, voltage: Sequence[float], supply_reading: float) -> list[int]:
-        """What to command for `voltage` V at the wires; other outputs stay off. The device drives
-        by its own reading of the supply, `supply_reading` V; the calibration knows better."""
+        """What to command for `voltage` V at the wires; other outputs stay off. The device goes by
+        its own reading of the supply, `supply_reading` V; the calibration knows better."""
         true = self.supply.apply(supply_reading)
         scale = supply_reading / true if supply_reading > 0.0 and true > 0.0 else 1.0
         volts = dict(zip(self.channels, voltage, strict=True))
@@ -164,9 +163,8 @@ class BenchSensors:
 
 
 class SharedWatch:
-    """Two wires behind one current sensor: does each take its part of a step? A broken wire shows
-    in its own readings, but not with a stronger one: they share the current like their duties. But
-    the board's power is sum(V^2/R): a step of the voltages has each wire's conductance in it."""
+    """Two wires behind one current sensor: does each take its part of a step? They share what is
+    read like their duties; but the board's power is sum(V^2/R), each wire's conductance in it."""
 
     def __init__(self, channels: Sequence[str]) -> None:
         self._channels = channels
@@ -236,9 +234,8 @@ class SensorFit(NamedTuple):
 
 def fit_sensor(name: str, readings: Sequence[float], known: Sequence[float],
                shift: float = 0.0) -> SensorFit:
-    """Fit a sensor of SENSORS to readings (n,) of known loads (n,). `shift`: m, depth of the lens
-    behind the face of a range sensor; others have none. Raises InputError: fewer than two different
-    readings, values that are not finite, a gain of zero, a distance not in front of the lens."""
+    """Fit a sensor of SENSORS to readings (n,) of known loads (n,). `shift`: m, depth of a range
+    sensor's lens behind its face. Raises InputError: loads that tell no gain."""
     kind, std = SENSORS[name], dict[str, float]()
     x, y = np.asarray(readings, dtype=float), np.asarray(known, dtype=float)
     if x.shape != y.shape:
@@ -295,34 +292,25 @@ def _last_digit(values: Sequence[float]) -> float:
 
 class Instrument:
     """What a sensor (voltage, current, temperature, range, force) makes of a true value, by the
-    simulator's parameters: noise, drawn in blocks for nodes that read one by one; quantisation."""
+    simulator's parameters: noise, drawn in blocks, and quantisation."""
 
     def __init__(self, settings: Mapping[str, Any], quantity: str,
                  seed: np.random.SeedSequence) -> None:
         self._noise = settings[f"sensor.{quantity}_noise"]
         self._resolution = settings.get(f"sensor.{quantity}_resolution", 0.0)
-        self._random = np.random.default_rng(seed)
-        self._drawn: list[float] = []
+        self._random, self._drawn = np.random.default_rng(seed), np.empty(0)
 
     def read(self, value: float) -> float:
-        if self._noise > 0.0:
-            self._drawn = self._drawn or self._block()
-            value += self._drawn.pop()
-        if self._resolution > 0.0:
-            value = round(value / self._resolution) * self._resolution
-        return value
+        return float(self.read_all(np.array([value]))[0])
 
     def read_all(self, values: Array) -> Array:
         """The readings of true values (n,), bit by bit as of one `read` after the other."""
         if self._noise > 0.0:
-            while len(self._drawn) < len(values):
-                self._drawn = self._block() + self._drawn
-            first = len(self._drawn) - len(values)
-            values = values + np.array(self._drawn[first:])[::-1]
-            del self._drawn[first:]
+            while len(self._drawn) < len(values):  # the newest block is used up last
+                block = self._noise * self._random.standard_normal(_BLOCK)
+                self._drawn = np.concatenate([block, self._drawn])
+            self._drawn, taken = np.split(self._drawn, [len(self._drawn) - len(values)])
+            values = values + taken[::-1]
         if self._resolution > 0.0:
             values = np.rint(values / self._resolution) * self._resolution + 0.0  # no -0.0
         return values
-
-    def _block(self) -> list[float]:
-        return (self._noise * self._random.standard_normal(_BLOCK)).tolist()

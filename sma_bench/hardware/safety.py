@@ -2,8 +2,7 @@
 
 Every rule answers with a reason, one line for people, or "": whoever asked puts the outputs to 0 V.
 Those about readings are three tables, evaluated by `broken`: limits, broken at once, and what a
-wire should do by the model, which it must fail to do for a while (a broken or shorted wire, a
-camera that looks elsewhere, a cooling fan that stopped)."""
+wire should do by the model, which must last for a while (a camera that looks elsewhere)."""
 
 import math
 from collections import deque
@@ -93,9 +92,8 @@ class Limits:
         return steady + (temperature - steady) * decay
 
     def heating_voltage(self, volt: float, ampere: float) -> float:
-        """V that heat the wire at least as what was measured; NaN is not measured. A current that a
-        wire may have says what it takes; with any other the wire counts as a new one. A current
-        without a voltage heats too: a switch that does not open."""
+        """V that heat the wire at least as what was measured; NaN is not measured. With a current
+        that no wire may have it counts as new; one without volts heats too: a stuck switch."""
         if volt >= LEAST_VOLTAGE and abs(ampere - volt / self.circuit) <= self.allowed_stray(volt):
             return self.measured_voltage(volt, ampere)
         powers = [volt**2 / self.heated, (volt - self.leads * ampere) * ampere]

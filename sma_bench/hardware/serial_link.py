@@ -34,7 +34,10 @@ _ASKS, _ANSWER_TIMEOUT = 3, 0.5  # s; the device answers within a few ms
 _LATEST = 5.0  # s in which an answer no longer waited for is still no other host's
 _LONGEST_WAIT = 0.1  # s of silence that one read counts for
 _REPEAT, _SPOKEN_FOR = 0.05, 0.25  # s between sendings; that their driver may be away meanwhile
+_PING_PERIOD = 0.0837  # s, no multiple of a window: pings must meet pauses between frames
+_COUNTERS_PERIOD, SILENCE_LIMIT = 1.0, 1.0  # s
 _REMEMBERED, _TICK = 64, 1e-6  # sendings; s between two stamps, at least
+_LONGEST_WINDOW = 1_100_000  # us; of the lowest rate, 1 Hz, with a window of another in it
 _LONG_PAUSE = 0.75  # of the device's timeout: a pause in which all is this host's fault
 _ALWAYS_ASKED = "ACDR"  # what changes who drives: never answered to whom has not asked
 _NOT_OUR_SESSION = messages.REASONS.index("wrong nonce or session")
@@ -157,8 +160,9 @@ class LinkStatus:
         elapsed = (telemetry.time_us - self.newest.time_us) % messages.TURN
         windows = (telemetry.sequence - self.newest.sequence) % NUMBERS
         left = (elapsed - windows * period_us + period_us) % (NUMBERS * period_us)
-        # The window in which the rate was set is shorter or longer.
-        return elapsed > messages.TURN // 2 or (windows != 1 and left > 2 * period_us)
+        # The window in which the rate was set is shorter or longer, but never that long.
+        is_next = windows == 1 and elapsed < _LONGEST_WINDOW
+        return elapsed > messages.TURN // 2 or (not is_next and left > 2 * period_us)
 
     @property
     def diagnostics(self) -> dict[str, Any]:
@@ -177,28 +181,18 @@ class LinkStatus:
         return values | {f"device_{name}": count for name, count in self.counters.items()}
 
 
-@dataclass(frozen=True)
-class LinkOptions:
-    """Times in s, rate of telemetry in Hz (a divisor of 1000, to 500)."""
-
-    rate: int = 100
-    ping_period: float = 0.0837  # no multiple of a window: pings must meet pauses between frames
-    counters_period: float = 1.0
-    greeting_timeout: float = 2.5
-    silence_limit: float = 1.0
-    first_back_off: float = 0.5
-    longest_back_off: float = 8.0
-
-
 class SerialLink:
     """See the module. `on_reading` and `on_event` are called in the link's own thread."""
 
-    def __init__(self, open_port: Callable[[], serial.Serial], options: LinkOptions | None = None,
+    greeting_timeout, first_back_off, longest_back_off = 2.5, 0.5, 8.0  # s
+
+    def __init__(self, open_port: Callable[[], serial.Serial], rate: int = 100,
                  on_reading: Callable[[Telemetry], None] = lambda _: None,
                  on_event: Callable[[str], None] = lambda _: None,
                  clock: Callable[[], float] = time.monotonic) -> None:
-        self._open_port, self._options = open_port, options or LinkOptions()
-        self._on_reading, self._on_event, self._now = on_reading, on_event, clock
+        """`rate` of telemetry: Hz, a divisor of 1000, to 500."""
+        self._open_port, self._rate, self._now = open_port, rate, clock
+        self._on_reading, self._on_event = on_reading, on_event
         self._status = LinkStatus()
         self._heard = threading.Condition()  # an answer, or news of the status
         # The connection: port, what is read from it, and the question that is open.
@@ -352,11 +346,11 @@ class SerialLink:
         return found, now
 
     def _live(self) -> None:
-        back_off = self._options.first_back_off
+        back_off = self.first_back_off
         while not self._closing.is_set():
             try:
                 self._connect()
-                back_off = self._options.first_back_off
+                back_off = self.first_back_off
                 self._serve()
             except Exception as error:  # a thread that died would go on looking connected
                 known = isinstance(error, OSError | LinkError | InputError)
@@ -376,7 +370,7 @@ class SerialLink:
                     with contextlib.suppress(OSError):
                         lost.close()
             self._closing.wait(back_off)
-            back_off = min(2.0 * back_off, self._options.longest_back_off)
+            back_off = min(2.0 * back_off, self.longest_back_off)
 
     def _connect(self) -> None:
         status = self._status
@@ -384,7 +378,7 @@ class SerialLink:
         status.not_understood, status.unasked = 0, ""
         self._port = self._open_port()
         # Opening may have reset the device; asking its bootloader would hold it there.
-        until = self._now() + self._options.greeting_timeout
+        until = self._now() + self.greeting_timeout
         while self._now() < until and not self._closing.is_set():
             if self._receive()[0]:
                 break
@@ -402,8 +396,8 @@ class SerialLink:
             raise LinkError("no answer to the handshake: is the bench's firmware on this port?")
         device = messages.DeviceIdentity.from_lines(said)
         trip = messages.Trip.told(said["H"].values)
-        binary = self._options.rate > BINARY_ABOVE
-        self._say("B" if binary else "T", self._options.rate)
+        binary = self._rate > BINARY_ABOVE
+        self._say("B" if binary else "T", self._rate)
         self._splitter.expect(binary)
         with self._heard:
             # The first frame of a connection is not late.
@@ -416,7 +410,7 @@ class SerialLink:
 
     def _serve(self) -> None:
         last = next_ping = self._now()
-        next_count = last + self._options.counters_period
+        next_count = last + _COUNTERS_PERIOD
         silence = 0.0
         while not self._closing.is_set():
             received, now = self._receive(next_ping - self._now())
@@ -429,17 +423,17 @@ class SerialLink:
                 said = self._said[-1] if self._said else -math.inf
                 if now - said > _REPEAT and now - self._drove < _SPOKEN_FOR:
                     self._say_volts()
-            if silence > self._options.silence_limit:
+            if silence > SILENCE_LIMIT:
                 raise LinkError(f"the device is silent for {silence:.2f} s")
             if now >= next_ping:
-                next_ping = now + self._options.ping_period
+                next_ping = now + _PING_PERIOD
                 number = (self._ping[0] + 1) % NUMBERS
                 # Its last byte leaves when the cable has carried all of them.
                 on_cable = self._say("P", number)
                 self._ping = number, self._now() + on_cable
             # Not together with a ping: at 500 Hz there is no time for two answers in a window.
-            if now >= next_count and next_ping - now < 0.5 * self._options.ping_period:
-                next_count = now + self._options.counters_period
+            if now >= next_count and next_ping - now < 0.5 * _PING_PERIOD:
+                next_count = now + _COUNTERS_PERIOD
                 self._say("S")
 
     def _act(self, message: messages.Message, now: float) -> None:
@@ -476,7 +470,7 @@ class SerialLink:
         # A window of readings.
         if message.state > max(DeviceState):
             raise LinkError(f"the device is in state {message.state}, which nobody knows here")
-        if status.restarted(message, round(1e6 / self._options.rate)):
+        if status.restarted(message, round(1e6 / self._rate)):
             raise LinkError("the device restarted by itself")
         with self._heard:
             stopped_already = status.stopped
@@ -496,7 +490,7 @@ class SerialLink:
             # A window cannot end after it was received, nor before the one before it: what is known
             # of the device's clock gets better meanwhile, in the first seconds by milliseconds.
             self._ended = max(min(ended, now), self._ended + _TICK)
-            self._on_reading(message._replace(time=self._ended - 0.5 / self._options.rate))
+            self._on_reading(message._replace(time=self._ended - 0.5 / self._rate))
 
     def _why_silent(self, now: float) -> str:
         with self._driving:

@@ -268,10 +268,9 @@ _Points = deque[tuple[float, float]]  # device s, host s
 
 class DeviceClock:
     """Host time = offset + (1 + drift) device time; host times are s of one monotonic clock. A
-    delay only ever makes a message later. So the latest line that no frame was heard before has the
-    drift, and lies behind the device's clock by the least time that a frame takes; no delay moves
-    it (Moon, Skelly, Towsley, INFOCOM 1999, for packets). How far behind, pings show: the soonest
-    question there and the soonest answer back took equally long, as far as anyone can know."""
+    delay only makes a message later: the latest line that no frame was heard before has the drift,
+    behind the device's clock by the least time that a frame takes (Moon, Skelly, Towsley, INFOCOM
+    1999). How far, pings show: the soonest question there and answer back took equally long."""
 
     def __init__(self) -> None:
         self._last_us: int | None = None

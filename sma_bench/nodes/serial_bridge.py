@@ -15,7 +15,7 @@ from sma_bench.errors import InputError
 from sma_bench.hardware.bench_driver import BenchDriver
 from sma_bench.hardware.bench_sensors import SIDES, BenchSensors
 from sma_bench.hardware.safety import CELSIUS_ZERO, Guard, Limits
-from sma_bench.hardware.serial_link import LinkError, LinkOptions, SerialLink, find_port, open_port
+from sma_bench.hardware.serial_link import LinkError, SerialLink, find_port, open_port
 from sma_bench.hardware.serial_messages import Telemetry
 from sma_bench.live.recording import RECORDER, recorder_failure
 from sma_bench.nodes.base import BRIDGE, BenchNode, be_punctual
@@ -52,7 +52,7 @@ class SerialBridge(BenchNode):
         self._channels = self.parameters["bench.channels"]
         sensors = BenchSensors(self.parameters["bench.channel_sides"], settings)
         self._link = SerialLink(lambda: open_port(settings["port"] or find_port()),
-                                LinkOptions(rate=rate), self._arrived.append, self._events.append)
+                                rate, self._arrived.append, self._events.append)
         self._guard = Guard(self._channels, settings["feedback"], settings["feedback_timeout"])
         self._limits = Limits.from_parameters(self.parameters)
         self._driver = driver = BenchDriver(self._link, sensors, self._guard, self._channels,

@@ -14,11 +14,9 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 
 SETTINGS = {parameter.name: parameter.default for parameter in SERIAL_BRIDGE}
-DEVICE = DeviceIdentity(
-    "sma-uno", "0", "power-on", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0, 2.0
-)
-SUPPLY = 12.0
-RESISTANCE = 2.6987
+DEVICE = DeviceIdentity("sma-uno", "0", "power-on", 10.0, 0.2, 6.5, 12.0, (6.0, 15.0), 1.0, 8.0,
+                        2.0)
+SUPPLY, RESISTANCE = 12.0, 2.6987
 
 
 class FakeLink:
@@ -26,21 +24,18 @@ class FakeLink:
 
     def __init__(self):
         self.status = LinkStatus(connected=True, device=DEVICE, connections=1)
-        self.sent, self.limits = [], []
+        self.sent, self.limits, self.armings = [], [], 0
         self.armed = self.deaf = self.stuck = False
         # Answers that are late, by the command's letter; s by which frames are.
-        self.late, self.lag = Counter(), 0.0
-        self.device_time, self.leaks, self.armings = 0.0, 0.0, 0
+        self.late, self.lag, self.device_time, self.leaks = Counter(), 0.0, 0.0, 0.0
         self.pass_time(0.0)
 
     def pass_time(self, seconds):
         """Frames of what the device has measured by then come in."""
         self.device_time += seconds
-        if self.lag:
-            self.lag = max(self.lag - seconds, 0.0)
-            return
-        closed = self.leaks if self.armed else 0.0
-        self.status.newest = telemetry(self.device_time, closed)
+        if not self.lag:
+            self.status.newest = telemetry(self.device_time, self.leaks if self.armed else 0.0)
+        self.lag = max(self.lag - seconds, 0.0)
 
     def answer(self, letter):
         if self.late[letter]:
@@ -66,7 +61,6 @@ class FakeLink:
         if not self.armed:
             raise LinkError("not armed")
         self.sent.append(list(millivolts))
-        return len(self.sent)
 
     def stop(self):
         self.sent.append("stop")
@@ -90,15 +84,12 @@ class Bench:
     """A driver of one wire; `pass_time` lets readings come that agree with the last command."""
 
     def __init__(self, waiver="", enabled=False, seconds=0.1, **contract):
-        self.link = FakeLink()
-        self.now = 100.0
+        self.link, self.now = FakeLink(), 100.0
         parameters = Parameters({f"bench.{name}": value for name, value in contract.items()})
         self.limits = Limits.from_parameters(parameters)
         self.guard = Guard(["wire"], ["power", "temperature"], 1.0)
-        self.driver = BenchDriver(
-            self.link, BenchSensors(["front"], SETTINGS), self.guard, ["wire"], self.limits,
-            waiver=waiver, pause=self.link.pass_time,
-        )
+        self.driver = BenchDriver(self.link, BenchSensors(["front"], SETTINGS), self.guard,
+                                  ["wire"], self.limits, waiver=waiver, pause=self.link.pass_time)
         self.pass_time(seconds)
         if enabled:
             self.driver.enable(self.now)
@@ -248,10 +239,8 @@ def test_enabling_tests_itself_first_unless_it_has_or_somebody_says_why_not(benc
     assert [f.check for f in found] == checks
     assert [f.check for f in found if not f.passed] == ["clock"]
     assert bench.driver.state == "idle"
-    for broken, why in (
-        ("deaf", "self-test: stop: FAILED"),
-        ("stuck", "relay: FAILED, .*current with all outputs off"),
-    ):
+    for broken, why in (("deaf", "self-test: stop: FAILED"),
+                        ("stuck", "relay: FAILED, .*current with all outputs off")):
         setattr(bench.link, broken, True)
         assert broken == "stuck" or not bench.driver.self_test()[-1].passed
         bench.refuses(why)
@@ -346,10 +335,8 @@ def test_an_open_wire_beside_a_driven_one_keeps_the_drive_off_until_it_is_whole(
     found = ["open: front_2 takes 0% of its current"]
     monkeypatch.setattr(SharedWatch, "power", lambda *_: found[0])
     made, sensors = Bench(), BenchSensors(["front", "front"], SETTINGS)
-    made.driver = BenchDriver(
-        made.link, sensors, Guard(["a", "b"], ["power"], 1.0), ["a", "b"],
-        Limits.from_parameters(Parameters()), pause=made.link.pass_time,
-    )
+    made.driver = BenchDriver(made.link, sensors, Guard(["a", "b"], ["power"], 1.0), ["a", "b"],
+                              Limits.from_parameters(Parameters()), pause=made.link.pass_time)
     made.guard.temperature = lambda *_: None
     made.read()
     made.refuses("open: front_2")

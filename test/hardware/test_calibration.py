@@ -42,9 +42,8 @@ def test_stated_errors_cover_the_truth():
 def test_triangulation_sensor_is_fitted_over_the_inverse_distance_and_bad_loads_are_refused():
     distances = np.array([0.04, 0.06, 0.10, 0.15, 0.30])
     voltages = 0.12 / (distances + 0.0042) - 0.05
-    fitted = Calibration(
-        *fit_sensor("back_range", voltages, distances, shift=0.0042).parameters.values()
-    )
+    fitted = Calibration(*fit_sensor("back_range", voltages, distances,
+                                     shift=0.0042).parameters.values())
     assert [fitted.apply(volt) for volt in voltages] == pytest.approx(distances, rel=1e-9)
     assert fitted.apply(-0.1) == math.inf
     for sensor, readings, known, complaint in (

@@ -7,13 +7,11 @@ import pytest
 
 from sma_bench.hardware.serial_messages import DeviceClock
 
-WRAP = 1 << 32
-STEP = 1e-4
+WRAP, STEP = 1 << 32, 1e-4
 
 
 def synchronised(drift, seconds, latency=1e-3, start_us=0):
-    """A clock after pings at 12 Hz: each way takes 0.2 ms and an exponential time, the device 1 to
-    3 ms in between."""
+    """After pings at 12 Hz: each way takes 0.2 ms and more, the device 1 to 3 ms in between."""
     random, clock = np.random.default_rng(1), DeviceClock()
 
     def stamp(host):
@@ -65,9 +63,6 @@ def test_a_host_that_slept_for_two_seconds_finds_its_stamps_right():
     assert later == pytest.approx(10.0 + 1.0 / (1.0 - 1e-3), abs=1e-3)
 
 
-# --- busy computers
-
-
 def stalled(random, host, a_second):
     """When nothing runs: stalls of heavy-tailed length, 1 ms to 0.3 s, half of them above 2 ms."""
     still = np.zeros(len(host), dtype=bool)
@@ -78,11 +73,8 @@ def stalled(random, host, a_second):
 
 
 def listened(seed, stumbling, drift, rate, seconds=10.0):
-    """Errors in s of the stamps of all frames after 5 s.
-
-    The host, busy, neither writes nor reads during its stalls. A `stumbling` device stands still
-    during its own, and catches up at three times the speed, as an emulator does.
-    """
+    """Errors in s of the stamps of all frames after 5 s. The host neither writes nor reads during
+    its stalls; a `stumbling` device catches up at three times the speed, as an emulator does."""
     random = np.random.default_rng(seed)
     host = np.arange(0.0, seconds + 3.0, STEP)
     awake = host[~stalled(random, host, 20.0)]
@@ -116,9 +108,8 @@ def listened(seed, stumbling, drift, rate, seconds=10.0):
     return np.array(errors)
 
 
-@pytest.mark.parametrize(
-    ("stumbling", "drift", "rate"), [(False, -4e-3, 500), (False, 4e-3, 100), (True, 0.0, 100)]
-)
+@pytest.mark.parametrize(("stumbling", "drift", "rate"),
+                         [(False, -4e-3, 500), (False, 4e-3, 100), (True, 0.0, 100)])
 def test_neither_a_busy_host_nor_a_stumbling_emulator_moves_the_stamps(stumbling, drift, rate):
     for seed in range(3 if stumbling else 2):
         errors = listened(seed, stumbling, drift, rate)

@@ -31,11 +31,10 @@ def test_limits_are_those_of_the_contract_inclusive_and_nan_is_no_reading():
     assert (LIMITS.maximum_voltage, LIMITS.maximum_current) == (10.0, 3.0)
     assert (LIMITS.maximum_temperature, LIMITS.command_timeout) == (423.15, 0.5)
     assert (LIMITS.maximum_power, LIMITS.maximum_heating_rate) == (30.0, 1500.0)
-    for rules, name, good, bad, said in (
-        (safety.temperature_rules, "kelvin", 423.15, 423.25,
-         "over-temperature: b at 150.1 degC, limit 150"),
-        (power_rules, "ampere", 3.0, -3.1, "over-current: b at -3.10 A, limit 3 A"),
-    ):
+    for rules, name, good, bad, said in ((safety.temperature_rules, "kelvin", 423.15, 423.25,
+                                          "over-temperature: b at 150.1 degC, limit 150"),
+                                         (power_rules, "ampere", 3.0, -3.1,
+                                          "over-current: b at -3.10 A, limit 3 A")):
         for value in (good, NAN):
             assert broken(rules(Wire("b", **{name: value}), LIMITS)) == {}
         (reason,) = broken(rules(Wire("b", **{name: bad}), LIMITS)).values()
@@ -174,9 +173,6 @@ def test_a_second_commander_is_refused_until_the_first_is_silent_but_for_zero_vo
     assert gate.command([3.0], 0.2, other) == ""
 
 
-# --- one wire against its model
-
-
 def watched(commanded, *readings, limits=LIMITS, unseen=False):
     wire, now = Wire("wire"), 0.0
     wire.command(commanded)
@@ -206,18 +202,16 @@ def test_a_deviation_must_last_without_a_gap():
 
 def test_a_wire_that_does_as_commanded_is_left_alone_and_one_that_does_not_disagrees():
     """Small voltages too; broken and shorted wires by their resistance."""
-    for commanded, volt, ampere in (
-        (3.0, 3.0, 3.0 / R), (3.0, 3.0, NAN), (0.9, 0.9, 0.0), (8.0, 8.45, 8.45 / R),
-    ):
+    for commanded, volt, ampere in ((3.0, 3.0, 3.0 / R), (3.0, 3.0, NAN), (0.9, 0.9, 0.0),
+                                    (8.0, 8.45, 8.45 / R)):
         assert powered(commanded, volt, ampere, 3.0) == ""
     wire = Wire("wire")
     for k, now in enumerate(moments(3.0)):
         wire.command(6.0 if k % 2 else 0.0)
         wire.power(6.0, 6.0 / R, now, LIMITS)
         assert broken(power_rules(wire, LIMITS, 1.0), now, wire.since) == {}
-    for commanded, volt in (
-        (0.4, 0.0), (0.0, 0.2), (0.4, 0.6), (8.0, 8.6), (8.0, 7.4), (9.9, 9.34),
-    ):
+    for commanded, volt in ((0.4, 0.0), (0.0, 0.2), (0.4, 0.6), (8.0, 8.6), (8.0, 7.4),
+                            (9.9, 9.34)):
         said = f"disagreement: wire gets {volt:.2f} V, commanded {commanded:.2f} V, tolerance"
         assert powered(commanded, volt, volt / R).startswith(said)
         near = commanded + 0.2 * (volt - commanded)
@@ -347,10 +341,9 @@ def test_a_wire_that_aged_in_a_cold_room_and_a_draught_is_not_a_camera_that_sees
     """Its current says what heats it, and what it had at rest is its room, within 20 K."""
     aged, draught, room = 1.2 * R, 1.7, LIMITS.ambient - 18.0
     rise = 7.7**2 / aged / LIMITS.heat_loss
-    for at_rest, driven, cut in (
-        (room, room + rise / draught, ""), (room, room, "5 degC, the model says 120 degC"),
-        (room - 30.0, room + 15.0, "20 degC, the model says 118 degC"),
-    ):
+    for at_rest, driven, cut in ((room, room + rise / draught, ""),
+                                 (room, room, "5 degC, the model says 120 degC"),
+                                 (room - 30.0, room + 15.0, "20 degC, the model says 118 degC")):
         bench = Bench(feedback=[])
         for now in moments(3.0):
             assert bench.read(now, 0.0, 0.0, at_rest) == ""
@@ -374,9 +367,6 @@ def test_a_wire_that_aged_in_a_cold_room_and_a_draught_is_not_a_camera_that_sees
     assert fault == ""
 
 
-# --- two wires behind one sensor
-
-
 def found_open(volts, broken, seed, seconds):
     draw, austenite = np.random.default_rng(seed), np.zeros(2)
     watch = SharedWatch(("front_1", "front_2"))
@@ -393,11 +383,9 @@ def found_open(volts, broken, seed, seconds):
     return ""
 
 
-DRIVES = {
-    "weak beside strong": lambda draw: (6.0, float(draw.choice([0.0, 1.5, 2.0]))),
-    "apart": lambda draw: (float(draw.uniform(3.0, 8.0)), float(draw.uniform(0.0, 2.5))),
-    "alike": lambda draw: float(draw.uniform(0.0, 8.0)) * np.array([1.0, 1.0 / 3.0]),
-}
+DRIVES = {"weak beside strong": lambda draw: (6.0, float(draw.choice([0.0, 1.5, 2.0]))),
+          "apart": lambda draw: (float(draw.uniform(3.0, 8.0)), float(draw.uniform(0.0, 2.5))),
+          "alike": lambda draw: float(draw.uniform(0.0, 8.0)) * np.array([1.0, 1.0 / 3.0])}
 
 
 @pytest.mark.parametrize("drive", DRIVES)

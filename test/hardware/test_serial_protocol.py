@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from sma_bench.errors import InputError
@@ -140,13 +140,13 @@ def test_a_last_trip_without_its_numbers_is_one_line(said):
 
 def window(number, period_us=10000):
     time_us = number * period_us % (1 << 32)
-    return Telemetry(
-        number % 65536, time_us, 0, 0, 12.0, (0.0, 0.0), (0.0, 0.0), (0.0, 0.0, 0.0, 0.0), 0
-    )
+    return Telemetry(number % 65536, time_us, 0, 0, 12.0, (0.0, 0.0), (0.0, 0.0),
+                     (0.0, 0.0, 0.0, 0.0), 0)
 
 
 @given(uptime=st.integers(1000, 2_000_000), first=st.integers(1, 50),
-       period=st.sampled_from((2000, 10000, 100000)))  # fmt: skip
+       period=st.sampled_from((2000, 10000, 100000)))
+@example(uptime=65536, first=1, period=100000)  # the count goes on as if nothing had happened
 def test_a_restart_is_noticed_after_any_uptime(uptime, first, period):
     """Most of all between half a turn of the clock, 35.8 min, and a whole one."""
     status = LinkStatus()

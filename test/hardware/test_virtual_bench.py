@@ -73,12 +73,8 @@ def test_mechanics_of_every_load_are_read_as_its_sensors_see_them():
 
 def test_readings_of_a_pulse_do_not_depend_on_the_wait_before_it_and_pulses_differ():
     def pulse(bench, begin):
-        found = [
-            reading.values
-            for k in range(begin + 1, begin + 41)
-            for reading in bench.advance((2.0,), k * 50_000_000)
-            if reading.kind != "ambient"
-        ]
+        found = [reading.values for k in range(begin + 1, begin + 41)
+                 for reading in bench.advance((2.0,), k * 50_000_000) if reading.kind != "ambient"]
         list(bench.advance((0.0,), (begin + 100) * 50_000_000))
         return found
 
@@ -100,9 +96,8 @@ def test_noise_and_steps_are_those_of_the_hardware_and_a_seeds_one_by_one_and_ma
     assert np.std(celsius) == pytest.approx(np.hypot(0.08, 0.1 / np.sqrt(12)), rel=0.1)
     assert np.allclose(celsius * 10, np.round(celsius * 10))
     true = np.linspace(-0.3, 2.0, 9000)
-    apart, together, other = (
-        Instrument(SETTINGS, "temperature", np.random.SeedSequence(seed)) for seed in (5, 5, 4)
-    )
+    apart, together, other = (Instrument(SETTINGS, "temperature", np.random.SeedSequence(seed))
+                              for seed in (5, 5, 4))
     one_by_one = np.array([apart.read(value) for value in true.tolist()])
     parts = [together.read_all(true[:10]), [together.read(true[10])], together.read_all(true[11:])]
     assert np.concatenate(parts).tobytes() == one_by_one.tobytes()
@@ -129,9 +124,8 @@ def test_instruments_show_the_effects_that_are_on():
     assert 0.5 * (back - front) == pytest.approx(drift, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("drive", "leads", "count"), [("voltage", 0.0, 1), ("duty", 0.3, 2), ("current", 0.3, 2)]
-)
+@pytest.mark.parametrize(("drive", "leads", "count"),
+                         [("voltage", 0.0, 1), ("duty", 0.3, 2), ("current", 0.3, 2)])
 def test_guard_finds_nothing_in_a_sound_bench_of_any_drive(drive, leads, count):
     rig = {"bench.drive": drive, "bench.lead_resistance": leads, "wire.count": count}
     parameters = WIRE.replace(rig)
@@ -156,8 +150,6 @@ def test_guard_finds_nothing_in_a_sound_bench_of_any_drive(drive, leads, count):
         guard.power("wire", *power, now, now, limits)
     assert "disagreement: wire gets" in guard.fault(now)
 
-
-# --- lockstep with a driver
 
 TIMEOUT, PATIENCE = 0.5, 2.0
 

@@ -24,9 +24,8 @@ def grid():
     return kelvin, radiance(kelvin)
 
 
-def scene(
-    width, height, way, thickness, kelvin, emissivity=1.0, background=ROOM, blur=0.7, reflected=ROOM
-):
+def scene(width, height, way, thickness, kelvin, emissivity=1.0, background=ROOM, blur=0.7,
+          reflected=ROOM):
     """True temperatures (height, width) in K, without noise, of a wire at `way(y)` (x, slope)."""
     y, x = (np.mgrid[0 : height * FINE, 0 : width * FINE] + 0.5) / FINE - 0.5
     centre, slope = way(y)
