@@ -27,12 +27,10 @@ def require(subject: str, name: str, value: float, unit: str = "", zero: bool = 
         raise InputError(f"{subject}: {name} is {value}{unit}, expected {expected}")
 
 
-# --- A PI controller with anti-windup, and the rule that tunes it.
+# --- A PI controller with anti-windup, and the rule that tunes it. sat limits the output and its
+# rate; I has units of the output, so that gains may change without a bump.
 #
 #     u = sat[u_ff + K (r - y) + I],   dI/dt = K/T_i (r - y) + (sat[u] - u)/T_i
-#
-# sat limits the output and its rate. The second term (back-calculation) leads the integral back to
-# what the output can do. I has units of the output, so that gains may change without a bump.
 
 
 class Gains(NamedTuple):
@@ -44,13 +42,10 @@ class Gains(NamedTuple):
     @classmethod
     def simc(cls, gain: float, time_constant: float, delay: float,
              closed_loop_time: float = 0.0) -> Self:
-        """Tuned for gain e^(-delay s)/(time_constant s + 1) by Skogestad's rule (SIMC, 2003).
-
-        K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). The reference step response
-        then is that of a lag tau_c after the delay, without overshoot while T_i = tau. `gain`: k;
-        `time_constant`: tau [s]; `delay`: theta [s]; `closed_loop_time`: tau_c [s], 0 for half the
-        time constant, or the delay if longer: slow enough for T_i = tau, fast enough to halve the
-        time. Raises InputError: a number that no plant has."""
+        """Tuned for gain e^(-delay s)/(time_constant s + 1) by Skogestad's rule (SIMC, 2003):
+        K = tau/(k (tau_c + theta)), T_i = min(tau, 4 (tau_c + theta)). `gain`: k; times in s: tau,
+        theta, and of the closed loop tau_c, 0 for half of tau, or the delay if longer: slow enough
+        for T_i = tau, without overshoot. Raises InputError: a number that no plant has."""
         require("tuning", "time_constant", time_constant)
         require("tuning", "gain", abs(gain))
         require("tuning", "delay", delay, " s", zero=True)
@@ -104,9 +99,8 @@ class PI:
 
 
 class Heating:
-    """Power of wires as the controlled input: v = sqrt(P R) makes eq. (2) linear. Limited by what
-    voltage and current allow, and by what keeps the wires below their highest temperature by the
-    model, whatever a sensor says: a spot wider than the wire reads low."""
+    """Power of wires as the controlled input: v = sqrt(P R) makes eq. (2) linear. Limited by volts,
+    amperes, and the model's temperature, whatever a sensor says: a spot too wide reads low."""
 
     def __init__(self, p: Parameters, maximum_power: float = 0.0, power_rate: float = 0.0) -> None:
         """The wires of a bench, at ambient. `maximum_power` W is below what its voltage and current
@@ -212,24 +206,17 @@ class TemperatureController:
 
 # --- Deflection control: feed-forward by the inverse model, feedback by the linear one.
 #
-# Feed-forward. A nominal bench runs along in software. For the wanted deflection of the side in
-# charge (the other side's remaining deflection added), the inverse of the model on the present
-# branch of the hysteresis gives the wires' temperature, and eq. (2) inverted the power that brings
-# the nominal wires there within one period, as far as power can: wires only heat, V >= 0.
-#
-# Feedback. A PI on nominal minus measured deflection adds to that power. Where the nominal bench
-# cannot follow, the feedback does not ask for it. Gains are Skogestad's for the linearised model,
-# its gain interpolated along the branch between operating points.
-#
+# Feed-forward: a nominal bench runs along in software. For the wanted deflection of the side in
+# charge (the other side's remaining one added), the inverse of the model on the present branch of
+# the hysteresis gives the wires' temperature, and eq. (2) inverted the power that brings the
+# nominal wires there within one period, as far as power can: wires only heat.
+# Feedback: a PI on nominal minus measured deflection adds to that power. Gains are Skogestad's for
+# the linearised model, its gain interpolated along the branch between operating points.
 # Positive deflections are the front wires' work, negative ones the back wires'; at zero both rest.
-# A wire with a load only shortens: its deflection is its elongation, 0 or less. Antagonists pull
-# against each other as they are at the moment.
 
-# Operating points of the gain schedule, as parts of the largest deflection.
-_SCHEDULE = np.linspace(0.02, 0.98, 13)
-# Near both ends, where the gain goes to zero, the loop may slow down, not ask for more power.
-_LOWEST_PART = 0.5
-_LAST_REACHABLE = 0.999
+# Operating points of the gain schedule, as parts of the largest deflection. Near both ends, where
+# the gain goes to zero, the loop may slow down, not ask for more power.
+_SCHEDULE, _LOWEST_PART, _LAST_REACHABLE = np.linspace(0.02, 0.98, 13), 0.5, 0.999
 
 
 class _Side(NamedTuple):
@@ -268,9 +255,8 @@ class DeflectionController:
     def __init__(self, parameters: Parameters, period: float, *, delay: float = 0.0,
                  closed_loop_time: float = 0.0, maximum_power: float = 0.0, power_rate: float = 0.0,
                  feedback: bool = True) -> None:
-        """Designed for steps of `period` s. `delay`, `closed_loop_time`, `maximum_power`,
-        `power_rate`: as `TemperatureController`; `feedback`: False leaves the feed-forward alone,
-        an open loop. Raises InputError: the rig does not move, or a number out of range."""
+        """As `TemperatureController`; `feedback`: False leaves the feed-forward alone, an open
+        loop. Raises InputError: the rig does not move, or a number out of range."""
         require("deflection control", "period", period, " s")
         self.parameters, self._feedback = parameters, feedback
         self.heating = Heating(parameters, maximum_power, power_rate)
@@ -290,9 +276,8 @@ class DeflectionController:
 
     def step(self, reference: float, measured: float, dt: float,
              upcoming: float | None = None) -> Array:
-        """Voltages (w,) [V] for the next `dt` s. `reference`: m, positive toward the front, wanted
-        now; `measured`: m, NaN leaves the feed-forward alone; `upcoming`: m, wanted dt later; the
-        reference when not known. InputError: one that is not finite, or dt not above 0."""
+        """Voltages (w,) [V] for the next `dt` s. `reference`, and `upcoming` dt later: m, positive
+        toward the front; `measured`: m, NaN leaves the feed-forward alone. InputError: bad ones."""
         goal = reference if upcoming is None else upcoming
         if not math.isfinite(reference + goal):
             raise InputError(f"deflection control: reference is {reference} m, expected finite")

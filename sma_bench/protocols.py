@@ -33,23 +33,10 @@ from sma_bench.parameters.parameter import LOAD_KINDS
 _TIME_ROUNDING = 1e-6
 _PAPER_FORCE = 1.0  # N, E6 (section III.B.1)
 # What still counts as settled: the means of the two halves of a window differ by less [K, m].
-_SETTLED_WITHIN = {"temperature": 0.1, "deflection": 0.05e-3}
-
-
-@dataclass(frozen=True)
-class Until:
-    """What ends a step before its time, whichever comes first."""
-
-    # Levels by quantity: K of the hottest wire that the step drives, or m of the deflection.
-    above: Mapping[str, float] = field(default_factory=dict)
-    below: Mapping[str, float] = field(default_factory=dict)
-    # Quantities that must all have settled, over a window of s; ("",): whatever is measured.
-    settled: tuple[str, ...] = ()
-    over: float = 5.0
-
-    @property
-    def quantities(self) -> set[str]:
-        return {*self.above, *self.below, *self.settled} - {""}
+_SETTLED_WITHIN, _SETTLING = {"temperature": 0.1, "deflection": 0.05e-3}, 5.0  # s
+# What ends a step before its time: of the hottest wire that it drives, or of the deflection.
+_ENDS = {"temperature_above": "K", "temperature_below": "K", "deflection_above": "m",
+         "deflection_below": "m"}
 
 
 @dataclass(frozen=True)
@@ -60,7 +47,8 @@ class Segment:
     duration: float  # s at most
     start: tuple[float, ...]
     stop: tuple[float, ...]
-    until: Until | None = None  # what ends it earlier
+    # What ends it earlier: levels by the names of _ENDS, s in which all must have `settled`.
+    until: Mapping[str, float] = field(default_factory=dict)
     force: float | None = None  # N, what the load frame has come to by its end; None: as before
 
 
@@ -167,8 +155,8 @@ class Waiting:
             self._last[quantity, channel] = value
             history = self._since.setdefault((quantity, channel), deque())
             history.append((time, value))
-            until = self.protocol.segments[max(self._segment, 0)].until or Until()
-            while history[0][0] < time - until.over:
+            until = self.protocol.segments[max(self._segment, 0)].until
+            while history[0][0] < time - until.get("settled", 0.0):
                 history.popleft()
 
     def passed_over(self, elapsed: float, time: float) -> float:
@@ -179,25 +167,20 @@ class Waiting:
             self._since.clear()
             return 0.0
         segment = self.protocol.segments[index]
-        if (until := segment.until) is None:
-            return 0.0
         # Readings that count: of the wires that are driven, where any is.
         levels = zip(self.protocol.channels, segment.start, segment.stop, strict=True)
         driven = {name for name, *ends in levels if {*ends} != {self.protocol.rest}}
 
-        def counting(quantity: str) -> list[tuple[str, str]]:
-            keys = [key for key in self._last if quantity in ("", key[0])]
-            own = [key for key in keys if key[0] == "deflection" or key[1] in driven]
-            return own if any(key[0] != "deflection" for key in own) else keys
-
-        def now(quantity: str) -> float:
-            return max((self._last[key] for key in counting(quantity)), default=np.nan)
-
-        over = any(now(quantity) >= level for quantity, level in until.above.items())
-        over |= any(now(quantity) <= level for quantity, level in until.below.items())
-        if until.settled and time - self._begun >= until.over:
-            keys = [key for quantity in until.settled for key in counting(quantity)]
-            over |= bool(keys) and all(self._at_rest(key, until.over, time) for key in keys)
+        own = [key for key in self._last if key[0] == "deflection" or key[1] in driven]
+        keys = own if any(quantity != "deflection" for quantity, _ in own) else list(self._last)
+        over = False
+        for end, level in segment.until.items():
+            quantity, _, side = end.partition("_")
+            values = [self._last[key] for key in keys if key[0] == quantity]
+            if side:
+                over |= bool(values) and (max(values) - level) * (1 if side == "above" else -1) >= 0
+            elif keys and time - self._begun >= level:
+                over |= all(self._at_rest(key, level, time) for key in keys)
         return left if over else 0.0
 
     def _at_rest(self, key: tuple[str, str], over: float, time: float) -> bool:
@@ -373,7 +356,7 @@ def _segments(step: Mapping[str, Any], label: str, parameters: Parameters,
     if "until" in step and kind == "triangle":
         raise InputError("until: a triangle ends with its time, write ramps")
     with errors_in("until"):
-        until = _until(step["until"], parameters) if "until" in step else None
+        until = _until(step["until"], parameters) if "until" in step else {}
     force, said = None, ""
     if "force" in step:
         force = _number(step, "force", "N")
@@ -405,27 +388,21 @@ def _staircase(n: Mapping[str, float], unit: str) -> list[tuple[str, float, floa
     return [(f"{level:g} {unit}", n["dwell"], level, level) for level in levels]
 
 
-def _until(given: Any, parameters: Parameters) -> Until:
+def _until(given: Any, parameters: Parameters) -> dict[str, float]:
     given = {"settled": True} if given == "settled" else given
-    units = {"temperature": "K", "deflection": "m"}
-    thresholds = [f"{quantity}_{side}" for quantity in units for side in ("above", "below")]
-    _require_keys(given, (*thresholds, "settled", "over"))
-    found: dict[str, dict[str, float]] = {"above": {}, "below": {}}
-    for key in (key for key in thresholds if key in given):
-        quantity, side = key.split("_")
-        found[side][quantity] = _number(given, key, units[quantity])
-    highest, hot = parameters["bench.maximum_temperature"], found["above"].get("temperature", 0.0)
+    _require_keys(given, (*_ENDS, "settled", "over"))
+    found = {key: _number(given, key, unit) for key, unit in _ENDS.items() if key in given}
+    highest, hot = parameters["bench.maximum_temperature"], found.get("temperature_above", 0.0)
     if hot >= highest:
         off = f"bench.maximum_temperature, {highest:g} K, where the bench switches off"
         raise InputError(f"temperature_above is {hot:g} K, expected less than {off}")
-    settled = given.get("settled", False)
-    names = {True: ("",), False: (), "temperature": ("temperature",), "deflection": ("deflection",)}
-    if not isinstance(settled, bool | str) or settled not in names:
-        raise InputError(f"settled is {settled!r}, expected temperature or deflection")
-    over = _number(given, "over", "s", positive=True) if "over" in given else Until.over
-    if not any((*found.values(), names[settled])):
-        raise InputError(f"says nothing, expected {', '.join(thresholds)} or settled")
-    return Until(found["above"], found["below"], names[settled], over)
+    if not isinstance(settled := given.get("settled", False), bool):
+        raise InputError(f"settled is {settled!r}, expected true or false")
+    over = _number(given, "over", "s", positive=True) if "over" in given else _SETTLING
+    found |= {"settled": over} if settled else {}
+    if not found:
+        raise InputError(f"says nothing, expected {', '.join(_ENDS)} or settled")
+    return found
 
 
 def _repeated(segments: list[Segment], times: int) -> list[Segment]:

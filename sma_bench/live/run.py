@@ -180,9 +180,9 @@ class Run:
     def _missing(self, protocol: Protocol, now: float) -> str:
         """What a step waits for and nobody measures (any more), or ""."""
         for segment in protocol.segments:
-            if segment.until is None:
+            if not segment.until:
                 continue
-            for quantity in segment.until.quantities or {""}:
+            for quantity in {end.partition("_")[0] for end in segment.until} - {"settled"} or {""}:
                 known = [f for name, f in self._readings.items() if name.startswith(quantity)]
                 if not known:
                     wanted = quantity or "temperature or deflection"

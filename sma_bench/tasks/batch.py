@@ -74,9 +74,9 @@ def run_task(task: Task) -> Outcome:
 
 def do_tasks(tasks: Sequence[Task], jobs: int,
              cluster: str | None = None) -> Generator[tuple[int, Outcome], None, None]:
-    """(index of the task, outcome) as soon as each is done, by so many processes of this machine,
-    which end with this one, or by the workers of the dask scheduler at `cluster`, which have this
-    package and the same paths. InputError: jobs out of range; no such cluster, or it is lost."""
+    """(index of the task, outcome) as soon as each is done, by so many processes, which end with
+    this one, or by the dask scheduler at `cluster`, whose workers have this package and the same
+    paths. InputError: jobs out of range; no such cluster, or it is lost."""
     if not 1 <= jobs <= _MOST_JOBS:
         raise InputError(f"jobs {jobs}: expected 1 to {_MOST_JOBS}")
     tied = {"initializer": end_after, "initargs": (os.getpid(),)}

@@ -119,9 +119,8 @@ def records_inside(settings: Mapping[str, Any], parameter: str = "record",
 
 
 def output_inside(settings: Mapping[str, Any], parameter: str, suffix: str = "") -> str:
-    """The path that a parameter names, a relative one below `output_root` (OWN_ROOT where that is
-    empty); "" stays "". Raises InputError: it lies outside the root, links followed, has a hidden
-    name in it, not the suffix, or is there and nothing that sma-bench has written."""
+    """The path that a parameter names, below `output_root` (OWN_ROOT where that is empty); "" stays
+    "". InputError: it is outside, links followed, hidden, lacks the suffix, is no file of ours."""
     if not (path := settings[parameter]):
         return ""
     hidden = [part for part in Path(path).parts if part.startswith(".") and part.strip(".")]

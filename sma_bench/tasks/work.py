@@ -34,10 +34,9 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
                    report: Report = silent, phases: Mapping[str, Phase] | None = None,
                    stated: Mapping[str, float] | None = None) -> "Identification":
     """Identify from bags and instrument files (`identify/`). `parameters`: known beforehand;
-    `experiments`: of E0 to E10, None for all that the records allow; `namespace`: where two benches
-    are in one bag, the one to take; `phases`: of tensile tests, by file name or pattern of names;
-    `stated`: what instruments' files do not hold (`records.open.open_records`). Raises InputError:
-    a record that cannot be read, or nothing that can be identified."""
+    `experiments`: None for all that the records allow; `namespace`: of two benches in one bag;
+    `phases`: of tensile tests, by file name or pattern of names; `stated`: what instruments' files
+    do not hold. Raises InputError: a record that cannot be read, or nothing to identify."""
     from sma_bench.identify import identify
 
     load_aside(core.run, run_once)
@@ -48,9 +47,8 @@ def identify_files(paths: Sequence[str], parameters: Parameters,
 
 def diagnose_files(paths: Sequence[str], hold_out: Sequence[str], parameters: Parameters,
                    quantities: Sequence[str] = QUANTITIES, report: Report = silent) -> "Diagnosis":
-    """Diagnose the gap between bags of one bench and its model (`diagnose/`), its shrinkage on
-    those of `hold_out`; `parameters`: as believed; `quantities`: that are compared. InputError: a
-    bag that cannot be read, or nothing that can be compared."""
+    """Diagnose the gap between bags of one bench and its model as believed (`diagnose/`), its
+    shrinkage on those of `hold_out`. InputError: a bag that cannot be read or compared."""
     from sma_bench.diagnose import diagnose
 
     load_aside(core.run, run_once)

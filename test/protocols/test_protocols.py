@@ -133,13 +133,11 @@ def test_a_mistake_is_one_line_with_its_file_and_step(tmp_path):
     assert "temperature_staircase" in line
 
 
-@given(st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=3)
-    | st.dictionaries(st.sampled_from(["kind", "steps", "repeat", "drive", "level", "duration"])
-                      | st.text(max_size=4), inner, max_size=4),
-    max_leaves=12,
-))  # fmt: skip
+@given(st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=8),
+                    lambda inner: st.lists(inner, max_size=3)
+                    | st.dictionaries(st.sampled_from(["kind", "steps", "repeat", "drive", "level",
+                                                       "duration"]) | st.text(max_size=4), inner,
+                                      max_size=4), max_leaves=12))
 @settings(max_examples=50)
 def test_any_document_is_a_protocol_or_an_input_error(document):
     try:
@@ -183,9 +181,6 @@ def test_steps_say_what_force_the_frame_comes_to():
     refused(said, sma_bench.simulate, document, clamped)
 
 
-# --- references
-
-
 def test_references_are_of_kelvin_and_of_metres_and_rest_at_ambient():
     reference = load_protocol("temperature_staircase", WIRE, TEMPERATURE)  # of E8
     assert reference.duration == pytest.approx(115.0)
@@ -207,16 +202,12 @@ def test_references_are_of_kelvin_and_of_metres_and_rest_at_ambient():
         refused(f"expected {other.unit}", load_protocol, name, COMPOSITE, other)
 
 
-# --- steps that end when something happens
-
-
 def test_a_simulated_step_ends_where_the_bench_gets_there_and_never_after_its_limit():
     warm, ramp = {"temperature_above": 303.15}, {"start": 0.0, "stop": 2.7, "duration": 70.0}
-    protocol = parse_protocol({"steps": [
-        {"kind": "ramp", **ramp, "until": warm},
-        hold(1.0, 2.0, {"temperature_above": 333.15}),
-        {"kind": "rest", "duration": 60.0, "until": {"temperature_below": 297.15}},
-    ]}, WIRE)  # fmt: skip
+    protocol = parse_protocol({"steps": [{"kind": "ramp", **ramp, "until": warm},
+                                         hold(1.0, 2.0, {"temperature_above": 333.15}),
+                                         {"kind": "rest", "duration": 60.0,
+                                          "until": {"temperature_below": 297.15}}]}, WIRE)
     time, voltage = played(protocol, WIRE, 0.01)
     kelvin = simulate(WIRE, time, voltage).temperature[:, 0]
     end = np.flatnonzero(np.diff(voltage[:, 0]) < 0)[0]
