@@ -25,7 +25,7 @@ from mkdocs.structure.pages import Page
 from sma_bench import api
 from sma_bench.cli import COMMANDS, load_command
 from sma_bench.nodes.start import NODES
-from sma_bench.paper.errata import paper_errata
+from sma_bench.paper.page import paper_errata
 from sma_bench.parameters.node_tables import NODE_TABLES, parameter_table
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -229,9 +229,8 @@ def errata_page() -> str:
     """The paper's slips, printed and corrected, with the numbers that `sma-bench paper` prints."""
     lines = [
         "# Errata of the paper", "",
-        "Where the paper is wrong, and what the package computes instead; evaluated with the "
-        "paper's numbers at every build of these pages. Geometry, C_A and C_M, which the paper "
-        "does not give, are [assumed](../parameters.md).",
+        "Where the paper is wrong, and what the package computes instead, with the paper's "
+        "numbers. Geometry, C_A and C_M, which it does not give, are [assumed](../parameters.md).",
     ]  # fmt: skip
     for erratum in paper_errata():
         lines += [

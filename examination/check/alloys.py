@@ -12,20 +12,17 @@ those far from the paper's.
 """
 
 import sys
-import tempfile
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from examination.attack_lab import instruments
-from examination.attack_lab.instruments import ZERO, Alloy
+from examination.attack_lab.instruments import Alloy
 from examination.pieces import IN_PIECES, in_pieces, options_of, print_coverage
 from sma_bench.errors import InputError
 from sma_bench.identify import identify
 from sma_bench.parameters import Parameters
-from sma_bench.records import open_record
 from sma_bench.records.instruments import IsobaricRecord
 
 Z90 = 1.6449
@@ -64,22 +61,21 @@ def examine(seed: int, draw: int, joint: int = 0) -> list[dict[str, Any]]:
     truth, paper = alloy.truth(), Parameters.of_paper()
     stated = {"wire.diameter": 0.3e-3, **alloy.truth("a_s")}
     rows: list[dict[str, Any]] = []
-    with tempfile.TemporaryDirectory() as folder:
-        records = draw_tests(alloy, random, Path(folder))
-        if joint and draw % joint == 0:
-            records["E9"] = records["E6"]
-        for method, of in records.items():
-            given = stated if method == "E8" else {}
-            try:
-                result = identify(of, Parameters(given), [method])
-            except InputError as error:
-                print(f"{method}: {error}"[:160], file=sys.stderr)
-                continue
-            for name, e in result.estimates.items():
-                if name in truth and name not in given:
-                    off, far = e.value - truth[name], abs(truth[name] - paper[name])
-                    row = {"method": method, "name": name, "z": off / e.std}
-                    rows.append(row | {"far": far / paper.std(name)})
+    records = draw_tests(alloy, random)
+    if joint and draw % joint == 0:
+        records["E9"] = records["E6"]
+    for method, of in records.items():
+        given = stated if method == "E8" else {}
+        try:
+            result = identify(of, Parameters(given), [method])
+        except InputError as error:
+            print(f"{method}: {error}"[:160], file=sys.stderr)
+            continue
+        for name, e in result.estimates.items():
+            if name in truth and name not in given:
+                far = abs(truth[name] - paper[name]) / paper.std(name)
+                rows.append({"method": method, "name": name, "far": far,
+                             "z": (e.value - truth[name]) / e.std})
     return rows
 
 
@@ -102,10 +98,10 @@ def draw_noise(random: np.random.Generator, least: float, most: float) -> float:
     return float(np.exp(random.uniform(np.log(least), np.log(most))))
 
 
-def draw_tests(alloy: Alloy, random: np.random.Generator, folder: Path) -> dict[str, list[Any]]:
+def draw_tests(alloy: Alloy, random: np.random.Generator) -> dict[str, list[Any]]:
     """Records by the method that reads them; who sees cycles or specimens differ repeats them."""
     stresses = np.sort(random.choice(LOADS, int(random.integers(1, 5)), replace=False))
-    records: dict[str, list[Any]] = {"E6": isobaric_tests(alloy, random, folder, stresses)}
+    records: dict[str, list[Any]] = {"E6": isobaric_tests(alloy, random, stresses)}
     differ = draw_noise(random, 0.02, 5.0)  # K: of a scan from the others
     faults = {"scatter": differ, "cycles": int(random.integers(2, 4) if differ < 0.3 else 6)}
     faults |= {"zero": CALORIMETER * random.standard_normal(), "rate": random.choice([5.0, 10.0])}
@@ -129,9 +125,9 @@ def draw_tests(alloy: Alloy, random: np.random.Generator, folder: Path) -> dict[
     return records
 
 
-def isobaric_tests(alloy: Alloy, random: np.random.Generator, folder: Path,
-                   stresses: Iterable[float], **own: Any) -> list[IsobaricRecord]:
-    """One file a stress (Pa), read back; `own` scatter (K) and number of cycles, drawn if not."""
+def isobaric_tests(alloy: Alloy, random: np.random.Generator, stresses: Iterable[float],
+                   **own: Any) -> list[IsobaricRecord]:
+    """One a stress (Pa); `own` scatter (K) and number of cycles, drawn if not."""
     faults = {"scatter": draw_noise(random, 0.02, 10.0), "noise": draw_noise(random, 0.02, 10.0)}
     few = max(faults["scatter"], faults["noise"] / 10.0) < 0.3
     faults["cycles"] = int(random.integers(1, 4) if few else random.integers(3, 9))
@@ -139,15 +135,10 @@ def isobaric_tests(alloy: Alloy, random: np.random.Generator, folder: Path,
     faults |= {"gauge": 1.0 + SIZE * random.standard_normal()} | own
     faults["lag"] = -LAG * random.standard_normal()
     records = []
-    for k, stress in enumerate(stresses):
+    for stress in stresses:
         low = alloy.m_f + stress / alloy.c_m - random.uniform(25.0, 35.0)
         high = alloy.a_f + stress / alloy.c_a + random.uniform(25.0, 35.0)
-        kelvin, strain, held = instruments.loops(alloy, stress, random, (low, high), **faults)
-        rows = zip(kelvin - ZERO, strain, held / 1e6, strict=True)
-        lines = [f"{celsius:.4f},{e:.7f},{mega:.4f}" for celsius, e, mega in rows]
-        path = folder / f"isobaric_{k}.csv"
-        path.write_text("\n".join(["Temperature (C),Strain (mm/mm),Stress (MPa)", *lines, ""]))
-        records.append(open_record(path))
+        records.append(instruments.isobaric(alloy, stress, random, span=(low, high), **faults))
     return records
 
 

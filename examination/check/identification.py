@@ -24,13 +24,12 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import EXACT_SENSORS
 from sma_bench.parameters.parameters import NITI_DENSITY, wire_section
 from sma_bench.physics import Boundary, Simulation, simulate
-from sma_bench.protocols import Protocol, parse_protocol
+from sma_bench.protocols import parse_protocol
 from sma_bench.records import Signal, read_record
 from sma_bench.records.bag_writer import write_record
 from sma_bench.synthetic.bench_records import read_signals, signals_of, simulate_protocol
 
-# --- A simulated lab: benches drawn within believable ranges, what their lab knows beforehand, and
-# its experiments: protocol, bench, instruments, bag, which are the package's own.
+# --- A simulated lab: benches drawn within believable ranges, and what their lab knows beforehand.
 RIG = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
        "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
 _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
@@ -81,13 +80,33 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
 
 
 # --- Its experiments.
+def _rest(duration: float) -> dict[str, Any]:
+    return {"kind": "rest", "duration": duration}
+
+
+def _run(parameters: Parameters, steps: Steps, **more: Any) -> Simulation:
+    """One wire, or what bench there is, on a protocol of these steps."""
+    protocol = parse_protocol({"steps": [_rest(3.0), *steps, _rest(1.0)]}, parameters)
+    return simulate(parameters, *protocol.sample(STEP), **more)
+
+
+def voltage_for(truth: Parameters, temperature: float) -> float:
+    """Voltage [V] that ends at `temperature` [K]: a lab finds it by trying."""
+    rise = temperature - truth["environment.ambient_temperature"]
+    loss = truth["wire.heat_transfer_coefficient"] * truth["wire.surface_area"]
+    return float(np.round(math.sqrt(rise * truth["wire.resistance"] * loss), 3))
+
+
+def one_wire(truth: Parameters) -> Parameters:
+    return truth.replace({"bench.channels": ("wire",), "bench.channel_sides": ("front",)})
+
+
 def staircase(truth: Parameters) -> Simulation:
     """E1, E2: voltage up and down in steps of 30 s."""
     peak = voltage_for(truth, truth["wire.austenite_finish_temperature"] + 20.0)
-    step = peak / 8.0
-    levels = {"kind": "staircase", "increment": step, "dwell": 30.0}
-    steps = [levels | {"start": 0.0, "stop": peak}, levels | {"start": peak - step, "stop": 0.0}]
-    return _run(one_wire(truth), steps)
+    levels = {"kind": "staircase", "increment": peak / 8.0, "dwell": 30.0}
+    down = levels | {"start": 7.0 * peak / 8.0, "stop": 0.0}
+    return _run(one_wire(truth), [levels | {"start": 0.0, "stop": peak}, down])
 
 
 def ramp(truth: Parameters) -> Simulation:
@@ -99,14 +118,15 @@ def ramp(truth: Parameters) -> Simulation:
 
 def isobaric(truth: Parameters) -> Simulation:
     """E6: the load frame holds five loads in turn, the wire is heated and cooled under each."""
-    wire = one_wire(truth)
-    hottest, steps = truth["wire.austenite_finish_temperature"] + 20.0, []
+    wire, steps = one_wire(truth), [_rest(3.0)]
+    hottest = truth["wire.austenite_finish_temperature"] + 20.0
     for load in LOADS:
         peak = voltage_for(truth, hottest + load / truth["wire.stress_influence_austenite"])
         steps += [_rest(1.0) | {"force": load * wire_section(wire)}, _rest(_REST),
-                  {"kind": "triangle", "peak": peak, "rise": _HEATED, "fall": _HEATED}]  # fmt: skip
+                  {"kind": "triangle", "peak": peak, "rise": _HEATED, "fall": _HEATED}]
     frame = wire.replace({"load.kind": "force", "load.force": LOADS[0] * wire_section(wire)})
-    return simulate_protocol(_protocol(frame, steps, load="force"), frame, STEP)
+    protocol = parse_protocol({"steps": [*steps, _rest(1.0)], "load": "force"}, frame)
+    return simulate_protocol(protocol, frame, STEP)
 
 
 def clamped(truth: Parameters) -> Simulation:
@@ -114,27 +134,27 @@ def clamped(truth: Parameters) -> Simulation:
     peak = voltage_for(truth, truth["wire.austenite_start_temperature"] - 4.0)
     levels = [peak * math.sqrt(share) for share in (0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.0)]
     steps = [{"kind": "step", "level": v, "duration": 20.0} if v else _rest(20.0) for v in levels]
-    return _run(one_wire(truth), steps, Boundary.clamped(-PRETENSION))
+    return _run(one_wire(truth), steps, boundary=Boundary.clamped(-PRETENSION))
 
 
-def composite_triangle(truth: Parameters) -> Simulation:
-    """E12: triangles, front and back by turns."""
-    way = {"kind": "triangle", "peak": _bending_voltage(truth), "rise": 15.0, "fall": 15.0}
-    return _run(truth, [s for side in SIDES for s in (way | {"drive": side}, _rest(_REST))])
+def composite(truth: Parameters, way: dict[str, Any], size: str, *shares: float) -> Simulation:
+    """E12: front and back by turns, with enough for the transformation against the stiffer side."""
+    stiff = max(truth[f"composite.stress_per_deflection_{side}"] for side in SIDES)
+    bend = truth["composite.deflection_per_strain"] * truth["wire.maximum_recoverable_strain"]
+    shift = 0.5 * stiff * bend / truth["wire.stress_influence_austenite"]
+    peak = voltage_for(truth, truth["wire.austenite_finish_temperature"] + shift + 15.0)
+    both = [way | {size: share * peak, "drive": side} for share in shares for side in SIDES]
+    return _run(truth, [step for one in both for step in (one, _rest(_REST))])
 
 
-def composite_step(truth: Parameters) -> Simulation:
-    """E12: steps, front and back by turns, the second time not all the way."""
-    step, peak = {"kind": "step", "duration": 12.0}, _bending_voltage(truth)
-    both = [step | {"level": share * peak, "drive": s} for share in (1.0, 0.88) for s in SIDES]
-    return _run(truth, [s for one in both for s in (one, _rest(_REST))])
-
-
+_TRIANGLE = {"kind": "triangle", "rise": 15.0, "fall": 15.0}
+_STEP = {"kind": "step", "duration": 12.0}
 # What a bench does in each experiment, and Hz at which it is read.
 EXPERIMENTS: dict[str, tuple[Callable[[Parameters], Simulation], float]] = {
     "staircase": (staircase, 20.0), "ramp": (ramp, 100.0), "isobaric": (isobaric, 50.0),
-    "clamped": (clamped, 50.0), "composite_triangle": (composite_triangle, 50.0),
-    "composite_step": (composite_step, 50.0)}
+    "clamped": (clamped, 50.0),
+    "composite_triangle": (lambda truth: composite(truth, _TRIANGLE, "peak", 1.0), 50.0),
+    "composite_step": (lambda truth: composite(truth, _STEP, "level", 1.0, 0.88), 50.0)}
 
 
 def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:
@@ -159,47 +179,13 @@ def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:
     return read_signals(signals, seed)
 
 
-def one_wire(truth: Parameters) -> Parameters:
-    return truth.replace({"bench.channels": ("wire",), "bench.channel_sides": ("front",)})
-
-
-def voltage_for(truth: Parameters, temperature: float) -> float:
-    """Voltage [V] that ends at `temperature` [K]: a lab finds it by trying."""
-    rise = temperature - truth["environment.ambient_temperature"]
-    loss = truth["wire.heat_transfer_coefficient"] * truth["wire.surface_area"]
-    return float(np.round(math.sqrt(rise * truth["wire.resistance"] * loss), 3))
-
-
-def _bending_voltage(truth: Parameters) -> float:
-    """Enough for the whole transformation against the stiffer side."""
-    stiff = max(truth[f"composite.stress_per_deflection_{side}"] for side in SIDES)
-    strain = truth["wire.maximum_recoverable_strain"]
-    stress = 0.5 * stiff * truth["composite.deflection_per_strain"] * strain
-    shift = stress / truth["wire.stress_influence_austenite"]
-    return voltage_for(truth, truth["wire.austenite_finish_temperature"] + shift + 15.0)
-
-
-def _rest(duration: float) -> dict[str, Any]:
-    return {"kind": "rest", "duration": duration}
-
-
-def _protocol(parameters: Parameters, steps: Steps, **more: Any) -> Protocol:
-    return parse_protocol({"steps": [_rest(3.0), *steps, _rest(1.0)], **more}, parameters)
-
-
-def _run(parameters: Parameters, steps: Steps, boundary: Boundary | None = None) -> Simulation:
-    return simulate(parameters, *_protocol(parameters, steps).sample(STEP), boundary=boundary)
-
-
 # --- Whether they give back what the bench was made of.
 BAND = (0.88, 0.99)
 HEADER = """\
 identification of {draws} benches drawn at random (seed {seed})
   bags of each: {bags}
-  simulated in this process by sma_bench.physics (not over DDS); instruments of the simulator
-  node: noise, quantisation, jitter of +-20 % of a period, 2 % of the samples lost
-  inputs of the lab, taken as exact: {exact}, and with mass and diameter the wire's length;
-  the other geometry of the composite enters only through alpha and beta
+  instruments of the simulator node: noise, quantisation, jitter of +-20 % of a period, 2 % lost
+  inputs of the lab, taken as exact: {exact}
 """
 
 
@@ -210,7 +196,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     print(HEADER.format(draws=options.draws, seed=options.seed, bags=bags, exact=exact))
     jobs = [(options.seed + k,) for k in range(options.draws)]
     results = in_pieces(run_draw, jobs, options)
-    # Whether enough intervals hold the truth and none is missing.
     found = [(name, (p["value"] - p["truth"]) / p["std"])
              for result in results for name, p in result["parameters"].items()]
     share = print_coverage(found, Z_95)
@@ -228,10 +213,7 @@ def run_draw(seed: int) -> dict[str, Any]:
         for number, bag in enumerate(bags):
             write_record(bag, measured(bag.name, bench.truth, 100 * seed + number))
         found = identify([read_record(bag) for bag in bags], bench.known)
-    parameters = {}
-    for name in IDENTIFIED:
-        if e := found.estimates.get(name):
-            numbers = {"value": float(e.value), "std": float(e.std), "method": e.method}
-            believed = {"truth": float(bench.truth[name]), "prior_std": bench.known.std(name)}
-            parameters[name] = believed | numbers
+    parameters = {name: {"value": float(e.value), "std": float(e.std), "method": e.method,
+                         "truth": float(bench.truth[name]), "prior_std": bench.known.std(name)}
+                  for name, e in found.estimates.items() if name in IDENTIFIED}
     return {"seed": seed, "parameters": parameters, "warnings": list(found.warnings)}

@@ -8,7 +8,6 @@ from sma_bench.border import read_yaml
 from sma_bench.commands import options
 from sma_bench.commands.terminal import print_findings, print_table, progress, say, write_json
 from sma_bench.errors import InputError
-from sma_bench.parameters.yaml_file import write_text_atomically
 from sma_bench.progress import in_turn, part
 
 _LEAST_SHIFT = 1e-3  # s, worth a line
@@ -81,9 +80,8 @@ def run_compare(args: SimpleNamespace) -> int:
 @options.command("paper")
 def run_paper(args: SimpleNamespace) -> int:
     from sma_bench.paper.lab import paper_page
-    from sma_bench.paper.page import csv_table
     from sma_bench.records import open_record
-    from sma_bench.report.page import csv_text, write_report
+    from sma_bench.report.page import write_report
 
     started, made = time.monotonic(), options.made_of(args, args.records)
     parameters, column = options.parameters_from_options(args), options.column_of(args)
@@ -98,8 +96,6 @@ def run_paper(args: SimpleNamespace) -> int:
         page = paper_page(records, parameters, part(report, _READ, _COMPARED))
         index = write_report(args.out, text["title"], summary, page.sections(), made, column=column,
                              report=part(report, _COMPARED, 1.0))
-    for name, rows in page.tables.items():
-        write_text_atomically(Path(args.out) / f"{name}.csv", csv_text(csv_table(rows)).decode())
     write_json(args.json, page.to_json())
     print_findings(page.notes)
     synthetic = sum(outcome.synthetic for outcome in page.outcomes.values())

@@ -4,11 +4,10 @@ Heat goes with the mean square over cells of time, so that is exact; a jump happ
 between two samples, and a level that a converter holds between two of its steps is not known to the
 last bit: both are errors that a fit may move (nuisances.py)."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import groupby, pairwise
-from operator import itemgetter
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -84,11 +83,6 @@ class Segments:
     def ramps(self) -> tuple[VoltageSegment, ...]:
         return tuple(s for s in self.items if s.kind == "ramp")
 
-    def between(self, start: float, stop: float) -> "Segments":
-        """Segments and edges that begin within [start, stop) s, such as one protocol's."""
-        return Segments(tuple(s for s in self.items if start <= s.start < stop),
-                        tuple(e for e in self.edges if start <= e[0] < stop), self.tolerance)
-
     def levels(self) -> int:
         levels = np.sort([p.level for p in self.plateaus])
         return min(len(levels), 1) + int(np.sum(np.diff(levels) > self.tolerance))
@@ -162,17 +156,6 @@ def _step_of(voltage: Array) -> float:
     again = np.abs(np.diff(moves)) < _EXACT * float(np.ptp(voltage))
     going = moves[:-1] != 0.0
     return 0.0 if going.any() and np.mean(again[going]) > _RAMPS else resolution(voltage)
-
-
-def protocol_spans(markers: Iterable[tuple[float, str]],
-                   duration: float) -> tuple[tuple[str, float, float], ...]:
-    """(protocol, start, stop) in s, one for each run of markers "protocol/step" of one protocol;
-    without markers the whole record is one span without a name."""
-    named = [(text.split("/")[0].strip(), time) for time, text in sorted(markers)]
-    begins = [next(run) for _, run in groupby(named, itemgetter(0))]
-    ends = [*(time for _, time in begins[1:]), duration]
-    spans = zip(begins, ends, strict=False)
-    return tuple((*begin, end) for begin, end in spans) or (("", -np.inf, np.inf),)
 
 
 def _split(time: Array, voltage: Array, tolerance: float) -> list[tuple[int, int]]:

@@ -1,6 +1,6 @@
-"""Where one branch of strain over temperature begins to transform and where it ends: by tangents
-(practice of ASTM F2082 and E3097) before, along and after its steepest part, whose crossings are
-start and finish, and by the cosine of eqs. (10), (11) between the outer two."""
+"""Where one branch of strain over temperature begins to transform and where it ends: by crossings
+of tangents before, along and after its steepest part (practice of ASTM F2082 and E3097), and by the
+cosine of eqs. (10), (11) between the outer two."""
 
 import math
 from collections.abc import Sequence
@@ -46,7 +46,7 @@ class Bins(NamedTuple):
         return cls(np.unique(index, return_inverse=True)[1])
 
     def mean(self, values: Array) -> Array:
-        """(m,) means of (n,) values."""
+        """(m,) of values (n,)."""
         return np.asarray(np.bincount(self.which, values) / np.bincount(self.which))
 
 
@@ -75,10 +75,9 @@ class StrainTangents(NamedTuple):
 
 
 def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTangents:
-    """Start, finish and transformation strain of one branch. `companion`: the other branch of the
-    cycle, whose slope the line takes where this one was turned round before its end was straight.
-    Raises InputError: too few points, or no transformation stands out of the scatter."""
-    # Means over narrow intervals of temperature, rising.
+    """Start, finish and transformation strain of one branch. `companion`: the other of the cycle,
+    whose slope the line takes where this one was turned round before its end was straight. Raises
+    InputError: too few points, or no transformation stands out of the scatter."""
     binned = [(Bins.of(one.temperature), one) for one in (branch, companion) if one]
     means = [(bins.mean(one.temperature), bins.mean(one.strain)) for bins, one in binned]
     (t, strain), *others = means
@@ -141,7 +140,6 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
     lags = abs(strain[furthest] - strain[0]) > _LAG_STRAIN * span
     first = min(furthest, len(t) // 4) if lags else 0
     t, strain = t[first:], strain[first:]
-    # How many points from the beginning one straight line describes.
     longest = _SHORTEST_LINE
     for count in range(_SHORTEST_LINE, len(t) - _SHORTEST_LINE):
         left = strain[:count] - straight_line(t[:count], strain[:count])(t[:count])
@@ -152,7 +150,6 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
         elif count > 3 * longest:
             break
     line = straight_line(t[:longest], strain[:longest])
-    # Against the largest slope over a few points.
     times, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
     centred = times - times.mean(axis=1, keepdims=True)
     slopes = np.sum(centred * strains, axis=1) / np.sum(centred**2, axis=1)
@@ -164,7 +161,6 @@ def _draw(t: Array, strain: Array, cold: Line, hot: Line,
           width: float) -> tuple[Array, Array] | None:
     """With the steep line where the share `width` of the material transforms: cold and hot crossing
     [K] and the step of strain, (3,), and their variances; None where the lines do not cross so."""
-    # The steepest stretch in which that share transforms.
     gap = cold(t) - hot(t)
     share = np.divide(strain - hot(t), gap, out=np.full_like(gap, np.nan), where=gap != 0.0)
     best, steepest = None, 0.0
@@ -215,7 +211,7 @@ def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
                stress: float) -> BranchCosine:
     """Least squares of one branch; the tangents give the start, and the slope at an end that is not
     straight. Errors hold coloured scatter, the choice of the points, the moduli's errors and gaps
-    of the logging. `parameters`: E_A, E_M; `stress`: Pa; 0 where strain has no unit."""
+    of the logging. `stress`: Pa; 0 where strain has no unit."""
     bins = Bins.of(branch.temperature)
     t, begin = bins.mean(branch.temperature), np.sort(tangents.cosine_ends())
     outer = zip((tangents.cold, tangents.hot), tangents.short, strict=True)
@@ -240,11 +236,10 @@ def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
 def _fit(branch: Branch, bins: Bins,
          begin: Array, slopes: Sequence[float | None], parameters: Parameters, stress: float,
          window: Array | None = None) -> tuple[Array, Array, list[float], Number, Array, Array]:
-    """Strain eps = xi cold(T) + (1 - xi) hot(T) + sigma [1/E(xi) - xi/E_M - (1 - xi)/E_A]. The
-    bracket is the bow of eq. (7), which shifts the middle of the range and would pass for 1 % of
-    C_A. `begin`: (2,) K, ends from which the search starts; `slopes`: of lines that are given, None
-    where free; `window`: (2,) K between which points count. Returns the ends (2,) K and their
-    variances, both slopes, the step, the model (n,) and what it leaves (n,)."""
+    """Strain eps = xi cold(T) + (1 - xi) hot(T) + sigma [1/E(xi) - xi/E_M - (1 - xi)/E_A], whose
+    bracket is the bow of eq. (7). `begin`: (2,) K, where the search starts; `slopes`: of lines that
+    are given, None where free; `window`: (2,) K between which points count. Returns the ends (2,) K
+    and their variances, both slopes, the step, the model (n,) and what it leaves (n,)."""
     from scipy.optimize import least_squares  # half a second to load
     raw, (soft, stiff) = branch.temperature, (parameters[name] for name in MODULI)
     t, strain = bins.mean(raw), bins.mean(branch.strain)
@@ -267,7 +262,6 @@ def _fit(branch: Branch, bins: Bins,
         return bins.mean(known), np.column_stack(free)
 
     def eliminated(x: Array) -> tuple[Array, Array]:
-        """(n,) residual at the best free parts, and these."""
         known, columns = parts(x)
         left = strain - known
         weights = np.asarray(np.linalg.lstsq(columns[inside], left[inside], rcond=None)[0])
@@ -291,7 +285,7 @@ def _fit(branch: Branch, bins: Bins,
     correlated = inflation(autocorrelation([left])) * n / max(n - count, 1)
     rows = scaled * left[:, None]
     covariance = bread @ (rows.T @ rows) @ bread * correlated / np.outer(size, size)
-    # Ends, and the distance of the lines in the middle; slopes that are given add to it.
+    # The distance of the lines in the middle, to which slopes that are given add.
     to_ends = np.array([[1.0, 0.0], [1.0, 1.0]])
     ends = to_ends @ x
     middle, remaining = float(np.mean(ends)), weights.tolist()

@@ -2,22 +2,16 @@
 
     eps = eps_ref + sigma/E(xi) - Theta_T (T - T_inf)/E(xi) - eps_L (1 - xi)
 
-are eqs. (6) to (11) under constant stress, with the cosines shifted by sigma/C_A, sigma/C_M and the
-contract's rule for incomplete loops: the law "contract". The law "extended" replaces what real,
-untrained material does not obey:
+are eqs. (6) to (11) under constant stress, cosines shifted by sigma/C_A and sigma/C_M: the law
+"contract". The law "extended" replaces what untrained material does not obey:
 
-- eps_L becomes H(sigma) = H_min + (H_sat - H_min)(1 - exp(-k sigma)), the current transformation
-  strain of Lagoudas (Shape memory alloys, 2008, ch. 3), as in physics/laws/extended.py;
-- A_s, A_f, M_s, M_f each have a slope of their own against stress, and each direction a bend,
-  T = T_0 + slope sigma + bend sigma^2, as Clausius and Clapeyron have it of a strain that varies;
-- expansion is alpha_A + xi (alpha_M - alpha_A): -Theta_T/E(xi) would make martensite expand more
-  than austenite because it is softer;
-- martensite's strain fades by a share per kelvin of warming, H (1 - fading (T - T_ref));
-- irrecoverable strain grows in proportion to the material transformed (Lagoudas and Entchev,
-  2004), by one number a loop.
+- eps_L becomes H(sigma) = H_min + dH (1 - exp(-k sigma)) (Lagoudas, Shape memory alloys, 2008);
+- A_s ... M_f each have a slope, and each direction a bend, T = T_0 + slope sigma + bend sigma^2;
+- expansion is alpha_A + xi (alpha_M - alpha_A), not larger of the softer phase;
+- martensite's strain fades with warming, H (1 - fading (T - T_ref));
+- irrecoverable strain grows with the material transformed (Lagoudas and Entchev, 2004).
 
-eps_ref, free in every loop, and irrecoverable strain enter linearly and are eliminated exactly
-(Golub and Pereyra, 1973)."""
+eps_ref, free in every loop, and irrecoverable strain enter linearly and are eliminated exactly."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,7 +30,7 @@ from sma_bench.identify.estimate import MODULI, SYMBOLS
 from sma_bench.identify.isobaric import SMALLEST_STRESS_RANGE, with_scales
 from sma_bench.identify.result import Correlation, Experiment, remark
 from sma_bench.parameters import Parameters
-from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
+from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.parameters.parameters import CONVECTION_FACTOR, NITI_EXPANSION
 from sma_bench.physics.laws.extended import grown
 from sma_bench.progress import Report, part, silent
@@ -51,14 +45,12 @@ _STARTS, _SEED = 5, 7
 _BINS = 150  # of a branch
 _NARROWEST = 0.2  # K
 _AT_BOUND = 1e-3  # of the distance of the bounds
-_STRONG = 0.9  # correlation
 _SIGNIFICANT = 2.0  # standard errors
 _STIFFEST = 90e9  # Pa, of any NiTi
 _UNITS = {**dict.fromkeys(TRANSITIONS, "K"), "eps_L": "1", "H_min": "1", "dH": "1",
           "k": "1/(100 MPa)", "alpha_A": "1e-6/K", "alpha_M": "1e-6/K", "Theta_T": "MPa/K",
           "fading": "1e-3/K", "bend_A": "K/(100 MPa)^2", "bend_M": "K/(100 MPa)^2"}
-# Of the time that everything takes; the rest is for cycles fitted one by one.
-_SHARES: dict[Law, tuple[float, float]] = {"contract": (0.0, 0.2), "extended": (0.2, 0.8)}
+_TIMES: dict[Law, tuple[float, float]] = {"contract": (0.0, 0.2), "extended": (0.2, 1.0)}
 
 
 class Loop(NamedTuple):
@@ -76,7 +68,6 @@ class Loop(NamedTuple):
 
 
 def loop_of(record: IsobaricRecord, cycle: Cycle) -> Loop:
-    """A cycle in bins, with what its tangents tell."""
     branches, ends, steps = [], dict[str, float](), dict[str, float]()
     for branch in cycle.branches:
         way, rising = branch.direction, branch.direction == "heating"
@@ -94,8 +85,8 @@ def loop_of(record: IsobaricRecord, cycle: Cycle) -> Loop:
 
 
 class LawFit(NamedTuple):
-    """The fitted law: unknowns (p,), covariance (p, p) in K, strain, 1e-6/K, MPa/K (Theta_T), and
-    per 100 MPa (slopes in K, k); `fixed`: what the data cannot give; `left` (n,) of each loop."""
+    """The fitted law: unknowns (p,) in K, strain, 1e-6/K, MPa/K (Theta_T), per 100 MPa (slopes,
+    k); `fixed`: what the data cannot give; `left` (n,) of each loop."""
 
     law: Law
     names: tuple[str, ...]
@@ -107,78 +98,41 @@ class LawFit(NamedTuple):
     left: tuple[Array, ...]
 
     @property
-    def std(self) -> Array:
-        """(p,) standard errors."""
-        return np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))
-
-    @property
-    def rms(self) -> list[float]:
-        """Root mean square residual of every loop over its recovered strain."""
-        each = zip(self.left, self.loops, strict=True)
-        return [float(np.sqrt(np.mean(left**2))) / loop.recovered for left, loop in each]
-
-    @property
     def errors(self) -> dict[float, float]:
-        """The same of the loops at each stress [Pa]."""
+        """Rms residual over the recovered strain of the loops at each stress [Pa]."""
         each: dict[float, list[float]] = {}
-        for loop, rms in zip(self.loops, self.rms, strict=True):  # in order of stress
-            each.setdefault(loop.stress, []).append(rms**2)
+        for loop, left in zip(self.loops, self.left, strict=True):  # in order of stress
+            each.setdefault(loop.stress, []).append(float(np.mean(left**2)) / loop.recovered**2)
         return {stress: float(np.sqrt(np.mean(squares))) for stress, squares in each.items()}
-
-    def all_with(self, values: Array) -> dict[str, float]:
-        """Numbers of the law by name, its unknowns at `values`."""
-        return self.fixed | dict(zip(self.names, values.tolist(), strict=True))
 
 
 def fit_constitutive(records: Sequence[IsobaricRecord], parameters: Parameters,
                      report: Report = silent) -> Experiment:
-    """Fit the law to isobaric tests of one material, all stresses and cycles at once: the
-    contract's where its rms is below 5 % of the recovered strain at every stress, else the extended
-    one. `details` holds every fitted number and the fit error per stress; `curves`
-    `<record, cycle>/temperature`, `/strain` and `/model`. `parameters`: E_A and E_M with their
-    uncertainties (no isobaric test tells them from eps_L), and C_A, C_M should all tests be at one
-    stress. InputError: no records, or too few points."""
+    """Fit the law to all stresses and cycles of one material at once: the contract's where its rms
+    is below 5 % of the recovered strain at every stress, else the extended one. `details`: every
+    fitted number and the fit error per stress; `curves`: `<record, cycle>/temperature`, `/strain`,
+    `/model`. `parameters`: E_A and E_M, which no isobaric test tells from eps_L, and C_A, C_M for
+    tests at one stress. InputError: no records, or too few points."""
     if not records:
         raise InputError("constitutive fit: no records")
     every = (loop_of(record, cycle) for record in records for cycle in record.cycles)
     loops, fits = sorted(every, key=lambda loop: loop.stress), list[LawFit]()
-    for law, shares in _SHARES.items():
+    for law, shares in _TIMES.items():
         fits.append(_fit_law(loops, law, parameters, part(report, *shares)))
         if max(fits[-1].errors.values()) < _TOLERANCE:
             break
     chosen = fits[-1]
     findings = [*(f for record in records for f in record.findings), *_about_fits(fits)]
-
-    def fit_error(error: float, n: int) -> Estimate:
-        return Estimate(error, error / math.sqrt(2.0 * n), "1", "rms over recovered strain", n)
-
     details = {}
     for fit in fits:
-        n = sum(map(len, fit.left))
-        for name, value, std in zip(fit.names, fit.values.tolist(), fit.std.tolist(), strict=True):
+        n, std = sum(map(len, fit.left)), np.sqrt(np.maximum(np.diag(fit.covariance), 1e-300))
+        for name, value, error in zip(fit.names, fit.values.tolist(), std.tolist(), strict=True):
             unit = _UNITS.get(name, "K/(100 MPa)")  # of a slope
-            details[f"{fit.law}: {name}"] = Estimate(value, std, unit, "joint fit", n)
+            details[f"{fit.law}: {name}"] = Estimate(value, error, unit, "joint fit", n)
         for stress, error in fit.errors.items():
             n = sum(len(loop.strain) for loop in loops if loop.stress == stress)
-            details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = fit_error(error, n)
-    # Where cycles of one record do not fit one set of numbers, each gets its own.
-    for record in records:
-        mine = [(loop, rms) for loop, rms in zip(loops, chosen.rms, strict=True)
-                if loop.label.startswith(f"{record.name}, cycle ")]
-        joint = float(np.sqrt(np.mean([rms**2 for _, rms in mine])))
-        if len(mine) < 3 or joint < _TOLERANCE:
-            continue
-        errors = []
-        for loop, _ in mine:
-            own, n = _fit_law([loop], "extended", parameters), len(loop.strain)
-            errors.append(own.rms[0])
-            values, stds = own.all_with(own.values), dict(zip(own.names, own.std, strict=True))
-            for name in (*TRANSITIONS, "eps_L"):
-                number = values[name], float(stds.get(name, 0.0)), _UNITS[name]
-                details[f"{loop.label}: {name}"] = Estimate(*number, "fit of this cycle alone", n)
-            details[f"{loop.label}: fit error"] = fit_error(errors[-1], n)
-        findings.append(remark("material changes", record=record.name, joint=joint,
-                               best_cycle=min(errors), worst_cycle=max(errors)))
+            details[f"{fit.law}: fit error at {stress / 1e6:.0f} MPa"] = Estimate(
+                error, error / math.sqrt(2.0 * n), "1", "rms over recovered strain", n)
     estimates, correlation = _estimates(chosen, parameters, findings)
     curves: dict[str, Array] = {}
     for loop, left in zip(loops, chosen.left, strict=True):
@@ -205,13 +159,11 @@ def _slopes(law: Law, ends: Sequence[str]) -> list[str]:
 def _strain(law: Law, p: Mapping[str, float], loop: Loop,
             elastic: tuple[float, float, float]) -> tuple[Array, Array]:
     """Strain (n,) without its free parts, and their columns (n, 1 or 2): reference strain and, of
-    the extended law, the material transformed so far, to which irrecoverable strain is
-    proportional. `elastic`: E_A, E_M in Pa and the temperature of zero expansion, K."""
+    the extended law, what has transformed so far. `elastic`: E_A, E_M [Pa], K of no expansion."""
     (stiff, soft, ambient), s = elastic, loop.stress / _REFERENCE_STRESS
     grown, strains, columns, transformed = _grown(p, s), [], [], 0.0
     xi_reversed = 1.0 if loop.branches[0][0].direction == "heating" else 0.0
     for branch, bins in loop.branches:
-        # Ends of the transformation range at this stress; xi from where the last branch ended.
         rising, t, ends = branch.direction == "heating", branch.temperature, _ENDS[branch.direction]
         bend = p.get(f"bend_{ends[0][0]}", 0.0) * s**2
         low, high = (p[e] + p[n] * s + bend for e, n in zip(ends, _slopes(law, ends), strict=True))
@@ -241,9 +193,8 @@ def _strain(law: Law, p: Mapping[str, float], loop: Loop,
 
 def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
              report: Report = silent) -> LawFit:
-    """Fit one law to all loops, each loop's residual in units of the strain it recovers. Standard
-    errors hold the coloured scatter in every loop and the uncertainty of E_A and E_M. Raises
-    InputError: fewer points than unknowns, or no loop that shows a transformation."""
+    """Fit one law to all loops, residuals in units of the strain recovered. Errors hold coloured
+    scatter and the uncertainty of E_A and E_M."""
     from scipy.optimize import least_squares  # half a second to load
     unknowns, fixed = _unknowns(loops, law, parameters)
     total = sum(len(loop.strain) for loop in loops)
@@ -255,7 +206,6 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
     ambient = parameters["environment.ambient_temperature"]
 
     def left_of(x: Array, loop: Loop, moduli: tuple[float, float] = (stiff, soft)) -> Array:
-        """What the law leaves of a loop's strain at its best free parts."""
         p = fixed | dict(zip(names, x.tolist(), strict=True))
         strain, columns = _strain(law, p, loop, (*moduli, ambient))
         columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-12)
@@ -332,7 +282,6 @@ def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
             unknowns |= dict.fromkeys(slopes, (first, -5.0, 100.0, 2.0))
         else:
             fixed |= dict.fromkeys(slopes, slope)
-    # The transformation strain, expansion, and what only the extended law has.
     largest, least = max(float(steps.max()), 1e-4), max(float(steps.min()), 1e-6)
     top = 3.0 * max(largest, *(loop.recovered for loop in loops))
     whole = (largest, 0.0, top, 0.1 * largest)
@@ -364,14 +313,12 @@ def _estimates(fit: LawFit, parameters: Parameters,
     top, extended = largest / _REFERENCE_STRESS, fit.law == "extended"
 
     def contract(values: Array) -> dict[str, float]:
-        """By the law's numbers; of C_A and C_M the slope, K per 100 MPa."""
-        p = fit.all_with(values)
+        p = fit.fixed | dict(zip(fit.names, values.tolist(), strict=True))
         found = {name: p[name] for name in TRANSITIONS}
         for ends in _ENDS.values():
             # The secant from zero to the largest stress: with a bend there is no one slope.
             slope = sum(p[name] for name in _slopes(fit.law, ends)) / 2.0
             found[f"C_{ends[0][0]}"] = slope + p.get(f"bend_{ends[0][0]}", 0.0) * top
-        # Theta_T; of the extended law -alpha_M E_M, as it is below A_s.
         theta = -1e-6 * p["alpha_M"] * parameters[MODULI[0]] if extended else 1e6 * p["Theta_T"]
         return found | {"eps_L": _grown(p, top), "Theta_T": theta}
 
@@ -414,14 +361,6 @@ def _estimates(fit: LawFit, parameters: Parameters,
             found["Theta_T"] = Estimate(value, std, "Pa/K", words, n)
         else:
             findings.append(remark("expansion not told", value=value, std=std))
-    # A parameter file holds no number that is out of its range.
-    for symbol in [symbol for symbol in SYMBOLS if symbol in found]:
-        name, e = SYMBOLS[symbol], found.pop(symbol)
-        low, high = BY_NAME[name].low, BY_NAME[name].high
-        if (low is not None and e.value < low) or (high is not None and e.value > high):
-            findings.append(remark("out of range", subject=name, value=e.value, unit=e.unit))
-        else:
-            found[symbol] = e
     chosen = [list(values).index(symbol) for symbol in found]
     sign = np.array([-1.0 if symbol in ("C_A", "C_M") else 1.0 for symbol in found])
     sigma = sign * np.sqrt(np.diag(covariance)[chosen])
@@ -431,7 +370,7 @@ def _estimates(fit: LawFit, parameters: Parameters,
 
 
 def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
-    """Each law's error at each stress; bounds, givens and correlations of the last one."""
+    """Each law's error at each stress; bounds and givens of the last one."""
     for fit in fits:
         errors, fails = fit.errors, max(fit.errors.values()) >= _TOLERANCE
         more = f"; above {_TOLERANCE:.0%}" * fails
@@ -445,9 +384,3 @@ def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
     if given := {name: value for name, value in fit.fixed.items() if name != "T_ref"}:
         listed = ", ".join(f"{name} = {value:.4g}" for name, value in given.items())
         yield remark("taken as given", numbers=given, listed=listed)
-    correlation = fit.covariance / np.outer(fit.std, fit.std)
-    strong = np.argwhere(np.abs(np.tril(correlation, -1)) > _STRONG)
-    pairs = {f"{fit.names[i]}, {fit.names[j]}": float(correlation[i, j]) for i, j in strong}
-    if pairs:
-        listed = "; ".join(f"{pair} {c:+.2f}" for pair, c in pairs.items())
-        yield remark("correlated numbers", numbers=pairs, listed=listed)

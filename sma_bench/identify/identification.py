@@ -28,7 +28,7 @@ from sma_bench.identify.transition_temperatures import identify_transition_tempe
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
-from sma_bench.progress import Report, by_name, part, silent
+from sma_bench.progress import Report, part, silent
 from sma_bench.records import DscRecord, Record
 from sma_bench.records import record as record_module
 from sma_bench.records.check import check_record
@@ -50,9 +50,7 @@ NEEDS = {
     "E10": "E10 voltages of all channels with the deflection, ranges or elongation of a load",
 }
 EXPERIMENTS = tuple(NEEDS)
-# Parts of the time: a whole-model fit takes most of it, and so does E9 where it is asked for.
-_WHOLE_MODEL, _JOINT = 0.9, 0.3
-_PLAN = dict.fromkeys(("E1", "E2", "E3", "E5", "E6", "E7", "E8"), 1.0)
+_WHOLE_MODEL = 0.9  # of the time
 _LEAST_DRIVE = 0.05  # V
 _SMALL = 0.01  # of a mean
 # What an experiment on bags reads (E1 to E3 predict the last of it), and what numbers go with.
@@ -68,16 +66,14 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     """Identify what the records allow, as in `NEEDS`: E0 where no staircase gives E1 or E2; E10
     takes the load frame's bags along. One bag's resistance serves another's ramps.
 
-    `experiments`: names out of EXPERIMENTS; all that the records hold when None, but E9 on clamped
-    wires and isobaric files, which takes a minute, only when named; `phases`: of tensile tests, by
-    file name or pattern of names. Raises InputError: unknown experiment, one that was asked for but
-    cannot be done, or nothing at all to identify; the line lists what is found and missing."""
+    `experiments`: of EXPERIMENTS; all that the records hold when None, but E9 on clamped wires and
+    isobaric files, which takes a minute; `phases`: of tensile tests, by pattern of file names.
+    Raises InputError: an experiment is unknown or cannot be done, or nothing to identify at all."""
     wanted = frozenset(EXPERIMENTS if experiments is None else experiments)
     if unknown := sorted(wanted - set(EXPERIMENTS)):
         raise InputError(f"experiment {unknown[0]!r}, expected one of {', '.join(EXPERIMENTS)}")
     if not records:
         raise InputError("no record to identify from")
-    # Bags put right, with what is remarked on them and on the wire's statements.
     bags = [r for r in records if isinstance(r, Record)]
     record_module.require_distinct(bags)
     sound = [mended(record_module.as_driven(r, parameters), parameters) for r in bags]
@@ -95,7 +91,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     run.notes.extend(about_wire(known))
     # Wires that move a load are identified by the whole model alone: their staircases bend it.
     whole = _whole_model(run, bags, report)
-    reporter = by_name(part(report, _WHOLE_MODEL if whole else 0.0, 1.0), _PLAN)
+    report(_WHOLE_MODEL if whole else 0.0, "experiments")
     still = [r for r in bags if not (whole and signals.moves(r, parameters))]
     drives, read = list[tuple[Record, signals.ChannelDrive]](), list[Record]()
     for record in still:
@@ -105,18 +101,18 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
         except InputError as error:
             for name in ("E1", "E2", "E3"):
                 run.fail(name, str(error))
-    _thermal(run, drives, reporter)
+    _thermal(run, drives)
     # E0 on all driven records without a staircase, or with steady states alone and no known c_p.
     driven, kinds = None, ("current", "temperature")
     slow = not (run.of("E1") or run.of("E3") or _C_P in parameters.given)
-    excited = [] if (run.of("E1") or run.of("E2")) and not slow or run.of("E9") else [
-        r for r in read if max(signals.driven(r, known).values(), default=0.0) > _LEAST_DRIVE
-        and any(has_samples(r, f"{c}.{kind}") for c in r.channels for kind in kinds)
-    ]
-    if excited:
+    if not run.of("E9") and (slow or not (run.of("E1") or run.of("E2"))):
+        excited = [r for r in read if max(signals.driven(r, known).values(), default=0.0)
+                   > _LEAST_DRIVE
+                   and any(has_samples(r, f"{c}.{kind}") for c in r.channels for kind in kinds)]
         share, fit_wires = part(report, 0.0, _WHOLE_MODEL, "E0"), whole_model.identify_driven_wires
-        driven = run.attempt("E0", lambda: fit_wires(excited, run.given, share))
-    _material(run, records, bags, still, phases or {}, reporter, report)
+        if excited:
+            driven = run.attempt("E0", lambda: fit_wires(excited, run.given, share))
+    _material(run, records, bags, still, phases or {}, report)
     run.take_sharper(driven)
     run.take_sharper(whole)
     run.weigh_priors(driven, whole)
@@ -126,23 +122,23 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     # The estimates with what was stated of them and what is to be said of each.
     remarks: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
     remarks += [(f, e) for e in run.experiments for f in e.findings]
-    lines, doubts = list[str](), dict[str, list[str]]()
+    doubts: dict[str, set[str]] = {}  # names by line
     for finding, own in ((f, own) for f, own in remarks if f.severity != "info"):
-        lines.append(f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}")
-        for name in _concerned(finding, own, run.experiments):
-            doubts.setdefault(name, []).append(lines[-1])
+        line = f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}"
+        doubts.setdefault(line, set()).update(_concerned(finding, own, run.experiments))
     estimates = {}
     for name, e in run.estimates.items():
         stated = Estimate(float(known[name]), known.std(name), e.unit)
-        estimates[name] = replace(e, warnings=tuple(dict.fromkeys(doubts.get(name, ()))),
-                                  stated=stated if name in known.given else None)
+        about = tuple(line for line, names in doubts.items() if name in names)
+        stated_here = stated if name in known.given else None
+        estimates[name] = replace(e, warnings=about, stated=stated_here)
     fits: dict[str, SignalFit] = {}  # of every signal the worst of several records
     for quantity, one in _fits(run, bags, drives, improved):
         fits[quantity] = max(fits.get(quantity, one), one, key=lambda own: own.badness)
     laws = next((e.laws for e in run.experiments if e.laws), ())
     others = {law.law: law.probability for law in laws[1:]}
-    return Identification(improved, estimates, tuple(run.experiments),
-                          tuple(run.notes), fits, run.correlation(), tuple(dict.fromkeys(lines)),
+    return Identification(improved, estimates, tuple(run.experiments), tuple(run.notes), fits,
+                          run.correlation(), tuple(doubts),
                           accounts=tuple(filter(None, map(account_line, records))),
                           law=Law(laws[0].law, laws[0].probability, others) if laws else None)
 
@@ -179,8 +175,6 @@ def _whole_model(run: IdentificationRun, bags: Sequence[Record],
     if not (bent or framed) or name not in run.wanted:
         return None
     if not (bent or loaded or run.asked):  # E8 tells Theta_T by it in a second
-        if any(has_samples(record, "force") for record in framed):
-            run.notes.append(remark("force of a clamped wire"))
         return None
     if bent or loaded:
         # Above A_s a clamped wire pulls as no real wire bears: not to be mixed with held loads.
@@ -193,15 +187,14 @@ def _whole_model(run: IdentificationRun, bags: Sequence[Record],
     return run.attempt(name, lambda: experiment(used, run.given, reporter))
 
 
-def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], None]) -> None:
+def _thermal(run: IdentificationRun, drives: Drives) -> None:
     """E1 and E2 on every staircase, E3 on all ramps together with what these gave."""
 
     def serving(name: str, quantity: str, ramps: bool = False) -> Drives:
         """Drives of a kind that come with a signal; the others leave a reason."""
-        reporter(name)
         found = []
         for record, drive in drives if name in run.wanted else ():
-            if not (drive.segments.ramps if ramps else drive.staircases):
+            if not (drive.segments.ramps if ramps else drive.staircase.is_one):
                 run.fail(name, f"{record.path}: {drive.describe()}", meant=False)
             elif not has_samples(record, f"{drive.channel}.{quantity}"):
                 run.fail(name, f"{record.path}: no signal {drive.channel}.{quantity}")
@@ -223,18 +216,16 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
         """R as it heats: with the leads in it."""
         return staircases.heated(run.known(_R), run.given, _R in run.estimates)
 
-    # E1: resistance.
     for record, drive in serving("E1", "current"):
-        for staircase in drive.staircases:
-            run.attempt("E1", partial(staircases.identify_resistance, record, staircase, run.given))
+        each = partial(staircases.identify_resistance, record, drive.staircase, run.given)
+        run.attempt("E1", each)
     if done := run.of("E1"):
         compare(_R, [e.estimates[_R] for e in done])
         run.join("E1")
     # E2: the gains are independent of each other; the coefficients share one resistance.
     for record, drive in serving("E2", "temperature"):
-        for staircase in drive.staircases:
-            each = partial(staircases.identify_heat_transfer, record, staircase, run.given, warm())
-            run.attempt("E2", each)
+        each = partial(staircases.identify_heat_transfer, record, drive.staircase, run.given)
+        run.attempt("E2", partial(each, warm()))
     gains = [e.details[staircases.GAIN] for e in run.of("E2")]
     if gains:
         compare(_H, gains)
@@ -257,8 +248,7 @@ def _thermal(run: IdentificationRun, drives: Drives, reporter: Callable[[str], N
 
 
 def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequence[Record],
-              still: Sequence[Record], phases: Mapping[str, Phase], reporter: Callable[[str], None],
-              report: Report) -> None:
+              still: Sequence[Record], phases: Mapping[str, Phase], report: Report) -> None:
     """E5, E6, E7 and E9 on instrument files and bags of load frames; E8 on clamped wires."""
 
     def try_on(name: str, found: Sequence[AnyRecord], experiment: Callable[[], Experiment]) -> None:
@@ -269,9 +259,8 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
     dsc = [r for r in records if isinstance(r, DscRecord)]
     tensile = [r for r in records if isinstance(r, TensileRecord)]
     isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
-    moved = load_kind(run.given) == "displacement"  # whose motion E9 has as its input
     for record in still:
-        if not moved and find_pulls(record):
+        if load_kind(run.given) != "displacement" and find_pulls(record):  # E9 has it as its input
             tensile += tensile_tests(record, run.improved())
         # Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same.
         alone = run.asked and "E6" in run.wanted and "E9" not in run.wanted
@@ -280,25 +269,20 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
                 isobaric += isobaric_tests(record, run.improved())
             except InputError as error:
                 run.fail("E6", str(error))
-    reporter("E5")
     try_on("E5", dsc, lambda: identify_transition_temperatures(dsc))
     # E6's temperatures tell the phase of tensile tests, whose moduli are in E6's elastic part.
-    reporter("E6")
     own = run.improved()
     if tensile and isobaric:
         with suppress(InputError):
             first = identify_isobaric(isobaric, own).estimates
             own = own.replace({name: e.value for name, e in first.items()})
-    reporter("E7")
     try_on("E7", tensile, lambda: identify_tensile(tensile, own, phases=phases))
     try_on("E6", isobaric, lambda: identify_isobaric(isobaric, run.improved()))
     if run.asked:
-        joint, fit_all = part(report, _JOINT, 1.0, "E9"), constitutive.fit_constitutive
+        joint, fit_all = part(report, 0.0, 1.0, "E9"), constitutive.fit_constitutive
         try_on("E9", isobaric, lambda: fit_all(isobaric, run.improved(), joint))
-    # E8; the whole model tells it better where it ran.
-    reporter("E8")
     clamped = [record for record in bags if signals.is_clamped_wire(record)]
-    if not clamped or run.of("E9"):
+    if not clamped or run.of("E9"):  # which tells it better
         return
     if run.another_alloy() and SYMBOLS["A_s"] not in run.estimates.keys() | run.given.given:
         run.fail("E8", "A_s is not stated, and the alloy is another than the paper's")

@@ -1,13 +1,13 @@
 """E6: UPFR and isobaric tests: eps_L, the transition temperatures of eqs. (10), (11), C_A and C_M.
 
 The cosine of every heating and cooling gives the temperatures that a simulation takes; tangents
-(practice of ASTM F2082 and E3097) cross inside its range, under names of their own, as in the
-paper. Several stresses give stress-free values and C_A, C_M (Clausius and Clapeyron)."""
+cross inside its range, under names of their own. Several stresses give stress-free values and C_A,
+C_M (Clausius and Clapeyron)."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -43,7 +43,7 @@ _FEWEST_CYCLES, _TREND, _SMALLEST_DRIFT = 4, 0.8, 3.0  # correlation, K
 _ROUGH = 0.02  # of the strain
 _CLIPPED = 20  # readings
 _SHORTEST_TEST = 10.0  # s, of a load that a frame held
-Convention = Literal["cosine", "tangent"]
+Convention = Literal["tangent", "cosine"]
 
 
 class Reading(NamedTuple):
@@ -65,19 +65,13 @@ Level = tuple[float, dict[str, list[Reading]]]  # stress in Pa, and its readings
 Estimates = dict[str, Estimate]
 
 
-def identify_isobaric(records: Sequence[IsobaricRecord],
-                      parameters: Parameters | None = None) -> Experiment:
+def identify_isobaric(records: Sequence[IsobaricRecord], parameters: Parameters) -> Experiment:
     """Evaluate isobaric tests of one material; cycles and records at the same stress are repeats.
-    `details` holds every stress and cycle, the tangents' crossings as "A_s (tangent) ..."; `curves`
-    the branches (`<record>/<cycle>/<direction>/temperature`, `/strain`, `/tangents` (4, 2) and
-    `/cosine` (n, 2) K and strain) and the stress-temperature diagram (`diagram/A_s/stress`, ...).
-    `parameters`: moduli for the elastic part of the strain, and C_A, C_M to refer a single stress
-    to zero. Raises InputError: no records, or no transformation."""
-    parameters = parameters or Parameters.defaults()
-    if not records:
-        raise InputError("isobaric test: no records")
+    `details` holds every stress and cycle; `curves` the branches (`<record>/<cycle>/<direction>/`
+    `temperature`, `strain`, `tangents` (4, 2), `cosine` (n, 2), K and strain) and the diagram
+    (`diagram/A_s/stress`, ...). `parameters`: moduli for the elastic strain; C_A, C_M to refer a
+    single stress to zero. InputError: no branch shows a transformation."""
     findings = [finding for record in records for finding in record.findings]
-    # Tangents and cosine of every branch; one without a transformation becomes a finding.
     readings: list[Reading] = []
     for record in records:
         believable = record.strain_unit == "1" and record.stress <= instruments.STRONGEST
@@ -89,12 +83,11 @@ def identify_isobaric(records: Sequence[IsobaricRecord],
             except InputError as error:
                 findings.append(remark("no tangents", record=record.name, cycle=cycle.number,
                                        error=error))
-            else:
-                cosine = branches.fit_cosine(branch, tangents, parameters, stress)
-                readings.append(Reading(record, cycle.number, branch, tangents, cosine))
+                continue
+            cosine = branches.fit_cosine(branch, tangents, parameters, stress)
+            readings.append(Reading(record, cycle.number, branch, tangents, cosine))
     if not readings:
         raise InputError(f"{records[0].path}: no branch shows a transformation")
-    # Readings at the same stress together, in order of stress.
     groups: list[list[Reading]] = []
     for reading in sorted(readings, key=lambda r: r.record.stress):
         stress = reading.record.stress
@@ -105,27 +98,22 @@ def identify_isobaric(records: Sequence[IsobaricRecord],
     levels = [(float(np.mean([r.record.stress for r in group])),
                {way: [r for r in group if r.branch.direction == way] for way in PHASES})
               for group in groups]
-    # Stress-free temperatures by both conventions, and the temperatures at every stress.
     estimates, details, diagram = _temperatures(levels, "cosine", parameters, findings)
     crossings = _temperatures(levels, "tangent", parameters, [])[0]
     method = "tangents, referred to zero stress: inside the range of eqs. (10), (11)"
     details |= {f"{symbol} (tangent), stress free": replace(crossings[name], method=method)
                 for symbol, name in TRANSITIONS.items() if name in crossings}
-    conventions: tuple[Convention, ...] = ("tangent", "cosine")
     for stress, along in levels:
-        for direction, (*ends, _) in PHASES.items():
-            found = along[direction]
-            n = sum(len(r.branch.strain) for r in found)
-            for end, name in enumerate(ends if found else ()):
-                for convention in conventions:
+        for way, found in ((way, found) for way, found in along.items() if found):
+            for end, name in enumerate(PHASES[way][:2]):
+                for convention in get_args(Convention):
                     mean = estimate.mean_and_deviation([r.ends(convention)[end] for r in found])
                     words = f"{convention}, {len(found)} readings: mean and deviation"
                     label = f"{name} ({convention}) at {stress / 1e6:.0f} MPa"
-                    details[label] = Estimate(*mean, "K", words, n)
+                    details[label] = Estimate(*mean, "K", words, _points(found))
                 for r in found if len(found) > 1 else ():
-                    own, label = r.ends("tangent")[end], f"{name}, {r.record.name}, cycle {r.cycle}"
-                    own_n = len(r.branch.strain)
-                    details[f"{label}, {direction}"] = Estimate(*own, "K", "tangent", own_n)
+                    label = f"{name}, {r.record.name}, cycle {r.cycle}, {way}"
+                    details[label] = Estimate(*r.ends("tangent")[end], "K", "tangent", _points([r]))
     estimates |= _strains(levels, parameters, details, findings)
     findings.extend(_about_branches(records, readings))
     curves: dict[str, Array] = {}
@@ -142,9 +130,13 @@ def identify_isobaric(records: Sequence[IsobaricRecord],
                       tuple(findings), curves, "; ".join(str(r.path) for r in records), details)
 
 
+def _points(readings: Sequence[Reading]) -> int:
+    return sum(len(r.branch.strain) for r in readings)
+
+
 def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
     """The loops of a load-frame bag as isobaric tests, one a held load, force over the section of
-    all wires that pull. Raises InputError without a drive, temperature or elongation."""
+    all wires. InputError without a drive, temperature or elongation."""
     rig = find_rig(record, parameters)
     time, elongation = samples(record, "elongation")
     kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
@@ -202,7 +194,7 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
             listed = f"{start}, {finish}, {label}"
             findings.append(remark("no branch", subject=listed, direction=direction))
             continue
-        n, stress = sum(len(r.branch.strain) for _, own in shown for r in own), points[start][0]
+        n, stress = sum(_points(own) for _, own in shown), points[start][0]
         if float(np.ptp(stress)) < SMALLEST_STRESS_RANGE:
             # One stress: referred to zero with what is known of C.
             c, doubt, held = parameters[influence], parameters.std(influence), float(stress.mean())
@@ -210,11 +202,10 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
             findings.append(remark("one stress", subject=label, stress=held,
                                    shift=held / c, c=c, doubt=doubt, unstated=unstated))
             method = f"cosine at {held / 1e6:.3g} MPa, referred to zero stress with {label}"
-            shares = {influence: held * doubt / c**2}
             for name in pair:
                 _, kelvin, std, _ = points[name].mean(axis=1).tolist()
                 number = Estimate(kelvin - held / c, std, "K", method, n)
-                estimates[SYMBOLS[name]] = number.with_shares(shares)
+                estimates[SYMBOLS[name]] = number.with_shares({influence: held * doubt / c**2})
             continue
         # Several: T = T_0 + sigma/C, one slope for start and finish, which cycles move together.
         both = np.hstack([points[name] for name in pair])
@@ -242,8 +233,8 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
             sides = 1.0 - (1.645 * min(relative, 1.0 / _RISES)) ** 2
             low, high = stress.min() / 1e6, stress.max() / 1e6
             words = f"common slope of {start} and {finish} over {low:.0f} to {high:.0f} MPa"
-            c, std_of_c = 1.0 / slope, relative / (slope * sides)
-            estimates[influence] = Estimate(c, std_of_c, "Pa/K", words, n)
+            c = 1.0 / slope, relative / (slope * sides)
+            estimates[influence] = Estimate(*c, "Pa/K", words, n)
         else:
             findings.append(remark("no rise", subject=label, slope=slope, std=slope_std, **facts))
         if fit.misfit > _SIGNIFICANT:
@@ -264,7 +255,7 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
         readings = along["heating"] or along["cooling"]
         is_relative = readings[0].record.strain_unit != "1"
         value, *errors = mean_of_repeats([r.cosine.step for r in readings])
-        std, n = math.hypot(*errors), sum(len(r.branch.strain) for r in readings)
+        std, n = math.hypot(*errors), _points(readings)
         unit, words = "relative" if is_relative else "1", "distance of the outer lines half-way"
         details[f"recovered strain at {held / 1e6:.0f} MPa"] = Estimate(value, std, unit, words, n)
         if is_relative or held > instruments.STRONGEST:
@@ -284,7 +275,7 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
         details[f"eps_L at {held / 1e6:.0f} MPa"] = transformed[-1][1]
     if not transformed:
         return {}
-    # Does one eps_L describe all stresses? The same moduli stand behind both ends.
+    # Does one eps_L describe all stresses? The moduli are those of both.
     (_, least), (high, most) = transformed[0], transformed[-1]
     moduli = most.shares[_ELASTIC] - least.shares[_ELASTIC]
     error = math.hypot(most.statistical, least.statistical, moduli)
@@ -302,7 +293,6 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
 def _about_branches(records: Sequence[IsobaricRecord],
                     readings: Sequence[Reading]) -> Iterator[Finding]:
     """Clipped strain, branches turned round early, no cosines, and cycles that are no repeats."""
-    # Strain that stays at its extreme to the last digit: the extensometer has no more travel.
     for record in records:
         strain = np.concatenate([b.strain for c in record.cycles for b in c.branches])
         runs = np.split(strain, np.flatnonzero(np.diff(strain)) + 1)
@@ -311,7 +301,6 @@ def _about_branches(records: Sequence[IsobaricRecord],
             if longest >= _CLIPPED:
                 yield remark("strain clipped", record=record.name, which=which, value=value,
                              count=longest)
-
     early, rough = dict[tuple[str, str, str], list[int]](), dict[str, list[Reading]]()
     for r in readings:
         colder_first = ("M_f", "M_s") if r.branch.direction == "cooling" else ("A_s", "A_f")

@@ -1,5 +1,5 @@
-"""The result of an identification as plain facts, from which every card, page and topic is made
-(`templates/identification.j2`); the texts of its remarks, by cause, are in remarks.yaml."""
+"""The result of an identification as plain facts (`templates/identification.j2` words them); the
+texts of its remarks, by cause, are in remarks.yaml."""
 
 import string
 from collections.abc import Mapping, Sequence
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 import numpy as np
 
 from sma_bench.arrays import Array
-from sma_bench.border import load_yaml
+from sma_bench.border import read_yaml
 from sma_bench.drawn import Reported
 from sma_bench.errors import InputError
 from sma_bench.estimation.estimate import Estimate
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 FitVerdict = Literal["ok", "imperfect", "misfit"]
 _SURPRISES = 3.0  # standard deviations
-_TOGETHER = 0.5  # correlation worth a line
 _WITHIN_NOISE = 1.1  # rms over the noise of a sample, which is itself known to some 5 %
 _USABLE = 0.05  # of the signal's range
 
@@ -50,8 +49,8 @@ class SignalFit:
     @property
     def badness(self) -> tuple[int, float]:
         """To order fits by, the worst last."""
-        ratio = self.rms / self.noise if self.noise else 0.0
-        return get_args(FitVerdict).index(self.verdict), ratio
+        verdicts = get_args(FitVerdict)
+        return verdicts.index(self.verdict), self.rms / self.noise if self.noise else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,8 +80,7 @@ class Experiment:
     findings: tuple[Finding, ...] = ()
     curves: dict[str, Array] = field(default_factory=dict)  # of its figure, never written to JSON
     source: str = ""
-    # further numbers (one direction, one rate, another method) under names of their own
-    details: dict[str, Estimate] = field(default_factory=dict)
+    details: dict[str, Estimate] = field(default_factory=dict)  # further numbers, by other names
     correlation: Correlation | None = None  # of the errors of estimates which one fit gave together
     laws: tuple[Any, ...] = ()  # of the wire, best first, of LawFit: no file holds them
 
@@ -103,12 +101,10 @@ class Identification(Carded, Reported):
 
     # the given ones with the estimates put in; of a result file the defaults
     parameters: Parameters
-    # by parameter name, each with what the parameter file states and the warnings that concern it
-    estimates: dict[str, Estimate]
+    estimates: dict[str, Estimate]  # by parameter name, each with its `stated` and `warnings`
     experiments: tuple[Experiment, ...]  # one each record and channel
     notes: tuple[Finding, ...] = ()  # what could not be identified and why, remarks on the records
-    # of the model with these parameters to every signal that they were identified from
-    fit: dict[str, SignalFit] = field(default_factory=dict)
+    fit: dict[str, SignalFit] = field(default_factory=dict)  # of the model to every signal
     correlation: Correlation = field(default_factory=lambda: Correlation((), np.empty((0, 0))))
     warnings: tuple[str, ...] = ()  # to read before using the numbers
     path: str = "identification"  # of the result file
@@ -117,7 +113,7 @@ class Identification(Carded, Reported):
 
     def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
         """What the bench will read on the voltages of a record, by signal: the mean over the wire's
-        laws, and limits that hold a share of the readings. Raises InputError: no moving load was
+        laws, and limits that hold a share of the readings. InputError: no moving load was
         identified here, `record` lacks a voltage or motion, or `probability` is no share."""
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
@@ -147,14 +143,6 @@ class Identification(Carded, Reported):
     def surprising(self) -> dict[str, Estimate]:
         """Numbers that lie far off what the parameter file states."""
         return {n: e for n, e in self.estimates.items() if abs(e.deviations) > _SURPRISES}
-
-    @property
-    def linked(self) -> list[tuple[float, str, str]]:
-        """Correlations of errors worth a line, the closest first, with the two names."""
-        names, matrix = self.correlation.names, self.correlation.matrix
-        close = np.argwhere(np.abs(np.tril(matrix, -1)) > _TOGETHER)
-        pairs = [(float(matrix[i, j]), names[i], names[j]) for i, j in close]
-        return sorted(pairs, key=lambda pair: -abs(pair[0]))
 
     def to_json(self) -> dict[str, Any]:
         """The result file of the contract, section 5."""
@@ -208,14 +196,12 @@ class _Words(string.Formatter):
         return value, name
 
 
-@cache
-def _table() -> Any:
-    return load_yaml(Path(__file__).with_name("remarks.yaml").read_text(encoding="utf-8"))
+_entries = cache(lambda: read_yaml(Path(__file__).with_name("remarks.yaml")))
 
 
 def words(cause: str, **facts: object) -> str:
     """The text of a cause with these facts in it."""
-    return _Words().vformat(_table()[cause]["text"], (), facts)
+    return _Words().vformat(_entries()[cause]["text"], (), facts)
 
 
 def refusal(cause: str, **facts: object) -> InputError:
@@ -227,9 +213,8 @@ def remark(cause: str, severity: Severity | None = None, subject: str = "",
            numbers: Mapping[str, float] | None = None, **facts: Any) -> Finding:
     """The remark of a cause, its facts in SI units. `severity`, `subject`: other than the table's;
     `numbers`: for machines, else the facts that the table lists."""
-    entry = _table()[cause]
-    subject = subject or entry["subject"]
+    entry = _entries()[cause]
+    severity, subject = severity or entry.get("severity", "info"), subject or entry["subject"]
     if numbers is None:
         numbers = {name: float(facts[name]) for name in entry.get("numbers", ())}
-    text = words(cause, subject=subject, **facts)
-    return Finding(severity or entry.get("severity", "info"), subject, text, dict(numbers))
+    return Finding(severity, subject, words(cause, subject=subject, **facts), dict(numbers))

@@ -46,7 +46,6 @@ class IdentificationRun:
     failed: set[str] = field(default_factory=set)
 
     def of(self, name: str) -> list[Experiment]:
-        """Experiments done under this name."""
         return [e for e in self.experiments if e.name == name]
 
     def attempt(self, name: str, experiment: Callable[[], Experiment]) -> Experiment | None:
@@ -91,8 +90,8 @@ class IdentificationRun:
 
     def take_sharper(self, whole: Experiment | None) -> None:
         """Of what an experiment of its own and the whole model both tell, the sharper number
-        counts, never a mean: they may rest on the same samples. Of a product, whose other factor
-        the experiment took as given, its number goes with that factor as found."""
+        counts: they may rest on the same samples. Of a product, whose other factor the experiment
+        took as given, its number goes with that factor as found."""
         found = whole.estimates if whole else {}
         for name, estimate in found.items():
             other = self.estimates.get(name)
@@ -135,8 +134,8 @@ class IdentificationRun:
                 else:
                     del waiting[name]
         for name, e in waiting.items():
-            reason = reasons[name]
-            self.notes.append(remark("not given", subject=name, e=e, value=e.value, reason=reason))
+            self.notes.append(remark("not given", subject=name, e=e, value=e.value,
+                                     reason=reasons[name]))
             del self.estimates[name]
         return found
 
@@ -194,7 +193,7 @@ class IdentificationRun:
 
     def keep_order(self, whole: Experiment | None) -> None:
         """A_f lies above A_s and M_s, and these above M_f: estimates that errors carried past each
-        other meet between. Those that the whole model fitted together are in order, and stay."""
+        other meet between, but those that the whole model fitted together."""
         found = {n: e for n, e in self.estimates.items() if n in TRANSITIONS.values()}
         if whole and found and all(e is whole.estimates.get(n) for n, e in found.items()):
             return

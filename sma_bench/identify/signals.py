@@ -10,7 +10,7 @@ from sma_bench.arrays import Array
 from sma_bench.errors import InputError
 from sma_bench.estimation import noise_model
 from sma_bench.estimation.rig import has_load_frame, is_clamped, pulls_a_load
-from sma_bench.estimation.voltage import Segments, VoltageSegment, find_segments, protocol_spans
+from sma_bench.estimation.voltage import Segments, VoltageSegment, find_segments
 from sma_bench.findings import Finding
 from sma_bench.identify.estimate import straight_line
 from sma_bench.identify.result import refusal, remark
@@ -36,12 +36,16 @@ CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
 
 @dataclass(frozen=True)
 class Staircase:
-    """Plateaus at several voltages on one channel; `tolerance` in V tells levels apart."""
+    """Plateaus of a voltage on one channel; `tolerance` in V tells levels apart."""
 
     channel: str
     plateaus: tuple[VoltageSegment, ...]
     tolerance: float
-    protocol: str = ""
+
+    @property
+    def is_one(self) -> bool:
+        """Whether its levels are enough."""
+        return Segments(self.plateaus, (), self.tolerance).levels() >= FEWEST_LEVELS
 
     @property
     def windows(self) -> Array:
@@ -58,11 +62,10 @@ class Staircase:
             count = np.diff(np.searchsorted(time, self.windows))[:, 0]
             kept &= (count >= _FEWEST_SAMPLES) & (count >= 0.5 * np.median(count))
         left = tuple(p for p, keep in zip(self.plateaus, kept, strict=True) if keep)
-        enough = Segments(left, (), self.tolerance).levels() >= FEWEST_LEVELS
-        return replace(self, plateaus=left) if enough else self
+        found = replace(self, plateaus=left)
+        return found if found.is_one else self
 
     def means(self, record: Record, quantity: str) -> "Means":
-        """Of one of the channel's signals, plateau by plateau."""
         name = f"{self.channel}.{quantity}"
         return means(*samples(record, name), self.windows, name)
 
@@ -72,10 +75,8 @@ class Staircase:
         return (apart < self.tolerance).astype(np.float64)
 
     def source(self, record: Record) -> str:
-        """Where the points come from, for the result file."""
         span = f"{self.plateaus[0].start:.1f} to {self.plateaus[-1].stop:.1f} s"
-        protocol = f", protocol {self.protocol}" if self.protocol else ""
-        return f"{record.path}: {self.channel}, {span}{protocol}"
+        return f"{record.path}: {self.channel}, {span}"
 
 
 @dataclass(frozen=True)
@@ -84,10 +85,9 @@ class ChannelDrive:
 
     channel: str
     segments: Segments
-    staircases: tuple[Staircase, ...]
+    staircase: Staircase  # perhaps of too few levels
 
     def describe(self) -> str:
-        """A few words for messages."""
         s = self.segments
         counts = (len(s.plateaus), "plateau"), (s.levels(), "voltage"), (len(s.ramps), "ramp")
         plateaus, voltages, ramps = (f"{n} {word}{'s' * (n != 1)}" for n, word in counts)
@@ -95,20 +95,16 @@ class ChannelDrive:
 
 
 def find_drives(record: Record) -> tuple[ChannelDrive, ...]:
-    """Segments of every channel's voltage, split by protocol; InputError for one too short."""
+    """Segments of every channel's voltage; InputError for one too short."""
     drives = []
     for channel in (c for c in record.channels if has_samples(record, f"{c}.voltage")):
         try:
             segments = find_segments(*samples(record, f"{channel}.voltage"))
         except InputError as error:
             raise InputError(f"{record.path}: {channel}.{error}") from None
-        found = []
-        for protocol, start, stop in protocol_spans(record.markers, record.duration):
-            part = segments.between(start, stop)
-            plateaus = tuple(p for p in part.plateaus if p.duration >= SHORTEST_PLATEAU)
-            if Segments(plateaus, (), part.tolerance).levels() >= FEWEST_LEVELS:
-                found.append(Staircase(channel, plateaus, part.tolerance, protocol))
-        drives.append(ChannelDrive(channel, segments, tuple(found)))
+        plateaus = tuple(p for p in segments.plateaus if p.duration >= SHORTEST_PLATEAU)
+        staircase = Staircase(channel, plateaus, segments.tolerance)
+        drives.append(ChannelDrive(channel, segments, staircase))
     return tuple(drives)
 
 
@@ -137,7 +133,6 @@ def is_clamped_wire(record: Record) -> bool:
 
 
 def about_length(parameters: Parameters) -> Finding:
-    """Where the gauge length comes from."""
     computed = f"from mass and diameter at {NITI_DENSITY:g} kg/m3"
     source = "as given" if parameters["wire.length"] else computed
     return remark("gauge length", length=wire_length(parameters), source=source)
@@ -150,8 +145,8 @@ def one_wire(parameters: Parameters, channel: str) -> Parameters:
 
 
 def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
-    """What the camera's own messages state of its errors, where no file has stated them: at the
-    wire's coldest that of its zero, what comes on top is that of its scale."""
+    """What the camera's own messages state of its errors, where no file has: at the wire's coldest
+    that of its zero, what comes on top is that of its scale."""
     found = []
     for name, signal in (item for record in records for item in record.signals.items()):
         wire = name.endswith(".temperature") and not name.startswith("ambient.")

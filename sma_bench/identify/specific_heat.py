@@ -53,6 +53,8 @@ class Window(NamedTuple):
     voltage: Array
     temperature_time: Array
     temperature: Array
+    cut_off: int  # samples above A_s and after them
+    highest: float  # K, theirs
 
 
 class HeatLoss(NamedTuple):
@@ -67,11 +69,10 @@ class HeatLoss(NamedTuple):
 def identify_specific_heat(drives: Drives, parameters: Parameters,
                            heat_loss: HeatLoss) -> Experiment:
     """Specific heat from voltage ramps, with the rest before and the cooling after each: the most
-    probable c_p of eq. (2) on the voltage as read, freed of its noise, which heats a model but no
-    wire. The paper's slope of dT/dt over f(T, V) is in `details` as "differentiator", biased by
-    noise. c_p is conditional on wire.mass: only m c_p enters the equation. The standard error holds
-    ambient and the camera's zero, delay and lag, R and h, coloured noise and that of the voltage.
-    Raises InputError: no ramp, no temperature, or no rise of it below A_s."""
+    probable c_p of eq. (2), given wire.mass, on the voltage freed of its noise. Its error holds
+    ambient, the camera's zero, delay and lag, R and h, and coloured noise. The paper's slope of
+    dT/dt over f(T, V) is in `details` as "differentiator", biased by noise. Raises InputError: no
+    temperature, or no rise of it below A_s."""
     chosen, where, findings = _windows(drives, float(parameters[TRANSITIONS["A_s"]]))
     windows = [window for of_drive in chosen for window in of_drive]
     rise = max(float(np.ptp(_median_of_five(w.temperature))) for w in windows)
@@ -154,9 +155,9 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
         # c_p and h belong together: a file with this c_p and another h has the wrong tau.
         estimates[COEFFICIENT] = Estimate(h.value, h.std, "W/(m2 K)", method, n).with_shares(of_h)
     # Measured and fitted temperature, one window after the other, NaN in between.
-    voltage = [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows]
+    driven = [np.interp(w.temperature_time, w.voltage_time, w.voltage) for w in windows]
     columns = {"time": [w.temperature_time for w in windows],
-               "temperature": [w.temperature for w in windows], "model": models, "voltage": voltage}
+               "temperature": [w.temperature for w in windows], "model": models, "voltage": driven}
     curves = {name: np.concatenate([piece for part in parts for piece in (part, [np.nan])])
               for name, parts in columns.items()}
     return Experiment("E3", "Specific heat", estimates, (*findings, *remarks), curves | rates,
@@ -165,13 +166,12 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
 
 def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, list[Finding]]:
     """Of each drive the ramps below `limit` [K], else their cold beginnings; source; remark."""
-    # Windows with how many samples were cut off, and the highest temperature in K.
-    cuts: list[list[tuple[Window, int, float]]] = []
+    found: list[list[Window]] = []
     for record, drive in drives:
         voltage_time, voltage = samples(record, f"{drive.channel}.voltage")
         time, temperature = samples(record, f"{drive.channel}.temperature")
         clear, ramps = limit - _CLEARLY * noise_floor(temperature), drive.segments.ramps
-        cuts.append([])
+        found.append([])
         for k, ramp in enumerate(ramps):
             # Stretches do not overlap.
             start = max(ramp.start - _BEFORE, ramps[k - 1].stop if k else -math.inf)
@@ -186,23 +186,22 @@ def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, lis
             kept = int(np.argmax(smooth > clear)) if (smooth > limit).any() else len(t)
             first = max(int(np.searchsorted(voltage_time, start)) - 1, 0)
             last = int(np.searchsorted(voltage_time, t[kept - 1] if kept else start)) + 2
-            window = Window(voltage_time[first:last], voltage[first:last], t[:kept], y[:kept])
-            cuts[-1].append((window, len(t) - kept, float(smooth.max())))
-    every = [cut for of_drive in cuts for cut in of_drive]
-    hot = [cut for cut in every if cut[1]]
+            of_volts = voltage_time[first:last], voltage[first:last]
+            found[-1].append(Window(*of_volts, t[:kept], y[:kept], len(t) - kept, smooth.max()))
+    every = [w for own in found for w in own]
+    hot = [w for w in every if w.cut_off]
     some_cold = len(hot) < len(every)
-    chosen = [[w for w, cut_off, _ in of_drive if not (some_cold and cut_off)
-               and len(w.temperature) >= _FEWEST_SAMPLES] for of_drive in cuts]
-    each = zip(drives, cuts, strict=True)
-    where = "; ".join(f"{r.path}: {drive.channel}, {len(cut)} ramps" for (r, drive), cut in each)
+    chosen = [[w for w in own if not (some_cold and w.cut_off)
+               and len(w.temperature) >= _FEWEST_SAMPLES] for own in found]
+    each = zip(drives, found, strict=True)
+    where = "; ".join(f"{r.path}: {drive.channel}, {len(own)} ramps" for (r, drive), own in each)
     if not any(chosen):
         raise refusal("no cold ramp", where=where, least=_FEWEST_SAMPLES, limit=limit)
     if not hot:
         return chosen, where, []
-    _, cut_off, highest = zip(*hot, strict=True)
     return chosen, where, [remark(
         "some ramps too hot" if some_cold else "ramps too hot", limit=limit, ramps=len(hot),
-        of=len(every), excluded=sum(cut_off), highest=max(highest))]
+        of=len(every), excluded=sum(w.cut_off for w in hot), highest=max(w.highest for w in hot))]
 
 
 def _median_of_five(values: Array) -> Array:
@@ -240,7 +239,7 @@ def _fitted(observations: Sequence[Observation], cold: float, parameters: Parame
 
 
 def _lag(parameters: Parameters) -> tuple[float, float]:
-    """What is believed of the camera's, s."""
+    """What is believed of the camera's, and its error, s."""
     mean = float(parameters[LAG] or parameters[CAMERA_LAG])
     return mean, max(parameters.std(CAMERA_LAG), _LEAST)
 
@@ -338,8 +337,7 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
 def slope_of_rates(windows: Sequence[Window], ambient: Sequence[float], resistance: float,
                    heat_loss: float, mass: float) -> tuple[Estimate, dict[str, Array]]:
     """c_p in J/(kg K) from 1/slope of dT/dt over f(T, V) = (V^2/R - h A_c (T - T_inf))/m, and the
-    driven samples: "force" f in W/kg and "rate" dT/dt in K/s, both by a filter of 0.1 s. `ambient`:
-    K, one a window; `resistance`: ohm; `heat_loss`: h A_c in W/K; `mass`: kg."""
+    driven samples: "force" f in W/kg and "rate" dT/dt in K/s, by a filter of 0.1 s. In SI units."""
     rates, forces = [], []
     for w, surrounding in zip(windows, ambient, strict=True):
         period = float(np.median(np.diff(w.temperature_time)))
@@ -357,8 +355,7 @@ def slope_of_rates(windows: Sequence[Window], ambient: Sequence[float], resistan
     slope = float(force @ rate) / float(force @ force) if len(rate) else 0.0
     if slope == 0.0:
         raise InputError("the ramps do not heat the wire for longer than the filter's time")
-    # Filtered samples repeat each other over the filter's time.
-    effective = max(len(rate) * period / (2.0 * _FILTER_TIME), 2.0)
+    effective = max(len(rate) * period / (2.0 * _FILTER_TIME), 2.0)  # samples that do not repeat
     scatter = float(np.std(rate - slope * force)) / float(np.sqrt(np.mean(force**2)))
     std = scatter / math.sqrt(effective) / slope**2
     method = "slope of filtered dT/dt over f(T, V) as in the paper; biased by noise"

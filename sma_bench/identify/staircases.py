@@ -4,8 +4,7 @@ temperature below A_s the thermal expansion factor (E8: eq. 8, Fig. 10).
 
     V = V_0 + R_channel I   R = count (R_channel - R_leads)   sigma - sigma_0 = Theta_T (T - T_0)
 
-V_0 absorbs an offset of the current sensor; gain errors of sensors are systematic errors of R. A
-wire that expands between clamps loses tension: Theta_T is negative and its size is alpha E."""
+V_0 absorbs an offset of the current sensor; Theta_T is negative and its size is alpha E."""
 
 import math
 from collections.abc import Sequence
@@ -46,10 +45,9 @@ _SLACK, _BAD_MISFIT = 5.0, 9.0  # errors of the stress, chi square per degree of
 
 
 def identify_resistance(record: Record, staircase: Staircase, parameters: Parameters) -> Experiment:
-    """Fit V over I through the plateaus of a staircase. Where heating and cooling plateaus differ
-    by two standard errors the heating slope counts, as in the paper, and half the difference is
-    added to the error. `record`: with `<channel>.voltage` [V] and `<channel>.current` [A]. Raises
-    InputError: no current, too few samples, or leads with more resistance than was measured."""
+    """Fit V over I through the plateaus of a staircase. Where heating and cooling differ by two
+    standard errors the heating slope counts, as in the paper, and half the difference is added to
+    the error. InputError: current that does not follow, too few samples, or all of it is leads."""
     staircase = staircase.read(record, "voltage", "current")
     v, i = (staircase.means(record, name) for name in ("voltage", "current"))
     volts, amps, n, findings = v.value, i.value, len(v.value), list[Finding]()
@@ -60,17 +58,16 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
     up = np.array([p.direction == "up" for p in staircase.plateaus])
 
     def covariance(ohm: float) -> Array:
-        """(n, n) V^2 of V - ohm I; plateaus at one voltage share the converters' errors."""
+        """(n, n) V^2 of V - ohm I; plateaus at one voltage share converters' errors."""
         noise = np.diag(v.noise**2 + (ohm * i.noise) ** 2)
         return np.asarray(noise + (v.hidden**2 + (ohm * i.hidden) ** 2) * same)
 
-    # One line through all plateaus.
     both = fit_slope([np.ones(n), amps], volts, covariance)
-    intercept, ohm, std = float(both.beta[0]), float(both.beta[1]), float(both.std[1])
+    (intercept, ohm), (zero_std, std) = both.beta.tolist(), both.std.tolist()
     method = "straight line of voltage over current with intercept, both directions"
-    details = {"intercept": Estimate(intercept, float(both.std[0]), "V", "both directions", n),
+    details = {"intercept": Estimate(intercept, zero_std, "V", "both directions", n),
                "both": Estimate(ohm, std, "ohm", "both directions", n)}
-    # A line for each direction: does the resistance depend on the phase?
+    # Does the resistance depend on the phase?
     if all(side.sum() >= 3 and np.ptp(volts[side]) > 0.5 * np.ptp(volts) for side in (up, ~up)):
         each = fit_slope([up, ~up, up * amps, ~up * amps], volts, covariance, slope=2)
         for k, (name, side) in enumerate((("heating", up), ("cooling", ~up)), start=2):
@@ -89,14 +86,14 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
             method = "straight line of voltage over current with intercept, heating slope"
     # Is it straight? b x^2 changes the slope by 4 b / half_range over the range of the current.
     half_range = 0.5 * np.ptp(amps)
-    square = ((amps - amps.mean()) / half_range) ** 2
-    curved = fit_slope([np.ones(n), amps, square], volts, covariance)
+    columns = [np.ones(n), amps, ((amps - amps.mean()) / half_range) ** 2]
+    curved = fit_slope(columns, volts, covariance)
     bend, error = (4.0 / half_range * float(x[2]) for x in (curved.beta, curved.std))
     if abs(bend) > max(_SIGNIFICANT_BEND * error, _LARGE_BEND_OF_R * ohm):
         std = math.hypot(std, bend / math.sqrt(12.0))  # of a slope uniform over its range
         findings.append(remark("bent line", slope_change=bend, slope_change_std=error,
                                share=bend / ohm))
-    offset, offset_std = -intercept / ohm, details["intercept"].std / ohm
+    offset, offset_std = -intercept / ohm, zero_std / ohm
     if abs(offset) > _SIGNIFICANT * offset_std:
         findings.append(remark("current offset", offset=offset, offset_std=offset_std))
     # From the channel to one of its wires, and the errors that no record shows.
@@ -141,11 +138,9 @@ def heated(resistance: Estimate, parameters: Parameters, measured: bool) -> Esti
 def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Parameters,
                            resistance: Estimate) -> Experiment:
     """Heat transfer coefficient and ambient temperature from a voltage staircase: T = T_inf +
-    V^2/(R h A_c) with free T_inf, which may drift where the room was not recorded. The area is
-    taken as exact: only h A_c enters the heat equation. `details` holds the thermal gain
-    1/(R h A_c) in K/V^2. `record`: with voltage and temperature of the channel, perhaps
-    `ambient.temperature`; `resistance`: V^2 over the heat of a wire. Raises InputError: no
-    temperature, one that does not follow the voltage, or free convection."""
+    V^2/(R h A_c) with free T_inf, which may drift where the room was not recorded; A_c is taken as
+    exact. `details` holds the thermal gain 1/(R h A_c) in K/V^2. `resistance`: V^2 over the heat of
+    a wire. InputError: temperature that does not follow the voltage, or free convection."""
     if parameters["wire.convection"] != "constant":
         raise refusal("free convection", path=record.path)
     also = ["current"] if has_samples(record, f"{staircase.channel}.current") else []
@@ -157,13 +152,13 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
     ones, rise_of_square = np.ones(n), float(np.ptp(square))
     # What the room did from plateau to plateau, or one standard deviation of what it may have done.
     middle = staircase.windows.mean(axis=1)
-    centred, duration, size = middle - middle.mean(), float(np.ptp(middle)), 0.0
+    duration, size = float(np.ptp(middle)), 0.0
     if has_samples(record, _ROOM):
         room = np.interp(middle, *samples(record, _ROOM))
         kelvin = kelvin - (room - room.mean())
     else:
         size = _DRIFT_STD * min(1.0, duration / _DRIFT_TIME)
-    drift = centred / (0.5 * duration)
+    drift = (middle - middle.mean()) / (0.5 * duration)
     if straight_line(square, kelvin).slope * rise_of_square < 10.0 * float(np.median(t.noise)):
         raise refusal("temperature does not follow", path=record.path, channel=channel,
                       rise=np.ptp(kelvin), volts=np.ptp(volts))
@@ -175,11 +170,9 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         hidden = np.outer(sensitivity, sensitivity) * v.hidden**2 * shared
         return np.diag(noise) + hidden + np.outer(size * drift, size * drift)
 
-    # T over V^2: (T_inf, 1/(R h A_c)).
     fit = fit_slope([ones, square], kelvin, covariance)
     (ambient, gain), (ambient_std, gain_std) = fit.beta.tolist(), fit.std.tolist()
-    # How far the room went to either side of its mean, as the staircase shows it.
-    went = 0.0
+    went = 0.0  # K, by which the room went to either side of its mean, as the staircase shows it
     if size and n >= _FEWEST_TO_DRIFT:
         design = np.column_stack([ones, square, drift * size / np.max(np.abs(size * drift))])
         drifting = fit_linear(design, kelvin, covariance(gain, size=0.0))
@@ -187,11 +180,10 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         if abs(far) >= max(_SIGNIFICANT * error, _SMALL_DRIFT * gain * rise_of_square):
             went = far
             remarks.append(remark("room drifts", drift=2.0 * went, std=2.0 * error))
-    # Plateaus whose temperature still changed while it was averaged.
+    # Plateaus whose temperature still changed while it was averaged; a straight line's rise over
+    # its window has 12 times the variance of the mean.
     limit = max(_SMALLEST_DRIFT, _LARGE_DRIFT * float(np.ptp(kelvin)))
-    # A straight line's rise over its window has variance 12 times that of the mean.
-    drift_std = np.sqrt(12.0) * t.noise
-    moving = (np.abs(t.drift) > _DRIFTS * drift_std) & (np.abs(t.drift) > limit)
+    moving = np.abs(t.drift) > np.maximum(_DRIFTS * np.sqrt(12.0) * t.noise, limit)
     if moving.any():
         settled = kelvin + np.where(moving, t.drift, 0.0)
         moved = fit_slope([ones, square], settled, covariance).beta - fit.beta
@@ -204,12 +196,12 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
     if has_samples(record, f"{channel}.current"):
         current = staircase.means(record, "current")
         # The sensor's zero: a plateau at 0 V tells it better than a line that may not be straight.
-        undriven = np.abs(volts) < staircase.tolerance
-        of_volts, common = straight_line(volts, current.value), float(np.median(current.noise))
-        offset = of_volts.value - of_volts.slope * of_volts.at
-        if undriven.any():
+        if (undriven := np.abs(volts) < staircase.tolerance).any():
             offset = float(np.mean(current.value[undriven]))
             common = float(np.mean(current.noise[undriven])) / math.sqrt(float(undriven.sum()))
+        else:
+            offset = float(straight_line(volts, current.value)(np.zeros(1))[0])
+            common = float(np.median(current.noise))
         amperes, leads = current.value - offset, parameters["bench.lead_resistance"]
         per_wire = resistance.value / parameters["wire.count"]
         scale = per_wire * (volts - 2.0 * leads * amperes)
@@ -225,28 +217,27 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         way = "rises" if bend < 0.0 else "falls"
         remarks.append(remark("coefficient varies", what=what, way=way, size=0.5 * abs(bend),
                               growth=-0.5 * bend, growth_std=0.5 * error))
-    # Is the room as warm as it was said, or measured, to be?
     known, stated_std = [], parameters.std(AMBIENT)
     if AMBIENT in parameters.given:
         known.append(("stated", parameters[AMBIENT], stated_std))
     if has_samples(record, _ROOM):
         measured, stated = samples(record, _ROOM)[1], record[_ROOM].std
-        std = stated_std if stated is None else float(np.median(stated))
-        known.append(("measured", float(np.mean(measured)), max(float(np.std(measured)), std)))
+        std = max(float(np.std(measured)), stated_std if stated is None else np.median(stated))
+        known.append(("measured", float(np.mean(measured)), std))
     for how, value, std in known:
         off = ambient - value
         if abs(off) > _SIGNIFICANT * math.hypot(ambient_std, std):
             remarks.append(remark("ambient", how=how, ambient=ambient, value=value, difference=off))
-    # What no record shows: the converter's zero, the camera's, its scale, and the drift.
+    # What no record shows: the converter's zero, the camera's, its scale, and the drift. Nobody
+    # calibrates a camera's zero better than to its own step.
     shifted = (volts + parameters.std(ZERO)) ** 2
     off = float(fit_slope([ones, shifted], kelvin, covariance).beta[1] - gain)
     method = "steady temperature over squared voltage"
     thermal_gain = Estimate(gain, gain_std, "K/V2", method, n).with_shares({ZERO: off})
-    # Nobody calibrates a camera's zero better than to its own step.
     ambient_std = math.hypot(ambient_std, t.step / math.sqrt(12.0))
-    zero, (scale_name, *_) = "sensor.temperature.offset", CAMERA
-    of_scale = parameters.std(scale_name) * (ambient - CELSIUS_ZERO)
-    shares = {zero: parameters.std(zero), "drift of the room": abs(went), scale_name: of_scale}
+    zero, of_scale = "sensor.temperature.offset", parameters.std(CAMERA[0])
+    shares = {zero: parameters.std(zero), "drift of the room": abs(went),
+              CAMERA[0]: of_scale * (ambient - CELSIUS_ZERO)}
     cold = Estimate(ambient, ambient_std, "K", "steady temperature at zero voltage", n)
     estimates = {COEFFICIENT: coefficient(thermal_gain, resistance, parameters),
                  AMBIENT: cold.with_shares(shares)}
@@ -280,23 +271,20 @@ def scale_of_gain(parameters: Parameters) -> dict[str, float]:
 
 
 def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters) -> Experiment:
-    """Evaluate clamped staircases of temperature [K] and `force` [N], each of one wire.
-    `parameters`: diameter and count (area), A_s and C_A, moduli (check). Raises InputError: a
-    signal is absent, or fewer than three temperatures remain below A_s."""
-    # A point (K, Pa, with errors) a plateau of each record, and which of them count.
+    """Evaluate clamped staircases of temperature [K] and `force` [N], each of one wire. Raises
+    InputError: a signal is absent, or fewer than three temperatures remain below A_s."""
     findings, points, used, total = list[Finding](), [], [], 0
     area, a_s, stated = channel_section(parameters), parameters[_START], _START in parameters.given
     doubt = parameters.std(_START) if stated else BY_NAME[_START].uncertainty or 0.0
     for index, record in enumerate(records):
-        path, temperature = record.path, f"{record.channels[0]}.temperature"
-        time, kelvin = samples(record, temperature)
-        force_time, newton = samples(record, "force")
-        windows = steady_windows(time, kelvin)
-        windows = windows[(windows[:, 0] >= force_time[0]) & (windows[:, 1] <= force_time[-1])]
+        path, name = record.path, f"{record.channels[0]}.temperature"
+        read, (time, newton) = samples(record, name), samples(record, "force")
+        windows = steady_windows(*read)
+        windows = windows[(windows[:, 0] >= time[0]) & (windows[:, 1] <= time[-1])]
         if not len(windows):
-            raise refusal("never still", path=path, name=temperature, shortest=_SHORTEST_PLATEAU)
-        warm = signals.means(time, kelvin, windows, temperature)
-        f = signals.means(force_time, newton, windows, "force")
+            raise refusal("never still", path=path, name=name, shortest=_SHORTEST_PLATEAU)
+        warm = signals.means(*read, windows, name)
+        f = signals.means(time, newton, windows, "force")
         here, error = f.value / area, np.hypot(f.noise, f.hidden) / area
         total += f.n
         warm_std, of_record = np.hypot(warm.noise, warm.hidden), np.full(len(here), float(index))
@@ -322,15 +310,12 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
     levels = 1 + int(np.sum(np.diff(np.sort(t[chosen])) > _SAME_LEVEL)) if chosen.any() else 0
     if levels < _FEWEST_LEVELS:
         raise refusal("few levels", path=records[0].path, levels=levels, least=_FEWEST_LEVELS)
-    # One slope, and a zero a record.
     kinds, centre = np.unique(group[chosen]), float(t[chosen].mean())
     design = np.column_stack([group[:, None] == kinds, t - centre])
-    floor = (1e-6 * float(np.ptp(stress[chosen])) + 1.0) ** 2
-    fit = fit_slope(
-        design[chosen].T, stress[chosen], slope=-1, covariance=lambda slope: np.diag(
-            stress_std[chosen] ** 2 + (slope * t_std[chosen]) ** 2 + floor))
-    slope = float(fit.beta[-1])
-    # The area behind stress and the camera's scale have errors common to all points.
+    own = stress_std[chosen] ** 2 + (1e-6 * float(np.ptp(stress[chosen])) + 1.0) ** 2
+    fit = fit_slope(design[chosen].T, stress[chosen], slope=-1, covariance=lambda slope: np.diag(
+        own + (slope * t_std[chosen]) ** 2))
+    slope = float(fit.beta[-1])  # of which area and the camera's scale have errors of their own
     shares = {name: -slope * parameters.std(name) / parameters[name] for name in CAMERA}
     shares[_DIAMETER] = -2.0 * slope * parameters.std(_DIAMETER) / parameters[_DIAMETER]
     method = f"line through {int(chosen.sum())} plateaus at {levels} temperatures below A_s"

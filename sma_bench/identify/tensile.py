@@ -1,15 +1,15 @@
 """E7: E_M and E_A from tensile tests at constant temperature (Fig. 9, Table III).
 
-Martensite: slack (the toe), a short elastic rise, detwinning at nearly constant stress up to some
-4 %, then the elastic rise of detwinned martensite, which is the law's E_M: xi = 1 with all of eps_L
-in it. Austenite: the rise before the plateau of stress-induced martensite. The curve is cut into
-straight pieces. The phase is that of the wire's own M_f and A_f, its file, or the user."""
+Martensite: slack (the toe), a short elastic rise, detwinning at nearly constant stress, then the
+elastic rise of detwinned martensite, which is the law's E_M: xi = 1 with all of eps_L in it.
+Austenite: the rise before the plateau of stress-induced martensite."""
 
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatch
 from itertools import groupby
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -41,7 +41,6 @@ _MOST_PIECES, _SHORTEST_PIECE, _STRAIGHT = 9, 4, 0.004  # points, share of the s
 _TRIM = 0.1  # of a rise, at either end
 _SAME_SLOPE = 0.8
 _SHORTEST_RISE, _SHORTEST_AFTER = 0.0008, 0.003  # strain
-_UNLOADED = (0.9, 0.5)  # of the largest stress
 _REVERSAL = 0.03  # of the ranges of strain and stress, which both fall
 _ROWS = 60  # of a pull in a bag, each a mean
 _PARTS = 5
@@ -61,7 +60,6 @@ class TensileReading(NamedTuple):
 
     initial: Rise  # before the plateau
     after: Rise | None  # the plateau
-    unloading: Rise | None
     plateau: tuple[float, float, float] | None  # strain, strain, mean stress Pa
     toe: float  # strain at which the initial rise, extended, begins
     pieces: Array  # (m, 2) the ends of its straight pieces
@@ -75,7 +73,6 @@ def read_curve(record: TensileRecord) -> TensileReading:
         back &= np.maximum.accumulate(values) - values > _REVERSAL * np.ptp(values)
     last = int(np.argmax(back)) if back.any() else len(back)
     top = int(np.argmax(record.stress[:last]))
-    # Means over narrow intervals of strain, in straight pieces (first, last point).
     strain, stress = record.strain[: top + 1], record.stress[: top + 1]
     bins = Bins.of(strain, _GRID) if np.ptp(strain) > 0.0 else None
     x, y = (bins.mean(values) if bins else values[:0] for values in (strain, stress))
@@ -85,7 +82,6 @@ def read_curve(record: TensileRecord) -> TensileReading:
     lines = {(a, b): straight_line(x[a : b + 1], y[a : b + 1]) for a, b in pieces}
 
     def long(chosen: Sequence[tuple[int, int]]) -> Sequence[tuple[int, int]]:
-        """Those long enough to be a rise, all where none is."""
         return [p for p in chosen if x[p[1]] - x[p[0]] >= _SHORTEST_RISE] or chosen
 
     def steepest(chosen: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
@@ -125,23 +121,15 @@ def read_curve(record: TensileRecord) -> TensileReading:
         found = steepest([p for p in pieces if p[0] > last])
         if found is not None and x[found[1]] - x[found[0]] >= _SHORTEST_AFTER:
             after = rise(found)
-    # Unloading: from 90 to 50 % of the largest stress on the way down.
-    unloading = None
-    down, way = record.stress[top:], record.strain[top:]
-    high, low = (share * float(down[0]) for share in _UNLOADED)
-    if len(down) >= 10 and down.min() <= low:
-        chosen = np.flatnonzero(down[: int(np.argmax(down <= low)) + 1] <= high)
-        if len(chosen) >= 5 and np.ptp(way[chosen]) > 0.0:
-            unloading = _modulus(way[chosen], down[chosen])
     whole = slice(initial[0], initial[1] + 1)
     toe = straight_line(x[whole], y[whole]).crossing(Line(0.0, 0.0, 0.0))
     ends = np.array([[x[k], float(lines[p](x[k]))] for p in pieces for k in p])
-    return TensileReading(rise(initial), after, unloading, level, toe, ends)
+    return TensileReading(rise(initial), after, level, toe, ends)
 
 
 def _straight_pieces(x: Array, y: Array, tolerance: float) -> list[tuple[int, int]]:
     """First and last point of the fewest straight pieces, at most nine, whose rms distance from y
-    (n,) over x (n,), increasing, is below the tolerance: dynamic programming (Bellman, 1961)."""
+    (n,) over x (n,) is below the tolerance: dynamic programming (Bellman, 1961)."""
     # (n + 1, n + 1) sum of squared distances from the line through points first..end - 1.
     n, u, v = len(x), x - x.mean(), y - y.mean()
     sums = [np.append(0.0, np.cumsum(w)) for w in (np.ones(n), u, v, u * u, u * v, v * v)]
@@ -180,19 +168,16 @@ def _modulus(strain: Array, stress: Array) -> Rise:
     return Rise(line.slope, math.hypot(math.sqrt(variance), bend), n)
 
 
-def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | None = None, *,
-                     phases: Mapping[str, Phase] | None = None) -> Experiment:
+def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters,
+                     phases: Mapping[str, Phase] = MappingProxyType({})) -> Experiment:
     """Evaluate tensile tests of one material; tests of one phase are repeats. `details` holds
     plateau stresses, toe, other rises; `curves` `<phase>/<file>/strain`, `/stress` and `/pieces`
     (m, 2). `parameters`: M_f and A_f of this wire, its length and diameter where a file has
-    elongation and force; no defaults; `phases`: phase by file name or pattern, before all else.
-    Raises InputError: no records, a test of unknown phase, or a curve without elastic part."""
-    parameters = parameters or Parameters.defaults()
-    if not records:
-        raise InputError("tensile test: no records")
+    elongation and force; `phases`: phase by pattern of file names, before all else. Raises
+    InputError: a test of unknown phase, or a curve without elastic part."""
     records = [_of_specimen(record, parameters) for record in records]
     findings = [finding for record in records for finding in record.findings]
-    for pattern, phase in (phases or {}).items():
+    for pattern, phase in phases.items():
         if phase not in PHASES:
             raise InputError(f"phase of {pattern} is {phase!r}, expected {' or '.join(PHASES)}")
         if not any(fnmatch(record.path.name, pattern) for record in records):
@@ -200,7 +185,7 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | 
             raise InputError(f"phase of {pattern}: no such tensile test among {names}")
     tests, curves = dict[Phase, list[tuple[TensileRecord, TensileReading]]](), dict[str, Array]()
     for record in records:
-        phase, reading = _phase(record, phases or {}, parameters), read_curve(record)
+        phase, reading = _phase(record, phases, parameters), read_curve(record)
         tests.setdefault(phase, []).append((record, reading))
         shown = {"strain": record.strain, "stress": record.stress, "pieces": reading.pieces}
         curves |= {f"{phase}/{record.path.name}/{kind}": curve for kind, curve in shown.items()}
@@ -220,14 +205,12 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | 
         if not low <= value <= high:
             findings.append(remark("no NiTi's modulus", symbol=symbol, modulus=value, low=low,
                                    high=high))
-        # Everything else that the curves show, as mean and deviation of the tests.
         every = [reading for _, reading in group]
         plateaus = [r.plateau for r in every if r.plateau]
         flat, toe = "longest flat part", "first rise extended to zero stress"
         more: list[tuple[str, str, str, list[Rise]]] = [
             (f"{symbol} before the plateau", "Pa", "slope", [r.initial for r in every]),
             (f"{symbol} after the plateau", "Pa", "slope", [r.after for r in every if r.after]),
-            (f"{symbol} on unloading", "Pa", "slope", [r.unloading for r in every if r.unloading]),
             *((f"{phase} plateau {what}", unit, flat, [Rise(p[k], 0.0, 1) for p in plateaus])
               for k, (what, unit) in enumerate((("begin", "1"), ("end", "1"), ("stress", "Pa")))),
             (f"{phase} toe", "1", toe, [Rise(r.toe, 0.0, 1) for r in every]),
@@ -235,7 +218,6 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters | 
         for name, unit, method, found in (one for one in more if one[-1]):
             mean = estimate.mean_and_deviation([one[:2] for one in found])
             details[name] = Estimate(*mean, unit, method, sum(one.n for one in found))
-    # Martensite that is stiffer than austenite: the tests' phases are probably swapped.
     soft, stiff = (estimates.get(SYMBOLS[SYMBOL[phase]]) for phase in ("martensite", "austenite"))
     if soft and stiff and soft.value - stiff.value > 3.0 * math.hypot(soft.std, stiff.std):
         findings.append(remark("moduli swapped", E_M=soft.value, E_A=stiff.value))
@@ -283,11 +265,11 @@ def _chosen(phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]],
     initial = [reading.initial for _, reading in group]
     if phase == "austenite":
         return "loading before the plateau", initial
-    after = [reading.after for _, reading in group if reading.after is not None]
-    cause = "left out" if after else "no rise after the plateau"
-    for record, own in ((record, own) for record, own in group if own.after is None):
+    after = [reading.after for _, reading in group if reading.after]
+    for record, own in ((record, own) for record, own in group if not own.after):
         where = (f"ends on the detwinning plateau at {own.plateau[1]:.2%}" if own.plateau
                  else "shows no detwinning plateau")
+        cause = "left out" if after else "no rise after the plateau"
         findings.append(remark(cause, name=record.path.name, where=where))
     if after:
         return "loading after detwinning (xi = 1 with all of eps_L in it)", after
@@ -295,8 +277,8 @@ def _chosen(phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]],
 
 
 def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord, ...]:
-    """The pulls of a load-frame bag at steady temperature as tensile tests, a row a mean over a
-    part of a pull: an extensometer's scatter would make the wire look softer."""
+    """The pulls of a load-frame bag at steady temperature as tensile tests; rows are means of parts
+    of a pull, as an extensometer's scatter would make the wire look softer."""
     # The temperature is the wire's own, else the room's where nothing heats it, None without.
     wires = record.channels
     heated = any(has_samples(record, f"{c}.{q}") for c in wires for q in ("voltage", "current"))

@@ -1,9 +1,6 @@
 """E5, transition temperatures by calorimetry: tangents on every scan (Fig. 7), cycles and heating
-rates (Table II).
-
-Onsets move in proportion to the rate: the straight line through several rates gives the onset at
-rate zero (Hoehne et al., Thermochimica Acta 160, 1990, calibrate the same way). The first heating
-of a prestrained sample starts later, the second does not: that is the prestrain, no error."""
+rates (Table II), of which a straight line gives the onset at rate zero (Hoehne et al.,
+Thermochimica Acta 160, 1990). The first heating of a prestrained sample alone starts later."""
 
 import math
 from collections.abc import Sequence
@@ -56,8 +53,7 @@ class Scan(NamedTuple):
 
 def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> Scan:
     """Onset and finish by tangents to the outermost flanks (a transformation may go in steps),
-    peaks, and the area over a baseline. Raises InputError: too short, nothing straight at its
-    beginning, or no peak stands out."""
+    peaks, and the area over a baseline. InputError: too short, never straight, or no peak."""
     # Heating takes the latent heat up, cooling gives it back: the peak shall point upward.
     upward = (segment.kind == "heating") == (record.endothermic_up is not False)
     flow = (1.0 if upward else -1.0) * record.specific_heat_flow(segment)
@@ -110,7 +106,6 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     found, _ = find_peaks(flow - base, prominence=_PEAK_PROMINENCE * height)
     between = found[(t[found] - begin) * (t[found] - end) < 0.0]
     peaks = tuple(t[between[np.argsort(-(flow - base)[between])]].tolist())
-    # Its numbers, and everything that a figure needs; lines are cut to where they touch the scan.
     rate, per_minute = abs(segment.rate), abs(segment.rate) * 60.0
     where = f"{segment.kind}, {per_minute:g} K/min, cycle {cycle}"
     details, top = {}, float(np.max(flow))
@@ -128,7 +123,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     for k, peak in enumerate(peaks, 1):
         name = f"peak_{k}" if k > 1 else "peak"
         details[name] = Estimate(peak, 0.1, "K", f"maximum over the baseline, {where}", n)
-    values = dict(zip(_ENDS[segment.kind], [found[:2] for found in ends.values()], strict=True))
+    values = dict(zip(_ENDS[segment.kind], (found[:2] for found in ends.values()), strict=True))
     return Scan(run, segment, cycle, rate, per_minute, values, details, curves, peaks)
 
 
@@ -172,31 +167,28 @@ def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Li
     return temperature, max(spread, 2.0 * _GRID), baseline, tangents[0], extent
 
 
-def identify_transition_temperatures(records: Sequence[DscRecord] | DscRecord) -> Experiment:
-    """A_s, A_f, M_s and M_f, stress free, from one DSC run or several of the same material: from
-    the cycles after the first, extrapolated to zero rate where several runs have two rates or more.
-    In one run whose rates differ its slowest scan counts, and the others are in the error.
-    `details` holds "cycle 1, 5 K/min: A_s" and so on (Table II), "A_s at zero rate", "A_s lag" in
-    s, and of every scan "<file>/segment_N/..." (without the file in one run of several rates):
-    start, finish, peak in K and latent_heat in J/kg; `curves` its heat flow in W/kg (upward) over
-    temperature in K with baselines and tangents. InputError: no record, or one without a peak."""
-    runs = [records] if isinstance(records, DscRecord) else list(records)
-    if not runs:
-        raise InputError("DSC: no records")
+def identify_transition_temperatures(runs: Sequence[DscRecord]) -> Experiment:
+    """A_s, A_f, M_s and M_f, stress free, from DSC runs of one material: from the cycles after the
+    first, extrapolated to zero rate where several runs have two rates or more. In one run whose
+    rates differ its slowest scan counts, and the others are in the error. `details` holds "cycle 1,
+    5 K/min: A_s" (Table II), "A_s at zero rate", "A_s lag" [s], and of every scan
+    "<file>/segment_N/..." (no file in one run of several rates) start, finish, peak [K] and
+    latent_heat [J/kg]; `curves` its heat flow [W/kg, upward] over temperature [K] with baselines
+    and tangents. InputError: a run without a peak."""
     findings, scans, rates = list[Finding](), list[Scan](), set[float]()
     for place, run in enumerate(runs):
         own, problems, cycles = list[Scan](), list[Finding](), {"heating": 0, "cooling": 0}
-        driven = [s for s in run.segments if s.kind != "isothermal"]
-        rates |= {round(abs(s.rate) * 60.0, 1) for s in driven}
+        driven = [scan for scan in run.segments if scan.kind != "isothermal"]
+        rates |= {round(abs(scan.rate) * 60.0, 1) for scan in driven}
         if run.endothermic_up is None and driven:
             problems.append(remark("endothermic which way"))
-        for segment in driven:
-            kind, number = segment.kind, segment.number
+        for scan in driven:
+            kind = scan.kind
             cycles[kind] += 1
             try:
-                own.append(_read_scan(place, run, segment, cycles[kind]))
+                own.append(_read_scan(place, run, scan, cycles[kind]))
             except InputError as error:
-                problems.append(remark("scan left out", number=number, kind=kind, error=error))
+                problems.append(remark("scan left out", number=scan.number, kind=kind, error=error))
         if not own:
             why = f" ({problems[0].text})" if problems else ""
             raise InputError(f"{run.path}: no heating or cooling scan with a whole peak{why}")
@@ -218,14 +210,14 @@ def identify_transition_temperatures(records: Sequence[DscRecord] | DscRecord) -
             estimates[parameter] = slowest.with_shares(_instrument(chosen.rate))
         elif seen:
             estimates[parameter], lag = _at_zero_rate(name, seen, findings)
-            if lag is not None:
+            if lag:
                 details |= {f"{name} at zero rate": estimates[parameter], f"{name} lag": lag}
     if missing := [name for name, own in TRANSITIONS.items() if own not in estimates]:
         findings.append(remark("no scan of a kind", missing=" and ".join(missing)))
     heated, cooled = (estimates.get(TRANSITIONS[name]) for name in ("A_s", "M_s"))
-    if heated and cooled and cooled.value > heated.value:
+    if heated and cooled and (overlap := cooled.value - heated.value) > 0.0:
         findings.append(remark("ranges overlap", cooled=cooled.value, heated=heated.value,
-                               overlap=cooled.value - heated.value))
+                               overlap=overlap))
     for s in scans:
         number = s.segment.number
         of_run = f"run {s.run + 1}, " if len(runs) > 1 else ""

@@ -42,12 +42,11 @@ def identify_moving_bench(records: Sequence[Record], parameters: Parameters,
                           report: Report = silent) -> Experiment:
     """What the wires pull against (of the composite alpha and beta of each side, else the numbers
     of `load`), and their own parameters: the baseline model (contract, section 4) on the measured
-    voltages, held to every other signal. Priors are the parameters' values and `uncertainty.`; what
-    the records cannot tell is named in the findings. Records of one wire in a load frame may join.
-    Raises InputError: no voltage of some channel, or no motion in any record."""
+    voltages, held to every other signal. Records of one wire in a load frame may join. Raises
+    InputError: no voltage of some channel, or no motion in any record."""
     observations = observe_all(records, parameters)
     if not any(set(MOVED) & set(one.quantities) for one in observations):
-        raise refusal("no motion", where=", ".join(str(r.path) for r in records) or "no records")
+        raise refusal("no motion", where=", ".join(str(r.path) for r in records))
     title = "Whole model of a bench that moves"
     return fit_experiment("E10", title, observations, parameters, report)
 
@@ -59,8 +58,7 @@ def identify_load_frame(records: Sequence[Record], parameters: Parameters,
     Raises InputError: no load frame in any record, no voltage, or neither held loads nor clamps."""
     observations = observe_all(records, parameters)
     if not any(one.holds for one in observations):
-        where = ", ".join(str(record.path) for record in records) or "no records"
-        raise refusal("no load frame", where=where)
+        raise refusal("no load frame", where=", ".join(str(r.path) for r in records))
     title = "Constitutive parameters from the load frame"
     fitted = fit_experiment("E9", title, observations, parameters, report)
     return replace(fitted, findings=(*fitted.findings, about_length(parameters)))
@@ -128,7 +126,6 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
         own = Estimate(fitted.parameters[n.name] if bound else n.value, n.std,
                        BY_NAME[n.name].unit, method + mostly_prior, samples, informed=n.informed)
         estimates[n.name] = own.with_shares(shares).capped(n.prior_std)
-    # Products that the data know better than their factors, zeros of sensors, delays.
     details = {}
     for number in result.products:
         what, unit, symbol = _UNITS[number.name.split(" x ")[0]]
@@ -141,7 +138,6 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
         details[f"{head}{off.kind}.{off.subject}"] = Estimate(
             off.value, off.std, off.unit, f"fitted beside the model, {off.path}", samples,
             informed=informed)
-    # Time, measured and model of every signal, bin by bin.
     curves: dict[str, Array] = {}
     paths = list(dict.fromkeys(one.path for one in observations))
     for block in result.fit.problem.blocks:
@@ -193,7 +189,7 @@ def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fi
 
 
 def _findings(result: Result) -> Iterator[Finding]:
-    """What cannot be known, contradicted priors, ends of ranges, starts, residuals."""
+    """What cannot be known, contradicted priors, ends of ranges, starts, residuals above noise."""
     told = [n for n in result.numbers if n.name not in _NUISANCES]
     if which := [n.name for n in told if n.informed < _UNINFORMED]:
         yield remark("mostly the prior", names=", ".join(which), parameters=len(which))
@@ -209,17 +205,15 @@ def _findings(result: Result) -> Iterator[Finding]:
         yield remark("end of a range", subject=n.name, value=n.value)
     severity: Severity = "info" if result.agreed > 1 else "warning"
     yield remark("starts", severity, agreed=result.agreed, starts=result.starts)
-    # Residuals against their noise, and whether they are white.
     fitted = result.fit
     noise = fitted.problem.with_noise(fitted.left).noise
     for block in fitted.problem.blocks:
         signal, left = block.signal, fitted.left[block.rows]
         name, path, rms = signal.name, block.observation.path, float(np.std(left))
-        ratio, chance = rms / signal.noise, _chance_of_white(noise[name].whiten(left))
-        if ratio > _FLOOR:
+        if (ratio := rms / signal.noise) > _FLOOR:
             yield remark("above the noise", subject=name, path=path, ratio=ratio, rms=rms,
                          noise_floor=signal.noise)
-        if chance < _RARE:
+        if (chance := _chance_of_white(noise[name].whiten(left))) < _RARE:
             yield remark("still correlated", subject=name, path=path, probability=chance)
 
 
@@ -229,6 +223,6 @@ def _chance_of_white(white: Array) -> float:
     power = float(centred @ centred)
     if n < 5 * _LAGS or power == 0.0:
         return 1.0
-    lags = np.arange(1, _LAGS + 1)
-    rho = np.array([float(centred[:-k] @ centred[k:]) / power for k in lags])
-    return float(chdtrc(_LAGS, n * (n + 2) * float(np.sum(rho**2 / (n - lags)))))
+    rho = [float(centred[:-k] @ centred[k:]) / power for k in range(1, _LAGS + 1)]
+    squares = sum(r**2 / (n - k) for k, r in enumerate(rho, 1))
+    return float(chdtrc(_LAGS, n * (n + 2) * squares))

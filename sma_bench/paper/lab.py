@@ -13,23 +13,22 @@ from sma_bench.identify.isobaric import isobaric_tests
 from sma_bench.identify.signals import find_drives, holds_frame, is_clamped_wire, moves
 from sma_bench.identify.tensile import tensile_tests
 from sma_bench.paper import page
-from sma_bench.paper.errata import paper_errata
 from sma_bench.paper.page import CompositeRun, ExperimentResults, PaperPage, composite_run
 from sma_bench.parameters import Parameters
 from sma_bench.progress import Report, in_turn, part, silent
 from sma_bench.records.instruments import DscRecord, IsobaricRecord, TensileRecord
+from sma_bench.records.open import AnyRecord
 from sma_bench.records.record import Record, has_samples
 from sma_bench.report.experiment_figures import validation_picture
 from sma_bench.report.page import Picture
 from sma_bench.synthetic.paper_specimens import composite_rig, papers_records, wire_rig
 
 LabRecords = Mapping[str, tuple[Any, ...]]
-"""Records by what they are good for: "thermal" (E1 to E3, staircases and ramps below A_s of one
-wire), "validation" (E4, voltages that no parameter is fitted to), "dsc" (E5), "upfr" (E6 at one low
-load), "isobaric" (E6 at several), "tensile" (E7), "clamped" (E8) and "composite" (E12)"""
-
+"""Records by group: one of KINDS, "validation" (E4, voltages that nothing is fitted to) or
+"composite" (E12)"""
 THERMAL = ("E1", "E2", "E3")
-# Kinds of experiment by the group of records that feeds them.
+# Kinds of experiment by the group of records that feeds them: "thermal" are staircases and ramps
+# below A_s of one wire, "upfr" loops at one low load, "isobaric" those at several.
 KINDS = {"thermal": THERMAL, "dsc": ("E5",), "upfr": ("E6",), "isobaric": ("E6 stresses",),
          "tensile": ("E7",), "clamped": ("E8",)}  # fmt: skip
 _INSTRUMENTS = {DscRecord: "dsc", IsobaricRecord: "isobaric", TensileRecord: "tensile"}
@@ -38,15 +37,11 @@ _SAME_STRESS = 5e6  # Pa
 _MEASURED, _SYNTHESISED = 0.1, 0.9
 
 
-def paper_page(records: Sequence[object], parameters: Parameters,
+def paper_page(records: Sequence[AnyRecord], parameters: Parameters,
                report: Report = silent) -> PaperPage:
-    """Identify the given records, simulate the paper's for what they do not hold, compare.
-
-    `records`: the user's, already read; none for a page of synthetic data. `parameters`: what is
-    known of the bench that they come from; synthetic data next to records are made of the paper's
-    own numbers, without records of these. `report`: called with how far it is. Raises InputError:
-    none of the records given can be used."""
-    # What the records give.
+    """Identify the user's records, if any, simulate the paper's for what they do not hold, compare.
+    `parameters`: what is known of their bench; synthetic data next to records are made of the
+    paper's own numbers. Raises InputError: none of the records given can be used."""
     report(0.0, "experiments")
     measured, notes = sort_records(records, parameters)
     outcomes, reasons = identify_lab(measured, parameters, synthetic=False)
@@ -56,7 +51,7 @@ def paper_page(records: Sequence[object], parameters: Parameters,
     runs = _runs(measured, parameters if several else composite_rig(parameters), notes)
     if records and not (outcomes or validation or runs):
         raise InputError("; ".join(f"{note.subject}: {note.text}" for note in notes))
-    # The kinds of experiment that they do not: what a file does not state is the paper's.
+    # What they do not give is synthetic: what a file does not state is the paper's.
     paper = Parameters.of_paper()
     if parameters.given and not records:
         stated = {name: parameters[name] for name in parameters.given}
@@ -70,31 +65,25 @@ def paper_page(records: Sequence[object], parameters: Parameters,
         assert validation is not None
     if not runs:
         synthetic |= {15, 16}
-        runs = _runs(made, composite_rig(paper), notes, synthetic=True)
+        runs = _runs(made, composite_rig(paper), notes)
     pictures = page.paper_pictures(outcomes, validation, runs, synthetic)
     tables = {name: page.table_rows(name, outcomes) for name in page.TABLES}
-    return PaperPage(outcomes, pictures, tables, paper_errata(), notes)
+    return PaperPage(outcomes, pictures, tables, page.paper_errata(), notes)
 
 
-def sort_records(records: Sequence[object],
+def sort_records(records: Sequence[AnyRecord],
                  parameters: Parameters) -> tuple[LabRecords, list[Finding]]:
     """A laboratory's records by the figures that they feed; a warning for each that feeds nothing.
-
-    A bag with several driven wires and a deflection is of the composite; one with a force and
-    clamps that stay is of E8, one with held loads of E6; staircases and ramps below A_s are for
-    E1 to E3, other voltages for the validation of Fig. 6. Isobaric tests at one stress are repeats
-    (Fig. 8); of several, the lowest stress is drawn there, all in the stress-temperature diagram.
-    """
-    found: dict[str, list[Any]] = {}
-    notes: list[Finding] = []
+    Isobaric tests at one stress are repeats (Fig. 8); of several, the lowest stress is drawn there,
+    all in the stress-temperature diagram."""
+    found, notes = dict[str, list[Any]](), list[Finding]()
     for record in records:
-        uses = [(g, record) for kind, g in _INSTRUMENTS.items() if isinstance(record, kind)]
-        uses += _uses_of_bag(record, parameters) if isinstance(record, Record) else []
+        uses = (_uses_of_bag(record, parameters) if isinstance(record, Record)
+                else [(_INSTRUMENTS[type(record)], record)])
         for group, use in uses:
             found.setdefault(group, []).append(use)
         if not uses:
-            path = str(getattr(record, "path", record))
-            notes.append(Finding("warning", path, "feeds no figure of the paper"))
+            notes.append(Finding("warning", str(record.path), "feeds no figure of the paper"))
     if tests := found.get("isobaric"):
         lowest = min(test.stress for test in tests)
         found["upfr"] = [test for test in tests if test.stress - lowest < _SAME_STRESS]
@@ -105,7 +94,6 @@ def sort_records(records: Sequence[object],
 
 def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, object]]:
     """Groups that a bag belongs to, and what it is there."""
-    # Of the composite and of a load frame.
     driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
     if moves(record, parameters):
         return [("composite", record)] if len(driven) > 1 else []
@@ -117,11 +105,10 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
     elif holds_frame(record, parameters):
         with suppress(InputError):
             uses += [("isobaric", test) for test in isobaric_tests(record, parameters)]
-    # One driven wire: staircases, ramps below A_s, or any other voltage.
     drives: Sequence[Any] = ()
     with suppress(InputError):
         drives = find_drives(record) if len(driven) == 1 else ()
-    if any(drive.staircases for drive in drives):
+    if any(drive.staircase.is_one for drive in drives):
         uses.append(("thermal", record))
     elif drives and has_samples(record, temperature := f"{driven[0]}.temperature"):
         hottest = float(np.nanmax(record[temperature].values))
@@ -133,14 +120,12 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
 
 def identify_lab(records: LabRecords, parameters: Parameters, *,
                  synthetic: bool) -> tuple[dict[str, ExperimentResults], list[Finding]]:
-    """Run all experiments that records, `synthetic` or not, allow, knowing `parameters`: outcomes
-    by kind ("E1" to "E3", "E5" to "E8", "E6 stresses"), and why others are missing."""
-    found: dict[str, ExperimentResults] = {}
-    notes: list[Finding] = []
+    """Run all experiments that records, `synthetic` or not, allow: outcomes by kind (of KINDS), and
+    why others are missing."""
+    found, notes = dict[str, ExperimentResults](), list[Finding]()
     for group, kinds in KINDS.items():
         if not records.get(group):
             continue
-        # E7 with what has been identified by then.
         known = _identified(parameters, found.values()) if group == "tensile" else parameters
         try:
             result = identify(records[group], known)
@@ -151,7 +136,7 @@ def identify_lab(records: LabRecords, parameters: Parameters, *,
             notes.extend(note for note in result.notes if note.severity != "info")
         for kind in kinds:
             mine = tuple(e for e in result.experiments if e.name == kind.partition(" ")[0])
-            estimates = {name: e.estimates[name] for e in mine for name in e.estimates}
+            estimates = {name: e for one in mine for name, e in one.estimates.items()}
             if group == "thermal":  # joined over the records
                 estimates = {name: result.estimates[name] for name in estimates}
             if mine:
@@ -169,7 +154,7 @@ def _identified(parameters: Parameters, outcomes: Iterable[ExperimentResults]) -
 def _synthetic_outcomes(paper: Parameters, measured: Mapping[str, ExperimentResults],
                         report: Report) -> dict[str, ExperimentResults]:
     """Outcomes of the kinds of experiment that no measured record gave."""
-    groups = [g for g, kinds in KINDS.items() if not set(kinds) <= set(measured)]
+    groups = [g for g, kinds in KINDS.items() if not measured.keys() >= {*kinds}]
     found: dict[str, ExperimentResults] = {}
     for group in in_turn(groups, report, lambda name: f"{name} experiments"):
         found |= identify_lab({group: papers_records(group, paper)}, paper, synthetic=True)[0]
@@ -193,12 +178,11 @@ def _validation(records: LabRecords, parameters: Parameters,
         return None
 
 
-def _runs(records: LabRecords, rig: Parameters, notes: list[Finding], *,
-          synthetic: bool = False) -> list[CompositeRun]:
+def _runs(records: LabRecords, rig: Parameters, notes: list[Finding]) -> list[CompositeRun]:
     found = []
     for record in records.get("composite", ()):
         try:
-            found.append(composite_run(record, rig, with_rest_deflection=synthetic))
+            found.append(composite_run(record, rig))
         except InputError as error:
             notes.append(Finding("warning", "E12", str(error)))
     return found

@@ -2,9 +2,9 @@
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,28 +14,44 @@ from sma_bench.estimation.estimate import Estimate
 from sma_bench.estimation.rig import find_rig
 from sma_bench.findings import Finding
 from sma_bench.identify.result import Experiment
-from sma_bench.paper.errata import HEADER, Erratum
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.physics import simulate
 from sma_bench.records.record import Record, drive_of
 from sma_bench.report import experiment_figures as draw
-from sma_bench.report.drawing import FAINT, MEASURED, MODEL, SECOND, new_figure
+from sma_bench.report.drawing import FAINT, MEASURED, MODEL, new_figure
 from sma_bench.report.page import Drawing, Picture, Section, captions, pictured
 from sma_bench.report.tables import Table
 from sma_bench.synthetic.paper_specimens import DSC_CYCLES
 
-# Figure of the paper: kind of experiment, and how it is drawn.
 EXPERIMENT_FIGURES = {
     2: ("E1", draw.plateau_picture), 3: ("E2", draw.plateau_picture), 4: ("E3", draw.ramp_picture),
     5: ("E3", draw.slope_picture), 7: ("E5", draw.dsc_picture), 8: ("E6", draw.upfr_picture),
     9: ("E7", draw.tensile_picture), 10: ("E8", draw.thermal_expansion_picture),
 }  # fmt: skip
+_OFF, _REST = 0.02, 1.0  # of the largest voltage, s: of the composite's rests
 _PAGE: dict[str, Any] = read_yaml(Path(__file__).with_name("page.yaml"))
 
 
-@dataclass(frozen=True)
-class ExperimentResults:
+class Erratum(NamedTuple):
+    """One of errata.yaml."""
+
+    number: int  # 1 to 19
+    place: str  # in the paper
+    printed: str  # the form, in words or as a formula
+    corrected: str
+    lines: tuple[tuple[str, ...], ...]  # quantity, printed, corrected and independently checked
+    remark: str  # what follows
+
+
+def paper_errata() -> list[Erratum]:
+    """All items, printed and corrected forms next to each other."""
+    items = read_yaml(Path(__file__).with_name("errata.yaml")).items()
+    return [Erratum(number, **said | {"lines": tuple(map(tuple, said.get("lines", ())))})
+            for number, said in items]
+
+
+class ExperimentResults(NamedTuple):
     """Of one kind of experiment: one a record, estimates joined over all, whether synthetic."""
 
     experiments: tuple[Experiment, ...]
@@ -45,16 +61,16 @@ class ExperimentResults:
 
 @dataclass(frozen=True)
 class Row:
-    """A number of the paper and, where a record gave it, the identified one."""
+    """A number of the paper (of tables.yaml) and, where a record gave it, the identified one."""
 
     symbol: str
     description: str
     unit: str
     printed: float  # in `unit`, NaN where none is printed
     printed_std: float
-    kind: str  # experiment that finds it
-    name: str  # of its estimate there or, with a star for anything, a detail
-    scale: float = 1.0  # from SI to the unit
+    kind: str
+    name: str
+    scale: float = 1.0
     reason: str = ""  # why synthetic data give another one
     estimate: Estimate | None = None  # None where it was not identified
     synthetic: bool = False  # whether of synthetic data
@@ -62,12 +78,11 @@ class Row:
 
     @property
     def value(self) -> float:
-        """Identified, in the unit of the table; NaN if there is none."""
+        """Identified, in the unit of the table; NaN if there is none; `std` its error."""
         return self.estimate.value * self.scale if self.estimate else math.nan
 
     @property
     def std(self) -> float:
-        """Its standard error, likewise."""
         return self.estimate.std * self.scale if self.estimate else math.nan
 
     @property
@@ -90,10 +105,10 @@ class Row:
         return f"{self.kind.partition(' ')[0]}, {data}{why}"
 
 
-def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
-    found: dict[str, tuple[str, tuple[Row, ...]]] = {}
+def _tables() -> dict[str, tuple[str, list[Row]]]:
+    found: dict[str, tuple[str, list[Row]]] = {}
     for table, content in read_yaml(Path(__file__).with_name("tables.yaml")).items():
-        rows = []
+        found[table] = content["title"], []
         for row in content["rows"]:
             # What does not stand in the row is the parameter's.
             value, std = row.pop("printed", None), row.pop("std", math.nan)
@@ -101,13 +116,12 @@ def _tables() -> dict[str, tuple[str, tuple[Row, ...]]]:
                 known, scale = BY_NAME[row["name"]], row.get("scale", 1.0)
                 std = scale * (known.uncertainty or 0.0) if std is True else std
                 value = scale * known.default  # type: ignore[operator]
-            rows.append(Row(printed=value, printed_std=std, **row))
-        found[table] = content["title"], tuple(rows)
-    cycles = [Row(symbol, f"heat cycle {k}", "K", value, math.nan, "E5", f"cycle {k}, *: {symbol}")
-              for k, values in enumerate(DSC_CYCLES, 1) for symbol, value in values.items()]
-    loaded = "E6, under a held load, stress free"
-    cycles += [Row(k, loaded, "K", math.nan, math.nan, "E6", n) for k, n in TRANSITIONS.items()]
-    return found | {"table_2": (found["table_2"][0], tuple(cycles))}
+            found[table][1].append(Row(printed=value, printed_std=std, **row))
+    rows, loaded = found["table_2"][1], "E6, under a held load, stress free"
+    rows += [Row(symbol, f"heat cycle {k}", "K", value, math.nan, "E5", f"cycle {k}, *: {symbol}")
+             for k, values in enumerate(DSC_CYCLES, 1) for symbol, value in values.items()]
+    rows += [Row(k, loaded, "K", math.nan, math.nan, "E6", n) for k, n in TRANSITIONS.items()]
+    return found
 
 
 TABLES = _tables()  # title and rows by name, in the order of tables.yaml
@@ -131,45 +145,13 @@ def table_rows(name: str, outcomes: Mapping[str, ExperimentResults]) -> list[Row
 
 
 def html_table(name: str, rows: Sequence[Row]) -> Table:
-    """A table in the paper's form; Table II one line a cycle."""
-    if name != "table_2":
-        own = ("", "", "paper", "identified", "standard error", "unit", "from")
-        cells = [(r.symbol, r.description, *r.cells, r.unit, r.origin) for r in rows]
-        return Table(own, cells, frozenset({2, 3, 4}))
-    lines: list[Sequence[str]] = []
-    for description in dict.fromkeys(row.description for row in rows):
-        mine = [row for row in rows if row.description == description]
-        lines.append([description, "paper", *(row.cells[0] for row in mine)])
-        found = [" ± ".join(filter(None, row.cells[1:])) for row in mine]
-        lines.append(["", f"identified, {mine[0].origin}", *found])
-    header = ("", "", *(f"{symbol} [K]" for symbol in TRANSITIONS))
-    return Table(header, lines, frozenset(range(2, len(header))))
+    """Rows as a page shows them, the paper's number next to the identified one."""
+    header = ("", "", "paper", "identified", "standard error", "unit", "from")
+    cells = [(r.symbol, r.description, *r.cells, r.unit, r.origin) for r in rows]
+    return Table(header, cells, frozenset({2, 3, 4}), name)
 
 
-def csv_table(rows: Sequence[Row]) -> Table:
-    """The rows as they are written, one number a line, full precision."""
-    lines = []
-    for row in rows:
-        data = "" if row.estimate is None else "synthetic" if row.synthetic else "record"
-        numbers = (row.printed, row.printed_std, row.value, row.std)
-        cells = ["" if math.isnan(number) else f"{number:.10g}" for number in numbers]
-        lines.append((row.symbol, row.description, row.unit, *cells, data, row.source))
-    header = ("quantity", "description", "unit", "paper", "paper_std", "identified")
-    return Table((*header, "standard_error", "data", "source"), lines)
-
-
-# --- Figs. 15 and 16 of the paper: voltages of the composite and the deflections they lead to.
-
-_OFF = 0.02  # of the largest voltage
-_SHORTEST_REST = 1.0  # s
-_LAST_PART = 0.1  # of a rest, in which what is left over is read
-# What the paper's specimen showed and its simulation did not: it stays bent at zero voltage. Sizes
-# are assumed, of the order that the effects' own pages give.
-RESTS_BENT = {"effect.residual_strain.share": 0.1, "effect.side_heat_coupling.conductance": 0.006}
-
-
-@dataclass(frozen=True)
-class CompositeRun:
+class CompositeRun(NamedTuple):
     """One record of the composite and its simulation."""
 
     record: Record  # where it comes from
@@ -177,60 +159,42 @@ class CompositeRun:
     voltage: Array  # (n,) V, front positive and back negative
     simulated: Array  # (n,) m
     measured: tuple[Array, Array]  # time (m,) s and deflection (m,) m
-    # (start, stop) s of the intervals at zero voltage after a drive
-    rests: tuple[tuple[float, float], ...]
-    lifelike: Array | None = None  # (n,) m, simulated with RESTS_BENT; None of a measured record
+    rests: list[tuple[float, float]]  # (start, stop) s at zero voltage after a drive
 
-    def left_over(self) -> list[tuple[float, float]]:
-        """Deflection [m] measured and simulated at the end of every rest."""
-        ends = ((*self.measured, rest) for rest in self.rests)
-        return [(_at_the_end(*e), _at_the_end(self.time, self.simulated, e[-1])) for e in ends]
-
-
-def _at_the_end(time: Array, values: Array, rest: tuple[float, float]) -> float:
-    """Mean over the last part of a rest (start, stop) s; NaN where there is no sample."""
-    start, stop = rest
-    inside = (time >= stop - _LAST_PART * (stop - start)) & (time <= stop)
-    return float(np.mean(values[inside])) if inside.any() else float("nan")
+    def left_over(self) -> list[list[float]]:
+        """Deflection [m] measured and simulated in the last second of every rest."""
+        both = (self.measured, (self.time, self.simulated))
+        return [[float(np.mean(values[(time > stop - _REST) & (time <= stop)]))
+                 for time, values in both] for _, stop in self.rests]
 
 
-def composite_run(record: Record, parameters: Parameters, *,
-                  with_rest_deflection: bool = False) -> CompositeRun:
-    """Simulate the voltages of a record next to what it measured. `parameters`: of the rig,
-    bench.channels those of the record; `with_rest_deflection`: whether to simulate the specimen
-    with RESTS_BENT too. Raises InputError: a channel without voltage, or no deflection."""
+def composite_run(record: Record, parameters: Parameters) -> CompositeRun:
+    """Simulate the voltages of a record next to what it measured. `parameters`: of the rig.
+    Raises InputError: a channel without voltage, or no deflection."""
     measured = next(m for m in find_rig(record, parameters).measured if m.quantity == "deflection")
     driven, time, voltage, _ = drive_of(record, parameters)
-    simulated, lifelike = simulate(driven, time, voltage).deflection, None
-    if with_rest_deflection:
-        lifelike = simulate(driven.replace(RESTS_BENT), time, voltage).deflection
+    simulated = simulate(driven, time, voltage).deflection
     front = np.array(parameters["bench.channel_sides"]) == "front"
     forward, back = (voltage[:, of].max(axis=1) if of.any() else 0.0 for of in (front, ~front))
     signed = np.asarray(forward - back)
-    # Rests: stretches without voltage; before the first drive there is nothing to cool.
     off = np.abs(signed) < _OFF * np.abs(signed).max()
-    off[: len(off) if off.all() else int(np.argmin(off))] = False
     edges = np.flatnonzero(np.diff(np.concatenate([[False], off, [False]]).astype(int)))
     spans = [(float(time[i]), float(time[k - 1])) for i, k in edges.reshape(-1, 2)]
-    rests = tuple((start, stop) for start, stop in spans if stop - start > _SHORTEST_REST)
+    rests = [span for span in spans[int(off[0]) :] if span[1] - span[0] > _REST]
     found = (measured.time, measured.values)
-    return CompositeRun(record, time, signed, simulated, found, rests, lifelike)
+    return CompositeRun(record, time, signed, simulated, found, rests)
 
 
 def composite_pictures(runs: Sequence[CompositeRun]) -> tuple[Picture, Picture]:
     """Figs. 15 and 16: voltages, and deflections measured and simulated; a panel a record."""
-    source, said = "; ".join(str(run.record.path) for run in runs), ""
-    text = captions()["figure_16_deflection"]
+    source = "; ".join(str(run.record.path) for run in runs)
     volts, above = new_figure(len(runs), 1.0 + 2.1 * len(runs), shared=False)
     bent, below = new_figure(len(runs), 1.0 + 2.4 * len(runs), shared=False)
-    more = "with residual strain and heat from the other side"
     for k, (run, upper, lower) in enumerate(zip(runs, above, below, strict=True)):
         time, deflection = run.measured
         upper.plot(run.time, run.voltage, color=MEASURED, lw=1.2)
         lower.plot(time, 1e3 * deflection, color=MEASURED, lw=3, alpha=0.45, label="measured")
         lower.plot(run.time, 1e3 * run.simulated, color=MODEL, lw=1.1, label="simulated")
-        if run.lifelike is not None:
-            lower.plot(run.time, 1e3 * run.lifelike, "--", color=SECOND, lw=1.1, label=more)
         for ax, label in ((upper, "voltage [V]"), (lower, "deflection [mm]")):
             for start, stop in run.rests:
                 ax.axvspan(start, stop, color=FAINT, alpha=0.13, lw=0)
@@ -238,17 +202,13 @@ def composite_pictures(runs: Sequence[CompositeRun]) -> tuple[Picture, Picture]:
             ax.set(xlabel="time [s]", ylabel=label)
             ax.set_title(f"({chr(ord('a') + k)})", loc="left", fontsize=10)
     below[0].legend(loc="upper right", fontsize=8)
-    # In words: what is left at the end of the rests, and what effects would leave.
-    if left := [pair for run in runs for pair in run.left_over()]:
+    left, said = [pair for run in runs for pair in run.left_over()], ""
+    if left:
         measured, simulated = 1e3 * np.nanmax(np.abs(left), axis=0)
-        said = text["left_over"].format(measured=measured, simulated=simulated)
-    alike = ((run.time, run.lifelike, run.rests) for run in runs if run.lifelike is not None)
-    if ends := [abs(_at_the_end(t, values, rest)) for t, values, rests in alike for rest in rests]:
-        sizes = ", ".join(f"{n.removeprefix('effect.')} {x:g}" for n, x in RESTS_BENT.items())
-        unit = BY_NAME["effect.side_heat_coupling.conductance"].unit
-        said += " " + text["bent"].format(sizes=sizes, unit=unit, bent=1e3 * max(ends))
-    deflection_picture = pictured("figure_16_deflection", bent, left_over=said, source=source)
-    return pictured("figure_15_voltage", volts, source=source), deflection_picture
+        said = captions()["figure_16_deflection"]["left_over"].format(
+            measured=measured, simulated=simulated)
+    return (pictured("figure_15_voltage", volts, source=source),
+            pictured("figure_16_deflection", bent, left_over=said, source=source))
 
 
 def paper_pictures(outcomes: Mapping[str, ExperimentResults], validation: Picture,
@@ -288,17 +248,16 @@ def _captioned(picture: Picture, synthetic: bool, number: int = 0) -> Picture:
 
 @dataclass(frozen=True)
 class PaperPage:
-    """Everything the page shows: `outcomes` by kind of experiment, `pictures` by figure of the
-    paper, rows of `tables` by name of TABLES, `errata` at the end and `notes` at the beginning."""
+    """Everything the page shows."""
 
-    outcomes: Mapping[str, ExperimentResults]
-    pictures: Mapping[int, Sequence[Picture | Drawing]]
-    tables: Mapping[str, Sequence[Row]]
+    outcomes: Mapping[str, ExperimentResults]  # by kind of experiment
+    pictures: Mapping[int, Sequence[Picture | Drawing]]  # by figure of the paper
+    tables: Mapping[str, Sequence[Row]]  # by name of TABLES
     errata: Sequence[Erratum]
     notes: Sequence[Finding] = ()
 
     def sections(self) -> list[Section]:
-        """In the paper's order; figures and tables with warnings of the experiments behind them."""
+        """In the paper's order, with warnings of the experiments behind figures and tables."""
         sections = [Section("", [_PAGE["head"]], [str(note) for note in self.notes])]
         for title, numbers, name in _PAGE["sections"]:
             kinds = {EXPERIMENT_FIGURES[n][0] for n in numbers if n in EXPERIMENT_FIGURES}
@@ -318,7 +277,8 @@ class PaperPage:
         sections.append(Section(_PAGE["stress"], pictures=pictures))
         sections.append(Section("Errata", [_PAGE["errata"]]))
         for e in self.errata:
-            table = Table(HEADER, [("form", e.printed, e.corrected, ""), *e.lines])
+            header = ("", "as printed", "corrected", "independent check")
+            table = Table(header, [("form", e.printed, e.corrected, ""), *e.lines])
             title = f"Erratum {e.number}: {e.place}"
             sections.append(Section(title, tables=[table], notes=[e.remark]))
         return sections
@@ -336,5 +296,5 @@ class PaperPage:
 
         return {"figures": {str(n): [*map(of_picture, own)] for n, own in self.pictures.items()},
                 "tables": {name: [*map(of_row, rows)] for name, rows in self.tables.items()},
-                "errata": [asdict(erratum) for erratum in self.errata],
+                "errata": [erratum._asdict() for erratum in self.errata],
                 "warnings": [f"{note.subject}: {note.text}" for note in self.notes]}

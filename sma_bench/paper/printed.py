@@ -1,7 +1,5 @@
 """Equations as the paper prints them, where they are wrong, and the coefficients of eqs. (18) to
-(23) printed beside corrected.
-
-The derivation, from rest (sigma_0 = 0, xi_0 = 1, T_0 = T_inf) and about a point *:
+(23) printed beside corrected; from rest (sigma_0 = 0, xi_0 = 1, T_0 = T_inf) and about a point *:
 
     sigma = E(xi)(eps - eps_0) + Theta_T (T - T_0) - eps_L E(xi)(xi - xi_0)           (6), (7), (9)
     dsigma/deps = E(xi*) = a_1,    dsigma/dT = Theta_T,    dsigma/dxi = -eps_L E_A + a_2,
@@ -11,15 +9,14 @@ the point. xi = b_1 (T* - T + (sigma - sigma*)/C_A) + b_2 is eq. (10) to first o
 likewise with C_M."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
-from sma_bench.errors import InputError
-from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.physics import bending, kernel, material
 from sma_bench.physics.bending import Beam
 from sma_bench.physics.boundary import side_of_channels
-from sma_bench.physics.linearised import Branch, OperatingPoint, linearise
+from sma_bench.physics.linearised import OperatingPoint, linearise
 from sma_bench.physics.material import heated_resistance
 
 
@@ -39,20 +36,7 @@ def deflection_as_printed(strain: float, beam: Beam) -> float:
     return beam.length**2 * bending.curvature(strain, as_printed(beam))
 
 
-def kinetics_slopes(branch: Branch, kelvin: float, sigma: float,
-                    parameters: Parameters) -> tuple[float, float, float]:
-    """b_1 of eq. (20) or b_3 of eq. (21): as printed [1]; corrected for K [1/K] and Pa [1/Pa]."""
-    phase, law = {"heating": ("austenite", kernel.heated_fraction),
-                  "cooling": ("martensite", kernel.cooled_fraction)}[branch]  # fmt: skip
-    share = float(law(kelvin, sigma, parameters))
-    printed = math.sqrt(share * (1.0 - share))  # sin(x)/2 where the ramp is (1 +- cos x)/2
-    start, finish = (parameters[f"wire.{phase}_{end}_temperature"] for end in ("start", "finish"))
-    per_kelvin = math.pi / abs(finish - start) * printed
-    return printed, per_kelvin, per_kelvin / parameters[f"wire.stress_influence_{phase}"]
-
-
-@dataclass(frozen=True)
-class Coefficient:
+class Coefficient(NamedTuple):
     """A row of `coefficient_table`: printed and corrected values."""
 
     name: str
@@ -64,9 +48,7 @@ class Coefficient:
 
 
 def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]:
-    """Every coefficient of eqs. (18) to (23) for one wire at a point; InputError: no such wire."""
-    if not 0 <= wire < point.temperature.size:
-        raise InputError(f"wire {wire}, expected 0 to {point.temperature.size - 1}")
+    """Every coefficient of eqs. (18) to (23) for one wire at a point."""
     parameters, number = point.parameters, int(side_of_channels(point.parameters)[wire])
     of_wires = (point.temperature, point.stress, point.martensite_fraction, point.voltage)
     kelvin, sigma, xi, volt = (float(values[wire]) for values in of_wires)
@@ -84,11 +66,17 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     heat = float(material.heating_voltage(volt, parameters)) ** 2 / ohm
     per_volt = float(material.power_per_volt(volt, parameters))
     drive = "" if parameters["bench.drive"] != "duty" else ", and a duty heats by V V_supply/R"
-    # Eqs. (20), (21), of the kinetics.
-    b1, b1_kelvin, b1_pascal = kinetics_slopes("heating", kelvin, sigma, parameters)
-    b3, b3_kelvin, b3_pascal = kinetics_slopes("cooling", kelvin, sigma, parameters)
-    laws = (kernel.heated_fraction, kernel.cooled_fraction)
-    b2, b4 = (float(law(kelvin, sigma, parameters)) for law in laws)
+    # Eqs. (20), (21), of the kinetics: as printed [1], corrected for K [1/K] and for Pa [1/Pa].
+    kinetics = []
+    laws = {"austenite": kernel.heated_fraction, "martensite": kernel.cooled_fraction}
+    for phase, law in laws.items():
+        share = float(law(kelvin, sigma, parameters))
+        slope = math.sqrt(share * (1.0 - share))  # sin(x)/2 where the ramp is (1 +- cos x)/2
+        ends = [parameters[f"wire.{phase}_{end}_temperature"] for end in ("start", "finish")]
+        per_kelvin = math.pi / abs(ends[1] - ends[0]) * slope
+        per_pascal = per_kelvin / parameters[f"wire.stress_influence_{phase}"]
+        kinetics.append((slope, per_kelvin, per_pascal, share))
+    (b1, b1_kelvin, b1_pascal, b2), (b3, b3_kelvin, b3_pascal, b4) = kinetics
     sign = "sign of eps* - eps_0"
     rows = [
         ("a_1", "(18)", "Pa", modulus, modulus, "right"),

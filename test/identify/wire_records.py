@@ -1,6 +1,6 @@
 """Records of a wire rig: nothing here uses the package's own heat response."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -8,9 +8,7 @@ from scipy.signal import lfilter
 
 from sma_bench.records import Record, Signal
 
-ADC_STEP = 10.0 / 1023.0
-CURRENT_STEP = 0.026
-CAMERA_STEP = 0.1
+ADC_STEP, CURRENT_STEP, CAMERA_STEP = 10.0 / 1023.0, 0.026, 0.1  # V, A, K
 SUPPLY_NOISE, CURRENT_NOISE, CAMERA_NOISE = 0.004, 0.015, 0.08
 
 
@@ -58,8 +56,7 @@ def clock(rng, duration, rate):
     """Jittered stamps in s of which some are lost."""
     stamps = np.arange(0.0, duration, 1.0 / rate)
     stamps = np.sort(stamps + rng.normal(0.0, 0.1 / rate, len(stamps)))
-    stamps = stamps[(rng.random(len(stamps)) > 0.05) & (stamps >= 0.0)]
-    return np.unique(stamps)
+    return np.unique(stamps[(rng.random(len(stamps)) > 0.05) & (stamps >= 0.0)])
 
 
 def record_of(wire, sensors, seed, voltage, duration, step, lag=0.0, cooling=None, markers=()):
@@ -91,6 +88,21 @@ def record_of(wire, sensors, seed, voltage, duration, step, lag=0.0, cooling=Non
     signals = (Signal("wire.voltage", "V", t, v), Signal("wire.current", "A", t, i),
                Signal("wire.temperature", "K", s + sensors.delay, kelvin))  # fmt: skip
     return Record(Path("synthetic"), 0, {one.name: one for one in signals}, tuple(markers))
+
+
+def only(record, *endings):
+    """The record without all signals but these."""
+    kept = {n: s for n, s in record.signals.items() if n.endswith(endings)}
+    return replace(record, signals=kept)
+
+
+def changed(record, **changes):
+    """With other values of a wire's quantities, by a function of what they were."""
+    signals = dict(record.signals)
+    for quantity, change in changes.items():
+        own = signals[f"wire.{quantity}"]
+        signals[own.name] = replace(own, values=change(own.values))
+    return replace(record, signals=signals)
 
 
 def staircase(wire=Wire(), sensors=Sensors(), seed=0, dwell=30.0, top=6.25, increment=0.25, **more):

@@ -138,7 +138,7 @@ def test_steps_and_onsets_come_back_from_every_program(write, text):
         peak_flow = record.specific_heat_flow(record.segments[0]).max()
         assert peak_flow == pytest.approx(350.0, rel=1e-3)
     assert (text == titled()) == any("no sample mass" in f.text for f in record.findings)
-    estimates = identify_transition_temperatures(record).estimates
+    estimates = identify_transition_temperatures([record]).estimates
     for name, celsius in ONSETS.items():
         found = estimates[f"wire.{name}_temperature"].value
         assert found == pytest.approx(celsius + 273.15, abs=0.5), name
