@@ -10,7 +10,7 @@ simulated in this process (the physics that the simulator node steps), not over 
 import math
 import tempfile
 from collections import namedtuple
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -37,10 +37,8 @@ IDENTIFIED = tuple(_DATA["errors"])
 EXACT = ("wire.mass", "wire.surface_area", "wire.diameter")
 _FARTHEST, PRETENSION = 2.5, 0.002  # stated errors; strain
 STEP = 0.0025  # s
-LOADS, SIDES = (10e6, 50e6, 100e6, 150e6, 200e6), ("front", "back")
+SIDES = ("front", "back")
 JITTER, LOST = 0.2, 0.02  # of a period, of the samples
-_HEATED, _REST = 25.0, 15.0  # s
-Steps = Iterable[dict[str, Any]]
 
 # `truth` simulates the bench, `known` is the parameter file of its lab.
 DrawnBench = namedtuple("DrawnBench", "truth known")
@@ -79,15 +77,8 @@ def draw_bench(random: np.random.Generator) -> DrawnBench:
             return DrawnBench(truth, truth.replace(nominal, std | exact))
 
 
-# --- Its experiments.
-def _rest(duration: float) -> dict[str, Any]:
-    return {"kind": "rest", "duration": duration}
-
-
-def _run(parameters: Parameters, steps: Steps, **more: Any) -> Simulation:
-    """One wire, or what bench there is, on a protocol of these steps."""
-    protocol = parse_protocol({"steps": [_rest(3.0), *steps, _rest(1.0)]}, parameters)
-    return simulate(parameters, *protocol.sample(STEP), **more)
+# --- Its experiments: Hz at which each is read, by name; the rest is in the YAML file.
+EXPERIMENTS: dict[str, float] = {name: own["hertz"] for name, own in _DATA["experiments"].items()}
 
 
 def voltage_for(truth: Parameters, temperature: float) -> float:
@@ -97,70 +88,39 @@ def voltage_for(truth: Parameters, temperature: float) -> float:
     return float(np.round(math.sqrt(rise * truth["wire.resistance"] * loss), 3))
 
 
-def one_wire(truth: Parameters) -> Parameters:
-    return truth.replace({"bench.channels": ("wire",), "bench.channel_sides": ("front",)})
-
-
-def staircase(truth: Parameters) -> Simulation:
-    """E1, E2: voltage up and down in steps of 30 s."""
-    peak = voltage_for(truth, truth["wire.austenite_finish_temperature"] + 20.0)
-    levels = {"kind": "staircase", "increment": peak / 8.0, "dwell": 30.0}
-    down = levels | {"start": 7.0 * peak / 8.0, "stop": 0.0}
-    return _run(one_wire(truth), [levels | {"start": 0.0, "stop": peak}, down])
-
-
-def ramp(truth: Parameters) -> Simulation:
-    """E3: four ramps that stay below A_s."""
-    peak = voltage_for(truth, truth["wire.austenite_start_temperature"] - 8.0)
-    up = {"kind": "ramp", "start": 0.0, "stop": peak, "duration": 7.0}
-    return _run(one_wire(truth), [up, _rest(12.0)] * 4)
-
-
-def isobaric(truth: Parameters) -> Simulation:
-    """E6: the load frame holds five loads in turn, the wire is heated and cooled under each."""
-    wire, steps = one_wire(truth), [_rest(3.0)]
-    hottest = truth["wire.austenite_finish_temperature"] + 20.0
-    for load in LOADS:
-        peak = voltage_for(truth, hottest + load / truth["wire.stress_influence_austenite"])
-        steps += [_rest(1.0) | {"force": load * wire_section(wire)}, _rest(_REST),
-                  {"kind": "triangle", "peak": peak, "rise": _HEATED, "fall": _HEATED}]
-    frame = wire.replace({"load.kind": "force", "load.force": LOADS[0] * wire_section(wire)})
-    protocol = parse_protocol({"steps": [*steps, _rest(1.0)], "load": "force"}, frame)
-    return simulate_protocol(protocol, frame, STEP)
-
-
-def clamped(truth: Parameters) -> Simulation:
-    """E8: the wire clamped under tension, a staircase below A_s."""
-    peak = voltage_for(truth, truth["wire.austenite_start_temperature"] - 4.0)
-    levels = [peak * math.sqrt(share) for share in (0.0, 0.25, 0.5, 0.75, 1.0, 0.5, 0.0)]
-    steps = [{"kind": "step", "level": v, "duration": 20.0} if v else _rest(20.0) for v in levels]
-    return _run(one_wire(truth), steps, boundary=Boundary.clamped(-PRETENSION))
-
-
-def composite(truth: Parameters, way: dict[str, Any], size: str, *shares: float) -> Simulation:
-    """E12: front and back by turns, with enough for the transformation against the stiffer side."""
-    stiff = max(truth[f"composite.stress_per_deflection_{side}"] for side in SIDES)
-    bend = truth["composite.deflection_per_strain"] * truth["wire.maximum_recoverable_strain"]
-    shift = 0.5 * stiff * bend / truth["wire.stress_influence_austenite"]
-    peak = voltage_for(truth, truth["wire.austenite_finish_temperature"] + shift + 15.0)
-    both = [way | {size: share * peak, "drive": side} for share in shares for side in SIDES]
-    return _run(truth, [step for one in both for step in (one, _rest(_REST))])
-
-
-_TRIANGLE = {"kind": "triangle", "rise": 15.0, "fall": 15.0}
-_STEP = {"kind": "step", "duration": 12.0}
-# What a bench does in each experiment, and Hz at which it is read.
-EXPERIMENTS: dict[str, tuple[Callable[[Parameters], Simulation], float]] = {
-    "staircase": (staircase, 20.0), "ramp": (ramp, 100.0), "isobaric": (isobaric, 50.0),
-    "clamped": (clamped, 50.0),
-    "composite_triangle": (lambda truth: composite(truth, _TRIANGLE, "peak", 1.0), 50.0),
-    "composite_step": (lambda truth: composite(truth, _STEP, "level", 1.0, 0.88), 50.0)}
+def simulated(experiment: str, truth: Parameters) -> Simulation:
+    """What the bench does in one of EXPERIMENTS, its steps' volts scaled to this wire."""
+    own = _DATA["experiments"][experiment]
+    if composite := experiment.startswith("composite"):
+        # Enough for the whole transformation against the stiffer side.
+        stiff = max(truth[f"composite.stress_per_deflection_{side}"] for side in SIDES)
+        strain = truth["wire.maximum_recoverable_strain"]
+        loads = [0.5 * stiff * truth["composite.deflection_per_strain"] * strain]
+    else:
+        loads = own.get("loads", [0.0])
+    one = {"bench.channels": ("wire",), "bench.channel_sides": ("front",)}
+    bench, steps = truth if composite else truth.replace(one), [{"kind": "rest", "duration": 3.0}]
+    for load in loads * own.get("repeat", 1):
+        shift = load / truth["wire.stress_influence_austenite"]
+        peak = voltage_for(truth, truth[own["at"]] + own["above"] + shift)
+        scales = dict.fromkeys(("start", "stop", "increment", "peak", "level"), peak)
+        scales["force"] = load * wire_section(bench)
+        steps += [{key: value * scales[key] if key in scales else value
+                   for key, value in step.items()} for step in own["steps"]]
+    steps.append({"kind": "rest", "duration": 1.0})
+    if "loads" not in own:
+        boundary = Boundary.clamped(-PRETENSION) if experiment == "clamped" else None
+        protocol = parse_protocol({"steps": steps}, bench)
+        return simulate(bench, *protocol.sample(STEP), boundary=boundary)
+    held = {"load.kind": "force", "load.force": loads[0] * wire_section(bench)}
+    frame = bench.replace(held)
+    return simulate_protocol(parse_protocol({"steps": steps, "load": "force"}, frame), frame, STEP)
 
 
 def measured(experiment: str, truth: Parameters, seed: int) -> list[Signal]:
     """What the lab's instruments read in one of EXPERIMENTS, a topic's signals at one time."""
-    run, rate = EXPERIMENTS[experiment]
-    found, random = run(truth), np.random.default_rng(seed)
+    rate = EXPERIMENTS[experiment]
+    found, random = simulated(experiment, truth), np.random.default_rng(seed)
     samples: dict[tuple[str, bool], np.ndarray] = {}
     signals = []
     for signal in signals_of(found):

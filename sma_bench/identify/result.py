@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 FitVerdict = Literal["ok", "imperfect", "misfit"]
 _SURPRISES = 3.0  # standard deviations
+_TOGETHER = 0.5  # correlation worth a line
 _WITHIN_NOISE = 1.1  # rms over the noise of a sample, which is itself known to some 5 %
 _USABLE = 0.05  # of the signal's range
 
@@ -143,6 +144,14 @@ class Identification(Carded, Reported):
     def surprising(self) -> dict[str, Estimate]:
         """Numbers that lie far off what the parameter file states."""
         return {n: e for n, e in self.estimates.items() if abs(e.deviations) > _SURPRISES}
+
+    @property
+    def linked(self) -> list[tuple[float, str, str]]:
+        """Correlations of errors worth a line, the closest first, with the two names."""
+        names, matrix = self.correlation.names, self.correlation.matrix
+        close = np.argwhere(np.abs(np.tril(matrix, -1)) > _TOGETHER)
+        pairs = [(float(matrix[i, j]), names[i], names[j]) for i, j in close]
+        return sorted(pairs, key=lambda pair: -abs(pair[0]))
 
     def to_json(self) -> dict[str, Any]:
         """The result file of the contract, section 5."""

@@ -46,8 +46,8 @@ def test_a_clean_bag_raises_no_warning():
 
 @pytest.mark.slow
 def test_a_drawn_bench_comes_back_from_its_bags(tmp_path, monkeypatch, capsys):
-    for name, (run, rate) in EXPERIMENTS.items():
-        monkeypatch.setitem(EXPERIMENTS, name, (run, 0.1 * rate))
+    for name, rate in EXPERIMENTS.items():
+        monkeypatch.setitem(EXPERIMENTS, name, 0.1 * rate)
     # One drive of the composite and one start are enough for a play.
     monkeypatch.delitem(EXPERIMENTS, "composite_step")
     monkeypatch.setattr(whole_model, "starts", lambda unknowns: [unknowns.start()])
