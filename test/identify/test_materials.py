@@ -281,6 +281,18 @@ def test_a_test_that_ends_on_the_plateau_says_so_and_is_not_pooled_with_whole_on
     assert says(both, "left out, as other tests show")
 
 
+def test_elongation_and_force_are_divided_by_what_the_wire_measures():
+    whole, known = martensite(), {"wire.length": 0.1, "wire.diameter": 0.3e-3}
+    newton = whole.stress * np.pi / 4.0 * 0.3e-3**2
+    record = replace(whole, strain=0.1 * whole.strain, stress=newton, is_extension=True,
+                     is_force=True)
+    for stated, missing in (({}, "wire.length"), ({"wire.length": 0.1}, "wire.diameter")):
+        with pytest.raises(InputError, match=f"give {missing}"):
+            identify_tensile([record], Parameters(stated), {"*": "martensite"})
+    found = identify_tensile([record], Parameters(known), {"*": "martensite"}).estimates
+    assert found[MODULI[0]].value == pytest.approx(E_M, rel=0.01)
+
+
 @pytest.mark.parametrize("room, asked", [(None, {"pull 1": "martensite"}), (293.15, {})])
 def test_pulls_in_a_bag_need_neither_voltage_nor_the_wires_temperature(room, asked):
     time = np.arange(0.0, 120.0, 0.1)

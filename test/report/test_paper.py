@@ -278,8 +278,8 @@ def test_parameters_without_records_redraw_the_paper_for_that_wire(monkeypatch):
               "wire.austenite_modulus": 70e9}
     run, found = lab._synthetic_outcomes, {}
 
-    def some(wire, *more):  # what the tables have, of two groups of records
-        found.update(run(wire, dict.fromkeys(("E5", "E6", "E6 stresses", "E8")), *more))
+    def some(wire, _, report):  # of two groups of records
+        found.update(run(wire, dict.fromkeys(("E5", "E6", "E6 stresses", "E8")), report))
         raise InputError("enough")
 
     monkeypatch.setattr(lab, "_synthetic_outcomes", some)
