@@ -46,7 +46,8 @@ def load(source: Any, namespace: str | None = None, *, units: Mapping[str, str] 
             (n,) s, or to pairs (time, values); a pandas DataFrame with such columns; a simulation,
             which is then read exactly; a record as it is.
         namespace: where two benches are in one bag, the one to take.
-        units, params: of a logger's table, units by column and the rig's parameter file.
+        units: of a logger's table, by column.
+        params: of a logger's table, the rig's parameter file.
 
     Raises InputError: nothing readable, or arrays that do not fit each other."""
     if isinstance(source, AnyRecord):
