@@ -1,7 +1,8 @@
 """The command line `sma-bench`.
 
 Exit status: 0 done, 2 bad input (one line on standard error), 3 the model does not fit, 130
-interrupted."""
+interrupted. Click completes commands, options and names in bash, zsh and fish:
+`eval "$(_SMA_BENCH_COMPLETE=bash_source sma-bench)"`."""
 
 import gc
 import importlib
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 _GARBAGE = 100_000
 
 LONGEST_LINE = 2000  # characters of an error: names in a file may be of any length
+_COMPLETE = "_SMA_BENCH_COMPLETE"
 
 _HELP = """usage: sma-bench COMMAND [options]
 
@@ -77,6 +79,8 @@ def script() -> None:
 
 
 def _dispatch(arguments: list[str]) -> int:
+    if _COMPLETE in os.environ:
+        _complete()
     if not arguments or arguments[0] in ("-h", "--help"):
         width = max(map(len, COMMANDS))
         lines = "\n".join(f"  {name:{width}}  {text}" for name, text in COMMANDS.items())
@@ -97,6 +101,20 @@ def _dispatch(arguments: list[str]) -> int:
 def load_command(name: str) -> "click.Command":
     """The command of a name of COMMANDS; nothing else of the package is loaded for its help."""
     return getattr(importlib.import_module(f"sma_bench.commands.{MODULES[name]}"), f"run_{name}")
+
+
+def _complete() -> None:
+    """Answer the shell, which asks by a variable of the environment, and end."""
+    import click
+
+    class Commands(click.Group):
+        def list_commands(self, ctx: click.Context) -> list[str]:
+            return list(COMMANDS)
+
+        def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+            return load_command(cmd_name) if cmd_name in COMMANDS else None
+
+    Commands("sma-bench").main([], prog_name="sma-bench", complete_var=_COMPLETE)
 
 
 def _show_warning(message: Warning | str, category: object, filename: str, lineno: int, *_: object,

@@ -8,7 +8,6 @@ Three minutes; ends with 1 unless R, h and c_p are right within three stated err
 """
 
 import json
-import math
 import subprocess
 import sys
 import tempfile
@@ -22,15 +21,18 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 from uno.emulated_uno import missing_tools
 
 from examination.pieces import options_of, print_table
-from sma_bench.commands.demo import QUICK, TABLE_ONE
 from sma_bench.errors import InputError
 from sma_bench.lifeline import tied_to_this_process
 from sma_bench.parameters import Parameters, write_parameters
 from sma_bench.protocols import load_protocol
 
 ROOT = Path(__file__).resolve().parents[2]
+UNO = ROOT / "test" / "tools" / "uno"
+TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
+             "wire.specific_heat": "c_p"}  # fmt: skip
 # What a lab knows of its wire without a volt, by a scale and a ruler: all that the file states.
 WEIGHED = {n: Parameters.of_paper()[n] for n in ("wire.mass", "wire.surface_area", "wire.diameter")}
+PROTOCOLS = ("quick_staircase", "quick_ramp")
 # Three true numbers are all within three errors but once in 120 times; an error above a tenth would
 # not be worth stating.
 SIGMAS, LARGEST_ERROR = 3.0, 0.1
@@ -39,20 +41,25 @@ CAMERA = {"image_width": 128, "image_height": 96, "pixel_size": 0.4e-3}
 PATIENCE = 60.0
 
 
-def judged(estimates: Mapping[str, Any], truth: Parameters) -> bool:
-    """Print a row a number; whether R, h and c_p are all there, right within their stated errors,
-    and these small."""
-    rows, holds = [], True
+def right(estimates: Mapping[str, Any], truth: Parameters) -> bool:
+    """Whether R, h and c_p are all there, right within their stated errors, and these small."""
+    return all((found := estimates.get(name)) is not None
+               and abs(found["value"] - truth[name]) <= SIGMAS * found["std"]
+               and found["statistical"] <= LARGEST_ERROR * found["value"]
+               for name in TABLE_ONE)
+
+
+def show(estimates: Mapping[str, Any], truth: Parameters) -> None:
+    """A row a number: truth, what was found, its error, how far off in %, and in stated errors."""
+    rows = []
     for name, symbol in TABLE_ONE.items():
-        found = estimates.get(name, dict.fromkeys(("value", "std", "statistical"), math.nan))
-        value, std = found["value"], found["std"]
-        off = f"{value / truth[name] - 1.0:+.2%}"
-        cells = f"{truth[name]:.5g}", f"{value:.5g}", f"{std:.2g}", off
-        rows.append((symbol, *cells))
-        holds &= abs(value - truth[name]) <= SIGMAS * std
-        holds &= found["statistical"] <= LARGEST_ERROR * value
-    print_table(("", ">truth", ">identified", ">std error", ">off by"), rows)
-    return holds
+        cells = ["not found", "", "", ""]
+        if found := estimates.get(name):
+            off = found["value"] / truth[name] - 1.0
+            z = (found["value"] - truth[name]) / found["std"]
+            cells = [f"{found['value']:.5g}", f"{found['std']:.2g}", f"{off:+.2%}", f"{z:+.2f}"]
+        rows.append((symbol, f"{truth[name]:.5g}", *cells))
+    print_table(("", ">truth", ">identified", ">std error", ">off by", ">deviation"), rows)
 
 
 def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
@@ -66,9 +73,9 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
     logs.mkdir(parents=True)
     write_parameters(rig, truth, "What the emulated bench is made of.")
     private_ros_environment()
-    command = [sys.executable, ROOT / "test/tools/uno/node.py", "--port", port, "--namespace",
-               NAMESPACE, "--params", rig, "--camera"]
-    uno = subprocess.Popen([*map(str, command)], env=tied_to_this_process())
+    uno = subprocess.Popen([sys.executable, str(UNO / "node.py"), "--port", str(port),
+                            "--namespace", NAMESPACE, "--params", str(rig),
+                            "--camera"], env=tied_to_this_process())
     try:
         with (NodeProcesses(NAMESPACE, logs) as nodes,
               BenchClient(NAMESPACE, meanwhile=nodes.check) as client):
@@ -78,25 +85,30 @@ def identified(folder: Path, truth: Parameters) -> dict[str, Any]:
             for name, settings in {"synthetic_camera": {**CAMERA, "rate": 15.0},
                                    "ir_camera": {**CAMERA, "read_cold_wires": True},
                                    "serial_bridge": {"port": str(port)},
-                                   "experiment": {"protocol": QUICK[0], "protocol_root": "/"},
+                                   "experiment": {"protocol": PROTOCOLS[0], "protocol_root": "/"},
                                    "identification": {"output_directory": ".", **roots}}.items():
                 nodes.start(name, settings, (rig,))
             client.follow("serial_bridge")
-            end = time.monotonic() + PATIENCE
-            while True:  # just begun, the bench may not have said everything yet
-                try:
-                    print(client.trigger("serial_bridge/enable", PATIENCE))  # tests itself first
-                    break
-                except InputError:
-                    if time.monotonic() > end:
-                        raise
-                    time.sleep(0.5)
-            for name in QUICK:
+            for service in ("serial_bridge/self_test", "serial_bridge/enable"):
+                end = time.monotonic() + PATIENCE
+                while True:  # just begun, the bench may not have said everything yet
+                    try:
+                        print(client.trigger(service, PATIENCE))
+                        break
+                    except InputError:
+                        if time.monotonic() > end:
+                            raise
+                        time.sleep(0.5)
+            for name in PROTOCOLS:
                 seconds = load_protocol(name, truth).duration
                 print(f"{name}, {seconds:.0f} s", flush=True)
                 file = ROOT / "config" / "protocols" / f"{name}.yaml"
-                client.run_recorded(file, name, seconds, folder / name)
-            records = {"record": [str((folder / name).resolve()) for name in QUICK]}
+                try:
+                    client.run_recorded(file, name, seconds, folder / name)
+                except InputError as error:
+                    state = client.state("serial_bridge")
+                    raise InputError(f"{error} (serial_bridge: {state})") from None
+            records = {"record": [str((folder / name).resolve()) for name in PROTOCOLS]}
             client.set_parameters("identification", records, PATIENCE)
             answer: dict[str, Any] = json.loads(client.trigger("identification/identify", 600.0))
             return answer
@@ -115,9 +127,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (InputError, OSError) as error:
         print(error, file=sys.stderr)
         return 2
-    holds = judged(answer["parameters"], truth)
+    estimates, holds = answer["parameters"], right(answer["parameters"], truth)
+    show(estimates, truth)
     for warning in answer["warnings"]:
         print("note", warning)
     print(f"within {SIGMAS:g} standard errors of the truth, statistical errors under "
-          f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")
+          f"{LARGEST_ERROR:.0%}: {'yes' if holds else 'NO'}")  # fmt: skip
     return 0 if holds else 1

@@ -4,17 +4,15 @@ The real firmware on an emulated Uno, in virtual time. It trips, for one of ten 
 power fails at a random instant before, while or after the reason goes to the EEPROM; or while what
 acknowledges it does, or behind a reset that came in between, or while it starts. The byte under
 way becomes any. The next start must tell what was before or what is now, each whole, or that
-something was lost; and what is now if the power lasted for 40 ms. Five minutes.
+something was lost; and what is now if the power lasted for 40 ms. Three minutes.
 
     ./bench check power_cuts [--cuts 1000] [--seed 1] [--json FILE]
 """
 
 import random
 import sys
-import tempfile
 from collections import namedtuple
 from collections.abc import Callable, Collection, Sequence
-from operator import setitem
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test" / "tools"))
 from uno import emulated_uno
 from virtual_host import VirtualHost
 
+from examination.check.soak import built
 from examination.pieces import IN_PIECES, in_blocks, options_of, print_table
 from sma_bench.hardware.serial_messages import CAUSES, line
 
@@ -36,15 +35,25 @@ TIMSK0, TIMSK1, ADCSRA = 0x6E, 0x6F, 0x7A
 OUTCOMES = ("before", "now", "lost", "WRONG")
 WAYS = ("while it works", "at a trip", "at what acknowledges it", "behind a reset at a trip")
 
+
 # What the Uno says of its last trip: cause, s after a start, not acknowledged.
 Report = namedtuple("Report", "cause time open")
 # How one is made, the causes that it may have, s until it has come, at least and at most.
 Trip = namedtuple("Trip", "make causes soonest latest")
 
 
-def wired(name: str, value: float) -> Callable[[VirtualHost], object]:
-    """A number of the first wire."""
-    return lambda host: setitem(getattr(host.uno.electrics, name), 0, value)
+def electrics(**values: float) -> Callable[[VirtualHost], object]:
+    """Numbers at the pins; of wires at the first."""
+
+    def change(host: VirtualHost) -> None:
+        pins = host.uno.electrics
+        for name, value in values.items():
+            if name == "supply":
+                pins.supply = value
+            else:
+                getattr(pins, name)[0] = value
+
+    return change
 
 
 def poke(register: int) -> Callable[[VirtualHost], object]:
@@ -52,14 +61,13 @@ def poke(register: int) -> Callable[[VirtualHost], object]:
 
 
 UNEXPLAINED = ("over-current of the front board", "more current than the outputs explain",
-               "duty above its limit")
+               "duty above its limit")  # fmt: skip
 TRIPS = {
     "stop byte": Trip(lambda host: host.uno.write(b"!"), ("stop byte",), 0.0, 0.001),
     "silence": Trip(lambda host: None, ("command timeout",), 0.19, 0.206),
-    "short circuit": Trip(wired("resistance", 0.05), UNEXPLAINED, 0.0, 0.02),
-    "switch stuck": Trip(wired("switch_is", emulated_uno.Switch.STUCK_ON), UNEXPLAINED, 0.0, 0.05),
-    "supply lost": Trip(lambda host: setattr(host.uno.electrics, "supply", 0.0),
-                        ("supply out of range", *UNEXPLAINED), 0.0, 0.06),
+    "short circuit": Trip(electrics(resistance=0.05), UNEXPLAINED, 0.0, 0.02),
+    "switch stuck": Trip(electrics(switch_is=emulated_uno.Switch.STUCK_ON), UNEXPLAINED, 0.0, 0.05),
+    "supply lost": Trip(electrics(supply=0.0), ("supply out of range", *UNEXPLAINED), 0.0, 0.06),
     "converter dead": Trip(poke(ADCSRA), ("converter dead",), 0.005, 0.013),
     "outputs frozen": Trip(poke(TIMSK0), ("output interrupt lost",), 0.004, 0.008),
     # The next start keeps these, which the watchdog makes.
@@ -70,7 +78,7 @@ TRIPS = {
 
 
 def verdict(said: Report, before: Report, now: Report, causes: Collection[int], may: bool,
-            must: bool) -> str:
+            must: bool) -> str:  # fmt: skip
     """Outcome of a cut, when `now`, with one of the `causes`, may or must have been kept."""
     is_now = said.cause in causes and said.open == now.open
     if may and is_now and abs(said.time - now.time) < WRONG_TIME:
@@ -99,10 +107,11 @@ class CutUno:
 
     def _lose_power(self) -> Report:
         """What the next start says; the power may come back only to go once more."""
-        self._restart(emulated_uno.Reset.POWER_ON)
-        while self._draw.random() >= 0.8:
-            self._host.run(self._draw.uniform(0.0, 1.2 * KEPT_WITHIN))
+        while True:
             self._restart(emulated_uno.Reset.POWER_ON)
+            if self._draw.random() < 0.8:
+                break
+            self._host.run(self._draw.uniform(0.0, 1.2 * KEPT_WITHIN))
         self._host.run(STARTED)
         return self._said()
 
@@ -156,21 +165,20 @@ class CutUno:
         self._last = said = self._lose_power()
         outcome = verdict(said, before, now, causes, may, must)
         return {"kind": kind, "way": way, "storing": storing, "outcome": outcome,
-                "told": "" if outcome != OUTCOMES[-1] else f"{before} {now} {said}"}
+                "told": "" if outcome != OUTCOMES[-1] else f"{before} {now} {said}"}  # fmt: skip
 
 
 def cuts(seed: int, first: int, stop: int) -> list[dict[str, Any]]:
     """The outcomes of a chain of cuts."""
-    with tempfile.TemporaryDirectory() as folder:
-        uno = emulated_uno.build_uno(Path(folder), seed + first)
-        chain = CutUno(uno, random.Random(f"{seed} {first}"))
-        return [chain.cut() for _ in range(first, stop)]
+    uno = emulated_uno.EmulatedUno(*built("uno"), seed=seed + first)
+    chain = CutUno(uno, random.Random(f"{seed} {first}"))
+    return [chain.cut() for _ in range(first, stop)]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """0 when no reason was wrong."""
     options = options_of("power_cuts", __doc__, argv, cuts=(1000, "of the power"),
-                         seed=(1, "of the first"), **IN_PIECES)
+                         seed=(1, "of the first"), **IN_PIECES)  # fmt: skip
     if missing := emulated_uno.missing_tools():
         print(f"check power_cuts: {missing}", file=sys.stderr)
         return 2
@@ -178,9 +186,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     rows = []
     for group in (*WAYS, *TRIPS, "all"):
         own = [one for one in found if group in (one["way"], one["kind"], "all")]
-        ends, storing = [one["outcome"] for one in own], sum(one["storing"] for one in own)
+        ends = [one["outcome"] for one in own]
+        storing = sum(one["storing"] for one in own)
         rows.append((group, len(own), storing, *map(ends.count, OUTCOMES)))
     print_table(("power fails", ">cuts", ">byte under way", *(f">{o}" for o in OUTCOMES)), rows)
-    for one in (one for one in found if one["told"]):
-        print(f"{one['way']}, {one['kind']}: {one['told']}")
+    for one in found:
+        if one["told"]:
+            print(f"{one['way']}, {one['kind']}: {one['told']}")
     return 1 if rows[-1][-1] else 0

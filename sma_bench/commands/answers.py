@@ -112,7 +112,7 @@ def run_try(args: SimpleNamespace) -> int:
     from sma_bench.tasks import work
 
     out = Path(args.out or f"{Path(args.files[0]).stem}_tried")
-    given = options.paths_in([args.files, args.params])
+    given = options.paths_in([args.files, args.map_file, args.params])
     names = "identified.json", "identified.yaml", "diagnosis.json", "improved.yaml"
     written, page = {name: out / name for name in names}, out / "page"
     kept = {name: (path, options.FILE) for name, path in written.items()}
@@ -175,11 +175,13 @@ def _imported(args: SimpleNamespace, out: Path, stated: dict[str, float]) -> lis
             records.append(file)
         except InputError:  # import says what is wrong with what is no logger's table either
             tables.append(file)
-    for table in tables:
-        bag = out / Path(table).stem
-        asked = [table, "--out", str(bag), *(["--force"] if args.force else [])]
-        for option, values in (("--params", [args.params]), ("--unit", args.units)):
+    for files in [tables] if args.together and tables else [[table] for table in tables]:
+        bag = out / Path(files[0]).stem
+        asked = [*files, "--out", str(bag)]
+        for option, values in (("--map", [args.map_file]), ("--params", [args.params]),
+                               ("--unit", args.units)):
             asked += [word for value in values if value for word in (option, value)]
+        asked += [f"--{name}" for name in ("together", "force") if getattr(args, name)]
         options.run_command(run_import, "sma-bench try", asked)
         is_one = (bag / "metadata.yaml").is_file()
         records += map(str, [bag] if is_one else sorted(bag.iterdir()))

@@ -20,11 +20,12 @@ from sma_bench.parameters import Parameters, read_parameters, write_parameters
 from sma_bench.parameters.parameter import BY_NAME, EFFECT_PREFIX, EFFECTS
 from sma_bench.progress import COMPILING, Report, part, shares
 from sma_bench.protocols import load_protocol
-from sma_bench.report.tables import diagnosis_tables
-from sma_bench.results import card_text, in_unit
+from sma_bench.report.tables import Table, diagnosis_tables
+from sma_bench.results import card_text
 
 # The first act: the paper's E1 to E3 in short, and what scale and ruler say of the wire.
-TABLE_ONE = ("wire.resistance", "wire.heat_transfer_coefficient", "wire.specific_heat")
+TABLE_ONE = {"wire.resistance": "R", "wire.heat_transfer_coefficient": "h",
+             "wire.specific_heat": "c_p"}
 QUICK = ("quick_staircase", "quick_ramp")
 SIGMAS, LARGEST_ERROR = 2.0, 0.01  # standard errors, and of the value
 _PAPER = Parameters.of_paper()
@@ -45,7 +46,7 @@ _RATES = dict.fromkeys(("rate.power", "rate.temperature", "rate.mechanics"), 20.
 _PROTOCOLS = share_directory() / "config" / "protocols"
 _PATIENCE = 600.0  # s: the service may have to wait for the compiler
 # Seconds of two quiet cores; nodes do not exceed so many times real time by much.
-_STARTING, _IDENTIFYING, _DRAWING, _DIAGNOSING = 3.0, 4.0, 3.0, 12.0
+_STARTING, _COMPILING, _IDENTIFYING, _DRAWING, _DIAGNOSING = 3.0, 20.0, 4.0, 3.0, 12.0
 _REACHED = 30.0
 
 
@@ -62,10 +63,10 @@ def run_demo(args: SimpleNamespace) -> int:
         raise InputError(f"--draw is {args.draw}, expected 0 or more")
     started, console, speed = time.monotonic(), terminal.output_console(), args.speed
     truth = read_parameters(share_directory() / "config" / "wire_rig.yaml")
-    lab, seed = read_parameters(LAB_FILE), args.draw
-    seed = time.time_ns() % 2**31 if seed is None else seed
-    rng = np.random.default_rng(seed)  # a wire within +-10 % of Table I
-    truth = truth.replace({n: float(truth[n] * rng.uniform(0.9, 1.1)) for n in TABLE_ONE})
+    seed, lab = time.time_ns() % 2**31, read_parameters(LAB_FILE)
+    if args.draw is not None:  # a wire within +-10 % of Table I
+        seed, rng = args.draw, np.random.default_rng(args.draw)
+        truth = truth.replace({n: float(truth[n] * rng.uniform(0.9, 1.1)) for n in TABLE_ONE})
     out = Path(args.out or time.strftime("sma_bench_demo_%Y%m%d_%H%M%S"))
     gap = out / "simulated_gap"
     for folder in (out / "bags", out / "logs", gap / "bags", gap / "logs"):
@@ -73,25 +74,42 @@ def run_demo(args: SimpleNamespace) -> int:
     write_parameters(out / "truth.yaml", truth, "What the simulated bench is made of.")
     hidden_file = gap / "hidden.yaml"
     write_parameters(hidden_file, hidden_bench(lab, seed), "The truth of the simulated bench.")
-    if not is_compiled(core.run):  # ./bench may be compiling already
-        terminal.say(COMPILING)
-        command = [sys.executable, "-P", "-m", "sma_bench.physics"]
-        subprocess.run(command, env=tied_to_this_process(), check=False)
+    # What each step takes, about: the time left is that of the whole demo.
+    pace = min(speed, _REACHED)
+    plan = {COMPILING: 0.0 if is_compiled(core.run) else _COMPILING}
+    plan |= {name: _STARTING + load_protocol(name, truth).duration / pace for name in QUICK}
+    plan |= {"identify": _IDENTIFYING, "report": _DRAWING}
+    plan |= {n: _STARTING + load_protocol(n, lab).duration / pace for n in (RECORD, HOLD_OUT)}
+    plan |= {"diagnose": _DIAGNOSING}
+    state = terminal.WorkState()
+    steps = {step: part(state.report, *ends) for step, ends in shares(plan).items()}
     # The first act.
     console.print("[bold]1. From a commanded volt to Table I[/]")
-    with terminal.progress("demo, 1 of 2") as report:
-        steps = _steps(report, QUICK, truth, speed, {"identify": _IDENTIFYING, "report": _DRAWING})
+    with terminal.progress("demo", state):
+        if not is_compiled(core.run):  # ./bench may be compiling already
+            begin, command = time.monotonic(), [sys.executable, "-P", "-m", "sma_bench.physics"]
+            with subprocess.Popen(command, env=tied_to_this_process()) as process:
+                while process.poll() is None:
+                    steps[COMPILING]((time.monotonic() - begin) / _COMPILING, COMPILING)
+                    time.sleep(0.1)
         settings: dict[str, Any] = {"output_directory": ".", **_WEIGHED}
         bags, found = _recorded_and_asked(
             out, "/demo", out / "truth.yaml", QUICK, {"speed": speed}, steps,
             "identification/identify", lambda bags: {**settings, "record": bags})
         result = identify_files(bags, Parameters(_WEIGHED))  # as the node did, for its page
         page = write_identification_report(out / "report", result, steps["report"])
-    console.print(f"{card_text(result, console.width)}\n", markup=False, soft_wrap=True)
-    estimates = found["parameters"]
-    for name, own in ((name, estimates[name]) for name in TABLE_ONE if name in estimates):
-        off = f"{_deviation(own, truth[name]):+.2f} standard errors"
-        terminal.say(f"{name}: found {own['value']:.5g}, true {truth[name]:.5g}: off by {off}")
+    estimates, rows = found["parameters"], []
+    for name, symbol in TABLE_ONE.items():
+        cells = ["-", "-", "-"]  # not identified: the warnings say why
+        if own := estimates.get(name):
+            off = _deviation(own, truth[name])
+            cells = [f"{own['value']:.5g}", f"{own['std']:.2g}", f"{off:+.2f}"]
+        known = f"{_PAPER[name]:.5g}", f"{truth[name]:.5g}"
+        rows.append((symbol, BY_NAME[name].unit, *known, *cells))
+    header = ("", "unit", "paper", "truth", "identified", "std error", "deviation")
+    terminal.print_table(Table(header, rows, frozenset(range(2, 7)), title="Table I"))
+    for warning in found["warnings"]:
+        terminal.say(f"note {warning}")
     # R, h and c_p are all there, and what the scales of the sensors leave of their errors is small.
     holds = all(name in estimates and abs(_deviation(estimates[name], truth[name])) <= SIGMAS
                 and estimates[name]["statistical"] <= LARGEST_ERROR * estimates[name]["value"]
@@ -104,8 +122,7 @@ def run_demo(args: SimpleNamespace) -> int:
     console.print("\n[bold]2. The gap between simulation and bench[/]")
     terminal.say("Synthetic: a simulated bench that hides an effect from its lab, real nodes.")
     gap_page, improved = gap / "report" / "index.html", gap / "improved.yaml"
-    with terminal.progress("demo, 2 of 2") as report:
-        steps = _steps(report, (RECORD, HOLD_OUT), lab, speed, {"diagnose": _DIAGNOSING})
+    with terminal.progress("demo", state):
         simulator = {"speed": speed, **_INSTRUMENTS}
         files = {"improved": str(improved.resolve()), "report": str(gap_page.parent.resolve())}
         _, answer = _recorded_and_asked(
@@ -132,14 +149,6 @@ def run_demo(args: SimpleNamespace) -> int:
         "synthetic": True, "folder": str(out), "holds": right, "truth": true, "report": pages,
         "estimates": estimates, "diagnosis": answer, "draw": seed})
     return 0 if all(right.values()) else 1
-
-
-def _steps(report: Report, protocols: Sequence[str], bench: Parameters, speed: float,
-           more: Mapping[str, float]) -> dict[str, Report]:
-    """The reporter of each step, by about what it takes."""
-    pace = min(speed, _REACHED)
-    plan = {name: _STARTING + load_protocol(name, bench).duration / pace for name in protocols}
-    return {step: part(report, *ends) for step, ends in shares({**plan, **more}).items()}
 
 
 def _recorded_and_asked(folder: Path, namespace: str, file: Path, protocols: Sequence[str],
@@ -233,8 +242,10 @@ def confidently_wrong(answer: Mapping[str, Any], hidden: Parameters) -> bool:
 def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
     """The truth against what was said, a sentence a line; arguments of `confidently_wrong`."""
     effect, numbers = hidden_effect(hidden)
-    amounts = {name: in_unit(f"{value:.4g}", BY_NAME[name].unit) for name, value in numbers.items()}
-    sizes = ", ".join(f"{name.removeprefix(EFFECT_PREFIX)} {amounts[name]}" for name in numbers)
+    amounts = {name: f"{value:.4g} {BY_NAME[name].unit}".removesuffix(" 1")
+               for name, value in numbers.items()}
+    short = {name: name.removeprefix(EFFECT_PREFIX) for name in numbers}
+    sizes = ", ".join(f"{short[name]} {amount}" for name, amount in amounts.items())
     yield f"The bench hid {effect} ({EFFECTS[effect].stage}): {sizes}."
     first = answer["candidates"][0]
     with_truth = [c for c in answer["candidates"] if effect in c["name"].split("+")]
@@ -246,4 +257,4 @@ def reveal(answer: Mapping[str, Any], hidden: Parameters) -> Iterator[str]:
     for name, true in numbers.items():
         if found := first["parameters"].get(name):
             off = f" ({_deviation(found, true):+.1f} standard errors)" if found["std"] else ""
-            yield f"{name}: found {found['value']:.4g}, true {amounts[name]}{off}"
+            yield f"{short[name]}: found {found['value']:.4g}, true {amounts[name]}{off}"

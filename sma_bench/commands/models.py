@@ -91,16 +91,17 @@ def run_linearise(args: SimpleNamespace) -> int:
     from sma_bench.physics.linearised import OperatingPoint, linearise
     from sma_bench.report.tables import Table
 
-    # The point, of voltages or of a deflection.
-    options.one_only(args, "deflection", "voltage")
-    parameters = options.parameters_from_options(args)
+    # The point, of voltages, of temperatures or of a deflection.
+    options.one_only(args, "deflection", "voltage", "temperature")
+    parameters, column = options.parameters_from_options(args), options.column_of(args)
     channels = parameters["bench.channels"]
-    if given := args.voltage:
+    name = "voltage" if args.voltage else "temperature"
+    if given := args.voltage or args.temperature:
         if len(given) not in (1, len(channels)) or not np.isfinite(given).all():
             shown = " ".join(f"{number:g}" for number in given)
-            raise InputError(f"--voltage {shown}: expected 1 or {len(channels)} finite numbers")
-        volts = given[0] if len(given) == 1 else given
-        point = OperatingPoint.at_voltage(parameters, volts, args.branch)
+            raise InputError(f"--{name} {shown}: expected 1 or {len(channels)} finite numbers")
+        at = OperatingPoint.at_voltage if args.voltage else OperatingPoint.at_temperature
+        point = at(parameters, given[0] if len(given) == 1 else given, args.branch)
     else:
         point = OperatingPoint.at_deflection(parameters, args.deflection, args.branch)
     model = linearise(point, args.latent_heat)
@@ -141,6 +142,6 @@ def run_linearise(args: SimpleNamespace) -> int:
 
         section = Section("", tables=tables, pictures=[operating_point_picture(model)])
         page = write_report(args.report, "Linearised model", "E11, eqs. (18) to (23), corrected.",
-                            [section], options.made_of(args), column=options.column_of(args))
+                            [section], options.made_of(args), column=column)
         say(f"report {page}")
     return 0

@@ -1,9 +1,11 @@
 """A running bench: its nodes, their services, and its page in the browser."""
 
+import math
 import re
 import runpy
 import signal
 import sys
+import time
 from contextlib import suppress
 from types import SimpleNamespace
 from typing import Any
@@ -45,6 +47,8 @@ def run_call(args: SimpleNamespace) -> int:
         raise InputError(f"call: {args.service!r}, expected NODE/SERVICE, e.g. experiment/start")
     if not _NAME.fullmatch(args.service):
         raise InputError(f"call: {args.service!r} is no ROS name, expected letters, digits, _, /")
+    if args.patience is not None and not 0.0 < args.patience < math.inf:
+        raise InputError(f"call: --patience is {args.patience:g} s, expected more than 0")
     settings = dict(map(options.named_value, args.settings))
     with options.needs_ros("call"):
         from sma_bench.ros.bench_client import BenchClient
@@ -56,11 +60,13 @@ def run_call(args: SimpleNamespace) -> int:
     name, namespace = f"{node}/{service}", options.namespace_of(args.namespace)
     with (progress(name) as report,
           BenchClient(namespace, look, options.ros_arguments(args)) as client):
+        end = time.monotonic() + (args.patience or 0.0)
         client.follow(node)
-        client.find(name, _PRESENCE)
+        client.find(name, args.patience or _PRESENCE)
         if settings:
             client.set_parameters(node, settings)
-        answer = client.trigger(name, _ANSWER)
+        left = max(end - time.monotonic(), 0.0) if args.patience else _ANSWER
+        answer = client.trigger(name, left)
     parsed: Any = answer
     with suppress(InputError):  # results are JSON themselves
         parsed = read_json(answer, "answer", _LARGEST_ANSWER)

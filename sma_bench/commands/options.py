@@ -12,6 +12,7 @@ from types import FrameType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
 import click
+from click.shell_completion import CompletionItem
 
 from sma_bench.border import claimed, load_yaml, read_yaml
 from sma_bench.commands import COMMANDS
@@ -29,6 +30,8 @@ never replaced, or what the command itself calls `keep_safe` for once it knows t
 _BAG_FILE = "metadata.yaml"
 _DECLARED = read_yaml(Path(__file__).with_name("commands.yaml"))
 _LONGEST_PATH = 4096
+_NARROWEST, _WIDEST = 30.0, 500.0  # mm of a column of print
+_SMALLEST, _LARGEST = 4.0, 24.0  # pt of its letters
 
 results: list[TextIO] = []  # last, where results of the command that runs go
 
@@ -57,33 +60,46 @@ class Several(click.Option):
     """An option with one value or more: `--hold-out a b`, or `--hold-out a --hold-out b`."""
 
 
-class Output(click.ParamType):
-    """A path that is written, of a kind above."""
+class Files(click.ParamType):
+    """Files and folders, which the shell completes."""
 
     name = "path"
+
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        return [CompletionItem(incomplete, type="file")]
+
+
+class Output(Files):
+    """A path that is written, of a kind above."""
 
     def __init__(self, kind: str) -> None:
         self.kind = kind
 
 
 class Words(click.ParamType):
-    """One of some words, or of those at MODULE:NAME, which are looked up when one is given: the
-    help need not load what knows them."""
+    """One of some words, or of those at MODULE:NAME, which are looked up when they are asked for:
+    the help need not load what knows them. With `others` they are only what completion offers."""
 
     name = "word"
 
-    def __init__(self, known: Sequence[str] | str) -> None:
-        self.known = known
+    def __init__(self, known: Sequence[str] | str, others: bool) -> None:
+        self.known, self.others = known, others
+
+    def words(self) -> list[str]:
+        found = resolve_name(self.known) if isinstance(self.known, str) else self.known
+        return list(found() if callable(found) else found)
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        known = resolve_name(self.known) if isinstance(self.known, str) else self.known
-        if value not in known:
+        if not self.others and value not in (known := self.words()):
             near = did_you_mean(value, known) or f", expected one of {', '.join(known)}"
             self.fail(f"{value!r}{near}", param, ctx)
         return str(value)
 
+    def shell_complete(self, ctx: Any, param: Any, incomplete: str) -> list[CompletionItem]:
+        return [CompletionItem(word) for word in self.words() if word.startswith(incomplete)]
 
-_TYPES = {"float": float, "int": int, "unprocessed": click.UNPROCESSED}
+
+_TYPES = {"file": Files(), "float": float, "int": int, "unprocessed": click.UNPROCESSED}
 
 
 def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
@@ -91,11 +107,11 @@ def _parameter(shown: str, row: dict[str, Any]) -> click.Parameter:
     name, dest, several = row.pop("name", None), row.pop("dest", None), row.pop("several", False)
     kind, writes, words = row.pop("type", None), row.pop("writes", None), row.pop("words", None)
     if words is not None:
-        row["type"] = Words(words)
+        row["type"] = Words(words, row.pop("others", False))
     elif writes is not None:
         row["type"] = Output(writes)
-    elif kind:
-        row["type"] = _TYPES[kind]
+    elif kind or several or name:
+        row["type"] = _TYPES[kind or "file"]
     if name:
         row |= {"nargs": -1 if "..." in shown else 1, "required": not shown.startswith("[")}
         return Argument([name], metavar=shown, **row)
@@ -240,12 +256,22 @@ def named_value(text: str) -> tuple[str, Any]:
 
 
 def column_of(args: SimpleNamespace) -> "PaperColumn | None":
-    """The column for which figures are written."""
+    """The column for which figures are written. InputError: a width or letters no paper has."""
+    if args.font is not None and (args.column is None or not _SMALLEST <= args.font <= _LARGEST):
+        size = f"{_SMALLEST:g} to {_LARGEST:g} pt"
+        raise InputError(f"--font is {args.font:g} pt, expected {size}, and --column with it")
     if args.column is None:
         return None
     from sma_bench.report.drawing import COLUMNS  # matplotlib: half a second to load
 
-    return COLUMNS[args.column]
+    column = COLUMNS.get(args.column)
+    if column is None:
+        with suppress(ValueError):
+            column = COLUMNS["double"]._replace(width=float(args.column))
+        if column is None or not _NARROWEST <= column.width <= _WIDEST:
+            wanted = f"single, double or {_NARROWEST:g} to {_WIDEST:g} mm"
+            raise InputError(f"--column {args.column}: expected {wanted}")
+    return column if args.font is None else column._replace(font=args.font)
 
 
 def namespace_of(text: str | None) -> str:

@@ -23,11 +23,11 @@ STEPS = [{"kind": "hold", "level": 2.0, "duration": 2.0}, {"kind": "rest", "dura
 PATIENCE = 60.0
 
 
-def until(log, words):
-    end = time.monotonic() + PATIENCE
-    while words not in log.read_text():
-        assert time.monotonic() < end, log.read_text()
-        time.sleep(0.1)
+def terminals():
+    """What the page says to type, without the program's name."""
+    blocks = re.findall(r"^```\n(.*?)^```", (ROOT / "docs" / "nodes.md").read_text(), re.M | re.S)
+    (block,) = [block for block in blocks if "./bench call" in block]
+    return [shlex.split(line)[1:] for line in block.splitlines()]
 
 
 @pytest.mark.slow
@@ -35,32 +35,28 @@ def test_the_terminals_of_the_page_record_a_bench(tmp_path, capsys, ros_domain, 
     monkeypatch.setattr("sma_bench.commands.nodes._PRESENCE", 1.0)
     assert main(["call", "experiment/start"]) == 2
     # Pytest shows what the first import of ROS's parser deprecates.
-    said = capsys.readouterr().err.splitlines()
-    (error,) = [line for line in said if "is deprecated" not in line]
+    (error,) = [
+        line for line in capsys.readouterr().err.splitlines() if "is deprecated" not in line
+    ]
     assert "/bench/experiment/start: no such service found within 1 s" in error
     monkeypatch.setattr("sma_bench.commands.nodes._PRESENCE", PATIENCE)
-    (tmp_path / "short.yaml").write_text(yaml.safe_dump({"name": "short", "steps": STEPS}))
-    blocks = re.findall(r"^```\n(.*?)^```", (ROOT / "docs" / "nodes.md").read_text(), re.M | re.S)
-    (block,) = [block for block in blocks if "./bench call" in block]
-    *nodes, call = [shlex.split(line)[1:] for line in block.splitlines()]
+    protocol = tmp_path / "short.yaml"
+    protocol.write_text(yaml.safe_dump({"name": "short", "steps": STEPS}))
+    *nodes, call = terminals()
     assert call == ["call", "experiment/start"]
     running = []
     try:
         for words in nodes:
             words = [w.replace("config/", f"{ROOT}/config/") for w in words]
             log = (tmp_path / f"{words[1]}.log").open("wb")
+            streams = {"stdout": log, "stderr": subprocess.STDOUT}
             command = [sys.executable, "-m", "sma_bench.cli", *words]
-            running.append(subprocess.Popen(command, cwd=tmp_path, stdout=log, stderr=log))
+            running.append(subprocess.Popen(command, cwd=tmp_path, **streams))
         recorder, experiment = running[1], tmp_path / "experiment.log"
         until(tmp_path / "recorder.log", "wire/temperature")
-        words, end = [*call, "--set", f"protocol={tmp_path}/short.yaml", "--json"], time.monotonic()
-        while main(words):  # on a busy machine the nodes find one another in their own time
-            error = capsys.readouterr().err
-            assert re.search("nothing listens|was never received", error), error
-            assert time.monotonic() < end + PATIENCE, error
+        answer = accepted([*call, "--set", f"protocol={protocol}", "--json"], capsys)
         # A busy machine's readings may have been late a moment ago.
-        answer = json.loads(capsys.readouterr().out)["answer"]
-        assert re.match("short: 7 s|starts as soon as it can", answer)
+        assert re.match("short: 7 s|starts as soon as it can", json.loads(answer)["answer"])
         until(experiment, "running: short")
         assert main(call) == 2
         assert "already running short" in capsys.readouterr().err
@@ -74,3 +70,20 @@ def test_the_terminals_of_the_page_record_a_bench(tmp_path, capsys, ros_domain, 
                 process.send_signal(signal.SIGINT)
                 process.wait(PATIENCE)
     assert read_record(tmp_path / "my_record")["wire.voltage"].values.max() > 1.9
+
+
+def accepted(call, capsys):
+    """What it prints; on a busy machine the nodes find one another in their own time."""
+    end = time.monotonic() + PATIENCE
+    while status := main(call):
+        error = capsys.readouterr().err
+        assert status == 2 and re.search("nothing listens|was never received", error), error
+        assert time.monotonic() < end, error
+    return capsys.readouterr().out
+
+
+def until(log, words):
+    end = time.monotonic() + PATIENCE
+    while words not in log.read_text():
+        assert time.monotonic() < end, log.read_text()
+        time.sleep(0.1)

@@ -72,7 +72,9 @@ def test_e11_is_about_half_of_the_largest_deflection_and_its_gain_the_slope_of_s
     found = json.loads(answer.read_text())
     volts = np.array(list(found["operating_point"]["voltage"].values()))
     step = np.where(volts > 0.0, 1e-4, 0.0)
-    low, high = (OperatingPoint.at_voltage(rig, v, "cooling").deflection
-                 for v in (volts - step, volts + step))  # fmt: skip
+    low, high = (
+        OperatingPoint.at_voltage(rig, volts + sign * step, "cooling").deflection
+        for sign in (-1, 1)
+    )
     gains = np.array(list(found["deflection_per_volt"].values()))[volts > 0.0]
     assert gains.sum() == pytest.approx((high - low) / 2e-4, rel=1e-3)

@@ -1,4 +1,5 @@
-"""Every command's help ends in examples that its own parser takes; JSON; tables that fit."""
+"""Every command's help ends in examples that its own parser takes; what a shell is offered; JSON;
+tables fit the terminal."""
 
 import json
 import shlex
@@ -10,6 +11,7 @@ from rich.cells import cell_len
 from test_documented_commands import check_command
 
 from sma_bench.cli import COMMANDS, load_command, main
+from sma_bench.parameters.node_tables import NODE_TABLES
 from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.physics.effects import EFFECTS
 
@@ -76,8 +78,29 @@ def test_help_loads_nothing_heavy():
     assert process.stdout.strip() == "[]", process.stderr
 
 
-def parsed(name, *words):
-    return load_command(name).make_context(name, [*words]).params
+@pytest.mark.parametrize(("line", "offered"), [
+    ("", list(COMMANDS)), ("di", ["diagnose"]), ("identify --exp", ["--experiment"]),
+    ("identify --experiment E1", ["E1", "E10"]), ("identify my_", ["my_"]),
+    ("identify my_bag --params ", ["FILE"]), ("diagnose --signals de", ["deflection"]),
+    ("simulate --protocol composite_tri", ["composite_triangle"]),
+    ("simulate --effect ", list(EFFECTS)), ("audit --set wire.res", ["wire.resistance"]),
+    ("run ", list(NODE_TABLES)), ("calibrate supp", ["supply"]),
+])  # fmt: skip
+def test_a_shell_is_offered_what_may_follow(line, offered, monkeypatch, capsys):
+    words = line.split(" ")
+    monkeypatch.setenv("_SMA_BENCH_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_CWORD", str(len(words)))
+    monkeypatch.setenv("COMP_WORDS", " ".join(["sma-bench", *words]))
+    with pytest.raises(SystemExit):
+        main([])
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    # A file is the shell's own.
+    assert [line.partition(",")[2] or "FILE" for line in shown.out.splitlines()] == offered
+
+
+def parsed(*words):
+    return load_command(words[0]).make_context(words[0], list(words[1:])).params
 
 
 def test_several_values_of_an_option_stand_behind_it_or_behind_each_of_it():

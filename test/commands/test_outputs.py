@@ -13,18 +13,25 @@ from sma_bench import border
 from sma_bench.cli import COMMANDS, load_command, main
 from sma_bench.commands.options import BAG, FILE, FOLDER, NEW, OWN, Output
 
-PARAMETERS = [(name, parameter) for name in COMMANDS if name != "run"
-              for parameter in load_command(name).params
-              if isinstance(parameter, click.Option)]  # fmt: skip
+PARAMETERS = [
+    (name, parameter)
+    for name in COMMANDS
+    if name != "run"
+    for parameter in load_command(name).params
+    if isinstance(parameter, click.Option)
+]
 GIVEN = yaml.safe_load(Path(__file__).with_name("outputs.yaml").read_text())
 WORDS, READ = GIVEN["words"], set(GIVEN["read"])
 
 
 def outputs(*kinds, reading=False):
     """Command, option, kind of every output; `reading`: of commands that read a file."""
-    return [(name, option.opts[0], option.type.kind) for name, option in PARAMETERS
-            if isinstance(option.type, Output) and option.type.kind in kinds
-            if "IN" in WORDS[name] or not reading]  # fmt: skip
+    return [
+        (name, option.opts[0], option.type.kind)
+        for name, option in PARAMETERS
+        if isinstance(option.type, Output) and option.type.kind in kinds
+        if "IN" in WORDS[name] or not reading
+    ]
 
 
 def words_for(name, option, target, given):
@@ -54,8 +61,9 @@ def lab(tmp_path):
 
 @pytest.fixture
 def refused(capsys):
+    """Runs a command that is refused in one line, which is returned."""
+
     def run(*words):
-        """The one line in which a command is refused."""
         capsys.readouterr()
         assert main([str(word) for word in words]) == 2
         (error,) = capsys.readouterr().err.splitlines()
@@ -65,15 +73,17 @@ def refused(capsys):
 
 
 def test_every_option_that_names_what_is_written_is_declared():
-    undeclared = [(name, option.opts[0]) for name, option in PARAMETERS
-                  if str(option.metavar).removesuffix(" ...").endswith(
-                      ("FILE", "DIR", "BAG", ".yaml"))
-                  if not isinstance(option.type, Output)
-                  and not READ.intersection(option.opts)]  # fmt: skip
+    undeclared = [
+        (name, option.opts[0])
+        for name, option in PARAMETERS
+        if str(option.metavar).removesuffix(" ...").endswith(("FILE", "DIR", "BAG", ".yaml"))
+        if not isinstance(option.type, Output) and not READ.intersection(option.opts)
+    ]
     assert undeclared == []
-    writing = {name for name, option in PARAMETERS if isinstance(option.type, Output)}
-    assert writing >= {"identify", "simulate", "diagnose", "import", "report", "paper",
-                       "parameters", "demo", "batch", "calibrate"}  # fmt: skip
+    assert {name for name, option in PARAMETERS if isinstance(option.type, Output)} >= {
+        *("identify", "simulate", "diagnose", "import", "report", "paper", "parameters", "demo"),
+        *("batch", "calibrate"),
+    }
 
 
 @pytest.mark.parametrize(("name", "option", "kind"), outputs(FILE, FOLDER, BAG, NEW))

@@ -1,4 +1,4 @@
-"""Progress: one line on a terminal, which fits and vanishes; nothing elsewhere, nor on stdout."""
+"""Progress: shares, time left, one line on a terminal, sparse ones elsewhere, never on stdout."""
 
 import contextlib
 import os
@@ -7,25 +7,52 @@ import re
 import subprocess
 import sys
 
+import pytest
 from rich.cells import cell_len
 
+from sma_bench.commands.terminal import WorkState
+
 WORK = """
-import time
+import sys, time
 from sma_bench.commands import terminal
+terminal.FIRST_SHOWN, terminal.FIRST_LINE, terminal.NEXT_LINE = 0.1, 0.3, 0.3
 with terminal.progress("work") as report:
-    for k in (0, 3, 1, 5, 9):
-        report(k / 10, "数据 of a long name that no such narrow terminal can show whole" * (k < 9))
-        time.sleep(0.3)
+    for k in range(10):
+        report(k / 10, "数据 of a long name that no terminal of forty columns can show whole")
+        time.sleep(0.1)
 print("result")
 """
 
 
-def test_a_terminal_gets_a_line_that_fits_and_vanishes_and_a_file_gets_none():
-    command, seen = [sys.executable, "-c", WORK], b""
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert (done.stdout, done.stderr) == ("result\n", "")
+@pytest.mark.parametrize("whole", [50, 400])
+def test_the_time_left_follows_the_machine_and_never_stands_still(whole):
+    now, left = [100.0], []
+    state = WorkState(lambda: now[0])
+    for second in range(1, whole):
+        now[0] += 1.0
+        if second % 5 == 0:
+            state.report(second / whole)
+        left.append((second, state.left))
+    soon = [(second, said) for second, said in left if second >= 0.1 * whole][:-5]
+    assert all(said == pytest.approx(whole - second, rel=0.3) for second, said in soon)
+    quarter = whole // 4
+    falls = [a[1] - b[1] for a, b in zip(soon, soon[quarter:], strict=False)]
+    assert min(falls) > quarter / 2
+
+
+def test_elsewhere_than_on_a_terminal_there_are_lines_on_standard_error():
+    command = [sys.executable, "-c", WORK]
+    process = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert process.stdout == "result\n"
+    lines = process.stderr.splitlines()
+    assert 1 <= len(lines) <= 4
+    assert all(re.match(r"sma-bench: work: \d+%, .*\(数据 of", line) for line in lines)
+
+
+def test_a_terminal_gets_a_line_that_fits_and_vanishes():
     ours, its = pty.openpty()
-    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "60"}
+    environment = {**os.environ, "TERM": "xterm-256color", "COLUMNS": "40"}
+    command, seen = [sys.executable, "-c", WORK], b""
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=its, env=environment)
     os.close(its)
     with contextlib.suppress(OSError):  # the other end is closed
@@ -36,8 +63,6 @@ def test_a_terminal_gets_a_line_that_fits_and_vanishes_and_a_file_gets_none():
     screen = seen.decode()
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "\n", re.sub(r"\x1b\[[0-9;]*m", "", screen))
     frames = [frame for frame in re.split(r"[\r\n]+", plain) if frame.strip()]
-    shares = [int(re.search(r"(\d+)%", frame)[1]) for frame in frames]
-    assert shares == sorted(shares) and shares[-1] == 90
-    assert any(re.search(r"\d+:\d+:\d+ left \(数.*…", frame) for frame in frames)
-    assert max(cell_len(frame) for frame in frames) <= 60
+    assert any("…" in frame and re.search(r"\d+%, \d+ s left", frame) for frame in frames)
+    assert max(cell_len(frame) for frame in frames) <= 40
     assert screen.rstrip().endswith("\x1b[2K")  # the last that is done is to wipe the line

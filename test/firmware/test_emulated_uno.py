@@ -1,16 +1,20 @@
 """The real image on an emulated ATmega328P, in virtual time: what it does at its pins, and when."""
 
+import math
+import random
 import re
 import statistics
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
-from uno.emulated_uno import Reset, Switch
+from uno.emulated_uno import Relay, Reset, Switch
 
 from sma_bench.hardware import serial_messages
-from sma_bench.hardware.bench_sensors import BenchSensors
-from sma_bench.hardware.serial_messages import CAUSES, DeviceState, Named, line
+from sma_bench.hardware.bench_sensors import BenchSensors, SharedWatch
+from sma_bench.hardware.safety import Limits
+from sma_bench.hardware.serial_messages import CAUSES, REASONS, DeviceState, Named, command, line
+from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import SERIAL_BRIDGE
 
 SIDES = ("front", "front", "back", "back")
@@ -44,6 +48,9 @@ def last_cause(host):
 
 def state(host):
     return host.telemetry[-1].state
+
+
+# --- what it says
 
 
 def test_power_up_greets_and_text_telemetry_comes_at_exactly_100_hz(host):
@@ -96,6 +103,9 @@ def test_a_host_that_says_all_at_once_is_heard_to_the_last_byte(host):
     assert host.telemetry[-1].echo == 12
 
 
+# --- what it does
+
+
 def test_wires_get_the_commanded_voltage_as_heat(host):
     commanded = (250, 1000, 5000, 10000)
     host.arm()
@@ -114,6 +124,22 @@ def test_the_supplys_drop_is_known_before_any_pulse_is_long(host):
     volts, told, *_ = applied(host, 1.0, 700, 0, 0, 0)
     assert statistics.fmean(told) == pytest.approx(volts, rel=3e-3)
     assert volts == pytest.approx(0.7, rel=5e-3)
+
+
+@pytest.mark.parametrize(("resistance", "word"), [(2.7, ""), (math.inf, "open: front_2")])
+def test_an_open_wire_beside_a_driven_one_shows_in_the_readings(host, resistance, word):
+    host.uno.electrics.resistance[:2] = [2.7, resistance]
+    host.arm()
+    watch, found = SharedWatch(("front_1", "front_2")), ""
+    circuit = Limits.from_parameters(Parameters.defaults()).circuit
+    for k in range(8):
+        first = len(host.telemetry)
+        host.hold(0.5, 6000, 2000 * (k % 2), 0, 0)
+        for frame in host.telemetry[first:]:
+            powers = SENSORS.reading(frame).powers[:2]
+            volts, amperes = [p.voltage for p in powers], [p.current for p in powers]
+            found = watch.power(volts, amperes, 1e-6 * frame.time_us, circuit) or found
+    assert found.startswith(word) and bool(found) == bool(word)
 
 
 @pytest.mark.parametrize("volt", [2, 6])
@@ -158,6 +184,22 @@ def test_what_a_weak_supply_could_not_carry_is_forgotten_when_armed_anew(host):
     assert state(host) == DeviceState.ARMED and told[-1] == pytest.approx(5.0, rel=0.01)
 
 
+# --- how it stops
+
+
+def test_nothing_is_driven_before_the_first_command_nor_by_garbage(host):
+    host.arm()
+    host.run(0.1)
+    assert sum(host.uno.electrics.on_time) == 0.0
+    noise = random.Random(1)
+    host.uno.write(bytes(b for _ in range(3000) if (b := noise.randrange(256)) != ord("!")))
+    host.run(0.1)
+    host.uno.write(b"\n")
+    host.say("?")
+    assert sum(host.uno.electrics.on_time) == 0.0
+    assert host.named("?", "H")["name"] == "sma-uno"
+
+
 @pytest.mark.parametrize("flood", [0, 128], ids=["alone", "inside a flood of garbage"])
 def test_stop_byte_switches_off_within_a_tenth_of_a_millisecond(driving, flood):
     driving.uno.write(bytes(range(128, 128 + flood)) + b"!" + bytes(range(128, 128 + flood)))
@@ -167,7 +209,9 @@ def test_stop_byte_switches_off_within_a_tenth_of_a_millisecond(driving, flood):
     assert last_cause(driving) == "stop byte"
 
 
-def test_silence_stops_and_its_cause_outlives_a_reset_but_not_a_second_one(driving):
+def test_silence_a_lost_supply_and_too_much_heat_stop(driving):
+    """And the cause outlives a reset, but not a second one."""
+    electrics = driving.uno.electrics
     driving.drive(6000, 0, 0, 3000)
     assert 0.199 < driving.time_until_off(limit=0.3) < 0.205
     assert last_cause(driving) == "command timeout"
@@ -175,15 +219,27 @@ def test_silence_stops_and_its_cause_outlives_a_reset_but_not_a_second_one(drivi
         driving.uno.reset(Reset.PIN)
         driving.run(0.2)
         assert CAUSES[int(driving.named("?", "H")["before"])] == cause
+    driving.arm((10000, 6500, 12000, 1890, 7000, 200))
     # Volts stay when the supply sags.
-    driving.arm(LIMITS)
-    driving.uno.electrics.supply = 10.0
+    electrics.supply = 10.0
     driving.hold(0.2, 6000, 0, 0, 0)
     assert applied(driving, 0.3, 6000, 0, 0, 0)[0] == pytest.approx(6.0, rel=0.01)
+    electrics.supply = 0.0
+    driving.hold(0.1, 6000, 0, 0, 3000)
+    assert last_cause(driving) == "supply out of range"
+    electrics.supply = 12.0
+    driving.run(1.0)
+    driving.consent("R")
+    driving.arm((10000, 6500, 12000, 1890, 5000, 200))
+    driving.hold(0.6, 4500, 0, 0, 0)
+    assert state(driving) == DeviceState.ARMED
+    driving.hold(0.6, 6000, 0, 0, 0)
+    assert last_cause(driving) == "more heat than allowed"
 
 
-@pytest.mark.parametrize(("millivolts", "resistance"),
-                         [(1000, 0.05), (1000, 0.3), (3000, 0.05), (7500, 0.3)])
+@pytest.mark.parametrize(
+    ("millivolts", "resistance"), [(1000, 0.05), (1000, 0.3), (3000, 0.05), (7500, 0.3)]
+)
 def test_short_circuit_is_off_at_any_voltage_though_the_sensor_clips(host, millivolts, resistance):
     electrics = host.uno.electrics
     electrics.supply_resistance, electrics.offset[0] = 0.05, 0.03
@@ -198,13 +254,18 @@ def test_short_circuit_is_off_at_any_voltage_though_the_sensor_clips(host, milli
     assert electrics.on_time[0] - before < 1e-3
 
 
-@pytest.mark.parametrize(("millivolts", "resistance", "clipping", "found"), [
-    (2000, 1.2, 25.0, True), (2500, 1.4, 25.0, True), (3500, 1.6, 25.0, True),
-    (2000, 0.05, 11.0, True), (2500, 0.05, 7.0, True),
-    # What it cannot tell from a wire, as docs/safety.md says.
-    (9000, 1.9, 25.0, False), (3000, 0.05, 6.0, False)])
+@pytest.mark.parametrize(
+    ("millivolts", "resistance", "clipping", "found"),
+    [
+        (2000, 1.2, 25.0, True), (2500, 1.4, 25.0, True), (3500, 1.6, 25.0, True),
+        (2000, 0.05, 11.0, True), (2500, 0.05, 7.0, True),
+        # What it cannot tell from a wire, as docs/safety.md says.
+        (9000, 1.9, 25.0, False), (3000, 0.05, 6.0, False),
+    ],
+)  # fmt: skip
 def test_the_device_alone_finds_half_shorts_and_shorts_behind_a_sensor_that_clips(
-        host, millivolts, resistance, clipping, found):
+    host, millivolts, resistance, clipping, found
+):
     """No host has told it what its wires are (command C)."""
     electrics = host.uno.electrics
     electrics.supply_resistance, electrics.offset[0], electrics.clipping = 0.05, 0.03, clipping
@@ -215,6 +276,13 @@ def test_the_device_alone_finds_half_shorts_and_shorts_behind_a_sensor_that_clip
     host.hold(0.5, millivolts, 0, 0, 0)
     assert state(host) == (DeviceState.STOPPED if found else DeviceState.ARMED)
     assert not found or last_cause(host) == UNEXPLAINED
+
+
+def test_its_own_limits_stay_what_it_tells_whatever_a_host_has_set_for_its_rig(host):
+    limits = host.named("?", "L"), host.named("?", "M")
+    host.arm((5000, 2000, 9000, 1890, 6000, 200))
+    assert (host.named("?", "L"), host.named("?", "M")) == limits
+    host.arm((10000, 6500, 12000, 1000, 8000, 2000))
 
 
 @pytest.mark.parametrize("kind", [Switch.STUCK_ON, Switch.INVERTED])
@@ -232,6 +300,18 @@ def test_a_broken_switch_is_found_when_the_relay_closes_and_while_it_drives(host
     assert state(host) == DeviceState.IDLE
     host.arm()
     assert last_cause(host) == "current with all outputs off"
+
+
+def test_behind_a_welded_relay_it_says_that_current_still_flows(host):
+    host.uno.electrics.relay_is = Relay.WELDED
+    host.uno.electrics.switch_is[0] = Switch.STUCK_ON
+    host.run(0.2)
+    assert state(host) == DeviceState.STILL_FLOWING
+    assert REASONS[host.refusal("R")] == "current flows though every output is off"
+    host.uno.electrics.supply = 0.0  # the plug
+    host.run(0.2)
+    assert state(host) == DeviceState.STOPPED
+    host.consent("R")
 
 
 BREAKS = {
@@ -255,6 +335,32 @@ def test_a_lost_interrupt_or_a_hung_program_is_off_and_restarted(driving, broken
     greeting = next(m for m in driving.messages[::-1] if isinstance(m, Named) and m.letter == "H")
     assert int(greeting.values["reset"]) == 8
     assert not cause or CAUSES[int(greeting.values["before"])] == cause
+
+
+def kept(host):
+    said = host.named("?", "H")
+    return CAUSES[int(said["trip"])], 0.1 * int(said["trip_ds"]), said["trip_open"] == "1"
+
+
+def cut_power(host):
+    host.uno.reset(Reset.POWER_ON)
+    host.run(0.2)
+
+
+def test_the_last_reason_outlasts_the_power_and_so_does_its_acknowledgement(driving):
+    driving.run(0.3)
+    cut_power(driving)
+    cause, time, is_open = kept(driving)
+    assert (cause, is_open) == ("command timeout", True) and 0.3 <= time <= 0.6
+    assert state(driving) == DeviceState.IDLE
+    driving.run(1.0)
+    cut_power(driving)
+    assert kept(driving) == ("command timeout", time, True)
+    driving.consent("R")
+    assert kept(driving) == ("command timeout", time, False)
+    driving.run(0.04)
+    cut_power(driving)
+    assert kept(driving) == ("command timeout", time, False)
 
 
 def test_storing_a_reason_delays_nothing_that_is_done_meanwhile(driving):
@@ -281,3 +387,34 @@ def test_storing_a_reason_delays_nothing_that_is_done_meanwhile(driving):
     assert driving.uno.electrics.longest_blocked < 2 * BYTE and greeting
     assert state(driving) == DeviceState.ARMED
 
+
+def test_no_two_starts_have_the_same_nonce_and_none_is_told_unasked(host):
+    seen = set()
+    for start in range(6):
+        host.uno.reset(Reset.POWER_ON if start % 3 == 0 else Reset.PIN)
+        host.messages.clear()
+        host.run(0.2)
+        assert not any("nonce" in m.values for m in host.messages if isinstance(m, Named))
+        assert host.refusal("A", 13841) is not None
+        seen.add(host.named("?", "H")["nonce"])
+    assert len(seen) == 6
+
+
+def test_a_recorded_session_arms_nothing_after_a_reset_nor_its_command_in_the_next(driving):
+    host = driving
+
+    def stays_off_after(said):
+        host.uno.write(said)
+        return host.outputs_stay_off(0.2)
+
+    replayed = host.command_line(9000, 9000, 9000, 9000)
+    session = line("?") + line("C " + " ".join(map(str, LIMITS)))
+    host.uno.write(b"!")
+    host.run(0.01)
+    host.consent("R")
+    host.arm()
+    assert stays_off_after(replayed)
+    session += line(command("A", host.session)) + host.command_line(9000, 0, 0, 0)
+    host.uno.reset()
+    host.run(0.2)
+    assert stays_off_after(session) and state(host) == DeviceState.IDLE

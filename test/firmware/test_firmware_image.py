@@ -11,6 +11,7 @@ from uno import emulated_uno
 
 from examination.check import fuzz, hardware
 from sma_bench.errors import InputError
+from sma_bench.parameters import Parameters
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = re.findall(r"^TEST\((\w+)\)$", (HERE / "host" / "test_logic.c").read_text(), re.M)
@@ -37,10 +38,11 @@ def test_logic(logic_tests, name):
 
 
 def test_hostile_bytes_neither_crash_nor_drive_and_fuzzing_tells_a_part_that_failed(
-        compiler, tmp_path):
+    compiler, tmp_path
+):
     fuzzer = build_program("fuzz.c", tmp_path)
-    (executed, drove_on, stopped), problem = fuzz.fuzzed(fuzzer, 40000, 1)
-    assert (executed, problem) == (40000, "")
+    (executed, drove_on, stopped), problem = fuzz.fuzzed(fuzzer, 60000, 1)
+    assert (executed, problem) == (60000, "")
     # The armed inputs reach both ends, or the fuzzer proves nothing.
     assert drove_on > 1000 and stopped > 1000
     program = tmp_path / "program"
@@ -70,7 +72,8 @@ def test_limits_that_cannot_be_kept_do_not_build(firmware_image, tmp_path, confi
 
 
 def test_without_the_tools_or_a_firmware_that_compiles_a_check_is_one_line(
-        firmware_image, tmp_path, monkeypatch, capsys):
+    firmware_image, tmp_path, monkeypatch, capsys
+):
     with pytest.raises(InputError, match="^make: [^\n]+$"):
         emulated_uno.build_firmware(tmp_path, "-DCOMMAND_TIMEOUT_MS=0")
     monkeypatch.setattr(emulated_uno.shutil, "which", lambda name: None)
@@ -126,6 +129,27 @@ def test_pins_outputs_and_limits_are_those_of_the_firmware():
     documented = dict(re.findall(r"^\| `(\w+)` \| (\d+) \|", page, re.M))
     assert len(documented) == 15
     assert {name: limits[name] for name in documented} == documented
+
+
+# --- checks
+
+
+def test_numbers_hold_within_three_stated_errors_and_only_when_all_are_there():
+    truth = Parameters.defaults()
+    for std, factors, right in (
+        (0.01, {}, True),
+        (0.01, {"R": 1.029, "h": 0.971}, True),
+        (0.01, {"c_p": 1.031}, False),
+        (0.01, {"c_p": 0.0}, False),
+        (0.101, {}, False),  # a large stated error excuses nothing
+    ):
+        found = {}
+        for name, symbol in hardware.TABLE_ONE.items():
+            if factor := factors.get(symbol, 1.0):
+                error = std * truth[name]
+                value = truth[name] * factor
+                found[name] = {"value": value, "std": error, "statistical": error}
+        assert hardware.right(found, truth) == right
 
 
 @pytest.mark.acceptance

@@ -22,9 +22,10 @@ def test_whatever_was_not_there_is_called_wrong():
         return verdict(said, was, now, {now.cause}, may, must)
 
     assert (outcome(before), outcome(now), outcome(lost)) == ("before", "now", "lost")
-    for wrong in (Report(3, 0.7, True), Report(1, 25.6, True), Report(1, 0.7, False),
-                  Report(2, 1.5, True), Report(2, 1.6, False), Report(0, 0.0, False),
-                  Report(LOST, 0.1, True)):
+    for wrong in (
+        Report(3, 0.7, True), Report(1, 25.6, True), Report(1, 0.7, False), Report(2, 1.5, True),
+        Report(2, 1.6, False), Report(0, 0.0, False), Report(LOST, 0.1, True),
+    ):  # fmt: skip
         assert outcome(wrong) == "WRONG"
     assert outcome(now, may=False) == outcome(lost, may=False) == "WRONG"
     assert outcome(before, must=True) == outcome(lost, must=True) == "WRONG"

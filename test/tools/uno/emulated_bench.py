@@ -19,13 +19,10 @@ from sma_bench.physics import Bench
 from uno.emulated_uno import CHANNELS, EmulatedUno, build_uno
 
 # A triangulation sensor for 40 to 300 mm (GP2Y0A41SK0F's curve): V = SLOPE / (d + SHIFT) + OFFSET.
-SLOPE, SHIFT, OFFSET, STANDOFF = 0.124, 4.2e-3, 0.03, 0.1
-BOOTLOADER = 0.3  # s; an Optiboot waits 1 s for somebody who uploads, the Uno's first bootloaders 2
-SLICE = 5e-4  # s
-# How much faster than the wall's the device's time may go to catch up a delay (its command timeout
-# is on that time, and a host that was never silent must not seem to be); s that are caught up at
-# once.
-_CATCH_UP, _AT_ONCE = 1.25, 5e-3
+SLOPE = 0.124
+SHIFT = 4.2e-3
+OFFSET = 0.03
+STANDOFF = 0.1
 
 
 class Plant:
@@ -39,8 +36,9 @@ class Plant:
         self.bench = Bench(parameters.replace({"bench.drive": "voltage"}))
         self._squares, self._time = np.array(uno.electrics.square_time), uno.time
         resistance = parameters["wire.resistance"] / parameters["wire.count"]
-        uno.electrics.resistance[:] = [resistance if channel < self._wires else math.inf
-                                       for channel in range(CHANNELS)]
+        uno.electrics.resistance[:] = [
+            resistance if channel < self._wires else math.inf for channel in range(CHANNELS)
+        ]
         self._show_deflection()
 
     def advance(self) -> None:
@@ -59,20 +57,23 @@ class Plant:
             self.advance()
 
     def _show_deflection(self) -> None:
-        self._uno.electrics.range_voltage[:] = [SLOPE
-                                                / (STANDOFF + sign * self.bench.deflection + SHIFT)
-                                                + OFFSET for sign in (-1.0, 1.0)]
+        self._uno.electrics.range_voltage[:] = [
+            SLOPE / (STANDOFF + sign * self.bench.deflection + SHIFT) + OFFSET
+            for sign in (-1.0, 1.0)
+        ]
 
 
 class PinWatch:
     """When current could flow, as an oscilloscope would see it; `look` after every slice."""
 
     def __init__(self, uno: EmulatedUno) -> None:
-        self._uno, self._on_time = uno, 0.0
-        # s of the Uno's clock: when an output was high, or a wire connected, for the last time.
+        self._uno = uno
+        self._on_time = 0.0
         self.last_on = 0.0
+        """s of the Uno's clock: when an output was high, or a wire connected, for the last time"""
 
     def look(self) -> None:
+        """Note whether it was so since the last look."""
         on_time = sum(self._uno.electrics.on_time) + sum(self._uno.electrics.wire_time)
         if on_time > self._on_time:
             self.last_on = self._uno.time
@@ -84,12 +85,25 @@ class PinWatch:
         return self._uno.time - self.last_on
 
 
-class PtyBench:
-    """Runs a device (run, write, read) at the speed of the wall clock; `path` is the port. In the
-    same thread go `each_slice()`, a plant, and `on_open()`, what opening the port causes."""
+SLICE = 5e-4
+_PRIORITY = 1
+# How much faster than the wall's the device's time may go to catch up a delay: its command timeout
+# is on that time, and a host that was never silent must not seem to be.
+_CATCH_UP = 1.25
+# s that are caught up as fast as it can.
+_AT_ONCE = 5e-3
 
-    def __init__(self, device: Any, each_slice: Callable[[], None],
-                 on_open: Callable[[], None]) -> None:
+
+class PtyBench:
+    """Runs a device (run, write, read) at the speed of the wall clock; `path` is the port.
+
+    `each_slice()` lets a plant pass the same time, in the same thread; so does `on_open()` what
+    somebody causes who opens the port.
+    """
+
+    def __init__(
+        self, device: Any, each_slice: Callable[[], None], on_open: Callable[[], None]
+    ) -> None:
         self.device, self._each_slice, self._on_open = device, each_slice, on_open
         self.plug()
         self._jobs: list[Callable[[], None]] = []
@@ -131,7 +145,7 @@ class PtyBench:
     def _run(self) -> None:
         # A late emulator is a device whose clock stumbles. Not everybody may ask for this.
         with contextlib.suppress(OSError):
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_PRIORITY))
         due = soonest = time.monotonic()
         while not self._stopping.is_set():
             while self._jobs:
@@ -152,17 +166,23 @@ class PtyBench:
         if is_open and not self._is_open:
             self._on_open()
         self._is_open = is_open
-        if is_open:
-            with contextlib.suppress(OSError):
-                self.device.write(os.read(self._master, 4096))
-        if (sent := self.device.read()) and is_open:
+        if not is_open:
+            self.device.read()
+            return
+        with contextlib.suppress(OSError):
+            self.device.write(os.read(self._master, 4096))
+        sent = self.device.read()
+        if sent:
             with contextlib.suppress(BlockingIOError):
                 os.write(self._master, sent)
 
 
 @contextlib.contextmanager
-def on_a_port(device: Any, each_slice: Callable[[], None] = lambda: None,
-              on_open: Callable[[], None] = lambda: None) -> Iterator[PtyBench]:
+def on_a_port(
+    device: Any,
+    each_slice: Callable[[], None] = lambda: None,
+    on_open: Callable[[], None] = lambda: None,
+) -> Iterator[PtyBench]:
     """The device behind a port, for as long as the context lasts."""
     bench = PtyBench(device, each_slice, on_open)
     try:
@@ -171,12 +191,18 @@ def on_a_port(device: Any, each_slice: Callable[[], None] = lambda: None,
         bench.stop()
 
 
+BOOTLOADER = 0.3
+"""s; an Optiboot waits 1 s for somebody who uploads, the Uno's first bootloaders 2 s"""
+
+_WARM_UP = 0.01
+
+
 class EmulatedBench:
     """A rig on an emulated Uno; `path` is the port to open."""
 
     def __init__(self, uno: EmulatedUno, parameters: Parameters) -> None:
         self.uno, self.plant, self.pins = uno, Plant(uno, parameters), PinWatch(uno)
-        self.plant.run(0.01)  # compiles the physics before time begins
+        self.plant.run(_WARM_UP)  # compiles the physics before time begins
         self.port: PtyBench
 
     def each_slice(self) -> None:
@@ -186,6 +212,7 @@ class EmulatedBench:
 
     @property
     def path(self) -> str:
+        """The port."""
         return self.port.path
 
     def do(self, job: Callable[[], object]) -> float:
@@ -196,8 +223,9 @@ class EmulatedBench:
 
 
 @contextlib.contextmanager
-def emulated_bench(parameters: Parameters,
-                   uno: EmulatedUno | None = None) -> Iterator[EmulatedBench]:
+def emulated_bench(
+    parameters: Parameters, uno: EmulatedUno | None = None
+) -> Iterator[EmulatedBench]:
     """A bench in real time that is what the parameters say, as long as the context lasts; on an
     Uno just powered up, built where there is none. Raises InputError: without the tools to."""
     with tempfile.TemporaryDirectory(prefix="emulated_uno_") as folder:

@@ -13,19 +13,36 @@ from pathlib import Path
 from sma_bench.errors import InputError
 from sma_bench.installation import share_directory
 
-CHANNELS, _CHUNK = 4, 4096
-# s from the first power-up until the firmware's clock runs: it looks at all of its memory, and the
-# second byte of its count of starts waits for the first.
+CHANNELS = 4
 START_UP = 5.96e-3
+"""s from the first power-up until the firmware's clock runs: it looks at all of its memory, and the
+second byte of its count of starts waits for the first"""
+_CHUNK = 4096
 _FOUR = ctypes.c_double * CHANNELS
 _TWO = ctypes.c_double * 2
 
 
-# What a channel's transistor does, and the main relay's contact; why a processor starts anew, as
-# the bits of its register MCUSR.
-Switch = IntEnum("Switch", "SOUND STUCK_ON INVERTED", start=0)
-Relay = IntEnum("Relay", "FOLLOWS WELDED HELD_OPEN", start=0)
-Reset = IntEnum("Reset", "POWER_ON PIN")
+class Switch(IntEnum):
+    """What a channel's transistor does."""
+
+    SOUND = 0
+    STUCK_ON = 1
+    INVERTED = 2
+
+
+class Relay(IntEnum):
+    """What the main relay's contact does."""
+
+    FOLLOWS = 0
+    WELDED = 1
+    HELD_OPEN = 2
+
+
+class Reset(IntEnum):
+    """Why a processor starts anew: the bits of its register MCUSR."""
+
+    POWER_ON = 1
+    PIN = 2
 
 
 _LAYOUT = (
@@ -63,10 +80,12 @@ class EmulatedUno:
         self._library.uno_new.restype = ctypes.c_void_p
         self._library.uno_new.argtypes = [ctypes.c_char_p, ctypes.c_uint64]
         self._library.uno_electrics.restype = ctypes.POINTER(Electrics)
-        for name, kinds in {"electrics": (), "run": (ctypes.c_double,), "hang": (ctypes.c_int,),
-                            "write": (ctypes.c_char_p, ctypes.c_uint32), "reset": (ctypes.c_uint8,),
-                            "read": (ctypes.c_char_p, ctypes.c_uint32), "is_storing": (),
-                            "poke": (ctypes.c_uint16, ctypes.c_uint8)}.items():
+        for name, kinds in {
+            "electrics": (), "run": (ctypes.c_double,), "hang": (ctypes.c_int,),
+            "write": (ctypes.c_char_p, ctypes.c_uint32), "reset": (ctypes.c_uint8,),
+            "read": (ctypes.c_char_p, ctypes.c_uint32), "is_storing": (),
+            "poke": (ctypes.c_uint16, ctypes.c_uint8),
+        }.items():  # fmt: skip
             getattr(self._library, f"uno_{name}").argtypes = [ctypes.c_void_p, *kinds]
         self._uno = self._library.uno_new(str(image).encode(), seed)
         if not self._uno:
@@ -139,12 +158,12 @@ def missing_tools() -> str:
     return f"the emulated Uno needs the Debian packages {' '.join(packages)}"
 
 
-def build_uno(folder: Path, seed: int = 1) -> EmulatedUno:
+def build_uno(folder: Path) -> EmulatedUno:
     """An Uno with the real firmware, just powered up; its binaries go to `folder`. Raises
     InputError: a tool is missing, or does not compile it."""
     if missing := missing_tools():
         raise InputError(missing)
-    return EmulatedUno(build_emulator(folder), build_firmware(folder), seed)
+    return EmulatedUno(build_emulator(folder), build_firmware(folder))
 
 
 def build_firmware(folder: Path, config: str = "") -> Path:
@@ -158,9 +177,11 @@ def build_firmware(folder: Path, config: str = "") -> Path:
 def build_emulator(folder: Path) -> Path:
     """The shared library of uno.c in `folder`. Raises InputError: it does not compile."""
     library = folder / "uno.so"
-    _run(["cc", "-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", "-isystem",
-          str(_INCLUDE / "simavr"), "-o", str(library), str(HERE / "uno.c"), "-lsimavr", "-lelf",
-          "-lm"])
+    _run(
+        ["cc", "-std=gnu11", "-O2", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared",
+         "-isystem", str(_INCLUDE / "simavr"), "-o", str(library), str(HERE / "uno.c"),
+         "-lsimavr", "-lelf", "-lm"],
+    )  # fmt: skip
     return library
 
 

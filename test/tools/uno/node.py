@@ -27,8 +27,9 @@ from sma_bench.parameters import Parameters, read_parameters
 from sma_bench.ros.node import READINGS, OverridableNode, start_ros
 from uno.emulated_bench import emulated_bench
 
-# s between temperatures; the emulator's thread needs its turn every half a millisecond.
-PERIOD, SWITCH = 0.04, 1e-4
+PERIOD = 0.04
+# s; the emulator's thread needs its turn every half a millisecond.
+SWITCH = 1e-4
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -44,7 +45,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     sys.setswitchinterval(SWITCH)
     link = Path(args.port)
     try:
-        rig = read_parameters(args.params) if args.params else Parameters.defaults()
+        rig = Parameters.defaults()
+        if args.params:
+            rig = read_parameters(args.params)
         start_ros(["--ros-args", "-r", f"__ns:={args.namespace}"])
         with emulated_bench(rig) as bench:
             if link.is_symlink():
