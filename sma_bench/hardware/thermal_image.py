@@ -2,7 +2,8 @@
 
 A frame is an array (height, width) of pixel values as the Optris drivers publish them, T[degC] =
 (value - 1000)/10. The band is 7.5 to 13 um (Optris PI and Xi data sheets) with a flat response, as
-the maker publishes none; in ratios of radiances it matters little (docs/camera.md)."""
+the maker publishes none. In ratios of radiances it matters little: one that falls to half at 13 um
+changes a temperature corrected from 0.5 to 1 of emissivity at 100 degC by 0.4 K."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -144,8 +145,9 @@ class SyntheticCamera:
                  surface: Surface = Surface(1.0, 296.15),  # noqa: B008 (frozen)
                  background: float = 296.15, unevenness: float = 0.0, blur: float = 0.7,
                  noise: float = 0.08, seed: int = 1) -> None:
-        """Size and `blur` (standard deviation) in pixels; K: the apparent `background`, how much
-        warmer its lower right corner is (`unevenness`), `noise` of a pixel (NETD)."""
+        """The scene's size in pixels, the wires' surface, the apparent `background` (K) and by
+        how much its lower right corner is warmer (`unevenness`, K), the `blur` of lens and detector
+        (standard deviation in pixels; a pixel's own square adds), `noise` of a pixel (K, NETD)."""
         self.shape = (height, width)
         self._wires, self._surface, self._blur = tuple(wires), surface, blur
         y, x = np.mgrid[0:height, 0:width]
@@ -158,13 +160,25 @@ class SyntheticCamera:
 
     @classmethod
     def of(cls, parameters: Parameters, settings: Mapping[str, Any]) -> "SyntheticCamera":
-        """The camera of the parameters of `synthetic_camera`: a wire a channel, side by side."""
+        """The camera of the parameters of `synthetic_camera`, a wire a channel. Raises InputError:
+        wires that do not fit the channels, or that are not four numbers each."""
         width, height = settings["image_width"], settings["image_height"]
-        strip = height / len(parameters["bench.channels"])
-        thickness = parameters["wire.diameter"] / settings["pixel_size"]
-        left, right = _MARGIN * width, (1.0 - _MARGIN) * width
-        wires = [SyntheticWire((left, strip * (k + 0.5)), (right, strip * (k + 0.5)), thickness)
-                 for k in range(len(parameters["bench.channels"]))]
+        channels, texts = parameters["bench.channels"], settings["wires"]
+        if not any(texts):  # side by side across the whole picture
+            rows = [height * (k + 0.5) / len(channels) for k in range(len(channels))]
+            left, right = _MARGIN * width, (1.0 - _MARGIN) * width
+            texts = [f"{left!r} {row!r} {right!r} {row!r}" for row in rows]
+        if len(texts) != len(channels):
+            raise InputError(f"wires has {len(texts)} entries, expected one for each of {channels}")
+        wires, thickness = [], parameters["wire.diameter"] / settings["pixel_size"]
+        for text in texts:
+            try:
+                x0, y0, x1, y1 = (float(word) for word in text.split())
+            except ValueError:
+                raise InputError(f"wires: {text!r}, expected 'X0 Y0 X1 Y1' in pixels") from None
+            if (x0, y0) == (x1, y1):
+                raise InputError(f"wires: {text!r} has no length")
+            wires.append(SyntheticWire((x0, y0), (x1, y1), thickness))
         return cls(width, height, wires, Surface.of(parameters, settings),
                    settings["background"] or parameters["environment.ambient_temperature"],
                    **{name: settings[name] for name in ("unevenness", "blur", "noise", "seed")})
@@ -223,10 +237,11 @@ def pixel_share(distance: Array, width: float, blur: float) -> Array:
     slit, the pixel's square and a Gaussian of standard deviation `blur`, convolved."""
     half = np.array([1.0 + width, 1.0 - width, width - 1.0, -1.0 - width]) / 2.0
     edges = distance + half.reshape(4, *(1,) * np.ndim(distance))
-    blur = max(blur, 1e-6)
-    z = edges / blur
-    # max(u, 0), smeared
-    ramps = edges * ndtr(z) + blur * np.exp(-z * z / 2.0) / math.sqrt(2.0 * math.pi)
+    if blur == 0.0:
+        ramps = np.maximum(edges, 0.0)
+    else:  # max(u, 0), smeared
+        z = edges / blur
+        ramps = edges * ndtr(z) + blur * np.exp(-z * z / 2.0) / math.sqrt(2.0 * math.pi)
     return ramps[0] - ramps[1] - ramps[2] + ramps[3]
 
 

@@ -1,9 +1,12 @@
 """Which pictures of a camera are to be trusted, where a wire runs in them, its temperature there,
-and what the camera's node reports of all that (docs/camera.md). No ROS.
+frame after frame, and what the camera's node reports of all that. No ROS.
 
-Pictures are turned so that the wire crosses every row: arrays are (lines, pixels across). Blur
-moves radiance but adds none: across the wire, sum(L - L_background) = width (L_surface -
-L_background), so that the known width gives the radiance of the surface, in every line."""
+The picture is turned so that the wire crosses every row: arrays are (lines, pixels across). The
+ridge is the best path by dynamic programming through groups of lines, then a smooth curve.
+
+A wire thinner than a pixel fills it in part, and the lens smears it over several. Blur moves
+radiance but adds none: across the wire, sum(L - L_background) = width (L_surface - L_background).
+So the known width (diameter over pixel size) gives the radiance of the surface, in every line."""
 
 import math
 from collections import Counter
@@ -29,6 +32,7 @@ _GAP, _RING = 3, 4  # pixels beside the wire that its blur may reach, and of bac
 # Of the curve through the groups: its degree, groups for each, fits, and pixels that they lie off.
 _HIGHEST_DEGREE, _GROUPS_A_DEGREE, _FITS, _OFF_CURVE = 4, 4, 3, 2.0
 _SCALE_OF_MAD = 1.4826
+STATISTICS = ("mean", "median", "hottest")
 _BLUR, _NEAR, _FAR = 4, 3, 3  # pixels: of its blur from half the wire on, and of background
 _MEDIAN_OVER_MEAN = 1.2533  # standard deviations of the two, of Gaussian noise
 _WIDEST_TILT, _HIGHEST_FILL = 1.3, 1.15
@@ -83,6 +87,8 @@ class Optics(NamedTuple):
     lowest: float  # K, of the camera's measuring range
     highest: float
     accuracy: float  # K, standard deviation of the camera's calibration, common to all pixels
+    correct_fill: bool = True  # sum across the wire; otherwise its middle pixel as it is
+    statistic: str = "median"  # one of STATISTICS, over the lines of the region
     least_visible: float = 0.5  # share of the region's length in which the wire must be seen
 
 
@@ -111,7 +117,8 @@ class Ridge(NamedTuple):
 
 
 def _ridge(height: Array, noise: float, lines: int) -> Ridge | None:
-    """The brightest ridge along the region, None for none; no group counts more than the median."""
+    """The brightest ridge along the region; None where none stands out. A hot spot does not attract
+    it: no group of lines counts more than the median one."""
     typical = float(np.median(height.max(axis=1)))
     # Beside a valley the surroundings look like ridges, of half its depth.
     if noise == 0.0 or typical < float(np.median(-height.min(axis=1))) / 1.5:
@@ -209,8 +216,9 @@ def read_wire(frame: image.Frame, region: Region, optics: Optics, surface: image
 
 def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
               surface: image.Surface) -> WireReading:
-    """The reading from radiances (lines, pixels) with the wire in their middle; what its standard
-    deviation holds: docs/camera.md."""
+    """The reading from radiances (lines, pixels) with the wire in their middle. The standard
+    deviation holds the pixels' noise and quantisation (from the frame itself), the background's
+    curvature, width, emissivity, reflected temperature and the camera's accuracy."""
     # Excess over the background, a line each.
     distance = np.abs(np.arange(window.shape[1]) - window.shape[1] // 2)
     near = window[:, (distance > half) & (distance <= half + _NEAR)].mean(axis=1)
@@ -221,19 +229,31 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
     beside_kelvin = float(image.temperature_of(background))
     # The wire's surface, and what the steps of the pixel values leave open of it.
     step = image.slope_at(beside_kelvin) / image.RAW_PER_KELVIN
-    surfaces = beside + excess.sum(axis=1) / (optics.width * tilt)
-    # Noise of s steps dithers the rounding: what is left of it has the amplitude
-    # exp(-2 (pi s)^2)/pi steps (Widrow and Kollar, Quantization Noise, 2008).
-    dither = _line_noise(beside) * math.sqrt(2 * (_NEAR + _FAR)) / step
-    amplitude = step / math.pi / math.sqrt(2.0) * math.exp(-2.0 * (math.pi * dither) ** 2)
-    rounding = amplitude * math.sqrt(pixels) / optics.width
-    # The median passes over clamps and hot spots.
-    apparent = float(np.median(surfaces))
-    noise = _line_noise(surfaces) * _MEDIAN_OVER_MEAN / math.sqrt(len(surfaces))
+    if optics.correct_fill:
+        over_width = 1.0 / optics.width
+        surfaces = beside + excess.sum(axis=1) / (optics.width * tilt)
+        # Noise of s steps dithers the rounding: what is left of it has the amplitude
+        # exp(-2 (pi s)^2)/pi steps (Widrow and Kollar, Quantization Noise, 2008).
+        noise = _line_noise(beside) * math.sqrt(2 * (_NEAR + _FAR))
+        dithered = math.exp(-2.0 * (math.pi * noise / step) ** 2)
+        rounding = step / math.pi / math.sqrt(2.0) * dithered * math.sqrt(pixels) * over_width
+    else:
+        over_width = 0.0
+        surfaces = beside + excess[:, pixels // 2]
+        # The median of rounded values is a rounded value.
+        rounding = step / math.sqrt(12.0)
+    noise = _line_noise(surfaces)
+    if optics.statistic == "hottest":
+        groups = surfaces[: len(surfaces) // GROUP * GROUP].reshape(-1, GROUP).mean(axis=1)
+        apparent, noise = float(groups.max()), noise / math.sqrt(GROUP)
+    else:
+        median = optics.statistic == "median"
+        apparent = float(np.median(surfaces) if median else surfaces.mean())
+        noise *= (_MEDIAN_OVER_MEAN if median else 1.0) / math.sqrt(len(surfaces))
     above = apparent - background
     # What curves the background between near and far may curve it below the wire too.
-    curved = abs(float(np.mean(near - far))) * pixels / optics.width
-    width = above * optics.width_std
+    curved = abs(float(np.mean(near - far))) * pixels * over_width
+    width = above * optics.width_std * optics.width * over_width
     camera = image.slope_at(float(image.temperature_of(apparent))) * optics.accuracy
     kelvin, std = surface.temperature(apparent, math.hypot(noise, rounding, curved, width, camera))
     # Why it is not to be believed.
@@ -252,7 +272,7 @@ def _measured(window: Array, half: int, tilt: Array, dark: bool, optics: Optics,
     # A line whose sum across has the other sign stands in another one's light or shadow.
     elif dark == (above > 0.0) or ripple > _MOST_RIPPLE * abs(peak):
         reason = f"another line within {pixels // 2 + _NEAR + _FAR} pixels of the wire"
-    elif fill > _HIGHEST_FILL:
+    elif optics.correct_fill and fill > _HIGHEST_FILL:
         reason = (f"fill factor {fill:.2f}, expected at most 1: the wire is narrower in the "
                   f"picture than its {optics.width:.2g} pixels")
     elif math.isnan(kelvin):
@@ -267,9 +287,9 @@ def _line_noise(lines: Array) -> float:
 
 
 class WireGauge:
-    """Reads one wire. Where `cold` ones are read too, an unseen one is its background, give or take
-    what could just be seen: not when it was clear to see in the frame before (it left its region),
-    nor when its heating should show."""
+    """Reads one wire; where `cold` ones are to be read, too, which at rest are as warm as their
+    background, an unseen one is read as that, give or take what could just be seen: not when it was
+    clear to see in the frame before (it left its region), and not when its heating should show."""
 
     def __init__(self, region: Region, optics: Optics, surface: image.Surface,
                  cold: bool = False) -> None:
@@ -362,14 +382,17 @@ class ExpectedWarmth:
 
 def wire_gauges(parameters: Parameters, settings: Mapping[str, Any]) -> list[WireGauge]:
     """One gauge a channel, from the parameters of `ir_camera`. Raises InputError: regions that do
-    not fit channels or picture, an empty range of the camera."""
+    not fit channels or picture, an unknown statistic, an empty range of the camera."""
     lowest, highest = settings["camera_lowest"], settings["camera_highest"]
+    if settings["statistic"] not in STATISTICS:
+        raise InputError(f"statistic: {settings['statistic']!r}, expected {', '.join(STATISTICS)}")
     if lowest >= highest:
         raise InputError(f"camera_lowest {lowest:g} K must lie below camera_highest {highest:g} K")
     diameter, pixel = parameters["wire.diameter"], settings["pixel_size"]
     thickness = parameters.std("wire.diameter") / diameter
     optics = Optics(diameter / pixel, math.hypot(thickness, settings["pixel_size_std"] / pixel),
-                    lowest, highest, settings["camera_accuracy"], settings["least_visible"])
+                    lowest, highest, settings["camera_accuracy"], settings["correct_fill"],
+                    settings["statistic"], settings["least_visible"])
     surface = image.Surface.of(parameters, settings)
     size = settings["image_width"], settings["image_height"]
     channels, regions = parameters["bench.channels"], settings["regions"]

@@ -108,6 +108,7 @@ class SyntheticCameraNode(BenchNode):
     def check_settings(self, settings: dict[str, Any]) -> None:
         if settings["fault"] not in FAULTS:
             raise InputError(f"fault: {settings['fault']!r}, expected {', '.join(FAULTS)}")
+        SyntheticCamera.of(self.parameters, settings)
 
     def _load(self, *_: Any) -> None:
         super()._load()

@@ -7,8 +7,17 @@ import pytest
 import thermal_scene
 
 from sma_bench.errors import InputError
-from sma_bench.hardware import thermal_image, thermal_wire
+from sma_bench.hardware import thermal_image
 from sma_bench.hardware.thermal_image import Surface, SyntheticCamera, SyntheticWire
+from sma_bench.hardware.thermal_wire import (
+    ERROR,
+    OK,
+    WARN,
+    CameraReport,
+    FrameJudge,
+    WireReading,
+    wire_gauges,
+)
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.node_tables import NODE_TABLES
 
@@ -26,8 +35,8 @@ def test_band_radiance_is_plancks_law_and_pixels_are_tenths_of_a_degree():
     pixels = np.array([[1230, 1800]], np.uint16)
     read = thermal_image.radiance_of_raw(pixels)
     np.testing.assert_allclose(read, band(thermal_image.kelvin_from_raw(pixels)), rtol=1e-6)
-    slope = np.diff(band([349.0, 351.0]))[0] / 2.0
-    assert thermal_image.slope_at(350.0) == pytest.approx(slope, rel=1e-4)
+    slope = thermal_image.slope_at(350.0)
+    assert slope == pytest.approx(np.diff(band([349.0, 351.0]))[0] / 2.0, rel=1e-4)
 
 
 def test_emissivity_and_reflection_are_undone_and_the_deviation_is_that_of_many_draws():
@@ -41,8 +50,10 @@ def test_emissivity_and_reflection_are_undone_and_the_deviation_is_that_of_many_
     apparent = float(Surface(0.3, 300.0).apparent(370.0))
     noise = 0.02 * thermal_image.slope_at(370.0)
     kelvin, std = believed.temperature(apparent, noise)
-    drawn = [Surface(0.3 + 0.01 * a, 300.0 + 1.5 * b).temperature(apparent + noise * c, 0.0)[0]
-             for a, b, c in random.standard_normal((2000, 3))]
+    drawn = [
+        Surface(0.3 + 0.01 * a, 300.0 + 1.5 * b).temperature(apparent + noise * c, 0.0)[0]
+        for a, b, c in random.standard_normal((2000, 3))
+    ]
     assert kelvin == pytest.approx(370.0, abs=1e-3)
     assert std == pytest.approx(np.std(drawn), rel=0.06)
 
@@ -51,8 +62,9 @@ def test_pictures_of_either_byte_order_and_padded_rows_are_read_and_a_wrong_one_
     pixels = np.arange(24, dtype=np.uint16).reshape(4, 6) * 1000
     padded = np.pad(pixels.astype("<u2"), ((0, 0), (0, 3)), constant_values=9)
     decode = partial(thermal_image.decode_frame, (6, 4))
-    for step, big, data in ((12, False, pixels.astype("<u2")), (12, True, pixels.astype(">u2")),
-                            (18, False, padded)):
+    for step, big, data in (
+        (12, False, pixels.astype("<u2")), (12, True, pixels.astype(">u2")), (18, False, padded),
+    ):  # fmt: skip
         frame = decode("mono16", 6, 4, step, big, data.tobytes())
         np.testing.assert_array_equal(frame, pixels)
         assert frame.dtype == np.uint16
@@ -68,7 +80,7 @@ def test_pictures_of_either_byte_order_and_padded_rows_are_read_and_a_wrong_one_
 
 def test_frames_that_are_frozen_stale_or_warned_of_are_held_back():
     camera = SyntheticCamera(120, 80, [], unevenness=5.0)
-    judge = thermal_wire.FrameJudge(stale_limit=0.25, shutter_spread=1.0, shutter_settle=0.1)
+    judge = FrameJudge(stale_limit=0.25, shutter_spread=1.0, shutter_settle=0.1)
 
     def is_said(said, stamp, now, frame=None):
         objection = judge.objection(camera.empty() if frame is None else frame, stamp, now)
@@ -101,8 +113,9 @@ def test_synthetic_pictures_agree_with_brute_force(thickness, sideways):
     camera = SyntheticCamera(WIDTH, HEIGHT, [wire], surface, noise=0.0)
     frame = thermal_image.kelvin_from_raw(camera.picture([360.0], sideways))
     way = thermal_scene.bent(15.0, sideways, 100.0)
-    truth = thermal_scene.scene(WIDTH, HEIGHT, lambda y: way(y + 20.0), thickness, 360.0,
-                                emissivity=0.9)
+    truth = thermal_scene.scene(
+        WIDTH, HEIGHT, lambda y: way(y + 20.0), thickness, 360.0, emissivity=0.9
+    )
     excess = truth - thermal_scene.ROOM
     assert np.abs(frame - truth).max() < 0.06 + 0.03 * excess.max()
     assert frame.sum() == pytest.approx(truth.sum(), abs=0.01 * excess.sum())
@@ -111,6 +124,7 @@ def test_synthetic_pictures_agree_with_brute_force(thickness, sideways):
 def test_a_wire_along_rows_is_the_picture_turned_and_one_outside_leaves_no_trace():
     upright = SyntheticWire((20.3, 5.0), (22.0, 55.0), 0.8)
     lying = SyntheticWire((5.0, 20.3), (55.0, 22.0), 0.8)
+    assert lying.along_x and not upright.along_x
     turned = SyntheticCamera(HEIGHT, WIDTH, [lying], noise=0.0).picture([350.0], 4.0)
     camera = SyntheticCamera(WIDTH, HEIGHT, [upright], noise=0.0)
     np.testing.assert_array_equal(turned, camera.picture([350.0], 4.0).T)
@@ -125,16 +139,17 @@ def test_a_wire_along_rows_is_the_picture_turned_and_one_outside_leaves_no_trace
     assert (one - other).std() == pytest.approx(0.5 * 2**0.5, rel=0.03)
 
 
-OK, WARN, ERROR = range(3)  # as in diagnostic_msgs/DiagnosticStatus
-GOOD = thermal_wire.WireReading(kelvin=353.15, std=0.8, seen=True, background=297.0)
-UNSEEN = thermal_wire.WireReading(reason="no wire stands out from the background of 23.0 degC")
+# --- what the camera's node says, and what it refuses at the start
+
+GOOD = WireReading(kelvin=353.15, std=0.8, seen=True, background=297.0)
+UNSEEN = WireReading(reason="no wire stands out from the background of 23.0 degC")
 
 
 def reporting(frames, reading=GOOD):
-    report = thermal_wire.CameraReport(["wire"], silence_limit=0.25, now=100.0)
-    for now in 100.0 + np.arange(frames) / 80.0:
-        report.arrived(now)
-        report.read((reading,), latency=0.004, now=now)
+    report = CameraReport(["wire"], silence_limit=0.25, now=100.0)
+    for k in range(frames):
+        report.arrived(100.0 + k / 80.0)
+        report.read((reading,), latency=0.004, now=100.0 + k / 80.0)
     return report, 100.0 + frames / 80.0
 
 
@@ -176,7 +191,7 @@ def settings(node, **changes):
 
 def test_wires_have_a_camera_and_a_region_each_and_bad_ones_are_one_line():
     paper = Parameters.of_paper()
-    (gauge,) = thermal_wire.wire_gauges(paper, settings("ir_camera"))
+    (gauge,) = wire_gauges(paper, settings("ir_camera"))
     picture = SyntheticCamera.of(paper, settings("synthetic_camera")).picture([345.0])
     reading = gauge.read(picture, 0.0)
     assert abs(reading.kelvin - 345.0) < 0.3 < reading.std and reading.fill < 0.45
@@ -185,10 +200,11 @@ def test_wires_have_a_camera_and_a_region_each_and_bad_ones_are_one_line():
     regions = tuple(thermal_image.regions_side_by_side(4, 382, 288))
     kelvin = [320.0, 340.0, 360.0, 380.0]
     frame = SyntheticCamera.of(four, settings("synthetic_camera")).picture(kelvin, 12.0)
-    gauges = thermal_wire.wire_gauges(four, settings("ir_camera", regions=regions))
+    gauges = wire_gauges(four, settings("ir_camera", regions=regions))
     assert [gauge.read(frame, 0.0).kelvin for gauge in gauges] == pytest.approx(kelvin, abs=0.3)
-    for changes, said in (({"regions": ("", "")}, "regions has 2 entries, expected one for each"),
-                          ({"camera_lowest": 600.0},
-                           "camera_lowest 600 K must lie below camera_highest 523.15 K")):
+    for wires, said in (
+        (("1 2 3",), "wires: '1 2 3', expected 'X0 Y0 X1 Y1'"),
+        (("1 2 30 4", "1 2 30 4"), "wires has 2 entries"),
+    ):
         with pytest.raises(InputError, match=said):
-            thermal_wire.wire_gauges(paper, settings("ir_camera", **changes))
+            SyntheticCamera.of(paper, settings("synthetic_camera", wires=wires))

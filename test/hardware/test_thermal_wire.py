@@ -49,6 +49,9 @@ def errors(found, kelvin=HOT):
     return np.array([reading.kelvin for reading in found]) - kelvin
 
 
+# --- the fill factor
+
+
 def test_a_bent_background_is_in_the_deviation():
     columns = np.arange(WIDTH) - 30.0
     for background, low, high in ((0.1 * columns, -0.1, 0.1), (0.01 * columns**2, -8.0, -1.0)):
@@ -58,10 +61,10 @@ def test_a_bent_background_is_in_the_deviation():
         assert abs(errors(found).mean()) < 2 * np.mean([r.std for r in found])
 
 
-def test_wide_and_thin_wires_are_read_and_a_wrong_width_is_seen():
-    for width in (6.0, 0.75):
-        found = readings(scene(UPRIGHT, width), optics(width))
-        assert abs(errors(found).mean()) < 0.15
+def test_a_wide_wire_needs_no_correction_a_thin_one_does_and_a_wrong_width_is_seen():
+    for width, low, high in ((6.0, -0.15, 0.15), (0.75, 10.0, 40.15)):
+        found = readings(scene(UPRIGHT, width), optics(width, correct_fill=False))
+        assert low < -errors(found).mean() < high
     wrong = reading(scene(UPRIGHT, 1.0, blur=0.4), optics(4.0))
     assert "narrower in the picture than its 4 pixels" in wrong.reason
     assert math.isnan(wrong.kelvin)
@@ -78,6 +81,9 @@ def test_the_ends_of_the_range_and_a_second_wire_are_told():
     assert "another line within 11 pixels" in reading(truth).reason
 
 
+# --- where the wire is
+
+
 def test_a_bent_wire_is_followed_and_neither_a_hot_spot_nor_a_clamp_attracts_the_reading():
     for sideways in (-18.0, 25.0):
         found = readings(scene(bent(28.0, sideways, HEIGHT)))
@@ -89,6 +95,8 @@ def test_a_bent_wire_is_followed_and_neither_a_hot_spot_nor_a_clamp_attracts_the
     truth = scene(UPRIGHT)
     truth[60:84] = scene(UPRIGHT, kelvin=HOT + 20.0)[60:84]
     assert abs(errors(readings(truth)).mean()) < 0.2
+    off = errors(readings(truth, optics(statistic="hottest")), HOT + 20.0)
+    assert 0.0 < off.mean() < 0.6
 
 
 def test_short_wires_are_read_where_they_are_and_nothing_beyond_their_ends():
@@ -100,8 +108,8 @@ def test_short_wires_are_read_where_they_are_and_nothing_beyond_their_ends():
     assert "expected 80 % or more" in strict.reason and math.isnan(strict.kelvin)
     wire = SyntheticWire((40.0, 90.0), (340.0, 100.0), 0.75)
     camera = SyntheticCamera(382, 288, [wire], BLACK, unevenness=3.0)
-    region = whole(382, 288)
-    found = [read_wire(camera.picture([HOT]), region, optics(), BLACK) for _ in range(15)]
+    region, mean = whole(382, 288), optics(statistic="mean")
+    found = [read_wire(camera.picture([HOT]), region, mean, BLACK) for _ in range(15)]
     assert np.abs(errors(found)).max() < 0.3
     assert all(0.7 < r.visible < 0.8 for r in found)
 
@@ -115,6 +123,9 @@ def test_a_wire_that_leaves_its_region_is_not_read_nor_taken_for_a_cold_one():
             assert bool(found.reason) or slope < 0.3
     for place in range(40, 54, 3):
         assert reading(scene(straight(place)), region=region, cold=True).reason
+
+
+# --- nothing to be seen
 
 
 def test_a_wire_as_warm_as_its_background_is_not_invented_and_noise_is_no_wire():
@@ -135,6 +146,9 @@ def test_a_wire_as_warm_as_its_background_is_not_invented_and_noise_is_no_wire()
     found = reading(truth)
     assert "colder than its background" in found.reason and math.isnan(found.kelvin)
     assert abs(reading(truth, cold=True).kelvin - 280.0) < 0.3
+
+
+# --- regions
 
 
 def test_a_region_runs_along_its_longer_side_unless_told_and_a_bad_one_is_one_line():
@@ -161,11 +175,12 @@ def drawn_error(random, seed):
     reflected, background = random.uniform(288, 303, 2)
     off = {name: std * random.standard_normal() for name, std in STDS.items()}
     ends = (random.uniform(40, 80), -5.0), (random.uniform(40, 80), 210.0)
-    camera = SyntheticCamera(WIDE, TALL, [SyntheticWire(*ends, width * (1 + off["width"]))],
-                             Surface(min(emissivity + off["emissivity"], 1.0),
-                                     reflected + off["reflected"]), background,
-                             random.uniform(0, 5), random.uniform(0.3, 1.1),
-                             random.uniform(0.04, 0.15), seed)
+    camera = SyntheticCamera(
+        WIDE, TALL, [SyntheticWire(*ends, width * (1 + off["width"]))],
+        Surface(min(emissivity + off["emissivity"], 1.0), reflected + off["reflected"]),
+        background, random.uniform(0, 5), random.uniform(0.3, 1.1), random.uniform(0.04, 0.15),
+        seed,
+    )  # fmt: skip
     picture = camera.picture([kelvin], random.uniform(-25, 25)).astype(int)
     frame = (picture + round(10 * off["camera"])).astype(np.uint16)
     surface = Surface(emissivity, reflected, STDS["emissivity"], STDS["reflected"])
@@ -186,6 +201,8 @@ def test_the_variance_covers_the_error_as_a_normal_distribution_does():
         assert abs((np.abs(errors) < times).mean() - expected) < 3 * spread
     assert abs(errors.mean()) < 3 / len(errors) ** 0.5
 
+
+# --- a wire from picture to picture
 
 FRAME = 1 / 80
 
@@ -231,10 +248,15 @@ def test_a_cooling_wire_is_read_all_the_way_and_a_hot_one_is_lost_unless_it_can_
 
 
 def test_expected_warmth_is_a_share_of_the_thermal_model():
-    p = Parameters.of_paper()
-    loss, warmth = p["wire.heat_transfer_coefficient"] * p["wire.surface_area"], ExpectedWarmth(p)
-    final, tau = 16.0 / p["wire.resistance"] / loss, p["wire.mass"] * p["wire.specific_heat"] / loss
+    parameters = Parameters.of_paper()
+    loss = parameters["wire.heat_transfer_coefficient"] * parameters["wire.surface_area"]
+    final = 16.0 / parameters["wire.resistance"] / loss
+    tau = parameters["wire.mass"] * parameters["wire.specific_heat"] / loss
+    warmth = ExpectedWarmth(parameters)
     assert warmth.kelvin(0.0) == ROOM
     warmth.voltage(4.0, 1.0)
     warmth.voltage(math.nan, 1.1)
     assert warmth.kelvin(1.0 + tau) == pytest.approx(ROOM + 0.3 * final * (1 - math.exp(-1)))
+    assert warmth.kelvin(1.0 + 50 * tau) == pytest.approx(ROOM + 0.3 * final)
+    warmth.voltage(0.0, 1.0 + 50 * tau)
+    assert warmth.kelvin(1.0 + 80 * tau) == pytest.approx(ROOM, abs=1e-6)

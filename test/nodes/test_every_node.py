@@ -181,7 +181,7 @@ def test_every_node_says_once_that_it_is_ready_how_it_does_and_its_name_where_it
         assert node.output.count("ready") == node.output.count(f"[bench.{name}]: ready\n") == 1
     for name, arguments, said in (
         ("twin", ["--params-file", "none.yaml"], "[twin]: none.yaml: cannot read"),
-        ("ir_camera", ["-p", "sway:=1.0"], "[ir_camera]: -p: unknown parameter sway"),
+        ("ir_camera", ["-p", "wires:=['']"], "[ir_camera]: -p: unknown parameter wires"),
         ("recorder", ["-r", "a:b:c"], "[recorder]: "),
         ("recorder", ["-p", f"output:={tmp_path}"], f"[recorder]: {tmp_path}: exists already"),
     ):
@@ -213,7 +213,7 @@ def test_qos_of_what_the_page_and_the_call_command_hear_can_be_overridden():
     ("serial_bridge", "telemetry_rate:=300", "telemetry_rate is 300 Hz, expected a divisor"),
     ("serial_bridge", "use_sim_time:=true", "but hardware runs in real time"),
     ("deflection_controller", "wire.count:=1", "clamped"),
-    ("ir_camera", "camera_lowest:=600.0", "camera_lowest 600 K must lie below camera_highest"),
+    ("ir_camera", "statistic:=mode", "statistic: 'mode', expected mean, median, hottest"),
     ("recorder", "output:=.", "exists already"), ("recorder", "output:=/proc/bag", "/proc/bag"),
 ])  # fmt: skip
 def test_a_node_that_cannot_be_so_says_why_in_one_line(make, name, given, said):

@@ -81,8 +81,8 @@ def test_no_temperature_is_stamped_before_its_heat_and_the_scene_may_change_mean
     for name in ("noise", "unevenness"):
         assert bench.set_parameter("synthetic_camera", name, 0.0).successful
     bench.until(lambda: spread() == 0)
-    answer = bench.set_parameter("synthetic_camera", "fault", "smoke")
-    assert not answer.successful and "expected none, frozen" in answer.reason
+    answer = bench.set_parameter("synthetic_camera", "wires", ["1 2 3"])
+    assert not answer.successful and "expected 'X0 Y0 X1 Y1'" in answer.reason
 
 
 class Camera:

@@ -303,7 +303,7 @@ def test_a_node_reads_its_own_section_and_later_sources_win(given):
         (["--ros-args", "-p", "bench.chanels:=[a]"], "unknown parameter bench.chanels"),
         # ROS would pass over these.
         (["--ros-args", "-p", "gain:=2"], "unknown parameter gain"),
-        (["--ros-args", "-p", "sway:=1.0"], "-p: unknown parameter sway"),  # another node's
+        (["--ros-args", "-p", "wires:=['']"], "-p: unknown parameter wires"),  # another node's
         (["--ros-args", "-r", "__ns:=/bench", "--", "x"], "unknown argument 'x'"),
         (["speed:=2.0"], "after --ros-args"),
         (["--ros-args", "--params-file", "none.yaml"], "none.yaml: cannot read"),
