@@ -1,13 +1,16 @@
 """sma-bench calibrate SENSOR: gain and offset of a sensor of the Uno, from pairs of reading and
-known load: typed, or of the device while one load after the other is applied."""
+known load: typed, of a CSV file, or of the device while one load after the other is applied."""
 
+import csv
 import math
 import os
+import re
 import statistics
 import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,6 +35,8 @@ def run_calibrate(args: SimpleNamespace) -> int:
     # What stays in --out, and whether it has a sensor of the same quantity.
     kept: dict[str, Any] = {}
     if args.out and os.path.exists(args.out):
+        if args.csv:
+            options.keep_safe({"--out": (Path(args.out), options.FILE)}, [Path(args.csv)], True)
         kept = read_parameter_names(args.out)
     calibrated = {key.split(".")[1] for key in kept if key.startswith("calibration.")}
     alike = {other for other in SENSORS if SENSORS[other].quantity == sensor.quantity}
@@ -40,14 +45,25 @@ def run_calibrate(args: SimpleNamespace) -> int:
     if (held := [key for key in kept if key.startswith(tuple(own))]) and not args.force:
         raise InputError(f"{args.out}: holds {held[0]} already; --force replaces it")
     # The pairs, and the lens of a range sensor.
-    if bool(args.pairs) == bool(args.device):
-        raise InputError("calibrate: expected pairs, or --device PORT")
+    if sum(map(bool, (args.pairs, args.csv, args.device))) != 1:
+        raise InputError("calibrate: expected pairs, or --csv FILE, or --device PORT")
     if args.device and not args.known:
         raise InputError("--device: expected the known loads too, --known LOAD LOAD ...")
     if args.shift is not None and not sensor.is_range:
         raise InputError(f"--shift: {name} is no range sensor")
-    measured = _measured(name, args.device, args.known) if args.device else map(_pair, args.pairs)
-    pairs = list(measured)
+    if args.device:
+        pairs = list(_measured(name, args.device, args.known))
+    elif args.csv:
+        try:
+            lines = Path(args.csv).read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as why:
+            raise InputError(f"{args.csv}: cannot read: {why}") from None
+        rows = [(k, r) for k, r in enumerate(csv.reader(lines), 1) if r and r[0][:1] != "#"]
+        if rows and not re.match(r"\s*[-+.\d]", rows[0][1][0]):
+            del rows[0]  # a header
+        pairs = [_pair(row, f"{args.csv} line {k}") for k, row in rows]
+    else:
+        pairs = [_pair(text.split("="), text) for text in args.pairs]
     shift = args.shift
     if shift is None:
         shift = _TABLE[f"calibration.{name}.shift"].default if sensor.is_range else 0.0
@@ -76,11 +92,11 @@ def run_calibrate(args: SimpleNamespace) -> int:
     return 0
 
 
-def _pair(text: str) -> tuple[float, float]:
+def _pair(words: Sequence[str], where: str) -> tuple[float, float]:
     try:
-        reading, known = map(float, text.split("="))
+        reading, known = (float(word) for word in words)
     except ValueError:
-        raise InputError(f"{text}: expected two numbers, reading=known load") from None
+        raise InputError(f"{where}: expected two numbers, reading and known load") from None
     return reading, known
 
 

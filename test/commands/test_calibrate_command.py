@@ -48,12 +48,13 @@ def test_what_a_calibration_leaves_open_is_what_identification_believes(tmp_path
     assert "uncertainty.sensor.voltage.gain" not in read_parameter_names(out)
 
 
-def test_a_range_sensor_is_fitted_and_joins_what_the_file_has(tmp_path):
-    out = tmp_path / "lab.yaml"
+def test_a_range_sensor_is_fitted_from_a_csv_and_joins_what_the_file_has(tmp_path):
+    out, table = tmp_path / "lab.yaml", tmp_path / "range.csv"
     out.write_text("/**:\n  ros__parameters:\n    wire: {resistance: 2.5}\n")
     sensor = Calibration(8.1, -0.2, 0.004)
-    pairs = [f"{(1.0 / (d + 0.004) + 0.2) / 8.1}={d}" for d in (0.05, 0.1, 0.2)]
-    command = ["calibrate", "back_range", *pairs, "--shift", "0.004"]
+    rows = [(1.0 / (d + 0.004) + 0.2, d) for d in (0.05, 0.1, 0.2)]
+    table.write_text("volt,metre\n" + "".join(f"{v / 8.1},{d}\n" for v, d in rows))
+    command = ["calibrate", "back_range", "--csv", str(table), "--shift", "0.004"]
     assert main([*command, "--out", str(out)]) == 0
     values = read_parameter_names(out)
     assert values["wire.resistance"] == 2.5
