@@ -35,6 +35,7 @@ TABLES = {
         "cold_2.csv": "the same, another specimen",
         "hot_1.csv": "tensile test of austenite at 403.15 K",
         "hot_2.csv": "the same, another specimen",
+        "front_current.csv": "an ammeter that reads 1.02 times the current and 30 mA more",
     },
 }
 COLD, HOT = 293.15, 403.15  # K, Table III
@@ -65,7 +66,11 @@ def instrument_text(name: str, every: int = 1) -> str:
         return _isobaric(float(found[1]))
     if found := re.fullmatch(r"(cold|hot)_(\d+)\.csv", name):
         return _tensile(found[1], int(found[2]))
-    return _dsc(every)
+    if name == "DSC.txt":
+        return _dsc(every)
+    return "reading,known\n" + "".join(
+        f"{1.02 * amps + 0.03:.3f},{amps:.3f}\n" for amps in (0.0, 0.5, 1.0, 1.5, 2.0)
+    )
 
 
 def logger_text(folder: str, name: str) -> str:
