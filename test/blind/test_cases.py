@@ -25,6 +25,7 @@ def made(tmp_path_factory):
     return folder, unseal(folder / "labels.sealed", manifest["sha256"])
 
 
+@pytest.mark.slow
 def test_cases_are_good_records_labelled_as_dealt_and_only_the_sealed_file_names_effects(made):
     folder, labels = made
     for label, case in zip(labels, draw_cases(SEED, N), strict=True):

@@ -39,6 +39,7 @@ def test_grains_that_are_spread_have_inner_loops_which_a_smoother_law_has_not():
     assert "inner_loops" not in older and older["law_distance"] == label["law_distance"]
 
 
+@pytest.mark.slow
 def test_a_label_names_forms_and_says_what_the_given_records_and_numbers_can_tell():
     assert try_forms("slack", "hard", "soft", 0) > 3.0
     case = next(c for c in draw_cases(3000, 60) if c.card.effects == ("slack",))

@@ -38,6 +38,7 @@ def investigate(lab, *more):
         return main(words)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_a_record_that_names_nothing_is_followed_until_the_cause_is_named(lab, capsys):
     assert investigate(lab, "--budget", "0.1") == 0

@@ -62,6 +62,7 @@ def within(found, truth, deviations=4.0):
         assert abs(estimate.value - truth[name]) < deviations * estimate.std, name
 
 
+@pytest.mark.slow
 def test_motion_and_voltage_of_two_runs_predict_a_third():  # test_whole_model.py: beams
     believed = moving_lab("antagonist", stds={"load.stiffness": 40.0})
     truth = drawn(believed)
@@ -73,6 +74,7 @@ def test_motion_and_voltage_of_two_runs_predict_a_third():  # test_whole_model.p
     assert max(estimate.informed for estimate in found.estimates.values()) > 0.9
 
 
+@pytest.mark.slow
 def test_friction_of_a_spring_that_is_not_linear_is_told_from_the_wires_own_hysteresis():
     known = {"load.friction": 0.3, "load.stiffening": 40.0, "load.stiffness": 40.0}
     believed = moving_lab("spring", stds=known)
@@ -128,6 +130,7 @@ def test_a_source_of_current_needs_no_voltmeter_and_one_of_power_tells_no_ohms(d
     assert after < min(0.01 * np.ptp(exact), 0.2 * before)
 
 
+@pytest.mark.slow
 def test_a_wire_of_which_next_to_nothing_is_stated_is_found_and_predicts_another_run():
     """Its loss of heat is far from the usual: most starts show no motion at all. Its runs repeat:
     what they share is in its own numbers, so that a file of these predicts as the fit does."""

@@ -49,6 +49,7 @@ def test_a_run_is_recorded_and_one_that_is_aborted_leaves_no_record(ros_domain, 
     assert len(list(tmp_path.glob("unfinished_record_?_*"))) >= 2
 
 
+@pytest.mark.slow
 def test_the_node_waits_for_confirmation_goes_on_after_kill_9_and_stops_at_0_v(bench, tmp_path):
     lab = tmp_path / "lab.yaml"
     write_parameters(lab, believed())
