@@ -1,4 +1,4 @@
-"""What draws itself: `plot()` of records, overlays, identifications and diagnoses. The
+"""What draws itself: `plot()` of records, simulations, overlays, identifications and diagnoses. The
 drawing room lies above all of them and brings matplotlib: the package itself, above both, gives it
 in, nothing here depends on it, and the first plot imports it."""
 
@@ -15,10 +15,9 @@ class Drawn:
 
     def plot(self, *what: str) -> Any:
         """A picture that a notebook shows, with the matplotlib `figure` and `save(path)` as PNG,
-        SVG, PDF or CSV. `what`, else what matters most: of a record or an overlay
-        signals or quantities ("wire.current", "temperature"), of an identification "agreement",
-        of a diagnosis "signals", "where" or "evidence". Raises InputError: nothing has that
-        name."""
+        SVG, PDF or CSV. `what`, else what matters most: of a record, a simulation or an overlay
+        signals or quantities ("wire.current", "temperature"), of an identification "agreement", of
+        a diagnosis "signals", "where" or "evidence". Raises InputError: nothing has that name."""
         return Drawn.drawing_room("plots").picture_of(self, *what)
 
 

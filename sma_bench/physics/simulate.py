@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from sma_bench.arrays import Array
+from sma_bench.drawn import Drawn
 from sma_bench.errors import InputError
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
@@ -68,7 +69,7 @@ class Readings:
 
 
 @dataclass(eq=False, repr=False)
-class Simulation(Readings):
+class Simulation(Readings, Drawn):
     """What a bench does under given voltages: `Readings` of n samples at `time` (n,) s; `voltage`:
     (n, w) V, held from each sample to the next; `final`: the state after the last sample, for a
     simulation that continues; `started`: s, the bench's clock at the first sample."""

@@ -16,6 +16,7 @@ from sma_bench.diagnose.sizes import locate, sample_noise
 from sma_bench.errors import InputError
 from sma_bench.estimation.observation import QUANTITIES, BinnedSignal
 from sma_bench.identify import Identification
+from sma_bench.physics import Simulation
 from sma_bench.physics.effects import EFFECTS
 from sma_bench.records import Record
 from sma_bench.records.overlay import Overlay
@@ -23,9 +24,16 @@ from sma_bench.report import drawing as draw
 from sma_bench.report.page import Picture, pictured
 from sma_bench.results import scale_of
 
+Curves = list[tuple[str, Array, Array]]  # label, time, values
+
 _MOST_DRAWN, _MOST_MARKERS = 3000, 40
 _QUANTITIES = ("voltage_command", "voltage", "current", "temperature", "deflection", "range",
                "elongation", "force")  # from above
+# States of a simulation: label and factor from SI to its unit.
+_STATES = {
+    "voltage": ("voltage\n[V]", 1.0), "current": ("current\n[A]", 1.0),
+    "temperature": ("temperature\n[K]", 1.0), "martensite_fraction": ("martensite\nfraction", 1.0),
+    "stress": ("stress\n[MPa]", 1e-6), "deflection": ("deflection\n[mm]", 1e3)}
 STAGE_COLOURS = {"electrical": "#b58900", "thermal": "#c0504d", "transformation": "#7a5195",
                  "mechanical": "#2a7f62", "sensor": "#1f4e79"}
 _TWO_STAGES = "#4a4a4a"
@@ -40,10 +48,10 @@ _MOST_SIGNALS, _WORTH_A_PICTURE = 3, 0.05  # of all that is missing
 def record_picture(record: Record, name: str, what: Sequence[str] = ()) -> Picture | None:
     """Every signal over time, or those that are named, a row a quantity, long ones by least and
     largest of each stretch; None without any."""
-    rows: list[tuple[str, list[tuple[str, Array, Array]]]] = []
+    rows: list[tuple[str, Curves]] = []
     for quantity in _QUANTITIES:
         unit, factor = scale_of(quantity)
-        curves: list[tuple[str, Array, Array]] = []
+        curves: Curves = []
         for full, signal in record.signals.items():
             wanted = not what or full in what or quantity in what
             if full.rpartition(".")[2] == quantity and len(signal) and wanted:
@@ -56,6 +64,14 @@ def record_picture(record: Record, name: str, what: Sequence[str] = ()) -> Pictu
             rows.append((f"{quantity.replace('_', ' ')}\n[{unit}]", curves))
     if not rows:
         return None
+    return pictured("signals_over_time", _over_time(rows, record.markers), name, over_time=True,
+                    which="Signals" if what else "All signals", path=record.path,
+                    steps="; vertical lines: steps of the protocol" if record.markers else "")
+
+
+def _over_time(rows: Sequence[tuple[str, Curves]],
+               markers: Sequence[tuple[float, str]] = ()) -> Figure:
+    """A graph a row, long signals by least and largest of each stretch; markers: protocol steps."""
     figure, axes = draw.new_figure(len(rows), height=1.0 + 1.5 * len(rows))
     for ax, (label, curves) in zip(axes, rows, strict=True):
         for k, (curve, time, values) in enumerate(curves):
@@ -68,7 +84,7 @@ def record_picture(record: Record, name: str, what: Sequence[str] = ()) -> Pictu
                       loc="outside upper right")
     # Steps of the protocol; names that would lie over each other are left out.
     room, named = float(np.ptp(axes[0].get_xlim())) / 12.0, -np.inf
-    for at, text in record.markers if len(record.markers) <= _MOST_MARKERS else ():
+    for at, text in markers if len(markers) <= _MOST_MARKERS else ():
         for ax in axes:
             ax.axvline(at, color=draw.FAINT, lw=0.6, ls=":")
         if at - named > room:
@@ -76,9 +92,21 @@ def record_picture(record: Record, name: str, what: Sequence[str] = ()) -> Pictu
             axes[0].annotate(text, (at, 1.0), xycoords=("data", "axes fraction"), fontsize=6,
                              rotation=30, color=draw.FAINT, annotation_clip=True)
     axes[-1].set_xlabel("time [s]")
-    return pictured("signals_over_time", draw.plain(figure), name, over_time=True,
-                    which="Signals" if what else "All signals", path=record.path,
-                    steps="; vertical lines: steps of the protocol" if record.markers else "")
+    return draw.plain(figure)
+
+
+def simulation_picture(simulation: Simulation, what: Sequence[str] = ()) -> Picture | None:
+    """Voltages, states and motion over time; None where nothing of that name is there."""
+    channels, rows = simulation.parameters["bench.channels"], list[tuple[str, Curves]]()
+    for state, (label, factor) in _STATES.items():
+        values = factor * getattr(simulation, state).reshape(len(simulation.time), -1)
+        is_still = state == "deflection" and not what and not values.any()
+        if (not what or state in what) and not is_still:
+            names = ("deflection",) if state == "deflection" else channels
+            rows.append((label, [(n, simulation.time, values[:, k]) for k, n in enumerate(names)]))
+    if not rows:
+        return None
+    return pictured("simulation", _over_time(rows), over_time=True, channels=", ".join(channels))
 
 
 def overlay_picture(found: Overlay, name: str, what: Sequence[str] = ()) -> Picture:
@@ -307,6 +335,8 @@ def picture_of(thing: Any, *what: str) -> Picture:
         picture = parts[name](thing)
     elif isinstance(thing, Record):
         picture, held = record_picture(thing, "signals", what), thing.signals
+    elif isinstance(thing, Simulation):
+        picture, held = simulation_picture(thing, what), _STATES
     else:
         picture = overlay_picture(thing, "overlay", what)
     if picture is None:
