@@ -47,7 +47,8 @@ class Segment:
     duration: float  # s at most
     start: tuple[float, ...]
     stop: tuple[float, ...]
-    # What ends it earlier: levels by the names of _ENDS, s in which all must have `settled`.
+    # What ends it earlier: levels by the names of _ENDS, s in which all must have `settled`, or
+    # one quantity (`temperature_settled`).
     until: Mapping[str, float] = field(default_factory=dict)
     force: float | None = None  # N, what the load frame has come to by its end; None: as before
 
@@ -156,7 +157,8 @@ class Waiting:
             history = self._since.setdefault((quantity, channel), deque())
             history.append((time, value))
             until = self.protocol.segments[max(self._segment, 0)].until
-            while history[0][0] < time - until.get("settled", 0.0):
+            window = max((s for end, s in until.items() if end not in _ENDS), default=0.0)
+            while history[0][0] < time - window:
                 history.popleft()
 
     def passed_over(self, elapsed: float, time: float) -> float:
@@ -176,11 +178,12 @@ class Waiting:
         over = False
         for end, level in segment.until.items():
             quantity, _, side = end.partition("_")
-            values = [self._last[key] for key in keys if key[0] == quantity]
-            if side:
-                over |= bool(values) and (max(values) - level) * (1 if side == "above" else -1) >= 0
-            elif keys and time - self._begun >= level:
-                over |= all(self._at_rest(key, level, time) for key in keys)
+            its = [key for key in keys if quantity in ("settled", key[0])]
+            if its and end in _ENDS:
+                highest = max(self._last[key] for key in its)
+                over |= highest >= level if side == "above" else highest <= level
+            elif its and time - self._begun >= level:
+                over |= all(self._at_rest(key, level, time) for key in its)
         return left if over else 0.0
 
     def _at_rest(self, key: tuple[str, str], over: float, time: float) -> bool:
@@ -396,10 +399,13 @@ def _until(given: Any, parameters: Parameters) -> dict[str, float]:
     if hot >= highest:
         off = f"bench.maximum_temperature, {highest:g} K, where the bench switches off"
         raise InputError(f"temperature_above is {hot:g} K, expected less than {off}")
-    if not isinstance(settled := given.get("settled", False), bool):
-        raise InputError(f"settled is {settled!r}, expected true or false")
+    settled = given.get("settled", False)
+    if not isinstance(settled, bool) and settled not in list(_SETTLED_WITHIN):
+        expected = ", ".join(_SETTLED_WITHIN)
+        raise InputError(f"settled is {settled!r}, expected {expected}, true or false")
     over = _number(given, "over", "s", positive=True) if "over" in given else _SETTLING
-    found |= {"settled": over} if settled else {}
+    if settled:
+        found["settled" if settled is True else f"{settled}_settled"] = over
     if not found:
         raise InputError(f"says nothing, expected {', '.join(_ENDS)} or settled")
     return found

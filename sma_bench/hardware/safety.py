@@ -23,7 +23,7 @@ Lasting = dict[str, tuple[float, int]]
 _COMMANDS = 10  # a reading may belong to any of the last commands
 _SENT = 1000  # volts kept between two readings, at most
 _REMEMBERED = 1.0  # s, for which a current that was measured stands for one that was not
-_LEAST_READINGS = 5  # that show what must last
+_LEAST_READINGS, _STILL = 5, 0.25  # that show what must last; s, at the end of a run
 _RATE_BASE = 0.05  # s; stamps of a camera come a few ms early or late
 _MODELLED_CURRENT = 2.0  # times the largest: more than that does not get into the model
 _RESTS, _RESTED = 0.5, 10.0  # V, and time constants after which a wire shows its room
@@ -234,6 +234,8 @@ class Wire:
     hottest: float = math.nan  # K, from all power that was measured
     room: float = 0.0  # K by which it was warmer at rest than the room of the limits
     since: Lasting = field(default_factory=dict)
+    missed: str = ""  # of this run: that volts were read which were not those commanded
+    followed: bool = False  # and that volts were read which nobody reads of an idle bench
     _rested: float = 0.0  # s
     _heating: float = 0.0
     _powered: float = math.nan
@@ -416,6 +418,21 @@ class Guard:
         for wire, volt in zip(self._wires.values(), voltage, strict=True):
             wire.command(volt)
 
+    def begin(self) -> None:
+        """A run begins: what `unfollowed` says is of its readings."""
+        for wire in self._wires.values():
+            wire.missed, wire.followed = "", False
+
+    def unfollowed(self, now: float) -> str:
+        """Why the run that ends at `now` s was not what was commanded, in whole or at its end, or
+        "": what must last to break a rule had no time to."""
+        for wire in self._wires.values():
+            begun, readings = wire.since.get("follows", (now, 0))
+            still = now - begun >= _STILL and readings >= _LEAST_READINGS
+            if wire.missed and (still or not wire.followed):
+                return wire.missed
+        return ""
+
     def temperature(self, channel: str, kelvin: float, stamp: float, now: float,
                     limits: Limits) -> None:
         """Note a temperature in K; NaN or infinite is not a reading and makes nothing fresh."""
@@ -434,8 +451,11 @@ class Guard:
         if math.isfinite(volt) or math.isfinite(ampere):
             self._fresh[subject].seen(stamp, now)
         unseen = bool(self._fresh[f"{channel}/temperature"].fault(now))
-        reasons = broken(power_rules(wire, limits, self._timeout, unseen), now, wire.since)
-        self.found(subject, next(iter(reasons.values()), ""))
+        rules = power_rules(wire, limits, self._timeout, unseen)
+        self.found(subject, next(iter(broken(rules, now, wire.since).values()), ""))
+        if "follows" in wire.since:
+            wire.missed = rules["follows"].said()
+        wire.followed |= volt > limits.allowed_deviation(0.0)
 
     def boards(self, amperes: Sequence[float], volts: Sequence[float], now: float,
                limits: Limits) -> None:

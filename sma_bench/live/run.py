@@ -216,7 +216,10 @@ class Run:
             self._passed_over, elapsed = self._passed_over + ahead, elapsed + ahead
         step = self.protocol.step_at(elapsed)
         if elapsed > 0.0 and not step:
-            self._finish(DONE)
+            if unfollowed := self._guard.unfollowed(now):
+                self.abort(unfollowed)
+            else:
+                self._finish(DONE)
             return
         self._mark(step)
         self._send(self._loop.volts(self.protocol, elapsed))
@@ -304,6 +307,7 @@ class Run:
         self.protocol, self._started, self.step = protocol, None, ""
         self._begin, self._passed_over = now + _LEAD_IN, 0.0
         self._waiting = Waiting(protocol) if protocol.waits else None
+        self._guard.begin()
         self.enter(RUNNING, protocol.name)
         return protocol
 

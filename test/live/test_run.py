@@ -107,6 +107,31 @@ def test_what_is_wrong_with_the_readings_aborts(protocol, wrong, reason):
     assert_cold(bench, reason)
 
 
+@pytest.mark.parametrize(("deaf", "is_done"), [
+    ((0.0, 9.0), False), ((0.0, 0.7), True), ((0.9, 9.0), False), ((1.2, 9.0), True)])
+@pytest.mark.parametrize("rest", [0.0, 0.3])
+def test_a_run_that_was_over_before_the_rule_of_its_volts_could_break_is_not_done(deaf, is_done,
+                                                                                rest):
+    """Volts that never arrived, or at the end no more; a rest after them hides only the latter."""
+    bench = Bench({"name": "brief", "steps": [{"kind": "hold", "level": 3.0, "duration": 1.0},
+                                              *[{"kind": "rest", "duration": rest}] * (rest > 0)]})
+    bench.guard = Guard(("wire",), ("power", "temperature"), 2.0)
+    bench.run = Run(bench, OpenLoop(), bench.guard, bench.readiness, 1)
+    for _ in range(2):  # what was read in the first does not count in the second
+        bench.deaf = False
+        assert bench.start()[0]
+        for k in range(90):
+            bench.deaf = deaf[0] < k * PERIOD + PERIOD / 2 < deaf[1]
+            bench.spend(PERIOD)
+        if is_done or (rest and deaf[0]):
+            assert bench.state == "done: brief"
+        else:
+            assert_cold(bench, "disagreement: wire gets 0.00 V, commanded 3.00 V, tolerance 0.25")
+        bench.deaf = False
+        bench.spend(1.0)
+        bench.run.reset()
+
+
 def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
     bench = Bench(WAITS)
     bench.told = None

@@ -228,3 +228,16 @@ def test_settled_means_no_slope_above_the_noise():
         if waiting.passed_over(time, time):
             break
     assert 340.0 - kelvin < 1.0 and 20.0 < time < 80.0
+
+
+@pytest.mark.parametrize(("settled", "ends"), [("deflection", True), ("temperature", False),
+                                               (True, False)])
+def test_only_what_a_step_says_has_to_settle(settled, ends):
+    waiting = Waiting(parse_protocol({"steps": [hold(2.0, 60.0, {"settled": settled})]}, WIRE))
+
+    def is_over(time):
+        waiting.heard("temperature", "wire", 300.0 + time, time)
+        waiting.heard("deflection", "", 0.01, time)
+        return waiting.passed_over(time, time) > 0.0
+
+    assert any(is_over(k / 25) for k in range(25 * 50)) == ends
