@@ -18,6 +18,7 @@ from sma_bench.estimation.observation import QUANTITIES
 from sma_bench.identify import Identification
 from sma_bench.identify import identify as _identify
 from sma_bench.parameters import Parameters, read_parameters, write_parameters
+from sma_bench.parameters.parameter import BY_NAME
 from sma_bench.parameters.parameters import load_kind
 from sma_bench.parameters.yaml_file import flatten
 from sma_bench.physics import Simulation
@@ -184,16 +185,20 @@ def compare(records: Any, models: Any = ()) -> Overlay:
     Args:
         records: one of what `load` takes, or a list of them, or a mapping of names to them; the
             first is what the others are compared with.
-        models: a list of parameters (as for `load_parameters`), or a mapping of names to them;
-            each is simulated under the voltages of the first record.
+        models: parameters (as for `load_parameters`), a list or a mapping of names to them; each
+            is simulated under the voltages of the first record.
 
     `differences` has the largest first; `print` shows a table, `plot()` a figure. Raises
     InputError: fewer than two in all, or nothing in common."""
 
     def named(given: Any, kind: str) -> dict[str, Any]:
         """Things by name: their own, that of their file, or a number."""
-        if isinstance(given, Mapping):
-            return dict(given)
+        groups = {"uncertainty", *(name.partition(".")[0] for name in BY_NAME)}
+        things = str | Path | Record | Parameters | Simulation
+        if isinstance(given, Mapping) and not set(given) & set(BY_NAME) and all(
+                isinstance(v, things) or hasattr(v, "columns")
+                or (isinstance(v, Mapping) and name not in groups) for name, v in given.items()):
+            return dict(given)  # else it is one of them itself
         found: dict[str, Any] = {}
         for k, thing in enumerate(given if isinstance(given, list | tuple) else [given], 1):
             path = thing if isinstance(thing, str | Path) else getattr(thing, "path", "")

@@ -162,10 +162,11 @@ class CompositeRun(NamedTuple):
     rests: list[tuple[float, float]]  # (start, stop) s at zero voltage after a drive
 
     def left_over(self) -> list[list[float]]:
-        """Deflection [m] measured and simulated in the last second of every rest."""
+        """Deflection [m] measured and simulated in the last second of every rest with readings."""
         both = (self.measured, (self.time, self.simulated))
-        return [[float(np.mean(values[(time > stop - _REST) & (time <= stop)]))
-                 for time, values in both] for _, stop in self.rests]
+        ends = [[values[(time > stop - _REST) & (time <= stop)] for time, values in both]
+                for _, stop in self.rests]
+        return [[float(np.mean(own)) for own in pair] for pair in ends if all(map(len, pair))]
 
 
 def composite_run(record: Record, parameters: Parameters) -> CompositeRun:
@@ -204,7 +205,7 @@ def composite_pictures(runs: Sequence[CompositeRun]) -> tuple[Picture, Picture]:
     below[0].legend(loc="upper right", fontsize=8)
     left, said = [pair for run in runs for pair in run.left_over()], ""
     if left:
-        measured, simulated = 1e3 * np.nanmax(np.abs(left), axis=0)
+        measured, simulated = 1e3 * np.max(np.abs(left), axis=0)
         said = captions()["figure_16_deflection"]["left_over"].format(
             measured=measured, simulated=simulated)
     return (pictured("figure_15_voltage", volts, source=source),

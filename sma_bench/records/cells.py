@@ -360,6 +360,11 @@ def moments_of(cells: Sequence[Any],
                dates: Sequence[Any] | None = None) -> tuple[Array, float | None, int, str] | None:
     """Seconds (n,) since the first cell, NaN where missing; its epoch where cells or `dates` say
     one; the fewest fields of a clock; and a remark. None where a cell is no moment."""
+    if dates is None and PATTERNS.iso.match(str(cells[0])):
+        with contextlib.suppress(ValueError):  # of what is written otherwise
+            stamps = np.array(cells, dtype="datetime64[ns]")
+            seconds = (stamps - stamps[0]) / np.timedelta64(1, "s")
+            return seconds, float(stamps[0].astype(np.int64)) / 1e9, 3, ""
     there = [k for k, cell in enumerate(cells) if str(cell).lower() not in MISSING]
     found = [m for k in there if (m := moment_of(cells[k]))]
     dated = [m for k in there if (m := moment_of(dates[k]))] if dates else found

@@ -512,6 +512,7 @@ def together(files: Sequence[TableFile]) -> TableFile:
     tables = []
     for stem, table in ((file.path.stem, table) for file in files for table in file.tables):
         columns = tuple(replace(c, name=f"{stem}: {c.name}", group=stem) for c in table.columns)
-        tables.append(replace(table, columns=columns))
+        ignored = {f"{stem}: {name}": reason for name, reason in table.ignored.items()}
+        tables.append(replace(table, columns=columns, ignored=ignored))
     outside = [f"{file.path.name}: {line}" for file in files for line in file.outside]
     return replace(files[0], sha256=" ".join(f.sha256 for f in files)).with_tables(tables, outside)

@@ -203,10 +203,14 @@ def _of(kind: type, value: Any) -> Any:
 
 
 def _remark_provenance(custom: Any, topics: RawTopics) -> None:
-    """Where an imported bag comes from. InputError: no JSON."""
+    """Where an imported bag comes from."""
     text = custom.get(PROVENANCE) if isinstance(custom, dict) else None
-    said = border.read_json_object(text, PROVENANCE) if isinstance(text, str) else {}
-    if not said:
+    if not isinstance(text, str):
+        return
+    try:
+        said = border.read_json_object(text, PROVENANCE)
+    except InputError as error:
+        topics.remark(METADATA, str(error))
         return
     how, repeated = said.get("how"), said.get("repeated")
     parts = [f"imported from {said.get('source', '?')}, sha256 {said.get('sha256', '?')}"]

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 import warnings
+from itertools import product
 
 import numpy as np
 import pytest
@@ -84,8 +85,10 @@ def test_a_diagnosis_becomes_a_table(planted_diagnosis):
 def test_models_have_names_an_experiment_may_be_one_and_a_machine_that_stands_says_so(staircase):
     model = {"wire.resistance": 3.0}
     assert list(sma_bench.compare(staircase, {"m": model}).records)[1:] == ["m"]
-    found = sma_bench.compare(staircase, [{"wire": {"resistance": 3.0}}])
-    assert list(found.records)[1:] == ["model 1"]
+    nested, known = {"wire": {"resistance": 3.0}}, sma_bench.load_parameters(model)
+    arrays = {"time": [0.0, 1.0, 2.0], "wire.voltage": [0.0, 1.0, 1.0]}
+    for own, one in product((staircase, arrays), ([nested], nested, model, known)):
+        assert list(sma_bench.compare(own, one).records)[1:] == ["model 1"]
     assert {e.name for e in sma_bench.identify(staircase, {}, "E1").experiments} == {"E1"}
     machine, moved = {"load.kind": "displacement"}, ([0.0, 1.0], [0.0, 0.0], [0.0, 1e-4])
     with pytest.warns(UserWarning, match="the elongation is held at 0"):

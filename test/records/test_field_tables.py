@@ -56,14 +56,16 @@ def test_a_unit_that_is_stated_answers_the_question():
             load({"time": time, quantity: np.linspace(low, high, 100)})
 
 
-def test_files_that_are_one_run_become_one_bag(tmp_path):
+def test_files_that_are_one_run_become_one_bag(tmp_path, capsys):
     time = np.arange(0, 20, 0.5)
     columns = {"Position (mm)": 12.0 + 0.3 * (time > 5), "Voltage (V)": 3.0 * (time > 5)}
     files = [str(tmp_path / f"{k}.csv") for k in range(2)]
     for file, (title, values) in zip(files, columns.items(), strict=True):
-        rows = "\n".join(f"{t},{v}" for t, v in zip(time, values, strict=True))
-        Path(file).write_text(f"Time (s),{title}\n{rows}\n")
+        rows = "\n".join(f"{t},{v},dry" for t, v in zip(time, values, strict=True))
+        Path(file).write_text(f"Time (s),{title},Note\n{rows}\n")
     assert main(["import", *files, "--together", "--out", str(tmp_path / "bag")]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "0: Note (" in said and "1: Note (" in said
     assert set(read_record(tmp_path / "bag").signals) == {"elongation", "wire.voltage"}
 
 

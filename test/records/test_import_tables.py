@@ -107,6 +107,10 @@ def test_a_bag_says_where_it_comes_from_and_its_map_gives_it_again(tmp_path, rig
     assert json.loads(custom["sma_bench_provenance"])["sha256"] == sha
     told = " ".join(f["text"] for f in describe(open_record(tmp_path / "bag"))["findings"])
     assert sha in told and "sqrt(duty) x 12 V" in told
+    custom["sma_bench_provenance"] = "torn {"
+    (tmp_path / "bag" / "metadata.yaml").write_text(yaml.safe_dump(metadata))
+    told = " ".join(f["text"] for f in describe(open_record(tmp_path / "bag"))["findings"])
+    assert "sma_bench_provenance" in told and "cannot be understood" not in told
     words = ["--map", str(tmp_path / "bag.map.yaml"), "--out", str(tmp_path / "week")]
     assert main(["import", str(first), str(second), *words]) == 0
     for name in ("a", "b_day"):

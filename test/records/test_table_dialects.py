@@ -82,6 +82,8 @@ def test_dates_are_taken_in_the_order_that_leaves_no_hole_and_two_digits_of_a_ye
     assert european[1] == 1769990399 and list(european[0]) == [0.0, 1.0]
     assert moments_of(["26/03/01 10:00:00"])[3] == "26/03/01 is taken as 2001-03-26"
     assert moments_of(["26.03.01 10:00:00"])[3] == moments_of(["2026-03-01 10:00"])[3] == ""
+    exact, epoch, *_ = moments_of(["1970-01-01T00:00:00", "", "1970-01-01T00:00:00.000000001"])
+    assert epoch == 0.0 and str(exact) == "[0.e+00    nan 1.e-09]"
 
 
 @pytest.mark.parametrize(("cells", "is_asked"), CASES["dots"])

@@ -125,6 +125,9 @@ def test_the_composites_figures_show_rests_and_what_is_left_at_their_ends(pictur
         assert len(run.rests) == len(ax.patches) == 4
         for measured, simulated in run.left_over():
             assert abs(simulated) < 1e-6 and abs(measured) < 1e-4
+        early = run.measured[0] < run.rests[-1][1] - 2.0
+        cut = run._replace(measured=tuple(values[early] for values in run.measured))
+        assert cut.left_over() == run.left_over()[:-1]
         # The stiffer back bends less.
         assert run.simulated.max() > 0.04 and -run.simulated.min() < 0.98 * run.simulated.max()
 
