@@ -232,7 +232,7 @@ def dsc_of(sheet: Sheet) -> DscRecord | None:
         program = sheet.values(*columns["program temperature"])
         ends = [row for row, _ in blocks[1:]] + [len(time)]
         for (first, match), last in zip(blocks, ends, strict=True):
-            number, duration, rate = int(match[1]), time[last - 1] - time[first], 0.0
+            number, duration, rate = int(match[1]), float(time[last - 1] - time[first]), 0.0
             if first == last:
                 raise sheet.refusal("no_segment", number=number)
             if match[2] != "Isothermal" and duration > 0.0:  # as it was programmed, in K/min

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from matplotlib.lines import Line2D
 from matplotlib.text import Text
-from matplotlib.ticker import AutoLocator
+from matplotlib.ticker import AutoLocator, FuncFormatter
 
 from sma_bench.arrays import Array
 
@@ -181,12 +181,16 @@ def curve_rows(figure: Figure) -> list[tuple[str, ...]]:
     across = next((ax.get_xlabel() for ax in reversed(figure.axes) if ax.get_xlabel()), "")
     rows: list[tuple[str, ...]] = []
     for ax in figure.axes:
+        names = dict[float, str]()  # of rows
+        if isinstance(ax.yaxis.get_major_formatter(), FuncFormatter):
+            texts = (tick.get_text() for tick in ax.get_yticklabels())
+            names = dict(zip(map(float, ax.get_yticks()), texts, strict=False))
         for line in ax.lines:
             # Not a mark across the axes, nor the end of an error bar.
             if line.get_transform() == ax.transData and line.get_marker() not in ("|", "_"):
-                head = _title(ax), _label(line), across
+                head = _title(ax), _label(line), ax.get_xlabel() or across
                 xs, ys = (np.asarray(values, dtype=float) for values in line.get_data())
-                rows += [(*head, f"{x:.8g}", f"{y:.8g}" if np.isfinite(y) else "")
+                rows += [(*head, f"{x:.8g}", names.get(y, f"{y:.8g}" if np.isfinite(y) else ""))
                          for x, y in zip(xs, ys, strict=True)]
     return rows
 

@@ -63,6 +63,8 @@ class Picture:
         kind = path.suffix[1:].lower()
         if kind not in ("png", "svg", "pdf", "csv"):
             raise InputError(f"{path}: expected a name that ends in .png, .svg, .pdf or .csv")
+        if kind == "csv" and not drawing.curve_rows(self.figure):
+            raise InputError(f"{path}: {self.name} has no curves, expected .png, .svg or .pdf")
         content = self._file(drawing.in_column(self.figure, column), kind, dpi=300)
         with errors_in(f"{path}: cannot be written"):
             border.write_files({path: content})

@@ -15,7 +15,7 @@ from sma_bench import border
 from sma_bench.cli import main
 from sma_bench.errors import InputError
 from sma_bench.records.bag_writer import write_record
-from sma_bench.report.drawing import COLUMNS
+from sma_bench.report.drawing import COLUMNS, named_rows
 from sma_bench.report.page import Picture, Section, Table, write_report
 
 WIRES = ["front_1", "front_2", "back_1", "back_2"]
@@ -73,6 +73,20 @@ def test_a_figure_is_saved_for_a_paper_and_as_plain_numbers(record, tmp_path):
     assert {row["panel"] for row in rows} == {"temperature [K]"}
     with pytest.raises(InputError, match="expected a name that ends in"):
         plot.save(tmp_path / "a.jpg")
+
+
+def test_a_curve_is_written_with_the_names_of_its_own_axes_and_rows(tmp_path):
+    figure = Figure()
+    left, right = figure.subplots(1, 2, sharey=True)
+    picture = Picture("p", "title", "caption", figure)
+    right.set_xlabel("informed [%]")
+    with pytest.raises(InputError, match=r"p has no curves, expected \.png, \.svg or \.pdf"):
+        picture.save(tmp_path / "a.csv")
+    left.set_xlabel("off [%]")
+    left.plot([5.0, 6.0], named_rows(left, ["ohm", "kelvin"]), "o")
+    picture.save(tmp_path / "a.csv")
+    assert [list(row.values())[2:] for row in rows_of(tmp_path / "a.csv")] == [
+        ["off [%]", "5", "ohm"], ["off [%]", "6", "kelvin"]]
 
 
 def test_a_column_has_its_width_and_letters_and_leaves_the_figure_as_it_was(record):
