@@ -291,7 +291,9 @@ def propose(table: TableFile, bench: Parameters,
     kinds, ticking = {entry.kind for entry in found}, {entry.clock for entry in found}
     time = {c.name: proposal.unit(c, "time") for c in clocks if c.name in ticking}
     if ROWS in ticking:
-        time[ROWS] = ask(ROWS, "no_clock", titles=", ".join(c.name for c in columns[:12]))
+        titles = [f"{name} ({why})" for t in table.tables for name, why in t.ignored.items()]
+        titles += [column.name for column in columns]
+        time[ROWS] = ask(ROWS, "no_clock", titles=", ".join(titles[:12]))
     if len({c.start is None for c in clocks if c.name in ticking}) > 1:
         ask("time", "dates")
     supply, lever, volts = None, None, "bench.supply_voltage"
@@ -369,7 +371,7 @@ class _Proposal:
         if not (meant or unused or is_wire or named == "time"):
             self.ask(name, "is_it", named=named)
         other = min(words & {*WORDS["devices"], *WORDS["doubtful"]}, default="")
-        if other and not unused and named in (*_DRIVES, "power", "temperature"):
+        if other and not unused and named in (*_DRIVES, "duty", "power", "temperature"):
             if other in WORDS["devices"] and not is_wire:
                 unused = f"of another device ({other}), not of a wire"
             elif (named, other) != ("temperature", "sensor"):

@@ -144,7 +144,8 @@ class Sheet:
 
     def statements(self, name: str) -> dict[float, str]:
         """What lines of text say a number is, the first each; of the room only if no other does."""
-        row, found = WORDS["stated"][name], dict[float, str]()
+        row = WORDS["stated"][name] | {"other": WORDS["other_number"]}
+        found = dict[float, str]()
         lines = [*self.table.above, *([text] for _, text in self.table.marks)]
 
         def speaks(text: str, key: str) -> bool:
@@ -153,7 +154,8 @@ class Sheet:
 
         for text in (clause.lstrip("#% ") for line in lines for clause in _clauses(line)):
             value = cells.number_with_unit(text, row["quantity"])
-            if value and speaks(text, "words") and not speaks(text, "never"):
+            is_other = speaks(text, "never") or speaks(re.split(r"\d", text)[0], "other")
+            if value and speaks(text, "words") and not is_other:
                 found.setdefault(value, text)
         return {v: t for v, t in found.items() if not speaks(t, "worse")} or found
 
@@ -438,7 +440,8 @@ def tensile_of(sheet: Sheet) -> TensileRecord | None:
             raise sheet.refusal("too_large", line=line, what=what, value=value, most=most)
         if np.ptp(values) == 0.0:
             raise sheet.refusal("constant", what=what, value=values[0])
-
+    if (level := float(np.median(stress))) < 0.0 and section:
+        raise sheet.refusal("compressed", level=f"{level / 1e6:.4g}")
     measured = None if "temperature" in sheet.given else sheet.find("temperature")
     if measured is None:
         temperature = sheet.noted("temperature")

@@ -67,7 +67,8 @@ def open_record(path: str | Path, namespace: str | None = None,
     if not others:
         return first
     names = ", ".join(getattr(record, "account").sheet for record in others)  # noqa: B009
-    text = f"{path}: {len(others)} more records in its sheets ({names}), not read here"
+    where = f"sheets ({names})" if names.strip(", ") else "tables"
+    text = f"{path}: {len(others)} more records in its {where}, not read here"
     return replace(first, findings=(*first.findings, Finding("warning", "sheets", text)))
 
 

@@ -337,6 +337,12 @@ def _text(cells: Sequence[Any]) -> str:
     return _label(" ".join(str(c) for c in cells if c != ""))
 
 
+def _specimen(rows: Sequence[Row]) -> str:
+    """The last line that counts specimens, as in Specimen 2, "" where none does."""
+    form = rf"(?i)\W*(?:{'|'.join(WORDS['specimens'])})\W*(?:no|nr|id)?\W*\d+\W*\Z"
+    return next((text for _, cells in rows[::-1] if re.match(form, text := _text(cells))), "")
+
+
 def _units(cells: Sequence[str]) -> list[str]:
     """Cells without brackets where all are units, else none."""
     bare = [text.strip("()[]{} ") for text in cells]
@@ -365,9 +371,11 @@ class _Block:
         if not any(again) or "n" in map(cell_kind, again):  # a number's neighbour overflowed
             return True
         # Titles that come again begin a table only with other units, or a number as the next load.
-        titles, before, _ = self.titles(self.heads, width)
+        titles, before, above = self.titles(self.heads, width)
         stated = any(read.number_with_unit(_text(c), q) for _, c in notes for q in _TESTS)
-        return again == titles and (units == before or not any(units)) and not stated
+        is_next = _specimen(notes) not in ("", _specimen(above))
+        is_other = any(units) and units != before
+        return again == titles and not (is_other or stated or is_next)
 
     def begins_with_index(self) -> bool:
         """Whether rows begin with a number that counts them, or with a name."""
@@ -436,9 +444,11 @@ class _Block:
             raise InputError(f"{width} columns, expected at most {MOST_COLUMNS}")
         titles, units, above = self.titles(self.heads, width)
         of_labview = {str(cells[0]): list(map(str, cells[1:])) for _, cells in self.heads if cells}
-        if titles and _END_OF_HEADER in of_labview:
-            units = ["s", *of_labview.get("Y_Unit_Label", [])]
-            titles = [*of_labview.get("X_Dimension", titles)[:1], *titles[1:width]]
+        if titles and _END_OF_HEADER in of_labview:  # one column of times, or one a channel
+            x, of_y = titles[0], iter(of_labview.get("Y_Unit_Label", []))
+            units = ["s" if title == x else next(of_y, "") for title in titles]
+            named = of_labview.get("X_Dimension", titles)[0]
+            titles = [named if title == x else title for title in titles[:width]]
         # A file cut within its last line, rows without their last cells, and damaged ones.
         if not is_sheet and len(body) > 1 and len(body[-1][1]) < width <= len(body[-2][1]):
             left_out.append(f"line {body[-1][0]}, the last one, is cut short and left out")
@@ -467,6 +477,16 @@ class _Block:
             ignored = {"column 1": "row number", **ignored}
         more = (tuple(map(self.note, above)), tuple(self.marks), tuple(left_out), tuple(notes))
         return Table(name, tuple(made), lines, len(self.rows), ignored, *more)
+
+
+def _finer(clock: Column, title: str, values: Array) -> Column | None:
+    """A clock of whole seconds with the fractions (n,) of the column behind it, if it holds any."""
+    part = WORDS["fractions"].get(read.plain_title(title), np.nan) * values
+    if clock.fields != 3 or np.any(clock.values % 1.0 > 0.0) or not np.all(part // 1.0 == 0.0):
+        return None
+    first = float(part[np.isfinite(clock.values)][0])
+    start = None if clock.start is None else clock.start + first
+    return replace(clock, values=clock.values + part - first, start=start)
 
 
 def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Sequence[str],
@@ -518,7 +538,11 @@ def _columns(texts: Sequence[Sequence[Any]], titles: Sequence[str], units: Seque
             if values is None:
                 decimal = read.decimal_of(label, signs[k], everywhere, cells)
                 values, unit, bad = read.numbers_of(cells, decimal, unit)
-            made.append(Column(label, title, unit, values, group))
+            is_next = bool(made) and made[-1].name == labels[k - 1]
+            if is_next and (finer := _finer(made[-1], title, values)):
+                made[-1], ignored[label] = finer, f"fractions of the seconds of {finer.name}"
+            else:
+                made.append(Column(label, title, unit, values, group))
         if bad >= 0:
             cell = printable(str(cells[bad]))[:40]
             raise InputError(said("no_cell", line=lines[bad], label=label, cell=cell))

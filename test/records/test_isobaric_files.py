@@ -45,7 +45,7 @@ ROWS = {
     "twice": np.column_stack([PERCENT, PERCENT[:, 0], 1.1 * PERCENT[:, 1], PERCENT[:, 2]]),
     "in two units": np.column_stack([PERCENT, PERCENT[:, 0] + 273.15]),
     "to 6": np.column_stack([np.linspace(0, 6, 60), 80 * np.linspace(0, 6, 60)]),
-    "stretched": STRETCHED, "stretched newtons": STRETCHED * (1.0, 0.075),
+    "pushed": -STRETCHED, "stretched": STRETCHED, "stretched newtons": STRETCHED * (1.0, 0.075),
     "counted": np.column_stack([STRETCHED, np.ones(50)]),
     "warmed": np.column_stack([STRETCHED, np.linspace(23.0, 31.0, 50)])}
 
