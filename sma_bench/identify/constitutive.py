@@ -361,6 +361,7 @@ def _estimates(fit: LawFit, parameters: Parameters,
             found["Theta_T"] = Estimate(value, std, "Pa/K", words, n)
         else:
             findings.append(remark("expansion not told", value=value, std=std))
+    found = {symbol: found[symbol] for symbol in SYMBOLS if symbol in found}
     chosen = [list(values).index(symbol) for symbol in found]
     sign = np.array([-1.0 if symbol in ("C_A", "C_M") else 1.0 for symbol in found])
     sigma = sign * np.sqrt(np.diag(covariance)[chosen])

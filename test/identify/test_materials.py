@@ -178,6 +178,7 @@ def test_one_stress_takes_the_influences_as_given_and_one_direction_tells_its_ow
     experiment = fit_constitutive(loops(truth, 150e6, seed=1), truth)
     start = experiment.estimates[A_S]
     assert C_A not in experiment.estimates and says(experiment, "taken as given")
+    assert [*experiment.estimates][:4] == [A_S, A_F, M_S, M_F]
     assert start.value == pytest.approx(truth[A_S], abs=0.5)
     assert start.std >= 150e6 / truth[C_A] ** 2 * truth.std(C_A)
     tests = loops(truth, 80e6, 220e6, points=200, zero=0.05, directions=("heating",))
