@@ -172,8 +172,8 @@ def diagnose(records: Any, parameters: Any = None, hold_out: Any = (), *,
 
     The result has `verdict`, `cause`, `candidates`, `where`, `shrinkage`, `improved` parameters,
     `to_json()`. Raises InputError: no record, an instrument's file, nothing to compare."""
-    unknown = sorted({signals} if isinstance(signals, str) else set(signals) - set(QUANTITIES))
-    if unknown:
+    signals = (signals,) if isinstance(signals, str) else signals
+    if unknown := sorted(set(signals) - set(QUANTITIES)):
         raise InputError(f"diagnose: signals {unknown[0]!r}, expected some of {list(QUANTITIES)}")
     seen, unseen = (_bags(_records(given)) for given in (records, hold_out))
     return _diagnose(seen, load_parameters(parameters), unseen, quantities=signals)

@@ -42,11 +42,12 @@ def run_example(args: SimpleNamespace) -> int:
 @options.command("parameters")
 def run_parameters(args: SimpleNamespace) -> int:
     parameters = options.parameters_from_options(args)
+    sources = [p.provenance if parameters[p.name] == p.default else "given" for p in TABLE]
     entries = [{"name": p.name, "unit": p.unit,
                 "value": list(value) if isinstance(value := parameters[p.name], tuple) else value,
                 "std": parameters.std(p.name) if p.uncertainty is not None else None, "low": p.low,
-                "high": p.high, "description": p.description, "source": p.provenance}
-               for p in TABLE]
+                "high": p.high, "description": p.description, "source": source}
+               for p, source in zip(TABLE, sources, strict=True)]
     write_json(args.json, {"parameters": entries})
     if args.markdown:
         print(parameter_page(), end="")
@@ -56,7 +57,8 @@ def run_parameters(args: SimpleNamespace) -> int:
                          explain=True)
         print(args.out)
     else:
-        rows = [(p.name, cell_of(parameters[p.name]), p.unit, p.provenance) for p in TABLE]
+        rows = [(p.name, cell_of(parameters[p.name]), p.unit, source)
+                for p, source in zip(TABLE, sources, strict=True)]
         print_table(Table(("parameter", "value", "unit", "source"), rows))
     return 0
 

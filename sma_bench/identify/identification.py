@@ -281,7 +281,8 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
     if run.asked:
         joint, fit_all = part(report, 0.0, 1.0, "E9"), constitutive.fit_constitutive
         try_on("E9", isobaric, lambda: fit_all(isobaric, run.improved(), joint))
-    clamped = [record for record in bags if signals.is_clamped_wire(record)]
+    held = load_kind(run.given) not in ("force", "spring", "antagonist")  # whose pull is no heat's
+    clamped = [record for record in bags if held and signals.is_clamped_wire(record)]
     if not clamped or run.of("E9"):  # which tells it better
         return
     if run.another_alloy() and SYMBOLS["A_s"] not in run.estimates.keys() | run.given.given:

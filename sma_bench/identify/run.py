@@ -172,7 +172,9 @@ class IdentificationRun:
                 notes.append(remark("surprising", subject=name, e=e, prior=prior, deviations=away))
             of_stated = e.value / prior.value if name in (COEFFICIENT, SPECIFIC_HEAT) else 1.0
             if not 1.0 / _WRONG < of_stated < _WRONG:
-                notes.append(remark("camera off", subject=name, e=e, ratio=of_stated, prior=prior))
+                late = name == SPECIFIC_HEAT and of_stated > 1.0
+                notes.append(remark("thermometer late" if late else "camera off", subject=name,
+                                    e=e, ratio=of_stated, prior=prior))
         for name, factor in PRODUCTS.items():
             default = Estimate(given[factor], given.std(factor), BY_NAME[factor].unit)
             other = self.estimates.get(factor, default)

@@ -206,11 +206,11 @@ def _saturation(record: Record) -> Iterator[Finding]:
 
 
 def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
-    """Samples in flat stretches at an extreme that a signal ran into at speed or whose noise would
-    not let it be flat; of a current, flat while its voltage moves."""
-    values, found = signal.values, [np.zeros(0, dtype=np.int64)]
+    """All samples at an extreme where a sensor ends: it has a flat stretch that the signal ran
+    into at speed or whose noise would not let it be flat; of a current, while its voltage moves."""
+    values, none = signal.values, np.zeros(0, dtype=np.int64)
     if extreme == values[0] and signal.name in _MECHANICS:
-        return found[0]  # at rest, where it began
+        return none  # at rest, where it began
     # Differences of noise grow with their order, those of a course that is smooth shrink.
     second, third = (np.abs(np.diff(values[values != extreme], k)) for k in (2, 3))
     noisy = len(third) > _FLAT_SAMPLES and np.median(third) > np.median(second) > 0.0
@@ -231,8 +231,8 @@ def clipped_samples(record: Record, signal: Signal, extreme: float) -> IntArray:
             fast = max(_ENTRY_FRACTION * np.ptp(values), 2.0 * _resolution(values))
             clipped = noisy or (len(before) == _ENTRY_SAMPLES and before.max() > fast)
         if clipped:
-            found.append(np.arange(start, stop))
-    return np.concatenate(found)
+            return np.flatnonzero(values == extreme)
+    return none
 
 
 # --- Do command and response belong together?

@@ -363,8 +363,13 @@ class _Proposal:
         name, title = column.name, column.title
         if column.fields:
             return "time"
-        meant = cells.title_meanings(title) or cells.title_meanings(name)
-        found = cells.meanings(title, column.unit) or cells.meanings(name, column.unit) or meant
+        texts = [title, name]
+        for channel in self.channels_of(column):  # an extensor is no extension
+            own = r"[\W_]*".join(map(re.escape, PATTERNS.word.findall(channel)))
+            own = rf"(?<![^\W_]){own}(?![^\W_])"
+            texts = [re.sub(own, "", t, flags=re.IGNORECASE).strip(" _-.:/") or t for t in texts]
+        meant = cells.title_meanings(texts[0]) or cells.title_meanings(texts[1])
+        found = next(filter(None, (cells.meanings(t, column.unit) for t in texts)), meant)
         named, words = found[0] if found else "", set(cells.words_of(title))
         unused = QUANTITIES[named].get("unused", "") if named else _UNKNOWN
         is_wire = bool(self.channels_of(column) or words & set(WORDS["wire"]))

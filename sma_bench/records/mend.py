@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from sma_bench.arrays import IntArray
+from sma_bench.arrays import Array, IntArray
 from sma_bench.findings import Finding
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import load_kind, wire_length
@@ -19,7 +19,9 @@ _TRANSFORMS, _BELIEVED = 3e-3, 0.1  # strain beyond expansion; of the scatter, a
 # Share of readings this near, of the range, to one of two values; jumps; samples of the briefer.
 _SHARE, _NEAR, _TURNS, _BRIEF = 0.98, 0.05, 20, 2.5
 _SUSPECT = {"value", "drift", "common", "follows", "apart"}  # of the numbers of a finding
-_STEADY, _TWO_CLOCKS = 0.95, 5  # of readings published alike; times where one more is no chance
+# Of readings published alike; times where one more is no chance; rows that a reading waits for its.
+_STEADY, _TWO_CLOCKS, _ONE_ROW = 0.95, 5, 1.1
+_NONE: IntArray = np.zeros(0, dtype=np.int64)
 # A gap: s, usual steps; readings beside it; how far a ramp may miss a step, levels be apart.
 _GAP, _GAP_STEPS, _FEW, _RAMP, _LEVEL = 2.0, 10.0, 8, 0.2, 0.03
 
@@ -73,7 +75,7 @@ def comparable(record: Record, findings: Iterable[Finding]) -> tuple[Record, lis
     end of a sensor's range; what was left out."""
     kept, left_out = dict(record.signals), []
     others = {f.subject for f in findings if "follows" in f.numbers}
-    ended = (*check.DROPS_OUT, "elongation", "force")
+    ended = (*check.DROPS_OUT, "elongation", "force", "current")
     for name, signal in record.signals.items():
         values, which = signal.values, np.arange(len(signal) if name in others else 0)
         if kind_of(name) in ended and len(values) and np.ptp(values) > 0.0:
@@ -126,27 +128,36 @@ def _went_elsewhere(voltage: Signal, begin: float, gap: float) -> bool:
     return abs(step) > allowed and all(abs(step - gap * ramp) > allowed for ramp in ramps)
 
 
-def _published_again(signal: Signal) -> IntArray:
-    """Where readings are those before, published again at a fixed rate, not of few digits only."""
-    values, none = signal.values, np.zeros(0, dtype=np.int64)
+def _published_again(signal: Signal) -> tuple[IntArray, Array | None]:
+    """Where readings are those before, published again at a fixed rate, not of few digits only, and
+    when the others were made, where a steady clock of their own tells it."""
+    values = signal.values
     if values.ndim != 1 or len(values) < FEWEST:
-        return none
-    new = np.flatnonzero(np.diff(values) != 0.0)
+        return _NONE, None
+    new = np.flatnonzero(np.diff(values) != 0.0) + 1
     times = np.diff(new)
-    if len(times) < FEWEST:
-        return none
-    # Whole multiples, as a sensor may read the same twice; of two clocks now and then one more.
-    usual = int(np.quantile(times, 0.1, method="lower"))
+    if len(times) < FEWEST or (usual := int(np.quantile(times, 0.1, method="lower"))) <= 1:
+        return _NONE, None
+    # Each is first seen within a row of when it was made; a sensor may read the same twice.
+    period = np.mean(times[times <= usual + 1])
+    count = np.append(0.0, np.cumsum(np.rint(times / period)))
+    slope, start = np.polyfit(count, signal.time[new], 1)
+    late = signal.time[new] - start - slope * count
+    if np.ptp(late) <= _ONE_ROW * np.quantile(np.diff(signal.time), 0.95):
+        number = np.floor((signal.time - start - late.min()) / slope + 1e-6)
+        again = np.flatnonzero(np.diff(number) == 0.0) + 1
+        return again, start + late.min() + slope * np.delete(number, again)
+    # Whole multiples of the usual; of two clocks now and then one more.
     off = np.abs(times - usual * np.rint(times / usual)) > (usual >= _TWO_CLOCKS)
-    if usual <= 1 or np.mean(~off) <= _STEADY:
-        return none
+    if np.mean(~off) <= _STEADY:
+        return _NONE, None
     # A stretch of one value is so many readings, the first of which come in even parts of it.
-    begins = np.append(0, new + 1)
+    begins = np.append(0, new)
     length = np.diff(np.append(begins, len(values)))
     stretch = np.repeat(np.arange(len(begins)), length)
     count, place = np.maximum(np.rint(length / usual), 1)[stretch], np.arange(len(values))
     part = (place - begins[stretch]) * count // length[stretch]
-    return np.flatnonzero((np.diff(part) == 0.0) & (np.diff(stretch) == 0)) + 1
+    return np.flatnonzero((np.diff(part) == 0.0) & (np.diff(stretch) == 0)) + 1, None
 
 
 def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record, list[Finding]]:
@@ -161,9 +172,11 @@ def mended(record: Record, parameters: Parameters | None = None) -> tuple[Record
             moved[name] = signal = replace(signal, values=-signal.values)
             found.append(said("turned", name, share=share))
         held, unit = name == imposed or kind_of(name).startswith("voltage"), signal.unit
-        if not held and len(again := _published_again(signal)):
+        again, stamps = _published_again(signal) if not held else (_NONE, None)
+        if len(again):
             times = len(signal) / (len(signal) - len(again))
-            moved[name] = signal = _without(signal, again)
+            signal = _without(signal, again)
+            moved[name] = signal = signal if stamps is None else replace(signal, time=stamps)
             found.append(said("again", name, times=times))
         if len(off := check.outliers(signal)):
             values = ", ".join(dict.fromkeys(f"{signal.values[i]:.4g}" for i in off.tolist()))

@@ -156,7 +156,7 @@ STILL = sma_bench.simulate(([0.0, 1.0], [0.0, 0.0]))
     (lambda rate: sma_bench.simulate("ramp", rate=rate), 0.0, "rate is 0 Hz"),
     (lambda size: sma_bench.simulate("ramp", effects={"laten_heat": size}), 1, "latent_heat"),
     (lambda given: sma_bench.simulate("ramp", given), {"wire.mas": 1.0}, "mean wire.mass"),
-    (lambda names: sma_bench.diagnose(GOOD, signals=names), "current", "signals 'current'"),
+    (lambda names: sma_bench.diagnose(GOOD, signals=names), "pressure", "signals 'pressure'"),
     (sma_bench.simulate, ([0.0, 1.0], [20.0, 0.0]), "voltage is 20 V, expected at most 10 V"),
     (sma_bench.simulate, ([0.0, 1.0], ["a", "b"]), "expected an array of numbers"),
     (lambda size: sma_bench.simulate("ramp", effects={"latent_heat": size}), "x", "not a number"),

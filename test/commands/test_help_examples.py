@@ -38,7 +38,8 @@ def test_json_is_all_there_is_on_standard_output_unless_it_goes_to_a_file(tmp_pa
     target, bag = tmp_path / "p.json", tmp_path / "bag"
     assert main(["parameters", "--set", "wire.resistance=2.8", "--json", str(target)]) == 0
     entries = {entry["name"]: entry for entry in json.loads(target.read_text())["parameters"]}
-    assert entries["wire.resistance"]["value"] == 2.8
+    sources = [entries[f"wire.{n}"]["source"] for n in ("resistance", "diameter")]
+    assert entries["wire.resistance"]["value"] == 2.8 and sources == ["given", "section II.B"]
     assert entries["bench.channels"]["value"] == ["wire"]
     capsys.readouterr()
     line = f"simulate --protocol ramp --rate 10 --noise 3 --effect latent_heat=12e3 --out {bag}"

@@ -9,7 +9,7 @@ from planted import believed, planted_pair
 
 import sma_bench
 from sma_bench.records.check import outliers
-from sma_bench.records.mend import mended, under_suspicion, without_unseen_drive
+from sma_bench.records.mend import comparable, mended, under_suspicion, without_unseen_drive
 from sma_bench.records.record import first_order_lag
 
 LOSS = "wire.heat_transfer_coefficient"
@@ -70,6 +70,14 @@ def test_readings_that_are_published_again_count_once_and_those_of_few_digits_al
     kept = sound["wire.temperature"]
     assert np.array_equal(kept.values, own.values[::5]) and len(kept.received) == len(kept.time)
     assert np.array_equal(kept.time, own.time[::5])
+    for period, digits in ((0.237, 9), (0.237, 1), (0.63, 9)):  # rows seen late by up to one
+        times = np.arange(0.0, own.time[-1], period)
+        read = np.round(np.interp(times, own.time, own.values), digits)
+        held = read[np.searchsorted(times, own.time, side="right") - 1]
+        kept = with_temperature(record, values=held)[0]["wire.temperature"]
+        at = np.rint(kept.time / period)
+        assert kept.time == pytest.approx(at * period, abs=0.015)
+        assert np.array_equal(kept.values, read[at.astype(int)])
     assert not with_temperature(record, values=np.round(own.values))[1]
 
 
@@ -161,6 +169,24 @@ def test_levels_beyond_a_sensors_range_are_left_out_of_a_staircase():
     unsure = LAB | {"uncertainty.wire.heat_transfer_coefficient": 60.0}
     h, clipped = (sma_bench.identify(one, unsure, ["E2"]).estimates[LOSS] for one in (whole, cut))
     assert clipped.n < h.n and clipped.value == pytest.approx(h.value, rel=0.02)
+
+
+def test_currents_at_the_end_of_their_sensor_are_left_out_where_the_voltage_stands_too():
+    volts = np.concatenate([STAIRCASE, np.full(100, 0.8), np.zeros(100)])
+    whole = record_of(volts)
+    cut = with_signals(whole, current={"values": np.minimum(whole["wire.current"].values, 0.2)})
+    sound, (found,) = comparable(cut, [])
+    assert sound["wire.current"].values.max() < 0.2
+    assert found.numbers["count"] == pytest.approx(np.sum(volts > 0.7), abs=3)
+
+
+def test_a_far_too_large_specific_heat_is_said_to_be_a_thermometer_that_lags():
+    levels = np.repeat([0.0, 0.2, 0.4, 0.6, 0.4, 0.2, 0.0], 400)
+    read = record_of(np.append(levels, np.interp(np.arange(2400), [0, 1200, 2400], [0, 0.4, 0])))
+    kelvin = read["wire.temperature"].values
+    late = first_order_lag(kelvin, np.exp(-0.1 / 6.0), kelvin[0])
+    found = sma_bench.identify(with_signals(read, temperature={"values": late}), LAB)
+    assert any("times the stated 450" in w and "that lags" in w for w in found.warnings)
 
 
 @pytest.mark.parametrize("wrong", ["swapped", "out of range", "late", "turned"])

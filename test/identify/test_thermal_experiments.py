@@ -356,6 +356,8 @@ def test_factor_comes_back_is_judged_plausible_and_parallel_wires_share_the_forc
     sure, unsure = (expansion(clamped(), PAPER.replace(uncertainty={"wire.diameter": std}))[1].std
                     for std in (0.0, 15e-6))
     assert unsure == pytest.approx(math.hypot(sure, 0.1 * abs(THETA)), rel=0.05)
+    with pytest.raises(InputError, match="nothing to identify"):  # a weight's pull is no heat's
+        identify([clamped()], PAPER.replace({"load.kind": "force", "load.force": 4.0}))
     two = expansion(clamped(), PAPER.replace({"wire.count": 2}))[1]
     half = (0.5 * estimate.value, 0.5 * estimate.std)
     assert (two.value, two.std) == pytest.approx(half, rel=0.02)

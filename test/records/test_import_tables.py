@@ -174,6 +174,10 @@ LOADED = [
     ([IMPOSED], ["time [s]", "duty [%]", "displacement [mm]", "force [N]"],
      [TIME, DUTY * 100, 1.5 + 1e3 * MOVED, 20.0 - 1e3 * MOVED], {"elongation": 1.5e-3 + MOVED}),
     ([OF_CURRENT], ANGLE, TURNED, r"m of movement for a radian\? load.lever"),
+    # A wire's name is no word of its title: an extensor is no extension.
+    ([("[wire]", "[extensor]")], ["time [s]", "extensor duty [%]", "position [mm]"],
+     [TIME, DUTY * 100, PLACE * 1e3],
+     {"extensor.voltage": np.sqrt(DUTY) * SUPPLY, "elongation": -MOVED}),
     ([LEVER, OF_CURRENT], ANGLE, TURNED,
      {"wire.current": 0.8 * ON, "elongation": -np.radians(MOVED * 4e3) * 0.02}),
     # Watts drive where the rig says so.
