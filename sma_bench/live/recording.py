@@ -120,9 +120,11 @@ class Recording:
             self._guarded(self._bag.flush)
 
     def state(self, state: str) -> str:
-        """What a recorder says of itself, as JSON; `recorder_state` reads it."""
+        """What a recorder says of itself, as JSON; `recorder_state` reads it. A topic of which
+        messages only wait for a run has 1: it is heard, and the run may begin."""
+        messages = {topic: n or int(topic in self._latest) for topic, n in self.messages.items()}
         return json.dumps({"state": state, "output": self.output,
-                           "failure": str(self.failure or ""), "messages": self.messages})
+                           "failure": str(self.failure or ""), "messages": messages})
 
     def _guarded(self, action: Callable[..., None], *arguments: object) -> bool:
         """Whether the disk took it; if not, the recording has failed with the disk's line."""

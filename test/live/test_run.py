@@ -294,7 +294,10 @@ def test_what_is_recorded_and_that_messages_of_one_tick_keep_their_order():
 @pytest.mark.parametrize(("margin", "expected"), [(0.0, [2.0, 3.0]), (1.0, [1.0, 2.0, 3.0, 4.0])])
 def test_idle_time_is_left_out_where_asked_but_for_a_margin(margin, expected):
     bag = Mock(path="bag")
-    _, tell = recording_to(bag, (True, margin))
+    recording, tell = recording_to(bag, (True, margin))
+    tell(READING, 0)
+    said = recorder_state(recording.state("recording"))  # a run that waits for it can begin
+    assert said["messages"][READING] == 1 and recording.total == 0
     states = {0: "idle", 1.9: "running: ramp", 3.1: "done: ramp"}
     for moment in sorted([*states, *range(1, 7)]):
         tell(*((STATE, moment, states[moment]) if moment in states else (READING, moment)))
