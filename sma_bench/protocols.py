@@ -87,6 +87,8 @@ class Protocol:
 
     @property
     def length(self) -> str:
+        if np.isinf(self.duration):
+            return "until stopped"
         return f"{self.duration:g} s{' at most' * self.waits}"
 
     @property

@@ -234,8 +234,8 @@ class Wire:
     hottest: float = math.nan  # K, from all power that was measured
     room: float = 0.0  # K by which it was warmer at rest than the room of the limits
     since: Lasting = field(default_factory=dict)
-    missed: str = ""  # of this run: that volts were read which were not those commanded
-    followed: bool = False  # and that volts were read which nobody reads of an idle bench
+    asked: float = 0.0  # V, the most of this run; NaN as soon as a reading shows some of it
+    unanswered: float = 0.0  # the same, where readings came that should have shown it
     _rested: float = 0.0  # s
     _heating: float = 0.0
     _powered: float = math.nan
@@ -247,6 +247,7 @@ class Wire:
         """Note the volts that were sent. What they warm from now on is no room."""
         self.commands.append(volt)
         self.sent.append(volt)
+        self.asked = max(self.asked, volt)  # NaN stays
         if volt:
             self._rested = 0.0
 
@@ -419,18 +420,23 @@ class Guard:
             wire.command(volt)
 
     def begin(self) -> None:
-        """A run begins: what `unfollowed` says is of its readings."""
+        """A run begins: `unanswered` is about its commands."""
         for wire in self._wires.values():
-            wire.missed, wire.followed = "", False
+            wire.asked = wire.unanswered = 0.0
 
-    def unfollowed(self, now: float) -> str:
-        """Why the run that ends at `now` s was not what was commanded, in whole or at its end, or
-        "": what must last to break a rule had no time to."""
+    def unanswered(self) -> str:
+        """Which wire got nothing of what was commanded since the run began, or ""."""
+        return next((f"disagreement: {wire.name} got 0 V, commanded up to {wire.unanswered:.2f} V"
+                     for wire in self._wires.values() if wire.unanswered > 0.0), "")
+
+    def strays(self, now: float) -> str:
+        """Which wire's volts have not been those commanded for a while, less than a rule needs to
+        be broken, or ""."""
         for wire in self._wires.values():
             begun, readings = wire.since.get("follows", (now, 0))
-            still = now - begun >= _STILL and readings >= _LEAST_READINGS
-            if wire.missed and (still or not wire.followed):
-                return wire.missed
+            if now - begun >= _STILL and readings >= _LEAST_READINGS:
+                return (f"disagreement: {wire.name} gets {wire.volt:.2f} V, commanded "
+                        f"{wire.commands[-1]:.2f} V")
         return ""
 
     def temperature(self, channel: str, kelvin: float, stamp: float, now: float,
@@ -453,9 +459,11 @@ class Guard:
         unseen = bool(self._fresh[f"{channel}/temperature"].fault(now))
         rules = power_rules(wire, limits, self._timeout, unseen)
         self.found(subject, next(iter(broken(rules, now, wire.since).values()), ""))
-        if "follows" in wire.since:
-            wire.missed = rules["follows"].said()
-        wire.followed |= volt > limits.allowed_deviation(0.0)
+        idle = limits.allowed_deviation(0.0)
+        if volt > idle:
+            wire.asked = wire.unanswered = math.nan
+        elif math.isfinite(volt) and limits.reading(wire.asked) > 2.0 * idle:
+            wire.unanswered = wire.asked
 
     def boards(self, amperes: Sequence[float], volts: Sequence[float], now: float,
                limits: Limits) -> None:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # which most who ask how the recorder does are without
 RECORDER, BRIDGE = "recorder/state", "serial_bridge/state"
 FAILED, RECORDING, STATE = "failed", "recording", "/state"
 _RUNNING, _ENABLED = "running", "enabled"
-_RUN_STATES = {"experiment/state", "temperature_controller/state", "deflection_controller/state"}
+RUN_STATES = {"experiment/state", "temperature_controller/state", "deflection_controller/state"}
 _SILENT = 10.0  # s: it speaks each second, but a disk, or a loaded machine, may keep it
 _FIELDS = {"state": TEXT, "output": TEXT, "failure": TEXT, "messages": COUNTS}
 
@@ -28,7 +28,7 @@ def recorded_type(topic: str, inside: str) -> str:
     """Type of a topic that belongs into a bag of the bench below `inside`, "" for another one."""
     if topic == "/diagnostics":
         return "diagnostic_msgs/msg/DiagnosticArray"
-    if topic.startswith(inside) and topic.removeprefix(inside) in _RUN_STATES:
+    if topic.startswith(inside) and topic.removeprefix(inside) in RUN_STATES:
         return STRING
     place = place_of(topic) if topic.startswith(inside) else None
     return place.type if place else ""
@@ -165,6 +165,7 @@ class Readiness:
         self.required = required  # whether a recorder is
         self._recorder: dict[str, Any] | None = None
         self._heard, self._bridge = 0.0, ""
+        self._others = dict[str, str]()  # states of whatever else drives
 
     def recorder(self, text: str, now: float) -> None:
         """A message of the recorder's state, at `now` s."""
@@ -173,10 +174,16 @@ class Readiness:
     def bridge(self, text: str) -> None:
         self._bridge = shown(text)
 
+    def other(self, topic: str, text: str) -> None:
+        self._others[topic] = shown(text)
+
     def obstacle(self, present: Set[str], now: float) -> str:
         """Why no run may start, where the topics `present` have a publisher."""
         if BRIDGE in present and self._bridge != _ENABLED:
             return f"serial_bridge is not enabled: {self._bridge or 'it has not said its state'}"
+        for topic in self._others.keys() & present:
+            if self._others[topic].startswith(_RUNNING):
+                return f"{topic.removesuffix(STATE)} is {self._others[topic]}"
         if self.required() and RECORDER not in present:
             last = self._recorder or {}
             why = shown(last.get("failure", "")) or "nothing says so on recorder/state"

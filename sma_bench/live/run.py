@@ -216,8 +216,12 @@ class Run:
             self._passed_over, elapsed = self._passed_over + ahead, elapsed + ahead
         step = self.protocol.step_at(elapsed)
         if elapsed > 0.0 and not step:
-            if unfollowed := self._guard.unfollowed(now):
-                self.abort(unfollowed)
+            # What breaks a rule must last, a brief run does not; nor may late readings end it.
+            never, late = self._guard.unanswered(), elapsed - self.protocol.duration
+            if reason := self._guard.strays(now) or (late >= self._feedback_timeout and never):
+                self.abort(reason)
+            elif never:
+                self._send(self._zero)
             else:
                 self._finish(DONE)
             return

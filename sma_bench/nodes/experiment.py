@@ -18,7 +18,7 @@ from std_msgs.msg import Float64, Float64MultiArray, String
 from sma_bench.border import is_inside
 from sma_bench.errors import InputError
 from sma_bench.hardware.safety import CELSIUS_ZERO, FEEDBACK, Guard, Limits
-from sma_bench.live.recording import BRIDGE, RECORDER, Readiness, recorder_failure
+from sma_bench.live.recording import BRIDGE, RECORDER, RUN_STATES, Readiness, recorder_failure
 from sma_bench.live.run import ABORTED, IDLE, ClosedLoop, OpenLoop, Run, Surroundings
 from sma_bench.nodes.base import DRIVER, BenchNode, be_punctual
 from sma_bench.physics.boundary import moves_tip
@@ -65,6 +65,9 @@ class ExperimentNode(BenchNode):
                                  newest=True)
         self.create_subscription(String, BRIDGE, self.on_bridge, ros.LATCHED)
         self.create_subscription(String, RECORDER, self.on_recorder, ros.LATCHED)
+        self._others = RUN_STATES - {f"{self.get_name()}/state"}
+        for topic in self._others:
+            self.create_subscription(String, topic, partial(self.on_other, topic), ros.LATCHED)
         self.serve(start=lambda: self._run.start(time.monotonic(), self._plan),
                    stop=self._run.stop, reset=self._run.reset)
         self._ticked, period = 0, 1.0 / settings["command_rate"]
@@ -128,6 +131,9 @@ class ExperimentNode(BenchNode):
         self._guard.recorder(recorder_failure(message.data))
         self._readiness.recorder(message.data, time.monotonic())
 
+    def on_other(self, topic: str, message: String) -> None:
+        self._readiness.other(topic, message.data)
+
     def on_power(self, channel: str, message: BatteryState) -> None:
         now, limits = time.monotonic(), Limits.from_parameters(self.parameters)
         stamp = ros.seconds_of(message)
@@ -164,9 +170,10 @@ class ExperimentNode(BenchNode):
         return protocol
 
     def surroundings(self) -> Surroundings:
+        topics = (BRIDGE, RECORDER, *self._others)
         return Surroundings(self._command.get_subscription_count() > 0,
                             self._bench_clock.now().nanoseconds > 0,
-                            {name for name in (BRIDGE, RECORDER) if self.count_publishers(name)},
+                            {name for name in topics if self.count_publishers(name)},
                             lambda: list(ros.recorded_topics(self)))
 
     def send(self, voltage: list[float]) -> None:

@@ -277,4 +277,7 @@ def _run(name: str, argv: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) < 2 or sys.argv[1] not in (*NODES, CONTAINER):
+        print(f"expected one of {', '.join(NODES)}, {CONTAINER}", file=sys.stderr)
+        sys.exit(2)
     _run(sys.argv[1], sys.argv[2:])

@@ -62,7 +62,7 @@ class Parameter:
         types, expected = _EXPECTED[self.kind]
         fits = isinstance(value, types) and isinstance(value, bool) == (self.kind == "bool")
         if not fits or (self.kind == "strings" and not all(isinstance(i, str) for i in value)):
-            expected += f" in {self.unit}" if self.unit else ""
+            expected += f" in {self.unit}" if self.unit not in ("", "1") else ""
             raise InputError(f"{prefix}{self.name} is {value!r}, expected {expected}")
         if self.kind not in ("double", "integer"):
             return tuple(value) if self.kind == "strings" else value  # type: ignore[no-any-return]
@@ -78,7 +78,7 @@ class Parameter:
             slip = "times {:g} it would fit: wrong unit prefix?"
             hints = {number * factor: slip.format(factor) for factor in _UNIT_SLIPS}
         hint = next((f" ({hints[x]})" for x in hints if self.low <= x <= self.high), "")
-        unit = f" {self.unit}" if self.unit else ""
+        unit = f" {self.unit}" if self.unit not in ("", "1") else ""
         expected = f"expected {self.low:g} to {self.high:g}{unit}"
         raise InputError(f"{prefix}{self.name} is {number:g}{unit}, {expected}{hint}")
 
