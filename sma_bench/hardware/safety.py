@@ -453,6 +453,7 @@ class Guard:
               limits: Limits) -> None:
         """Note voltage in V and current in A; both NaN or infinite is not a reading."""
         wire, subject = self._wires[channel], f"{channel}/power"
+        least = min(wire.sent, default=0.0)  # that a reading between two brief pulses misses
         wire.power(volt, ampere, stamp, limits)
         if math.isfinite(volt) or math.isfinite(ampere):
             self._fresh[subject].seen(stamp, now)
@@ -462,7 +463,7 @@ class Guard:
         idle = limits.allowed_deviation(0.0)
         if volt > idle:
             wire.asked = wire.unanswered = math.nan
-        elif math.isfinite(volt) and limits.reading(wire.asked) > 2.0 * idle:
+        elif math.isfinite(volt) and limits.reading(least) > 2.0 * idle and wire.asked > 0.0:
             wire.unanswered = wire.asked
 
     def boards(self, amperes: Sequence[float], volts: Sequence[float], now: float,

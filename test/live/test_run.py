@@ -130,6 +130,20 @@ def test_a_run_too_brief_for_the_rule_of_its_volts_to_break_is_not_done_without_
         bench.run.reset()
 
 
+def test_a_pulse_between_two_readings_is_done_though_no_reading_shows_it():
+    bench = Bench({"name": "brief", "steps": [
+        {"kind": "rest", "duration": 0.18}, {"kind": "hold", "level": 3.0, "duration": 0.06},
+        {"kind": "rest", "duration": 0.3}]})
+    assert bench.start()[0]
+    for k in range(100):
+        bench.now += PERIOD
+        if k % 10 == 0:
+            bench.read()
+        bench.run.tick(bench.now, bench.now)
+        bench.run.watch(bench.now, bench.plan)
+    assert max(volts for volts, in bench.sent) == 3.0 and bench.state == "done: brief"
+
+
 def test_what_keeps_a_run_from_starting_is_said_and_nothing_is_driven():
     bench = Bench(WAITS)
     bench.told = None
