@@ -66,7 +66,7 @@ def test_a_deviation_is_the_stated_one_else_the_tables_of_a_stated_value_else_th
     assert "has no uncertainty" in complaint(p.std, "bench.maximum_voltage")
 
 
-ONLY_WITH_OTHERS = ("start_temperature", "finish_temperature", "end_length", "skew")
+ONLY_WITH_OTHERS = ("start_temperature", "finish_temperature", "end_length", "skew", "stiffening")
 
 
 @settings(max_examples=30)
