@@ -229,7 +229,7 @@ def hostile_drive(rng: random.Random, folder: Path) -> Case:
 
 
 def hostile_yaml(rng: random.Random, folder: Path) -> Case:
-    """A bag whose metadata, or the parameters beside it, are altered."""
+    """A bag whose metadata, or the parameters with it, are altered."""
     bag = _bag(rng, folder / "bag", list(drive().signals.values()))
     good, path = PARAMETERS, folder / "p.yaml"
     if rng.random() < 0.3:
@@ -254,7 +254,7 @@ def hostile_instrument(rng: random.Random, folder: Path) -> Case:
 
 
 def hostile_table(rng: random.Random, folder: Path) -> Case:
-    """A table of another logger that is altered, or the map beside it."""
+    """A table of another logger that is altered, or the map with it."""
     path, beside = folder / "table.csv", folder / "map.yaml"
     path.write_bytes(mutated(rng, GOOD["table.csv"]) if rng.random() < 0.7 else GOOD["table.csv"])
     beside.write_bytes(hostile_document(rng, MAP))

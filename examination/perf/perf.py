@@ -16,7 +16,7 @@ SECTIONS = {
     "commands": ("work", "help, identification, diagnosis; a diagnosis with nothing compiled"),
     "diagnosis": ("work", "development cases; records of 10 minutes to 8 hours"),
     "identification": ("work", "E10 over minutes to an hour, memory"),
-    "nodes": ("nodes", "the simulator's rates and latency beside a bare pair of rclpy")}
+    "nodes": ("nodes", "the simulator's rates and latency against a bare pair of rclpy")}
 
 
 def main(argv: list[str]) -> int:

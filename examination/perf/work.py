@@ -53,7 +53,7 @@ def staircase_bag(bag: Path, duration: float) -> Path:
 
 
 def reading(tiny: bool = False) -> Iterator[Figure]:
-    """A bag, beside what one would pick instead, message by message."""
+    """A bag, against what one would pick instead, message by message."""
     from mcap_ros2.reader import read_ros2_messages
     from rosbags.rosbag2 import Reader
 

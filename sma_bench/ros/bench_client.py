@@ -28,7 +28,7 @@ _SPIN, _PATIENCE = 0.05, 60.0  # s
 _MATCHING = 0.3  # s that a server takes to match a client, whose answers are lost until then
 _STOPPING = 5.0  # s that the experiment node may take to answer a stop
 _BUSY = re.compile(r"busy: (\d+) %, (.*)")
-_DISCOVERY = 10.0  # s in which the experiment finds readings that are there
+_DISCOVERY = 30.0  # s in which the experiment finds readings and a recorder that are there
 
 
 class NodeCalls:
@@ -156,15 +156,14 @@ class NodeCalls:
                 try:
                     # On a busy machine it may know of the last recorder's end for a while, and not
                     # yet of ours.
-                    begin = time.monotonic()
+                    end = time.monotonic() + _DISCOVERY
                     while True:
                         try:
                             self.trigger("experiment/start", _PATIENCE)
                             break
-                        except InputError as error:
+                        except InputError:
                             look()
-                            patience = _PATIENCE if "recorder" in str(error) else _DISCOVERY
-                            if time.monotonic() - begin > patience:
+                            if time.monotonic() > end:
                                 raise
                     self.wait(name, is_done, seconds * 2.0 + _PATIENCE)
                 except BaseException:
