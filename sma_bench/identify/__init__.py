@@ -1,4 +1,4 @@
-"""Parameters from records, a file an experiment of the paper, or those that a staircase tells."""
+"""Parameters from records: one file per experiment of the paper, or per kind of staircase."""
 
 from sma_bench.estimation.estimate import Estimate
 from sma_bench.identify.identification import EXPERIMENTS, identify

@@ -1,6 +1,6 @@
-"""Where one branch of strain over temperature begins to transform and where it ends: by crossings
-of tangents before, along and after its steepest part (practice of ASTM F2082 and E3097), and by the
-cosine of eqs. (10), (11) between the outer two."""
+"""Start and finish of the transformation in one branch of strain over temperature: crossings of
+tangents before, along and after its steepest part (practice of ASTM F2082 and E3097), and a cosine
+of eqs. (10), (11) fitted between the outer two lines."""
 
 import math
 from collections.abc import Sequence
@@ -18,29 +18,30 @@ from sma_bench.identify.result import refusal
 from sma_bench.parameters import Parameters
 from sma_bench.records.instruments import Branch
 
-_COSINE_WIDTH = 0.5 * math.pi  # of the steepest tangent's, which takes 2/pi of a cosine's
+_COSINE_WIDTH = 0.5 * math.pi  # width of a cosine ramp over that of its steepest tangent
 _FEWEST_BINS = 30
-# Shares of the strain; the first choices are reported, the others tell their error.
-_STRAIGHT = (0.015, 0.010, 0.025)  # that points may lie off an outer line
-_STEEP = (0.4, 0.3, 0.6)  # that transform along the steep one
-_SMALLEST_STEP = 12.0  # of the scatter
+# Tangents are drawn with every combination: the first is the result, the spread is in its error.
+_STRAIGHT = (0.015, 0.010, 0.025)  # distance of points from an outer line, over the strain's range
+_STEEP = (0.4, 0.3, 0.6)  # share of the material that transforms along the steep line
+_SMALLEST_STEP = 12.0  # least range of strain, in standard deviations of its scatter
 _SHORTEST_LINE = 5  # points
-_SHORT, _TOO_STEEP = 0.10, 0.10  # shares of the branch, and of its largest slope
-_LAG, _LAG_STRAIN = 0.10, 0.05  # shares of the branch and its strain, in which a specimen lags
-_NARROWEST = 0.2  # K
-# Widths beyond the range in which points are used: where that matters, it is in the errors.
-_MARGINS = (1.0, 0.5)
+_SHORT = 0.10  # of the branch: an outer line over less is not a straight end
+_TOO_STEEP = 0.10  # of the largest slope: nor is a steeper line
+_LAG = 0.10  # of the branch: in it a specimen may still move the old way after a reversal
+_LAG_STRAIN = 0.05  # of the strain's range: least such motion that counts as lag
+_NARROWEST = 0.2  # K, least width of a cosine
+_MARGINS = (1.0, 0.5)  # widths beyond the cosine's ends: refits use the points up to there
 Number = tuple[float, float]  # value and standard error
 
 
 class Bins(NamedTuple):
-    """Even intervals of temperature, `which` (n,) by reading: dwells do not outweigh the rest."""
+    """Equal intervals of temperature, `which` (n,) by reading: dwells do not outweigh the rest."""
 
     which: NDArray[np.intp]
 
     @classmethod
     def of(cls, t: Array, most: int = 200, rising: bool = True) -> "Bins":
-        """At most `most` of t (n,) K, numbered from the cold end, or from the hot one."""
+        """At most `most` bins of t (n,) K, numbered from the cold end (`rising`) or the hot one."""
         width = float(np.ptp(t)) / most
         index = np.floor((t - t.min() if rising else t.max() - t) / width).astype(int)
         return cls(np.unique(index, return_inverse=True)[1])
@@ -51,14 +52,14 @@ class Bins(NamedTuple):
 
 
 class StrainTangents(NamedTuple):
-    """What the tangents of one branch give; errors hold scatter and other stretches for lines."""
+    """Result of the tangents of one branch; errors include scatter and other choices of lines."""
 
-    start: Number  # K, in the order of transformation: on cooling the higher one
+    start: Number  # K; on cooling it is the higher one
     finish: Number  # K
-    step: Number  # of the strain by which the outer lines differ half-way
+    step: Number  # strain between the outer lines, half-way between start and finish
     cold: Line
     hot: Line
-    short: tuple[bool, bool]  # whether cold and hot line are no straight end of a whole branch
+    short: tuple[bool, bool]  # True where the cold, the hot end of the branch is not straight
 
     def polyline(self, branch: Branch) -> Array:
         """(4, 2) K and strain: the three tangents from the branch's cold end to its hot one."""
@@ -75,9 +76,9 @@ class StrainTangents(NamedTuple):
 
 
 def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTangents:
-    """Start, finish and transformation strain of one branch. `companion`: the other of the cycle,
-    whose slope the line takes where this one was turned round before its end was straight. Raises
-    InputError: too few points, or no transformation stands out of the scatter."""
+    """Start, finish and transformation strain of one branch. `companion`: the other one of
+    the cycle; where this one was reversed before it became straight, its outer line takes the
+    companion's slope. InputError: too few points, or no transformation beyond the scatter."""
     binned = [(Bins.of(one.temperature), one) for one in (branch, companion) if one]
     means = [(bins.mean(one.temperature), bins.mean(one.strain)) for bins, one in binned]
     (t, strain), *others = means
@@ -87,7 +88,7 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
     noise = scatter(strain)
     if span < _SMALLEST_STEP * noise:
         raise refusal("no transformation", way=way, span=span, noise=noise)
-    # All ways to draw the lines: the first one counts, the others tell its error.
+    # Draw the lines in all ways: the first is the result, their spread enters its error.
     drawn = []
     for straight in _STRAIGHT:
         outer = _outer_lines(t, strain, others, straight)
@@ -104,7 +105,7 @@ def strain_tangents(branch: Branch, companion: Branch | None = None) -> StrainTa
 
 
 def _gap_at(t: Array, where: float) -> float:
-    """By how much the two points around a crossing lie further apart than points usually do."""
+    """Spacing of the points around `where` beyond twice the usual spacing, at least 0."""
     steps = np.diff(t)
     here = steps[(t[:-1] <= where) & (t[1:] >= where)]
     return max(float(np.max(here, initial=0.0)) - 2.0 * float(np.median(steps)), 0.0)
@@ -112,7 +113,7 @@ def _gap_at(t: Array, where: float) -> float:
 
 def _outer_lines(t: Array, strain: Array, others: list[tuple[Array, Array]],
                  straight: float) -> list[tuple[Line, bool]]:
-    """Cold and hot line of a rising branch and whether they are short; `others`: as in a cycle."""
+    """Cold and hot line, each with whether it is short; `others`: the companion's (t, strain)."""
     found = []
     for sign in (1, -1):
         # The hot line is the cold one of the branch read backwards, its temperature negated.
@@ -120,7 +121,7 @@ def _outer_lines(t: Array, strain: Array, others: list[tuple[Array, Array]],
         line, is_short = _outer_line(x, y, straight)
         for other, other_strain in others if is_short else ():
             beside, _ = _outer_line(sign * other[::sign], other_strain[::sign], straight)
-            if abs(beside.slope) < abs(line.slope):  # that slope, through this branch's end
+            if abs(beside.slope) < abs(line.slope):  # its slope, through the end of this branch
                 x, y = x[:_SHORTEST_LINE], y[:_SHORTEST_LINE]
                 line = replace(beside, at=float(x.mean()), value=float(y.mean()),
                                value_variance=float(y.var()) / _SHORTEST_LINE)
@@ -129,11 +130,11 @@ def _outer_lines(t: Array, strain: Array, others: list[tuple[Array, Array]],
 
 
 def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
-    """Line along the beginning of a rising branch, as far as it is straight."""
-    # Where points are few, second differences are bends, not scatter: hence the limit.
+    """Line along the straight beginning of a branch; whether it is too short or too steep."""
+    # With few points, second differences show curvature, not scatter: hence the upper limit.
     span = float(np.ptp(strain))
     tolerance = max(straight * span, min(3.0 * scatter(strain), 2.0 * straight * span))
-    # First point to use: after a reversal a lagging specimen goes on the old way for a while.
+    # First point to use: after a reversal, a lagging specimen moves the old way for a while.
     near = np.flatnonzero(t <= t[0] + _LAG * (t[-1] - t[0]))
     middle = 0.5 * (strain[0] + strain[-1])
     furthest = int(np.argmax(np.abs(strain[near] - middle)))
@@ -143,15 +144,15 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
     longest = _SHORTEST_LINE
     for count in range(_SHORTEST_LINE, len(t) - _SHORTEST_LINE):
         left = strain[:count] - straight_line(t[:count], strain[:count])(t[:count])
-        # A run of points on one side tells a bend long before the largest residual does.
+        # When the last points all lie on one side, the line bends: the largest residual is later.
         run = abs(float(np.mean(left[-max(count // 5, 3) :])))
         if run < 0.5 * tolerance and np.max(np.abs(left)) < 2.0 * tolerance:
             longest = count
         elif count > 3 * longest:
             break
     line = straight_line(t[:longest], strain[:longest])
-    times, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
-    centred = times - times.mean(axis=1, keepdims=True)
+    kelvins, strains = (sliding_window_view(values, _SHORTEST_LINE)[:-1] for values in (t, strain))
+    centred = kelvins - kelvins.mean(axis=1, keepdims=True)
     slopes = np.sum(centred * strains, axis=1) / np.sum(centred**2, axis=1)
     is_steep = abs(line.slope) > _TOO_STEEP * float(np.max(np.abs(slopes)))
     return line, is_steep or float(np.ptp(t[:longest])) < _SHORT * float(np.ptp(t))
@@ -159,8 +160,8 @@ def _outer_line(t: Array, strain: Array, straight: float) -> tuple[Line, bool]:
 
 def _draw(t: Array, strain: Array, cold: Line, hot: Line,
           width: float) -> tuple[Array, Array] | None:
-    """With the steep line where the share `width` of the material transforms: cold and hot crossing
-    [K] and the step of strain, (3,), and their variances; None where the lines do not cross so."""
+    """Cold and hot crossing [K] and strain step, (3,), and their variances, the steep line drawn
+    where a share `width` of the material transforms fastest; None without such crossings."""
     gap = cold(t) - hot(t)
     share = np.divide(strain - hot(t), gap, out=np.full_like(gap, np.nan), where=gap != 0.0)
     best, steepest = None, 0.0
@@ -172,16 +173,16 @@ def _draw(t: Array, strain: Array, cold: Line, hot: Line,
         steepness = (share[first] - share[last]) / (t[last] - t[first])
         if steepness > steepest:
             best, steepest = slice(int(first), last + 1), float(steepness)
-    if best is None or not float(np.var(strain[best])) > 0.0:  # or too small for their squares
+    if best is None or not float(np.var(strain[best])) > 0.0:  # or strains too small to be squared
         return None
-    # Where the curve is steep the error is in temperature: regress it on strain.
+    # On the steep part the error is in temperature: regress temperature on strain.
     x, y = t[best], strain[best]
     inverse = straight_line(y, x)
     if inverse.slope == 0.0:
         return None
     n, slope = len(x), 1.0 / inverse.slope
     value, of_slope = inverse.value_variance, inverse.slope_variance
-    if n <= 3:  # two points leave no scatter: a third of their distance stands for it
+    if n <= 3:  # too few points for a scatter: take a third of their distance
         variance = float(np.ptp(x) / 3.0) ** 2
         value, of_slope = variance / n, variance / float(n * np.var(y))
     steep = Line(float(x.mean()), float(y.mean()), slope, value * slope**2, of_slope * slope**4)
@@ -197,35 +198,35 @@ def _draw(t: Array, strain: Array, cold: Line, hot: Line,
 
 
 class BranchCosine(NamedTuple):
-    """The cosine of eqs. (10), (11) that one branch follows."""
+    """Cosine of eqs. (10), (11) fitted to one branch."""
 
     start: Number  # K, in the order of transformation
     finish: Number  # K
-    step: Number  # of the strain by which the outer lines differ in mid-range
-    rms: float  # of what the cosine leaves, over the step
+    step: Number  # strain between the outer lines in mid-range
+    rms: float  # residual over the step
     temperature: Array  # (n,) K, for figures
     strain: Array  # (n,), fitted
 
 
 def fit_cosine(branch: Branch, tangents: StrainTangents, parameters: Parameters,
                stress: float) -> BranchCosine:
-    """Least squares of one branch; the tangents give the start, and the slope at an end that is not
-    straight. Errors hold coloured scatter, the choice of the points, the moduli's errors and gaps
-    of the logging. `stress`: Pa; 0 where strain has no unit."""
+    """Least-squares fit to one branch from the tangents, whose slope is kept at an end that is not
+    straight. Errors include correlated scatter, the choice of points, the moduli's errors and gaps
+    in the log. `stress`: Pa; 0 where strain has no unit."""
     bins = Bins.of(branch.temperature)
     t, begin = bins.mean(branch.temperature), np.sort(tangents.cosine_ends())
     outer = zip((tangents.cold, tangents.hot), tangents.short, strict=True)
     given = [line.slope if short else None for line, short in outer]
     ends, variance, slopes, step, model, left = _fit(branch, bins, begin, given, parameters, stress)
-    # Other choices of the points, with the lines as they are; and without the bow.
+    # Refit to other choices of points, with the lines kept; and without the term of eq. (7).
     windows = [ends + m * float(np.ptp(ends)) * np.array([-1.0, 1.0]) for m in _MARGINS]
     others = [_fit(branch, bins, ends, slopes, parameters, stress, window) for window in windows]
     tried = [ends, *(own for own, *_ in others)]
     steps = [step[0], *(own_step[0] for _, _, _, own_step, *_ in others)]
-    doubt = math.hypot(*(parameters.std(name) / parameters[name] for name in MODULI))
+    of_moduli = math.hypot(*(parameters.std(name) / parameters[name] for name in MODULI))
     plain = _fit(branch, bins, ends, given, parameters, 0.0)[0] if stress else ends
     gaps = np.array([_gap_at(t, float(end)) for end in ends]) / math.sqrt(12.0)
-    std = np.sqrt(variance + np.var(tried, axis=0) + (doubt * (ends - plain)) ** 2 + gaps**2)
+    std = np.sqrt(variance + np.var(tried, axis=0) + (of_moduli * (ends - plain)) ** 2 + gaps**2)
     low, high = zip(ends.tolist(), std.tolist(), strict=True)
     start, finish = (low, high) if branch.direction == "heating" else (high, low)
     rms = float(np.sqrt(np.mean(left**2))) / max(abs(step[0]), 1e-12)
@@ -237,9 +238,9 @@ def _fit(branch: Branch, bins: Bins,
          begin: Array, slopes: Sequence[float | None], parameters: Parameters, stress: float,
          window: Array | None = None) -> tuple[Array, Array, list[float], Number, Array, Array]:
     """Strain eps = xi cold(T) + (1 - xi) hot(T) + sigma [1/E(xi) - xi/E_M - (1 - xi)/E_A], whose
-    bracket is the bow of eq. (7). `begin`: (2,) K, where the search starts; `slopes`: of lines that
-    are given, None where free; `window`: (2,) K between which points count. Returns the ends (2,) K
-    and their variances, both slopes, the step, the model (n,) and what it leaves (n,)."""
+    bracket comes from eq. (7). `begin`: (2,) K, start of the search; `slopes`: of the outer lines,
+    None where fitted; `window`: (2,) K, range of the points used. Returns the ends (2,) K and their
+    variances, both slopes, the step, the model (n,) and its residual (n,)."""
     from scipy.optimize import least_squares  # half a second to load
     raw, (soft, stiff) = branch.temperature, (parameters[name] for name in MODULI)
     t, strain = bins.mean(raw), bins.mean(branch.strain)
@@ -248,7 +249,7 @@ def _fit(branch: Branch, bins: Bins,
     inside = (t >= low) & (t <= high)
 
     def parts(x: Array) -> tuple[Array, Array]:
-        """(n,) known strain and (n, k) columns of the free parts; `x` lower end and width, K."""
+        """(n,) known strain and (n, k) columns of the linear unknowns; `x`: lower end, width, K."""
         xi = 0.5 + 0.5 * np.cos(np.pi * np.clip((raw - x[0]) / x[1], 0.0, 1.0))
         straight = xi / soft + (1.0 - xi) / stiff
         known = stress * (1.0 / (stiff + xi * (soft - stiff)) - straight)
@@ -285,7 +286,7 @@ def _fit(branch: Branch, bins: Bins,
     correlated = inflation(autocorrelation([left])) * n / max(n - count, 1)
     rows = scaled * left[:, None]
     covariance = bread @ (rows.T @ rows) @ bread * correlated / np.outer(size, size)
-    # The distance of the lines in the middle, to which slopes that are given add.
+    # The step: distance of the lines in the middle, to which slopes that are kept contribute.
     to_ends = np.array([[1.0, 0.0], [1.0, 1.0]])
     ends = to_ends @ x
     middle, remaining = float(np.mean(ends)), weights.tolist()

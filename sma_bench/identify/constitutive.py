@@ -3,13 +3,13 @@
     eps = eps_ref + sigma/E(xi) - Theta_T (T - T_inf)/E(xi) - eps_L (1 - xi)
 
 are eqs. (6) to (11) under constant stress, cosines shifted by sigma/C_A and sigma/C_M: the law
-"contract". The law "extended" replaces what untrained material does not obey:
+"contract". The law "extended" changes what does not hold for untrained material:
 
 - eps_L becomes H(sigma) = H_min + dH (1 - exp(-k sigma)) (Lagoudas, Shape memory alloys, 2008);
 - A_s ... M_f each have a slope, and each direction a bend, T = T_0 + slope sigma + bend sigma^2;
-- expansion is alpha_A + xi (alpha_M - alpha_A), not larger of the softer phase;
-- martensite's strain fades with warming, H (1 - fading (T - T_ref));
-- irrecoverable strain grows with the material transformed (Lagoudas and Entchev, 2004).
+- thermal expansion is alpha_A + xi (alpha_M - alpha_A), instead of one Theta_T over E(xi);
+- martensite's strain decreases with temperature, H (1 - fading (T - T_ref));
+- irrecoverable strain grows with the fraction transformed (Lagoudas and Entchev, 2004).
 
 eps_ref, free in every loop, and irrecoverable strain enter linearly and are eliminated exactly."""
 
@@ -37,16 +37,16 @@ from sma_bench.progress import Report, part, silent
 from sma_bench.records.instruments import STRONGEST, Branch, Cycle, IsobaricRecord
 
 Law = Literal["contract", "extended"]
-# Transitions of a direction, the colder one first.
+# Transition temperatures of a direction, the lower one first.
 _ENDS = {"heating": ("A_s", "A_f"), "cooling": ("M_f", "M_s")}
 _REFERENCE_STRESS = 100e6  # Pa, unit of stress within the fit
-_TOLERANCE = 0.05  # rms over the recovered strain
+_TOLERANCE = 0.05  # rms residual over the recovered strain up to which a law is good enough
 _STARTS, _SEED = 5, 7
 _BINS = 150  # of a branch
-_NARROWEST = 0.2  # K
-_AT_BOUND = 1e-3  # of the distance of the bounds
+_NARROWEST = 0.2  # K, least width of a transformation
+_AT_BOUND = 1e-3  # of the range between the bounds
 _SIGNIFICANT = 2.0  # standard errors
-_STIFFEST = 90e9  # Pa, of any NiTi
+_STIFFEST = 90e9  # Pa, largest modulus of any NiTi
 _UNITS = {**dict.fromkeys(TRANSITIONS, "K"), "eps_L": "1", "H_min": "1", "dH": "1",
           "k": "1/(100 MPa)", "alpha_A": "1e-6/K", "alpha_M": "1e-6/K", "Theta_T": "MPa/K",
           "fading": "1e-3/K", "bend_A": "K/(100 MPa)^2", "bend_M": "K/(100 MPa)^2"}
@@ -58,7 +58,7 @@ class Loop(NamedTuple):
 
     label: str
     stress: float  # Pa
-    branches: tuple[tuple[Branch, Bins], ...]  # with the bins of their temperature, in order
+    branches: tuple[tuple[Branch, Bins], ...]  # in order, each with its temperature bins
     temperature: Array  # (n,) K, means over the bins
     strain: Array  # (n,)
     ends: dict[str, float]  # A_s ... M_f in K, by the tangents
@@ -86,7 +86,7 @@ def loop_of(record: IsobaricRecord, cycle: Cycle) -> Loop:
 
 class LawFit(NamedTuple):
     """The fitted law: unknowns (p,) in K, strain, 1e-6/K, MPa/K (Theta_T), per 100 MPa (slopes,
-    k); `fixed`: what the data cannot give; `left` (n,) of each loop."""
+    k); `fixed`: numbers that the data do not determine; `left`: residuals (n,) of each loop."""
 
     law: Law
     names: tuple[str, ...]
@@ -111,7 +111,7 @@ def fit_constitutive(records: Sequence[IsobaricRecord], parameters: Parameters,
     """Fit the law to all stresses and cycles of one material at once: the contract's where its rms
     is below 5 % of the recovered strain at every stress, else the extended one. `details`: every
     fitted number and the fit error per stress; `curves`: `<record, cycle>/temperature`, `/strain`,
-    `/model`. `parameters`: E_A and E_M, which no isobaric test tells from eps_L, and C_A, C_M for
+    `/model`. `parameters`: E_A and E_M, which isobaric tests cannot tell from eps_L; C_A, C_M for
     tests at one stress. InputError: no records, or too few points."""
     if not records:
         raise InputError("constitutive fit: no records")
@@ -158,8 +158,8 @@ def _slopes(law: Law, ends: Sequence[str]) -> list[str]:
 
 def _strain(law: Law, p: Mapping[str, float], loop: Loop,
             elastic: tuple[float, float, float]) -> tuple[Array, Array]:
-    """Strain (n,) without its free parts, and their columns (n, 1 or 2): reference strain and, of
-    the extended law, what has transformed so far. `elastic`: E_A, E_M [Pa], K of no expansion."""
+    """Strain (n,) without its linear unknowns, and their columns (n, 1 or 2): reference strain and,
+    in the extended law, fraction transformed so far. `elastic`: E_A, E_M [Pa] and T_inf [K]."""
     (stiff, soft, ambient), s = elastic, loop.stress / _REFERENCE_STRESS
     grown, strains, columns, transformed = _grown(p, s), [], [], 0.0
     xi_reversed = 1.0 if loop.branches[0][0].direction == "heating" else 0.0
@@ -169,7 +169,7 @@ def _strain(law: Law, p: Mapping[str, float], loop: Loop,
         low, high = (p[e] + p[n] * s + bend for e, n in zip(ends, _slopes(law, ends), strict=True))
         width = max(high - low, _NARROWEST)
         left = 0.5 + 0.5 * np.cos(np.pi * np.clip((t - low) / width, 0.0, 1.0))
-        if not rising:  # eq. (11) is martensite; what vanishes on cooling is austenite
+        if not rising:  # eq. (11) gives martensite; the phase that is left on cooling is austenite
             left = 1.0 - left
         share = left / left[0] if left[0] > 1e-9 else left
         xi = xi_reversed * share if rising else 1.0 - (1.0 - xi_reversed) * share
@@ -193,8 +193,8 @@ def _strain(law: Law, p: Mapping[str, float], loop: Loop,
 
 def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
              report: Report = silent) -> LawFit:
-    """Fit one law to all loops, residuals in units of the strain recovered. Errors hold coloured
-    scatter and the uncertainty of E_A and E_M."""
+    """Fit one law to all loops, residuals in units of the recovered strain. Errors include
+    correlated scatter and the uncertainty of E_A and E_M."""
     from scipy.optimize import least_squares  # half a second to load
     unknowns, fixed = _unknowns(loops, law, parameters)
     total = sum(len(loop.strain) for loop in loops)
@@ -224,7 +224,7 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
                                        bounds=(low, high), x_scale=size, max_nfev=300))
     x = min(solutions, key=lambda s: s.cost).x
     left = tuple(left_of(x, loop) for loop in loops)
-    # Sandwich: each loop with its own scatter, all with one autocorrelation.
+    # Sandwich covariance: each loop with its own scatter, all with one autocorrelation.
     sides = [(np.minimum(x + step, high), np.maximum(x - step, low))
              for step in np.diag(1e-3 * size)]
     jacobian = np.column_stack([(residuals(up) - residuals(down)) / (up - down)[i]
@@ -239,7 +239,7 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
     for loop, own, rows in zip(loops, left, np.split(jacobian, begins), strict=True):
         meat += correlated * freedom * np.mean(own**2) / loop.recovered**2 * (rows.T @ rows)
     covariance = bread @ meat @ bread
-    # What the uncertainty of E_A and E_M adds.
+    # Contribution of the uncertainty of E_A and E_M.
     for name, moved in zip(MODULI, ((stiff, 1.001 * soft), (1.001 * stiff, soft)), strict=True):
         step = 1e-3 * parameters[name]
         slope = -bread @ jacobian.T @ ((residuals(x, moved) - residuals(x)) / step)
@@ -251,7 +251,7 @@ def _fit_law(loops: Sequence[Loop], law: Law, parameters: Parameters,
 
 def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
               ) -> tuple[dict[str, tuple[float, float, float, float]], dict[str, float]]:
-    """Start (by the tangents), bounds and a typical size of every unknown; and what is fixed."""
+    """Start (by the tangents), bounds and typical size of every unknown; and the fixed numbers."""
     steps = np.abs([step for loop in loops for step in loop.steps.values()])
     if not len(steps):
         raise InputError("constitutive fit: no loop shows a transformation")
@@ -261,12 +261,12 @@ def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
     unknowns, fixed = dict[str, tuple[float, float, float, float]](), dict[str, float]()
     for ends in _ENDS.values():
         slopes, influence = _slopes(law, ends), SYMBOLS[f"C_{ends[0][0]}"]
-        # A stress beyond belief must not shift anything: temperatures stay as measured.
+        # An implausible stress must not shift temperatures: they stay as measured.
         slope = _REFERENCE_STRESS / parameters[influence] if stress.max() <= STRONGEST else 0.0
         read = [(loop.stress / _REFERENCE_STRESS, *(loop.ends[end] for end in ends))
                 for loop in loops if ends[0] in loop.ends]
         if not read:
-            # A direction without a branch plays no part; any numbers will do.
+            # Without a branch in this direction, these numbers have no effect.
             fixed |= {n: parameters[TRANSITIONS[n]] for n in ends} | dict.fromkeys(slopes, slope)
             continue
         s, *kelvin = np.array(read).T
@@ -277,7 +277,7 @@ def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
         low, high = (float(np.median(k - slope * s)) for k in kelvin)
         for name, value in zip(ends, (low, max(high, low + 1.0)), strict=True):
             unknowns[name] = (value, value - 80.0, value + 80.0, 4.0)
-        if several:  # C from 1 MPa/K on
+        if several:  # at most 90 K per 100 MPa: C of 1.1 MPa/K or more
             first = float(np.clip(slope, 1.0, 90.0))
             unknowns |= dict.fromkeys(slopes, (first, -5.0, 100.0, 2.0))
         else:
@@ -305,7 +305,7 @@ def _unknowns(loops: Sequence[Loop], law: Law, parameters: Parameters,
 
 def _estimates(fit: LawFit, parameters: Parameters,
                findings: list[Finding]) -> tuple[dict[str, Estimate], Correlation]:
-    """The contract's parameters that records show, in their ranges, and the errors' correlation."""
+    """The contract's parameters that the records determine, and the correlation of their errors."""
     largest = max(loop.stress for loop in fit.loops)
     if largest > STRONGEST:
         findings.append(remark("no constitutive law"))
@@ -316,7 +316,7 @@ def _estimates(fit: LawFit, parameters: Parameters,
         p = fit.fixed | dict(zip(fit.names, values.tolist(), strict=True))
         found = {name: p[name] for name in TRANSITIONS}
         for ends in _ENDS.values():
-            # The secant from zero to the largest stress: with a bend there is no one slope.
+            # Secant from zero to the largest stress, as a bend makes the slope vary.
             slope = sum(p[name] for name in _slopes(fit.law, ends)) / 2.0
             found[f"C_{ends[0][0]}"] = slope + p.get(f"bend_{ends[0][0]}", 0.0) * top
         theta = -1e-6 * p["alpha_M"] * parameters[MODULI[0]] if extended else 1e6 * p["Theta_T"]
@@ -346,21 +346,21 @@ def _estimates(fit: LawFit, parameters: Parameters,
             value = _REFERENCE_STRESS / slope
             found[label] = Estimate(value, value * std / slope, "Pa/K", method, n)
         elif not one_stress:
-            findings.append(remark("influence not told", subject=label, slope=slope, std=std))
+            findings.append(remark("C unresolved", subject=label, slope=slope, std=std))
     if not fit.loops[0].is_relative:
         where = "" if "eps_L" in fit.names else f", at the largest stress {largest / 1e6:.0f} MPa"
         found["eps_L"] = Estimate(values["eps_L"], error["eps_L"], "1", method + where, n)
-        # Thermal expansion is negative, and of the size of alpha E.
+        # Theta_T is negative and of the size of alpha E.
         value, std = values["Theta_T"], error["Theta_T"]
         if extended:
             std = math.hypot(std, value * parameters.std(MODULI[0]) / parameters[MODULI[0]])
         most = CONVECTION_FACTOR * NITI_EXPANSION[1] * _STIFFEST
-        is_told = not extended or abs(value) > _SIGNIFICANT * std
-        if is_told and -most - std < value < 2.0 * std and std < most:
+        is_resolved = not extended or abs(value) > _SIGNIFICANT * std
+        if is_resolved and -most - std < value < 2.0 * std and std < most:
             words = f"{method}, -alpha_M E_M" if extended else method
             found["Theta_T"] = Estimate(value, std, "Pa/K", words, n)
         else:
-            findings.append(remark("expansion not told", value=value, std=std))
+            findings.append(remark("Theta_T unresolved", value=value, std=std))
     found = {symbol: found[symbol] for symbol in SYMBOLS if symbol in found}
     chosen = [list(values).index(symbol) for symbol in found]
     sign = np.array([-1.0 if symbol in ("C_A", "C_M") else 1.0 for symbol in found])
@@ -371,7 +371,7 @@ def _estimates(fit: LawFit, parameters: Parameters,
 
 
 def _about_fits(fits: Sequence[LawFit]) -> Iterator[Finding]:
-    """Each law's error at each stress; bounds and givens of the last one."""
+    """Fit error of each law at each stress; unknowns at a bound and fixed numbers of the last."""
     for fit in fits:
         errors, fails = fit.errors, max(fit.errors.values()) >= _TOLERANCE
         more = f"; above {_TOLERANCE:.0%}" * fails

@@ -1,5 +1,5 @@
-"""Arithmetic of numbers with errors: how repeats join, and fits of lines to points that are all as
-good (`straight_line`), with a known covariance (`fit_linear`), or with errors both ways."""
+"""Arithmetic of numbers with errors: means of repeats, and line fits to points of equal weight
+(`straight_line`), with a known covariance (`fit_linear`), or with errors in x (`fit_slope`)."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -33,7 +33,7 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
     mean = float(np.sum(weights * values) / np.sum(weights))
     birge = math.sqrt(float(np.sum(weights * (values - mean) ** 2)) / (len(estimates) - 1))
     statistical = max(1.0, birge) / math.sqrt(float(np.sum(weights)))
-    # What is the same in every record does not average out.
+    # Systematic errors, the same in every record, do not average out.
     last = max(estimates, key=lambda e: e.systematic)
     method = f"{estimates[0].method}; weighted mean of {len(estimates)} records"
     return Estimate(mean, math.hypot(statistical, last.systematic), last.unit, method,
@@ -42,9 +42,9 @@ def combine(estimates: Sequence[Estimate]) -> Estimate:
 
 def mean_of_repeats(readings: Sequence[tuple[float, float]], scatter: float | None = None,
                     freedom: int = 0) -> tuple[float, float, float]:
-    """Mean of readings (value, own standard error) of one number, the standard error that their own
-    errors leave, and that of what they differ by beyond, grown as Student's t is. `scatter`:
-    variance between repeats where more of them, with `freedom`, tell it."""
+    """Mean of readings (value, own standard error) of one number, its error due to theirs, and that
+    due to scatter beyond theirs, enlarged like Student's t. `scatter`: variance between repeats, if
+    known from a larger set with `freedom` degrees of freedom."""
     values, n = [value for value, _ in readings], len(readings)
     own = float(np.mean([std**2 for _, std in readings]))
     if scatter is None:
@@ -55,7 +55,7 @@ def mean_of_repeats(readings: Sequence[tuple[float, float]], scatter: float | No
 
 
 def mean_and_deviation(readings: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """Mean and deviation of repeats (value, own standard error), not below the error of one."""
+    """Mean and deviation of repeats (value, own standard error); at least the mean's own error."""
     value, own = np.array(readings).T
     reading = math.sqrt(float(np.mean(own**2)) / len(value))
     deviation = float(np.std(value, ddof=1)) if len(value) > 1 else 0.0
@@ -63,10 +63,10 @@ def mean_and_deviation(readings: Sequence[tuple[float, float]]) -> tuple[float, 
 
 
 def diameter_error(parameters: Parameters) -> float:
-    """Relative, of the diameter by which a testing machine gave stress: as stated, else a lab's."""
+    """Relative error of the diameter that stress is computed from: stated, else the table's."""
     name = "wire.diameter"
-    careful = BY_NAME[name].uncertainty or 0.0
-    return (parameters.std(name) if name in parameters.given else careful) / parameters[name]
+    usual = BY_NAME[name].uncertainty or 0.0
+    return (parameters.std(name) if name in parameters.given else usual) / parameters[name]
 
 
 def scatter(values: Array) -> float:
@@ -76,7 +76,7 @@ def scatter(values: Array) -> float:
 
 @dataclass(frozen=True)
 class Line:
-    """Straight line y = value + slope (x - at), with variances that are independent at the mean."""
+    """Straight line y = value + slope (x - at), whose variances are independent at `at`."""
 
     at: float
     value: float
@@ -88,18 +88,17 @@ class Line:
         return np.asarray(self.value + self.slope * (x - self.at))
 
     def crossing(self, other: "Line") -> float:
-        """x where two lines meet, NaN where they do not."""
+        """x where two lines meet, NaN if they are parallel."""
         at_zero = other.value - self.value + self.slope * self.at - other.slope * other.at
         steeper = self.slope - other.slope
         return at_zero / steeper if steeper else math.nan
 
     def variance(self, x: float) -> float:
-        """Of y at x."""
         return self.value_variance + self.slope_variance * (x - self.at) ** 2
 
 
 def straight_line(x: Array, y: Array) -> Line:
-    """Least-squares line through points (n,) that are all as good, their scatter its error."""
+    """Least-squares line through points (n,) of equal weight; their scatter gives its errors."""
     centred = x - x.mean()
     power = float(centred @ centred)
     slope = float(centred @ y) / power
@@ -124,16 +123,16 @@ class LinearFit(NamedTuple):
 
 def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
     """Generalised least squares of values (n,) with a covariance (n, n) by a design (n, k), n > k.
-    Raises InputError for numbers so large or small that nothing can be solved with them."""
+    Raises InputError for numbers too large or too small to compute with."""
     try:
         factor = cholesky(covariance, lower=True, check_finite=False)
         whitened = solve_triangular(factor, design, lower=True, check_finite=False)
         target = solve_triangular(factor, values, lower=True, check_finite=False)
         if not np.isfinite(whitened).all() or not np.isfinite(target).all():
-            raise np.linalg.LinAlgError  # LAPACK would write on the terminal
+            raise np.linalg.LinAlgError  # else LAPACK writes to the terminal
         beta, *_ = np.linalg.lstsq(whitened, target, rcond=None)
     except np.linalg.LinAlgError:
-        raise InputError("readings that no bench has: no straight line fits them") from None
+        raise InputError("no straight line fits: readings too large or small") from None
     left = target - whitened @ beta
     freedom = max(len(values) - design.shape[1], 1)
     return LinearFit(np.asarray(beta), np.linalg.pinv(whitened.T @ whitened),
@@ -142,8 +141,8 @@ def fit_linear(design: Array, values: Array, covariance: Array) -> LinearFit:
 
 def fit_slope(columns: Sequence[Array | Mask], values: Array, covariance: Callable[[float], Array],
               slope: int = 1) -> LinearFit:
-    """`fit_linear` of values (n,) by k columns (n,) where what is on the abscissa has errors too,
-    which count through the slope: `covariance` of beta[slope] is (n, n)."""
+    """`fit_linear` of values (n,) by k columns (n,) where the abscissa has errors, too. They
+    enter times the slope: `covariance` gives the (n, n) covariance for beta[slope]."""
     design = np.column_stack(columns).astype(np.float64)
     at = float(np.linalg.lstsq(design, values, rcond=None)[0][slope])
     for _ in range(3):

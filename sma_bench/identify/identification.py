@@ -1,4 +1,4 @@
-"""From records to parameters: what each record holds, and which experiments it serves."""
+"""From records to parameters: which experiments the records allow, and the joining of results."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -50,23 +50,23 @@ NEEDS = {
     "E10": "E10 voltages of all channels with the deflection, ranges or elongation of a load",
 }
 EXPERIMENTS = tuple(NEEDS)
-_WHOLE_MODEL = 0.9  # of the time
-_LEAST_DRIVE = 0.05  # V
-_SMALL = 0.01  # of a mean
-# What an experiment on bags reads (E1 to E3 predict the last of it), and what numbers go with.
+_WHOLE_MODEL = 0.9  # of the progress
+_LEAST_DRIVE = 0.05  # V, least range of a voltage that can identify anything
+_SMALL = 0.01  # of a mean: repeats that differ by less are not reported
+# Signals that experiments on bags read (E1 to E3 predict the second); results computed with others.
 _READS = {"E1": ("voltage", "current"), "E2": ("voltage", "temperature"),
           "E3": ("voltage", "temperature"), "E8": ("temperature", "force")}
 _R, _H, _C_P = signals.RESISTANCE, signals.COEFFICIENT, signals.SPECIFIC_HEAT
-_GO_WITH = {_R: (_H, _C_P), _H: (_C_P,)}
+_COMPUTED_WITH = {_R: (_H, _C_P), _H: (_C_P,)}
 
 
 def identify(records: Sequence[AnyRecord], parameters: Parameters,
              experiments: Iterable[str] | None = None, report: Report = silent,
              phases: Mapping[str, Phase] | None = None) -> Identification:
-    """Identify what the records allow, as in `NEEDS`: E0 where no staircase gives E1 or E2; E10
-    takes the load frame's bags along. One bag's resistance serves another's ramps.
+    """Run the experiments that the records allow (`NEEDS`): E0 where no staircase gives E1 or E2;
+    E10 includes bags of the load frame. R from one bag is used for the ramps of another.
 
-    `experiments`: of EXPERIMENTS; all that the records hold when None, but E9 on clamped wires and
+    `experiments`: of EXPERIMENTS; None: all that the records allow, except E9 on clamped wires and
     isobaric files, which takes a minute; `phases`: of tensile tests, by pattern of file names.
     Raises InputError: an experiment is unknown or cannot be done, or nothing to identify at all."""
     wanted = frozenset(EXPERIMENTS if experiments is None else experiments)
@@ -81,7 +81,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     known = signals.sensors_of(bags, parameters)
     run = IdentificationRun(known, wanted, asked=experiments is not None)
     run.notes.extend(f for _, found in sound for f in found)
-    imposed = ["elongation"] if load_kind(known) == "displacement" else []  # as no wire moves
+    imposed = ["elongation"] if load_kind(known) == "displacement" else []  # no wire's response
     for k, record in enumerate(bags):
         run.notes.extend(record.findings)
         checked = [f for f in check_record(record) if f.subject not in imposed]
@@ -89,7 +89,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
         bags[k], left_out = comparable(record, checked)
         run.notes.extend(left_out)
     run.notes.extend(about_wire(known))
-    # Wires that move a load are identified by the whole model alone: their staircases bend it.
+    # Wires that move a load are identified by the whole model alone: E1 to E3 know no moving load.
     whole = _whole_model(run, bags, report)
     report(_WHOLE_MODEL if whole else 0.0, "experiments")
     still = [r for r in bags if not (whole and signals.moves(r, parameters))]
@@ -102,7 +102,7 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
             for name in ("E1", "E2", "E3"):
                 run.fail(name, str(error))
     _thermal(run, drives)
-    # E0 on all driven records without a staircase, or with steady states alone and no known c_p.
+    # E0 where no staircase gave E1 or E2, or E2 alone succeeded and c_p is neither found nor given.
     driven, kinds = None, ("current", "temperature")
     slow = not (run.of("E1") or run.of("E3") or _C_P in parameters.given)
     if not run.of("E9") and (slow or not (run.of("E1") or run.of("E2"))):
@@ -119,36 +119,36 @@ def identify(records: Sequence[AnyRecord], parameters: Parameters,
     run.keep_order(whole)
     _report_missing(run, records, drives)
     improved = run.improved()
-    # The estimates with what was stated of them and what is to be said of each.
+    # Each estimate with its stated value and the warnings that concern it.
     remarks: list[tuple[Finding, Experiment | None]] = [(note, None) for note in run.notes]
     remarks += [(f, e) for e in run.experiments for f in e.findings]
-    doubts: dict[str, set[str]] = {}  # names by line
+    warned: dict[str, set[str]] = {}  # parameter names by warning
     for finding, own in ((f, own) for f, own in remarks if f.severity != "info"):
         line = f"{own.name + ' ' if own else ''}{finding.subject}: {finding.text}"
-        doubts.setdefault(line, set()).update(_concerned(finding, own, run.experiments))
+        warned.setdefault(line, set()).update(_concerned(finding, own, run.experiments))
     estimates = {}
     for name, e in run.estimates.items():
         stated = Estimate(float(known[name]), known.std(name), e.unit)
-        about = tuple(line for line, names in doubts.items() if name in names)
+        about = tuple(line for line, names in warned.items() if name in names)
         stated_here = stated if name in known.given else None
         estimates[name] = replace(e, warnings=about, stated=stated_here)
-    fits: dict[str, SignalFit] = {}  # of every signal the worst of several records
+    fits: dict[str, SignalFit] = {}  # by quantity, the worst of all records
     for quantity, one in _fits(run, bags, drives, improved):
         fits[quantity] = max(fits.get(quantity, one), one, key=lambda own: own.badness)
     laws = next((e.laws for e in run.experiments if e.laws), ())
     others = {law.law: law.probability for law in laws[1:]}
     return Identification(improved, estimates, tuple(run.experiments), tuple(run.notes), fits,
-                          run.correlation(), tuple(doubts),
+                          run.correlation(), tuple(warned),
                           accounts=tuple(filter(None, map(account_line, records))),
                           law=Law(laws[0].law, laws[0].probability, others) if laws else None)
 
 
 def _concerned(finding: Finding, own: Experiment | None,
                experiments: Sequence[Experiment]) -> tuple[str, ...]:
-    """Names of the parameters that a remark is about: the one it names, with what goes with it;
-    those read from the signal that it names; else all of its experiment, or of all."""
+    """Names of the parameters that a remark concerns: the one it names and those computed with it;
+    those read from the signal that it names; else all of its experiment, or of all experiments."""
     if finding.subject in BY_NAME:
-        return (finding.subject, *_GO_WITH.get(finding.subject, ()))
+        return (finding.subject, *_COMPUTED_WITH.get(finding.subject, ()))
     named = tuple(SYMBOLS[s] for s in finding.subject.split(", ") if s in SYMBOLS)
     if named or (own is None and finding.subject in NEEDS):
         return named
@@ -156,14 +156,14 @@ def _concerned(finding: Finding, own: Experiment | None,
         return tuple(own.estimates)
     kind = finding.subject.rpartition("." if "." in finding.subject else "/")[2]
     reading = [e for e in experiments if kind in _READS.get(e.name, (kind,))]
-    direct = [(n, *_GO_WITH.get(n, ())) for e in reading for n in e.estimates]
+    direct = [(n, *_COMPUTED_WITH.get(n, ())) for e in reading for n in e.estimates]
     return tuple(dict.fromkeys(name for names in direct for name in names))
 
 
 def _whole_model(run: IdentificationRun, bags: Sequence[Record],
                  report: Report) -> Experiment | None:
-    """E10 where a record shows the bench moving, else E9 where one shows a load frame."""
-    moved = load_kind(run.given) == "displacement"  # a frame's pulls are then its input
+    """Run E10 if a record shows the bench moving, else E9 if one shows a load frame."""
+    moved = load_kind(run.given) == "displacement"  # then the frame's motion is an input
     bent, framed = [], []
     for r in bags:
         if signals.moves(r, run.given):
@@ -174,10 +174,10 @@ def _whole_model(run: IdentificationRun, bags: Sequence[Record],
     loaded = not all(is_clamped(record) for record in framed)
     if not (bent or framed) or name not in run.wanted:
         return None
-    if not (bent or loaded or run.asked):  # E8 tells Theta_T by it in a second
+    if not (bent or loaded or run.asked):  # E8 gives Theta_T in a second
         return None
     if bent or loaded:
-        # Above A_s a clamped wire pulls as no real wire bears: not to be mixed with held loads.
+        # Above A_s the model of a clamped wire predicts a force that no real wire bears: leave out.
         limit = run.given[SYMBOLS["A_s"]]
         framed = [r for r in framed if not is_clamped(r)
                   or (has_samples(r, hot := f"{r.channels[0]}.temperature")
@@ -188,10 +188,10 @@ def _whole_model(run: IdentificationRun, bags: Sequence[Record],
 
 
 def _thermal(run: IdentificationRun, drives: Drives) -> None:
-    """E1 and E2 on every staircase, E3 on all ramps together with what these gave."""
+    """E1 and E2 on every staircase, then E3 on all ramps together, with their R and h."""
 
     def serving(name: str, quantity: str, ramps: bool = False) -> Drives:
-        """Drives of a kind that come with a signal; the others leave a reason."""
+        """Staircases (or drives with ramps) with this signal; notes why other drives fail."""
         found = []
         for record, drive in drives if name in run.wanted else ():
             if not (drive.segments.ramps if ramps else drive.staircase.is_one):
@@ -203,17 +203,17 @@ def _thermal(run: IdentificationRun, drives: Drives) -> None:
         return found
 
     def compare(name: str, found: Sequence[Estimate]) -> None:
-        """The same number by every staircase, before they are pooled."""
+        """Warn if staircases differ by more than their errors explain, before they are pooled."""
         mean, count = combine(found).value, len(found)
         far = max(found, key=lambda e: abs(e.value - mean) / e.statistical)
-        doubt = max(SIGNIFICANT * far.statistical / mean, _SMALL)
-        if count > 1 and abs(far.value - mean) / mean >= doubt:
+        limit = max(SIGNIFICANT * far.statistical / mean, _SMALL)
+        if count > 1 and abs(far.value - mean) / mean >= limit:
             low, high = (100.0 * (end(e.value for e in found) / mean - 1) for end in (min, max))
             run.notes.append(remark("repeats differ", subject=name, count=count, low=low,
                                     high=high))
 
     def warm() -> Estimate:
-        """R as it heats: with the leads in it."""
+        """R by which the voltage before the leads heats a wire."""
         return staircases.heated(run.known(_R), run.given, _R in run.estimates)
 
     for record, drive in serving("E1", "current"):
@@ -222,7 +222,7 @@ def _thermal(run: IdentificationRun, drives: Drives) -> None:
     if done := run.of("E1"):
         compare(_R, [e.estimates[_R] for e in done])
         run.join("E1")
-    # E2: the gains are independent of each other; the coefficients share one resistance.
+    # E2: combine gains, which are independent; coefficients would all contain the same resistance.
     for record, drive in serving("E2", "temperature"):
         each = partial(staircases.identify_heat_transfer, record, drive.staircase, run.given)
         run.attempt("E2", partial(each, warm()))
@@ -232,7 +232,7 @@ def _thermal(run: IdentificationRun, drives: Drives) -> None:
         run.estimates[_H] = staircases.coefficient(combine(gains), warm(), run.given)
         rooms = [e.estimates[signals.AMBIENT] for e in run.of("E2")]
         run.estimates[signals.AMBIENT] = combine(rooms)
-    # E3: what is wrong with the heat loss is wrong with c_p, which goes with it.
+    # E3: c_p is proportional to the heat loss, so what E2 warns of concerns it, too.
     ramps = serving("E3", "temperature", ramps=True)
     if not ramps:
         return
@@ -241,9 +241,9 @@ def _thermal(run: IdentificationRun, drives: Drives) -> None:
     heat_loss = HeatLoss(warm(), run.known(_H) if measured else default, gain, measured)
     fitted = run.attempt("E3", lambda: identify_specific_heat(ramps, run.improved(), heat_loss))
     if fitted:
-        doubts = [remark("heat loss in doubt", text=f.text) for e in run.of("E2")
+        warned = [remark("heat loss uncertain", text=f.text) for e in run.of("E2")
                   for f in e.findings if f.severity == "warning" and f.subject == _H]
-        run.experiments[-1] = replace(fitted, findings=(*fitted.findings, *doubts))
+        run.experiments[-1] = replace(fitted, findings=(*fitted.findings, *warned))
     run.join("E3")
 
 
@@ -260,9 +260,9 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
     tensile = [r for r in records if isinstance(r, TensileRecord)]
     isobaric = [r for r in records if isinstance(r, IsobaricRecord)]
     for record in still:
-        if load_kind(run.given) != "displacement" and find_pulls(record):  # E9 has it as its input
+        if load_kind(run.given) != "displacement" and find_pulls(record):  # else E9's input
             tensile += tensile_tests(record, run.improved())
-        # Loops under the loads that a frame held, where E6 is asked for: E9 tells more by the same.
+        # Loops under loads held by a frame go to E6 only if asked for: E9 makes more of them.
         alone = run.asked and "E6" in run.wanted and "E9" not in run.wanted
         if alone and signals.holds_frame(record, run.given) and not is_clamped(record):
             try:
@@ -270,7 +270,7 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
             except InputError as error:
                 run.fail("E6", str(error))
     try_on("E5", dsc, lambda: identify_transition_temperatures(dsc))
-    # E6's temperatures tell the phase of tensile tests, whose moduli are in E6's elastic part.
+    # E7 takes the phase of its tests from E6's temperatures; E6's elastic strain needs E7's moduli.
     own = run.improved()
     if tensile and isobaric:
         with suppress(InputError):
@@ -281,23 +281,23 @@ def _material(run: IdentificationRun, records: Sequence[AnyRecord], bags: Sequen
     if run.asked:
         joint, fit_all = part(report, 0.0, 1.0, "E9"), constitutive.fit_constitutive
         try_on("E9", isobaric, lambda: fit_all(isobaric, run.improved(), joint))
-    held = load_kind(run.given) not in ("force", "spring", "antagonist")  # whose pull is no heat's
+    held = load_kind(run.given) not in ("force", "spring", "antagonist")  # force is thermal stress
     clamped = [record for record in bags if held and signals.is_clamped_wire(record)]
-    if not clamped or run.of("E9"):  # which tells it better
+    if not clamped or run.of("E9"):  # E9 gives Theta_T better
         return
     if run.another_alloy() and SYMBOLS["A_s"] not in run.estimates.keys() | run.given.given:
-        run.fail("E8", "A_s is not stated, and the alloy is another than the paper's")
+        run.fail("E8", "A_s is not stated, and the alloy is not the paper's")
         return
     try_on("E8", clamped, lambda: staircases.identify_thermal_expansion(clamped, run.improved()))
 
 
 def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives: Drives) -> None:
-    """A remark for each experiment without a result, an error if that leaves nothing."""
+    """Note each experiment without a result. InputError: none has one, or one was asked for."""
     missing = [name for name in EXPERIMENTS if name in run.wanted and not run.of(name)]
     reasons = {name: list(dict.fromkeys(run.reasons.get(name, []))) for name in missing}
     if not run.experiments or (run.asked and missing):
         every = [reason for name in missing for reason in reasons[name]]
-        # What was found says more than a reason for each experiment that repeats it.
+        # List what was found once, instead of in the reason of every experiment.
         found = [f"{record.path}: {drive.describe()}" for record, drive in drives]
         bags = [r for r in records if isinstance(r, Record)]
         if not drives and not every:
@@ -311,15 +311,15 @@ def _report_missing(run: IdentificationRun, records: Sequence[AnyRecord], drives
                          f"{'; '.join(dict.fromkeys(found + every))}; needed: "
                          f"{'; '.join(NEEDS[name] for name in missing)}")
     for name in missing:
-        if reasons[name] and name != "E8":  # which any clamped wire's force is tried for
+        if reasons[name] and name != "E8":  # tried on the force of any clamped wire
             run.notes.append(remark("not identified", "warning" if name in run.failed else "info",
                                     name, reasons="; ".join(reasons[name]), needs=NEEDS[name]))
 
 
 def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
           found: Parameters) -> Iterator[tuple[str, SignalFit]]:
-    """How the model with these parameters fits what they were identified from, by quantity; what
-    is off in a record beside the model, zeros, delays and moments of jumps, is taken off first."""
+    """How the model with these parameters fits the records that they were identified from, by
+    quantity, after nuisances of each record (zeros, delays, moments of jumps) are fitted."""
     lag = run.estimates.get(signals.CAMERA_LAG)
     model = found.replace({signals.LAG: lag.value}) if lag else found
     whole = "; ".join(e.source for e in run.experiments if e.name in ("E0", "E9", "E10"))
@@ -335,16 +335,16 @@ def _fits(run: IdentificationRun, bags: Sequence[Record], drives: Drives,
     known, still = Unknowns(model, (), 0, 0), np.zeros(0)
     for observations in sets:
         first = fit(Problem.of(observations).with_nuisances(model), known, still, rounds=1)
-        # Once more, with the noise that the model leaves: zeros of a first guess bend to a misfit.
+        # Again with the noise of these residuals: with guessed noise, zeros would follow a misfit.
         fitted = fit(first.problem, known, still, rounds=1, keep_noise=True)
         for block in fitted.problem.blocks:
             signal, left = block.signal, fitted.left[block.rows]
-            # A bin's mean hides most of its samples' white noise: it is added again.
+            # A bin's mean removes most of its samples' white noise: add it back.
             count, hidden = signal.usual_count, signal.noise**2 * (signal.usual_count - 1.0)
             rms = float(np.sqrt(np.average(left**2, weights=signal.count) + hidden))
             noise, reach = signal.noise * float(np.sqrt(count)), float(np.ptp(signal.value))
             yield signal.quantity, SignalFit.judged(rms, noise, reach, UNITS[signal.quantity])
-    # Strain of isobaric loops, beside which an experiment has laid its model.
+    # Strain of isobaric loops against the model of E6 or E9.
     loops = [e for e in run.experiments if e.name in ("E6", "E9")]
     curves = loops[-1].curves if loops else {}
     for name, strain in curves.items():

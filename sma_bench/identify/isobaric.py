@@ -1,8 +1,8 @@
 """E6: UPFR and isobaric tests: eps_L, the transition temperatures of eqs. (10), (11), C_A and C_M.
 
-The cosine of every heating and cooling gives the temperatures that a simulation takes; tangents
-cross inside its range, under names of their own. Several stresses give stress-free values and C_A,
-C_M (Clausius and Clapeyron)."""
+A cosine fitted to every heating and cooling gives the temperatures that a simulation takes; those
+of tangents, which lie inside its range, go to the details. Tests at several stresses give
+stress-free temperatures and C_A, C_M (Clausius and Clapeyron)."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,21 +28,21 @@ from sma_bench.records import instruments
 from sma_bench.records.instruments import Branch, IsobaricRecord
 from sma_bench.records.record import Record, samples
 
-# Start, finish and influence of stress of a direction.
+# Start, finish and stress influence by direction.
 PHASES = {"heating": ("A_s", "A_f", "C_A"), "cooling": ("M_s", "M_f", "C_M")}
 STRAIN, EXPANSION = SYMBOLS["eps_L"], SYMBOLS["Theta_T"]
-# What no test shows: class 1 of IEC 60584 is 1.5 K; a lag of the wire, which turns its sign.
+# Systematic: a thermocouple (1.5 K in class 1 of IEC 60584); a lag, of opposite sign on cooling.
 _THERMOMETER_STD, _LAG_STD = 0.9, 0.7  # K
 SMALLEST_STRESS_RANGE = 5e6  # Pa
-_SAME_STRESS = 0.03  # share
+_SAME_STRESS = 0.03  # share by which stresses of repeats may differ
 _ELASTIC = "elastic part"
 _SIGNIFICANT = 3.0  # standard errors
-_SMALLEST_STD = 0.3  # K: a temperature is told no better than a thermocouple tells it
-_RISES = 2.0  # standard errors of a slope against stress that is worth a C
-_FEWEST_CYCLES, _TREND, _SMALLEST_DRIFT = 4, 0.8, 3.0  # correlation, K
-_ROUGH = 0.02  # of the strain
-_CLIPPED = 20  # readings
-_SHORTEST_TEST = 10.0  # s, of a load that a frame held
+_SMALLEST_STD = 0.3  # K, accuracy of a thermocouple: least error of a temperature
+_RISES = 2.0  # standard errors: least slope against stress that gives a C
+_FEWEST_CYCLES, _TREND, _SMALLEST_DRIFT = 4, 0.8, 3.0  # of a drift: cycles, correlation, K
+_ROUGH = 0.02  # rms residual of a cosine over the strain step
+_CLIPPED = 20  # equal readings at an extreme
+_SHORTEST_TEST = 10.0  # s, of a load held by a frame
 Convention = Literal["tangent", "cosine"]
 
 
@@ -135,8 +135,8 @@ def _points(readings: Sequence[Reading]) -> int:
 
 
 def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricRecord, ...]:
-    """The loops of a load-frame bag as isobaric tests, one a held load, force over the section of
-    all wires. InputError without a drive, temperature or elongation."""
+    """The loops of a load-frame bag as isobaric tests, one per held load; stress is the force over
+    the section of all wires. InputError without a drive, temperature or elongation."""
     rig = find_rig(record, parameters)
     time, elongation = samples(record, "elongation")
     kelvin = np.interp(time, *samples(record, f"{rig.channels[0]}.temperature"))
@@ -154,7 +154,7 @@ def isobaric_tests(record: Record, parameters: Parameters) -> tuple[IsobaricReco
 
 
 def with_scales(estimates: Mapping[str, Estimate], parameters: Parameters) -> dict[str, Estimate]:
-    """The same with what thermometer, gauge length and section are off by."""
+    """The same with systematic errors of thermometer, gauge length and section."""
     shares: dict[str, dict[str, float]] = {}
     section = 2.0 * estimate.diameter_error(parameters)
     for sign, (*ends, label) in zip((1.0, -1.0), PHASES.values(), strict=True):
@@ -170,18 +170,18 @@ def with_scales(estimates: Mapping[str, Estimate], parameters: Parameters) -> di
 
 def _temperatures(levels: Sequence[Level], convention: Convention, parameters: Parameters,
                   findings: list[Finding]) -> tuple[Estimates, Estimates, dict[str, Array]]:
-    """Stress-free temperatures, C_A and C_M; the slope of each by itself; and A_s ... M_f against
-    stress, (4, n): Pa, K, error in K, and the part of it that moves start and finish together."""
+    """Stress-free temperatures, C_A and C_M; the slope of each temperature alone; A_s ... M_f over
+    stress, (4, n): Pa, K, error in K, and its part that start and finish have in common."""
     estimates, details, points = dict[str, Estimate](), dict[str, Estimate](), dict[str, Array]()
     believable = levels[-1][0] <= instruments.STRONGEST
     if not believable:
-        findings.append(remark("stress beyond belief", stress=levels[-1][0]))
+        findings.append(remark("implausible stress", stress=levels[-1][0]))
     for direction, (start, finish, label) in PHASES.items():
         pair, influence = (start, finish), SYMBOLS[label]
         shown = [(stress, along[direction]) for stress, along in levels if along[direction]]
         for end, name in enumerate(pair):
             repeats = [(stress, [r.ends(convention)[end] for r in own]) for stress, own in shown]
-            # Cycles differ at one stress as at the other: all of them tell by how much.
+            # The scatter between cycles is taken to be the same at all stresses.
             freedom = sum(len(c) - 1 for _, c in repeats)
             squares = sum(len(c) * float(np.var([v for v, _ in c])) for _, c in repeats)
             between = squares / freedom if freedom else None
@@ -196,9 +196,9 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
             continue
         n, stress = sum(_points(own) for _, own in shown), points[start][0]
         if float(np.ptp(stress)) < SMALLEST_STRESS_RANGE:
-            # One stress: referred to zero with what is known of C.
+            # One stress: referred to zero with the given C.
             c, doubt, held = parameters[influence], parameters.std(influence), float(stress.mean())
-            unstated = ", which nobody stated" * (influence not in parameters.given)
+            unstated = " (not stated)" * (influence not in parameters.given)
             findings.append(remark("one stress", subject=label, stress=held,
                                    shift=held / c, c=c, doubt=doubt, unstated=unstated))
             method = f"cosine at {held / 1e6:.3g} MPa, referred to zero stress with {label}"
@@ -207,7 +207,7 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
                 number = Estimate(kelvin - held / c, std, "K", method, n)
                 estimates[SYMBOLS[name]] = number.with_shares({influence: held * doubt / c**2})
             continue
-        # Several: T = T_0 + sigma/C, one slope for start and finish, which cycles move together.
+        # Several: T = T_0 + sigma/C, one slope for start and finish; cycles shift both.
         both = np.hstack([points[name] for name in pair])
         value, std, common = both[1], np.maximum(both[2], _SMALLEST_STD), both[3]
         scale = float(np.max(np.abs(stress)))
@@ -228,7 +228,7 @@ def _temperatures(levels: Sequence[Level], convention: Convention, parameters: P
             estimates[SYMBOLS[name]] = Estimate(*at_zero, "K", method, n)
         facts: dict[str, Any] = {"start": start, "finish": finish, "label": label}
         if slope > _RISES * slope_std:
-            # C = 1/slope, whose error is the mean of a 90 % interval's two sides.
+            # C = 1/slope; its error is the mean of both sides of a 90 % interval.
             relative = slope_std / slope
             sides = 1.0 - (1.645 * min(relative, 1.0 / _RISES)) ** 2
             low, high = stress.min() / 1e6, stress.max() / 1e6
@@ -260,7 +260,7 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
         details[f"recovered strain at {held / 1e6:.0f} MPa"] = Estimate(value, std, unit, words, n)
         if is_relative or held > instruments.STRONGEST:
             continue
-        # Strain by which martensite gives more than austenite at this stress and temperature.
+        # Elastic and thermal strain of martensite beyond that of austenite.
         middle = float(np.mean([r.cosine.start[0] + r.cosine.finish[0] for r in readings])) / 2
         warmer = middle - parameters["environment.ambient_temperature"]
         stress = held - parameters[EXPANSION] * warmer
@@ -275,7 +275,7 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
         details[f"eps_L at {held / 1e6:.0f} MPa"] = transformed[-1][1]
     if not transformed:
         return {}
-    # Does one eps_L describe all stresses? The moduli are those of both.
+    # Does one eps_L describe all stresses? Their errors from the moduli have one cause.
     (_, least), (high, most) = transformed[0], transformed[-1]
     moduli = most.shares[_ELASTIC] - least.shares[_ELASTIC]
     error = math.hypot(most.statistical, least.statistical, moduli)
@@ -292,7 +292,7 @@ def _strains(levels: Sequence[Level], parameters: Parameters, details: dict[str,
 
 def _about_branches(records: Sequence[IsobaricRecord],
                     readings: Sequence[Reading]) -> Iterator[Finding]:
-    """Clipped strain, branches turned round early, no cosines, and cycles that are no repeats."""
+    """Clipped strain, branches reversed early or unlike a cosine, cycles that drift."""
     for record in records:
         strain = np.concatenate([b.strain for c in record.cycles for b in c.branches])
         runs = np.split(strain, np.flatnonzero(np.diff(strain)) + 1)
@@ -310,13 +310,13 @@ def _about_branches(records: Sequence[IsobaricRecord],
         if r.cosine.rms > _ROUGH:
             rough.setdefault(r.branch.direction, []).append(r)
     for (where, name, side), cycles in early.items():
-        yield remark("turned round early", subject=name, record=where, side=side,
+        yield remark("reversed early", subject=name, record=where, side=side,
                      numbers={"cycles": float(len(cycles))}, cycles=", ".join(map(str, cycles)))
     for direction, found in rough.items():
         worst = max(found, key=lambda r: r.cosine.rms)
-        yield remark("no cosine", count=len(found), direction=direction, rms=worst.cosine.rms,
+        yield remark("not a cosine", count=len(found), direction=direction, rms=worst.cosine.rms,
                      record=worst.record.name)
-    # Temperatures that drift from cycle to cycle of one record are no repeats.
+    # Temperatures that drift from cycle to cycle of one record.
     for record in {r.record.name: r.record for r in readings}.values():
         for direction, (*ends, _) in PHASES.items():
             mine = [r for r in readings if r.record is record and r.branch.direction == direction]

@@ -1,4 +1,4 @@
-"""The result of an identification as plain facts (`templates/identification.j2` words them); the
+"""The result of an identification as plain facts (rendered by `templates/identification.j2`); the
 texts of its remarks, by cause, are in remarks.yaml."""
 
 import string
@@ -24,10 +24,10 @@ if TYPE_CHECKING:
     from sma_bench.records.record import Record
 
 FitVerdict = Literal["ok", "imperfect", "misfit"]
-_SURPRISES = 3.0  # standard deviations
+_SURPRISES = 3.0  # standard deviations from a stated value
 _TOGETHER = 0.5  # correlation worth a line
-_WITHIN_NOISE = 1.1  # rms over the noise of a sample, which is itself known to some 5 %
-_USABLE = 0.05  # of the signal's range
+_WITHIN_NOISE = 1.1  # rms over the noise of a sample, itself known to some 5 %
+_USABLE = 0.05  # of the signal's range: largest rms beyond the noise of an imperfect fit
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class SignalFit:
 
     @classmethod
     def judged(cls, rms: float, noise: float, reach: float, unit: str) -> "SignalFit":
-        """`ok` within the noise, `imperfect` up to 5 % of `reach`, the signal's range, above it."""
+        """`imperfect`: beyond the noise by at most 5 % of `reach`, the range of the signal."""
         verdict: FitVerdict = "ok"
         if rms > _WITHIN_NOISE * noise:
             verdict = "imperfect" if rms**2 - noise**2 <= (_USABLE * reach) ** 2 else "misfit"
@@ -49,7 +49,7 @@ class SignalFit:
 
     @property
     def badness(self) -> tuple[int, float]:
-        """To order fits by, the worst last."""
+        """Sort key: the worst fit last."""
         verdicts = get_args(FitVerdict)
         return verdicts.index(self.verdict), self.rms / self.noise if self.noise else 0.0
 
@@ -64,7 +64,7 @@ class Correlation:
 
 @dataclass(frozen=True)
 class Law:
-    """The law of the wire that the records speak for, with its probability and the others'."""
+    """The most probable constitutive law of the wire, its probability and those of the others."""
 
     name: str
     probability: float
@@ -73,7 +73,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One experiment of the paper as far as the records hold it."""
+    """Result of one experiment of the paper."""
 
     name: str
     title: str
@@ -82,8 +82,8 @@ class Experiment:
     curves: dict[str, Array] = field(default_factory=dict)  # of its figure, never written to JSON
     source: str = ""
     details: dict[str, Estimate] = field(default_factory=dict)  # further numbers, by other names
-    correlation: Correlation | None = None  # of the errors of estimates which one fit gave together
-    laws: tuple[Any, ...] = ()  # of the wire, best first, of LawFit: no file holds them
+    correlation: Correlation | None = None  # of the errors of jointly fitted estimates
+    laws: tuple[Any, ...] = ()  # LawFits of the wire, best first; not in result files
 
     def to_json(self) -> dict[str, Any]:
         """Everything but the curves."""
@@ -95,17 +95,17 @@ class Experiment:
 
 @dataclass(frozen=True, repr=False)
 class Identification(Carded, Reported):
-    """Everything the records gave, or what a result file holds of it."""
+    """Everything identified from records, or read from a result file."""
 
     writer = ("reports", "write_identification_report")
     template = "identification.j2"
 
-    # the given ones with the estimates put in; of a result file the defaults
+    # the given ones updated with the estimates; the defaults if read from a file
     parameters: Parameters
     estimates: dict[str, Estimate]  # by parameter name, each with its `stated` and `warnings`
-    experiments: tuple[Experiment, ...]  # one each record and channel
+    experiments: tuple[Experiment, ...]  # one per record and channel
     notes: tuple[Finding, ...] = ()  # what could not be identified and why, remarks on the records
-    fit: dict[str, SignalFit] = field(default_factory=dict)  # of the model to every signal
+    fit: dict[str, SignalFit] = field(default_factory=dict)  # of the model, by quantity
     correlation: Correlation = field(default_factory=lambda: Correlation((), np.empty((0, 0))))
     warnings: tuple[str, ...] = ()  # to read before using the numbers
     path: str = "identification"  # of the result file
@@ -113,9 +113,9 @@ class Identification(Carded, Reported):
     law: Law | None = None  # of the wire, where laws were weighed
 
     def predict(self, record: "Record", probability: float = 0.9) -> dict[str, "Band"]:
-        """What the bench will read on the voltages of a record, by signal: the mean over the wire's
-        laws, and limits that hold a share of the readings. InputError: no moving load was
-        identified here, `record` lacks a voltage or motion, or `probability` is no share."""
+        """Readings that the voltages of a record would give, by signal: the mean over the wire's
+        laws, and limits around a share `probability` of them. InputError: no moving load was
+        identified, `record` lacks a voltage or motion, `probability` is not in 0 to 1."""
         laws = next((e.laws for e in self.experiments if e.laws), ())
         if not laws:
             raise refusal("nothing to predict from")
@@ -124,7 +124,7 @@ class Identification(Carded, Reported):
         return predict(laws, observe(record, laws[0].fit.parameters), probability)
 
     def origin(self, name: str) -> str:
-        """Name of the experiment that the estimate of a parameter is from, "" of none."""
+        """Name of the experiment that a parameter's estimate comes from, or ""."""
         taken = self.estimates[name]
         own = [(e.name, e.estimates[name]) for e in self.experiments if name in e.estimates]
         same = [origin for origin, e in own if (e.value, e.n) == (taken.value, taken.n)]
@@ -137,12 +137,12 @@ class Identification(Carded, Reported):
 
     @property
     def fit_line(self) -> str:
-        """Which signals the model misses; "" where it fits all within their noise."""
+        """Which signals the model misses; "" if it fits all within their noise."""
         return "".join(sentences(self, "fit_line"))
 
     @property
     def surprising(self) -> dict[str, Estimate]:
-        """Numbers that lie far off what the parameter file states."""
+        """Estimates far from the values that the parameter file states."""
         return {n: e for n, e in self.estimates.items() if abs(e.deviations) > _SURPRISES}
 
     @property
@@ -167,7 +167,7 @@ class Identification(Carded, Reported):
 
 @dataclass(frozen=True)
 class _File:
-    """A result file as it is written, curves and derived numbers apart."""
+    """A result file as it is written, except derived numbers."""
 
     parameters: dict[str, Estimate]
     experiments: tuple[Experiment, ...]
@@ -178,14 +178,14 @@ class _File:
 
 
 def identification_from(document: Any, where: str) -> Identification:
-    """An identification from what its JSON held. InputError: a line with `where` and the field."""
+    """An identification from its JSON. InputError: one line with `where` and the field."""
     found = decoded(_File, document, where)
     names, matrix = (found.correlation.get(key, []) for key in ("names", "matrix"))
     try:
         numbers = np.array(matrix, dtype=np.float64).reshape(len(names), len(names))
     except (TypeError, ValueError):
-        raise InputError(f"{where}: damaged result: correlation of {len(names)} names is not as "
-                         "many rows and columns of numbers") from None
+        raise InputError(f"{where}: damaged result: correlation of {len(names)} names, expected "
+                         "as many rows and columns of numbers") from None
     estimates = {name: e if "informed" in document["parameters"][name]
                  else replace(e, informed=np.nan) for name, e in found.parameters.items()}
     return Identification(Parameters.defaults(), estimates, found.experiments, (), found.fit,

@@ -1,4 +1,4 @@
-"""One identification under way: what the records gave, and the rules by which results join."""
+"""The state of one identification: results so far, and the rules by which they are combined."""
 
 import math
 from collections.abc import Callable
@@ -18,23 +18,24 @@ from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.parameters.parameters import NITI_DENSITY
 
-# Standard errors: that numbers differ, that a statement surprises, that two experiments do.
-SIGNIFICANT, _SURPRISING, _FAR_APART = 3.0, 3.5, 4.0
+SIGNIFICANT = 3.0  # standard errors by which two numbers differ
+_SURPRISING = 3.5  # standard errors from a stated value that are worth a warning
+_FAR_APART = 4.0  # standard errors between an experiment and the whole model, likewise
 _ORDER = tuple((TRANSITIONS[lower], TRANSITIONS[upper])
                for lower, upper in (("A_s", "A_f"), ("M_f", "M_s"), ("M_s", "A_f"), ("M_f", "A_s")))
-_NARROWEST, _PASSES = 0.2, 100  # K; of the pairs, which pull at each other
-_WRONG = 1.5  # a factor of h and c_p, which a camera's spot that is half filled shows in alone
-_BEHIND = {"wire.mass": SPECIFIC_HEAT, "wire.surface_area": COEFFICIENT,
+_NARROWEST = 0.2  # K between two transition temperatures
+_PASSES = 100  # over all pairs, as moving one pair apart may bring another together
+_WRONG = 1.5  # factor of h or c_p from the stated value; a half-filled camera spot shows only there
+_RESULT_WITH = {"wire.mass": SPECIFIC_HEAT, "wire.surface_area": COEFFICIENT,
            "wire.diameter": "Theta_T, C_A, C_M"}
-_DENSITY_STD, _LENGTH_STD = 0.01, 0.005  # shares
-_TOLD = 0.1  # error of a factor, beyond which a split of the product is the priors'
-# A file states errors by two digits: one that is as large may be this measurement's own.
-_ROUNDED = 1.06
+_DENSITY_STD, _LENGTH_STD = 0.01, 0.005  # relative
+_KNOWN = 0.1  # relative error of a factor up to which records can split a product
+_ROUNDED = 1.06  # files round errors to two digits: up to this ratio, errors may be the same
 
 
 @dataclass
 class IdentificationRun:
-    """Results and remarks, and reasons by experiment. `asked`: whether experiments were named."""
+    """Results, remarks, and reasons of failure. `asked`: the user named the experiments."""
 
     given: Parameters
     wanted: frozenset[str]
@@ -49,7 +50,7 @@ class IdentificationRun:
         return [e for e in self.experiments if e.name == name]
 
     def attempt(self, name: str, experiment: Callable[[], Experiment]) -> Experiment | None:
-        """Do an experiment if it is wanted; else, or where it cannot be done, None."""
+        """Run an experiment; None if it is not wanted or fails."""
         if name not in self.wanted:
             return None
         try:
@@ -60,12 +61,12 @@ class IdentificationRun:
         return self.experiments[-1]
 
     def fail(self, name: str, reason: str, meant: bool = True) -> None:
-        """Note why a record gave nothing to an experiment; `meant`: which it was driven for."""
+        """Note why a record does not serve an experiment; `meant`: though it was made for it."""
         self.reasons.setdefault(name, []).append(reason)
         self.failed |= {name} if meant else set()
 
     def known(self, name: str) -> Estimate:
-        """An identified number, else the given one; a default nobody measured is remarked."""
+        """An identified number, else the given one, with a remark that it was taken."""
         if name in self.estimates:
             return self.estimates[name]
         prior = Estimate(self.given[name], self.given.std(name), "", "given")
@@ -76,12 +77,12 @@ class IdentificationRun:
         return prior
 
     def join(self, name: str) -> None:
-        """Put an experiment's estimates, joined over its records, among the results."""
+        """Add an experiment's estimates, combined over its records, to the results."""
         found = self.of(name)
         for parameter in dict.fromkeys(p for e in found for p in e.estimates):
             own = combine([e.estimates[parameter] for e in found if parameter in e.estimates])
             if other := self.estimates.get(parameter):
-                # Nearer to what the model uses: a calorimeter, a loaded wire, the joint fit of all.
+                # Later is nearer to what the model uses: calorimeter, loaded wire, joint fit.
                 apart = (own.value - other.value) / math.hypot(own.std, other.std)
                 cause = "taken instead" if abs(apart) <= SIGNIFICANT else "taken, but far"
                 self.notes.append(remark(cause, subject=parameter, own=own, name=name,
@@ -89,9 +90,9 @@ class IdentificationRun:
             self.estimates[parameter] = own
 
     def take_sharper(self, whole: Experiment | None) -> None:
-        """Of what an experiment of its own and the whole model both tell, the sharper number
-        counts: they may rest on the same samples. Of a product, whose other factor the experiment
-        took as given, its number goes with that factor as found."""
+        """Where an experiment and the whole model give the same number, keep that of the smaller
+        error, not a mean: they may rest on the same samples. Where the experiment took the other
+        factor of a product as given, its number is first rescaled to that factor as fitted."""
         found = whole.estimates if whole else {}
         for name, estimate in found.items():
             other = self.estimates.get(name)
@@ -114,17 +115,17 @@ class IdentificationRun:
                 self.estimates[name] = estimate
 
     def improved(self) -> Parameters:
-        """The given parameters with what is identified put in, as far as they may hold it."""
+        """The given parameters updated with the estimates, except those out of their range."""
         found, waiting, reasons = self.given, dict(self.estimates), dict[str, str]()
         if laws := next((e.laws for e in self.experiments if e.laws), ()):
             own = laws[0].fit.parameters
             model = {name: own[name] for name in ("wire.law", "wire.convection")}
             values = {name: e.value for name, e in waiting.items()}
             std = {name: e.std for name, e in waiting.items()}
-            with suppress(InputError):  # then one by one, what cannot be is named
+            with suppress(InputError):  # else one by one, to name those out of range
                 return found.replace(model | values, std, "identified")
             found = found.replace(model)
-        # An end of a range may only fit once its other end has been put in: at most one a pass.
+        # A temperature may only fit once another has been updated: repeat, if only one a pass.
         for _ in self.estimates:
             for name, e in list(waiting.items()):
                 try:
@@ -134,14 +135,14 @@ class IdentificationRun:
                 else:
                     del waiting[name]
         for name, e in waiting.items():
-            self.notes.append(remark("not given", subject=name, e=e, value=e.value,
+            self.notes.append(remark("out of range", subject=name, e=e, value=e.value,
                                      reason=reasons[name]))
             del self.estimates[name]
         return found
 
     def weigh_priors(self, *fits: Experiment | None) -> None:
-        """Join what was measured with what was stated of the same number: nothing is less sure than
-        before. A surer measurement counts alone; whole-model fits have weighed the priors."""
+        """Combine measured and stated values of a number, so that no error exceeds the stated one.
+        A more accurate measurement counts alone; fits of the whole model include the priors."""
         weighed = [estimate for fit in fits if fit for estimate in fit.estimates.values()]
         given, notes = self.given, self.notes
         for name, e in list(self.estimates.items()):
@@ -168,17 +169,17 @@ class IdentificationRun:
             stated = name in given.given_uncertainty and name != AMBIENT
             if ratio > _ROUNDED and abs(away) >= SIGNIFICANT:
                 notes.append(remark("stated surer", subject=name, e=e, prior=prior, apart=away))
-            elif stated and abs(away) > _SURPRISING:  # replaced, but not without a word
+            elif stated and abs(away) > _SURPRISING:  # replaced, with a warning
                 notes.append(remark("surprising", subject=name, e=e, prior=prior, deviations=away))
             of_stated = e.value / prior.value if name in (COEFFICIENT, SPECIFIC_HEAT) else 1.0
             if not 1.0 / _WRONG < of_stated < _WRONG:
-                late = name == SPECIFIC_HEAT and of_stated > 1.0
-                notes.append(remark("thermometer late" if late else "camera off", subject=name,
+                lags = name == SPECIFIC_HEAT and of_stated > 1.0
+                notes.append(remark("thermometer lags" if lags else "camera off", subject=name,
                                     e=e, ratio=of_stated, prior=prior))
         for name, factor in PRODUCTS.items():
             default = Estimate(given[factor], given.std(factor), BY_NAME[factor].unit)
             other = self.estimates.get(factor, default)
-            known = factor in given.given or (other is not default and other.relative_std < _TOLD)
+            known = factor in given.given or (other is not default and other.relative_std < _KNOWN)
             if (own := self.estimates.get(name)) and not known:
                 notes.append(remark("only a product", subject=name, factor=factor, e=own,
                                     other=other))
@@ -188,14 +189,14 @@ class IdentificationRun:
             notes.append(remark("another alloy", shown=", ".join(each), contradicted=len(others)))
 
     def another_alloy(self) -> list[str]:
-        """Numbers of the alloy that nobody stated and whose default the records contradict."""
+        """Parameters of the alloy that were not stated and whose default the records contradict."""
         found = {n: e for n, e in self.estimates.items() if n not in self.given.given}
         return [n for n in MATERIAL if (e := found.get(n)) and abs(e.value - self.given[n])
                 > SIGNIFICANT * math.hypot(e.std, BY_NAME[n].uncertainty or 0.0)]
 
     def keep_order(self, whole: Experiment | None) -> None:
-        """A_f lies above A_s and M_s, and these above M_f: estimates that errors carried past each
-        other meet between, but those that the whole model fitted together."""
+        """Move estimates, more the larger their errors, until A_f is above A_s and M_s, and these
+        above M_f; not those that the whole model fitted together."""
         found = {n: e for n, e in self.estimates.items() if n in TRANSITIONS.values()}
         if whole and found and all(e is whole.estimates.get(n) for n, e in found.items()):
             return
@@ -218,7 +219,7 @@ class IdentificationRun:
                 self.notes.append(remark("moved", severity, name, moved=moved, errors=errors))
 
     def correlation(self) -> Correlation:
-        """Of all errors; between experiments as far as the same sensors are behind them."""
+        """Correlation of all errors; between experiments, that of systematic errors."""
         names, every = list(self.estimates), list(self.estimates.values())
         matrix = np.eye(len(names))
         for own in self.experiments:
@@ -228,7 +229,7 @@ class IdentificationRun:
             if chosen and own.correlation:
                 here, there = np.array(chosen).T
                 matrix[np.ix_(there, there)] = own.correlation.matrix[np.ix_(here, here)]
-        # Of an error the statistical part, and the parts that others share.
+        # The statistical part of each error, then the systematic parts of a common source.
         std = np.array([max(e.std, 1e-300) for e in every])
         statistical = np.array([e.statistical for e in every]) / std
         matrix = matrix * np.outer(statistical, statistical)
@@ -240,16 +241,16 @@ class IdentificationRun:
 
 
 def about_wire(known: Parameters) -> list[Finding]:
-    """Which of mass, area and diameter is off, as each tells the diameter if length is stated."""
+    """Findings if the diameters that mass, area and diameter give at this length disagree."""
     if not (length := known["wire.length"]):
         return []
-    mass, area, diameter = (known[name] for name in _BEHIND)
-    of_mass, of_area, of_diameter = (known.std(name) / known[name] for name in _BEHIND)
+    mass, area, diameter = (known[name] for name in _RESULT_WITH)
+    of_mass, of_area, of_diameter = (known.std(name) / known[name] for name in _RESULT_WITH)
     by_mass = math.sqrt(4.0 * mass / (math.pi * NITI_DENSITY * length))
     found = {"wire.mass": (by_mass, 0.5 * math.hypot(of_mass, _DENSITY_STD, _LENGTH_STD)),
              "wire.surface_area": (area / (math.pi * length), math.hypot(of_area, _LENGTH_STD)),
              "wire.diameter": (diameter, of_diameter)}  # m, and its relative error
-    # The odd one is that without which the other two agree; all are where that is none of them.
+    # One is odd if the other two agree without it; if no two agree, all are.
     agreeing = []
     for name in found:
         (a, a_std), (b, b_std) = (number for other, number in found.items() if other != name)
@@ -257,5 +258,5 @@ def about_wire(known: Parameters) -> list[Finding]:
             agreeing.append(name)
     odd = (agreeing or found) if len(agreeing) < len(found) else ()
     shown = ", ".join(f"{d * 1e3:.4g} mm by {name}" for name, (d, _) in found.items())
-    return [remark("wire's statements clash", subject=_BEHIND[name], length=length, shown=shown,
-                   name=name) for name in odd]
+    return [remark("wire dimensions disagree", subject=_RESULT_WITH[name], length=length,
+                   shown=shown, name=name) for name in odd]

@@ -1,4 +1,4 @@
-"""What a record offers to each experiment."""
+"""Staircases, ramps and signals of a record that experiments can use."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,20 +23,19 @@ RESISTANCE, COEFFICIENT = "wire.resistance", "wire.heat_transfer_coefficient"
 SPECIFIC_HEAT, AMBIENT = "wire.specific_heat", "environment.ambient_temperature"
 LAG, CAMERA_LAG = "effect.temperature_lag.time_constant", "sensor.temperature.lag"
 LEADS = "bench.lead_resistance"
-# s: settle, then average; a plateau that is shorter than the last is none.
-SETTLE, AVERAGE, SHORTEST_PLATEAU = 15.0, 15.0, 2.0
-FEWEST_LEVELS = 4
+SETTLE, AVERAGE = 15.0, 15.0  # s of a plateau, one after the other
+SHORTEST_PLATEAU, FEWEST_LEVELS = 2.0, 4  # s; voltages of a staircase
 _FEWEST_SAMPLES = 8  # of a window
-_PRIOR_WEIGHT = 10.0  # samples of the others' scatter, on which short windows lean
-_COLDEST, _HOTTEST = 5.0, 95.0  # %
-# What scales the wire's excess over the room.
+_PRIOR_WEIGHT = 10.0  # samples: weight of the scatter of all windows in that of each
+_COLDEST, _HOTTEST = 5.0, 95.0  # percentiles of a wire's temperature
+# Camera errors that scale the measured rise of the wire above ambient.
 CAMERA = ("sensor.temperature.gain", "sensor.temperature.emissivity",
           "sensor.temperature.spot_share")
 
 
 @dataclass(frozen=True)
 class Staircase:
-    """Plateaus of a voltage on one channel; `tolerance` in V tells levels apart."""
+    """Plateaus of a voltage on one channel; levels within `tolerance` V are the same."""
 
     channel: str
     plateaus: tuple[VoltageSegment, ...]
@@ -44,18 +43,18 @@ class Staircase:
 
     @property
     def is_one(self) -> bool:
-        """Whether its levels are enough."""
+        """Whether it has enough levels."""
         return Segments(self.plateaus, (), self.tolerance).levels() >= FEWEST_LEVELS
 
     @property
     def windows(self) -> Array:
-        """Averaging windows (p, 2) s of the plateaus, as in section II.B; short ones to scale."""
+        """Averaging windows (p, 2) s of the plateaus, as in section II.B; scaled if short."""
         start, duration = np.array([(p.start, p.duration) for p in self.plateaus]).T
         shares = np.minimum(1.0, duration / (SETTLE + AVERAGE))
         return start[:, None] + np.outer(shares, (SETTLE, SETTLE + AVERAGE))
 
     def read(self, record: Record, *quantities: str) -> "Staircase":
-        """With the plateaus on which all of these were read at half the usual rate, if enough."""
+        """Only the plateaus with at least half the usual samples of each quantity, if enough."""
         kept = np.ones(len(self.plateaus), dtype=bool)
         for quantity in quantities:
             time = samples(record, f"{self.channel}.{quantity}")[0]
@@ -81,11 +80,11 @@ class Staircase:
 
 @dataclass(frozen=True)
 class ChannelDrive:
-    """What the voltage of one channel does over a record."""
+    """Segments of one channel's voltage over a record."""
 
     channel: str
     segments: Segments
-    staircase: Staircase  # perhaps of too few levels
+    staircase: Staircase  # may have too few levels
 
     def describe(self) -> str:
         s = self.segments
@@ -115,7 +114,7 @@ def moves(record: Record, parameters: Parameters) -> bool:
 
 
 def driven(record: Record, parameters: Parameters) -> dict[str, float]:
-    """By channel the range [V] of its volts, or those that stand for a current source's amperes."""
+    """Range [V] of each channel's voltage, or of the one that stands for a current command."""
     record, _ = with_commands(record, parameters)
     return {c: float(np.ptp(samples(record, f"{c}.voltage")[1])) for c in record.channels
             if has_samples(record, f"{c}.voltage")}
@@ -145,8 +144,8 @@ def one_wire(parameters: Parameters, channel: str) -> Parameters:
 
 
 def sensors_of(records: Sequence[Record], parameters: Parameters) -> Parameters:
-    """What the camera's own messages state of its errors, where no file has: at the wire's coldest
-    that of its zero, what comes on top is that of its scale."""
+    """The parameters with the camera errors that its messages state, unless a file does: the error
+    at the wire's coldest is taken for its zero's, the increase to the hottest for its scale's."""
     found = []
     for name, signal in (item for record in records for item in record.signals.items()):
         wire = name.endswith(".temperature") and not name.startswith("ambient.")
@@ -173,11 +172,11 @@ class Means(NamedTuple):
     hidden: float  # standard deviation of the converter's error that averaging does not remove
     step: float  # the converter's, 0 if none is seen
     drift: Array  # (p,) change over the window by a straight line
-    n: int  # samples of all of them
+    n: int  # samples of all windows
 
 
 def means(time: Array, values: Array, bounds: Array, what: str) -> Means:
-    """Mean of a signal (n,) over time (n,) s in windows (p, 2) s; InputError for one too empty."""
+    """Mean of a signal (n,) over time (n,) s in windows (p, 2) s; InputError: too few samples."""
     lines, left, drift = [], [], []
     for start, stop in bounds:
         inside = slice(np.searchsorted(time, start), np.searchsorted(time, stop, side="right"))

@@ -1,4 +1,4 @@
-"""E3, specific heat: ramps below A_s (eq. 5, Figs. 4 and 5), the heat equation alone fitted."""
+"""E3, specific heat: the heat equation alone, fitted to ramps below A_s (eq. 5, Figs. 4 and 5)."""
 
 import math
 from collections.abc import Sequence
@@ -27,60 +27,61 @@ from sma_bench.parameters.parameter import BY_NAME, TRANSITIONS
 from sma_bench.records import Record
 from sma_bench.records.record import Signal, first_order_lag, samples
 
-_BEFORE, _AFTER, _HISTORY = 3.0, 12.0, 10.0  # s around a ramp, and before the first window
-_FEWEST_SAMPLES = 30
-_CLEARLY = 3.0  # of the noise, below A_s: where a cut falls must not hang on the noise
-_SMALLEST_RISE = 10.0  # of the noise
-_AMBIENT_STD = 2.0  # K; of the camera's zero in each record, too
-_LEAST = 1e-6  # s
-_ANY = 1.0  # of the logarithm of what nobody knows
-_STARTS = (0.0, -1.0, 1.0)
-_NEAR = 3.0  # prior deviations
-_MOVES = 4
-_KNOWN_LAG = 0.1  # of the wire's time constant, error of a lag that records by themselves tell
+_BEFORE, _AFTER, _HISTORY = 3.0, 12.0, 10.0  # s before and after a ramp; before the first window
+_FEWEST_SAMPLES = 30  # of a window
+_CLEARLY = 3.0  # noise floors below A_s, where hot ramps are cut: so that noise does not decide
+_SMALLEST_RISE = 10.0  # times the noise
+_AMBIENT_STD = 2.0  # K; also of the camera's zero in each record
+_LEAST = 1e-6  # instead of an error or share of 0
+_ANY = 1.0  # standard deviation of the logarithm of an unknown number
+_STARTS = (0.0, -1.0, 1.0)  # of c_p, in prior deviations
+_NEAR = 3.0  # prior deviations within which the fit with the known h starts
+_MOVES = 4  # times that nuisances are linearised again
+_KNOWN_LAG = 0.1  # of the wire's time constant: largest error of a lag that the records determine
 _SIGNIFICANT = 3.0  # standard errors
 _SMALL_DELAY = 1e-3  # s
-_SMALL = 0.01  # of c_p, of the steady rise or of the rise of a ramp: what is not worth a warning
-_BAD_MISFIT, _FEWEST_IN_BIN, _COLD = 6.0, 3, 0.02  # standard errors, samples, of the rise
-_FILTER_TIME, _MOST_CELLS = 0.1, 1_000_000  # s, of the differentiator
+_SMALL = 0.01  # of c_p, of the steady rise or of the rise of a ramp: less is not worth a warning
+_BAD_MISFIT, _FEWEST_IN_BIN = 6.0, 3  # standard errors of a bin's mean residual; its samples
+_COLD = 0.02  # of the rise: in colder bins, residuals show their scatter
+_FILTER_TIME, _MOST_CELLS = 0.1, 1_000_000  # s; samples of a window: of the paper's differentiator
 Drives = Sequence[tuple[Record, signals.ChannelDrive]]
 
 
 class Window(NamedTuple):
-    """One stretch of a record: a drive with what comes before and after it; s, V, K."""
+    """One ramp of a record, with some time before and after it; s, V, K."""
 
     voltage_time: Array
     voltage: Array
     temperature_time: Array
     temperature: Array
     cut_off: int  # samples above A_s and after them
-    highest: float  # K, theirs
+    highest: float  # K, of the whole window
 
 
 class HeatLoss(NamedTuple):
-    """What E1 and E2, or the parameters, know of R and h."""
+    """R and h, from E1 and E2 or from the parameters."""
 
-    resistance: Estimate  # R as it heats: with the leads in it
+    resistance: Estimate  # by which the voltage before the leads heats a wire
     coefficient: Estimate  # h
     gain: Estimate | None = None  # 1/(R h A_c) in K/V^2, of E2, independent of R
-    known: bool = True  # False where h is nobody's measurement: the ramps must tell it
+    known: bool = True  # False if h is a default: then the ramps must determine it
 
 
 def identify_specific_heat(drives: Drives, parameters: Parameters,
                            heat_loss: HeatLoss) -> Experiment:
     """Specific heat from voltage ramps, with the rest before and the cooling after each: the most
-    probable c_p of eq. (2), given wire.mass, on the voltage freed of its noise. Its error holds
-    ambient, the camera's zero, delay and lag, R and h, and coloured noise. The paper's slope of
-    dT/dt over f(T, V) is in `details` as "differentiator", biased by noise. Raises InputError: no
-    temperature, or no rise of it below A_s."""
+    probable c_p of eq. (2), given wire.mass, on the voltage corrected for its noise. Its error
+    includes ambient, zero, delay and lag of the camera, R and h, and correlated noise. The paper's
+    slope of dT/dt over f(T, V), biased by noise, is in `details` as "differentiator". Raises
+    InputError: no temperature, or no rise of it below A_s."""
     chosen, where, findings = _windows(drives, float(parameters[TRANSITIONS["A_s"]]))
     windows = [window for of_drive in chosen for window in of_drive]
     rise = max(float(np.ptp(_median_of_five(w.temperature))) for w in windows)
     noise = float(np.median([np.std(np.diff(w.temperature)) for w in windows])) / math.sqrt(2.0)
     if rise < _SMALLEST_RISE * noise:
         raise refusal("no rise of ramps", where=where, rise=rise, noise=noise, times=_SMALLEST_RISE)
-    # One observation a drive: the readings within its windows, the voltage from some time before.
-    # Stamps may be off by the longer sample period; every record has a room of its own.
+    # One observation per drive: the readings within its windows, the voltage from some time before.
+    # Stamps may be off by the longest sample period; each record has an ambient of its own.
     used = [(*drive, own) for drive, own in zip(drives, chosen, strict=True) if own]
     lean = []
     for record, drive, own in used:
@@ -95,7 +96,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
         rig = signals.one_wire(parameters, drive.channel)
         lean.append((Record(record.path, record.start_ns, kept), rig))
     shortest = max(shared_bin([record], rig, 0.0) for record, rig in lean)
-    # When a commanded step came between two readings is not recorded, alike for all of a ramp.
+    # When a commanded step came between two readings is unknown: one delay for all of a ramp.
     steps = [record[f"{drive.channel}.voltage"].period / math.sqrt(12.0)
              if record.get("voltage_command") else 0.0 for record, drive, _ in used]
     observations = []
@@ -115,7 +116,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
         predicted = observation.course(observation.signals[0], simulation)
         for w in of_drive:
             models.append(zero.value + np.interp(w.temperature_time, observation.grid, predicted))
-    # The numbers. Random errors grow with the misfit; what the checks doubt comes on top.
+    # The numbers. Random errors grow with the misfit; the checks add systematic ones.
     mass, area = parameters["wire.mass"], parameters["wire.surface_area"]
     n, numbers = sum(len(w.temperature) for w in windows), {own.name: own for own in result.numbers}
     cp, h, lag = (numbers[name] for name in (SPECIFIC_HEAT, COEFFICIENT, LAG))
@@ -129,7 +130,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
     of_r = resistance.statistical / resistance.value if gain else 0.0
     relative = math.hypot(math.sqrt(logs[0, 0]) * factor, of_r, doubt)
     method = "output-error fit of eq. (2) to the ramps"
-    # Time is known well, so m c_p goes with h A_c as these sensors make it; not with others' h.
+    # tau is known well, so c_p has the scale errors of the known h, or of h by these sensors.
     if known:
         scales = {name: share / loss.value for name, share in loss.shares.items()}
     else:
@@ -142,7 +143,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
     estimates = {SPECIFIC_HEAT: estimate.with_shares(of_cp)}
     coldest = [float(model.min()) for model in models]
     paper, rates = slope_of_rates(windows, coldest, resistance.value, loss.value * area, mass)
-    # Of the record that tells it best.
+    # The delay of the record in which it is known best.
     late, step = min(zip(off[DELAY], steps, strict=True), key=lambda o: o[0].std)
     late_std, words = math.hypot(late.std, step), "stamps of temperature - voltage"
     slow = Estimate(lag.value, lag.std, "s", "lag of the temperature", n, informed=lag.informed)
@@ -165,7 +166,7 @@ def identify_specific_heat(drives: Drives, parameters: Parameters,
 
 
 def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, list[Finding]]:
-    """Of each drive the ramps below `limit` [K], else their cold beginnings; source; remark."""
+    """Ramps of each drive below `limit` [K], else their cold beginnings; source; remarks."""
     found: list[list[Window]] = []
     for record, drive in drives:
         voltage_time, voltage = samples(record, f"{drive.channel}.voltage")
@@ -181,7 +182,7 @@ def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, lis
             t, y = time[inside], temperature[inside]
             if len(t) < _FEWEST_SAMPLES:
                 continue
-            # Once above A_s the latent heat of both ways is in the curve until the wire is cold.
+            # From A_s on, latent heat is in the curve until the wire is cold again: cut there.
             smooth = _median_of_five(y)
             kept = int(np.argmax(smooth > clear)) if (smooth > limit).any() else len(t)
             first = max(int(np.searchsorted(voltage_time, start)) - 1, 0)
@@ -205,22 +206,22 @@ def _windows(drives: Drives, limit: float) -> tuple[list[list[Window]], str, lis
 
 
 def _median_of_five(values: Array) -> Array:
-    """(n,) of values (n,), which drops single wild samples."""
+    """Running median (n,) of values (n,), which removes single outliers."""
     windows = np.lib.stride_tricks.sliding_window_view(np.pad(values, 2, mode="edge"), 5)
     return np.asarray(np.median(windows, axis=-1))
 
 
 def _fitted(observations: Sequence[Observation], cold: float, parameters: Parameters,
             heat_loss: HeatLoss) -> tuple[Result, Result | None]:
-    """With h as known, if it is, and by the ramps alone. `cold`: K, of the wire before them."""
-    believed, camera = _lag(parameters)
+    """Fits with the known h, if any, and with h free. `cold`: K, of the wire before ramps."""
+    stated, camera = _lag(parameters)
     free = _unknowns(parameters, heat_loss, cold, camera, known=False)
     starts = [np.where(np.array(free.names) == SPECIFIC_HEAT, x, 0.0) for x in _STARTS]
     problem = Problem.of(observations, voltage_noise=True)
     blind, tried = recalibrate(problem, free.parameters(starts[0]), free, starts)
     found = dict(zip(free.names, free.values(blind.x).tolist(), strict=True))
-    if found[LAG] > believed + _SIGNIFICANT * camera:
-        # Of two time constants in a row the wire's is that whose c_p is nearer to what is known.
+    if found[LAG] > stated + _SIGNIFICANT * camera:
+        # Of two time constants in series, the wire's is the one with c_p nearer to the given one.
         loss = found[COEFFICIENT] * parameters["wire.surface_area"] / parameters["wire.mass"]
         swapped = {**found, SPECIFIC_HEAT: found[LAG] * loss, LAG: found[SPECIFIC_HEAT] / loss}
         expected = float(parameters[SPECIFIC_HEAT])
@@ -239,37 +240,37 @@ def _fitted(observations: Sequence[Observation], cold: float, parameters: Parame
 
 
 def _lag(parameters: Parameters) -> tuple[float, float]:
-    """What is believed of the camera's, and its error, s."""
+    """Stated lag of the camera and its error, s."""
     mean = float(parameters[LAG] or parameters[CAMERA_LAG])
     return mean, max(parameters.std(CAMERA_LAG), _LEAST)
 
 
 def _unknowns(parameters: Parameters, heat_loss: HeatLoss, ambient: float, lag_std: float,
               known: bool) -> Unknowns:
-    """R is held where E2 has measured the gain, and its error added in the end."""
+    """R is fixed where E2 has measured the gain; its error is added at the end."""
     (own, loss, gain, _), of_h = heat_loss, _ANY
     if known:
         of_h = gain.statistical / gain.value if gain else loss.relative_std
-    believed = {COEFFICIENT: (loss.value, of_h * loss.value),
-                SPECIFIC_HEAT: (float(parameters[SPECIFIC_HEAT]), _ANY * parameters[SPECIFIC_HEAT]),
-                AMBIENT: (ambient, _AMBIENT_STD), LAG: (_lag(parameters)[0], lag_std)}
+    priors = {COEFFICIENT: (loss.value, of_h * loss.value),
+              SPECIFIC_HEAT: (float(parameters[SPECIFIC_HEAT]), _ANY * parameters[SPECIFIC_HEAT]),
+              AMBIENT: (ambient, _AMBIENT_STD), LAG: (_lag(parameters)[0], lag_std)}
     if gain is None:
-        # What the scales of these sensors do to R they do to h too, where these ramps tell it.
+        # If the ramps determine h, scale errors of the sensors are the same in R and in h.
         of_r = own.relative_std if known else own.statistical / own.value
         ohm = parameters[signals.RESISTANCE]
-        believed[signals.RESISTANCE] = (float(ohm), of_r * ohm)
+        priors[signals.RESISTANCE] = (float(ohm), of_r * ohm)
     items = tuple(Unknown(name, mean, std, float(BY_NAME[name].low or 0.0),
                           float(BY_NAME[name].high or np.inf), log=name not in (AMBIENT, LAG))
-                  for name, (mean, std) in believed.items() if std > 0.0)
+                  for name, (mean, std) in priors.items() if std > 0.0)
     return Unknowns(parameters.replace({COEFFICIENT: loss.value}), items, len(items), len(items))
 
 
 def _checks(result: Result, blind: Result | None, tau: float, parameters: Parameters,
             heat_loss: HeatLoss, steps: Sequence[float]) -> tuple[list[Finding], float, float]:
-    """What may be wrong with a fit: remarks, a factor of the random error and a relative doubt of
-    c_p. `blind`: without what is known of h; `tau`: s of the wire; `steps`: s, error of delays."""
+    """Checks of a fit: findings, a factor for the random error and a relative systematic error of
+    c_p. `blind`: the fit with h free; `tau`: s, of the wire; `steps`: s, errors of delays."""
     findings, factor, doubts = list[Finding](), 1.0, [0.0]
-    # An offset between the stamps? Delay and lag of the best record: their sum is known better.
+    # An offset between the stamps? The sum of delay and lag (best record) is known best.
     fitted, delays = result.fit, [off for off in result.off if off.kind == DELAY]
     best = min(range(len(delays)), key=lambda k: delays[k].std)
     items = [item for own in fitted.problem.nuisances for item in own.items]
@@ -285,22 +286,22 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
     resolved = abs(late) >= max(_SIGNIFICANT * std, _SMALL_DELAY)
     cause, is_bad = "delay", far
     if std > 0.5 * assumed:
-        cause, is_bad = "delay not told", std > _SMALL * tau
+        cause, is_bad = "delay unresolved", std > _SMALL * tau
     more = "; taken at face value they would pass for thermal inertia" * resolved
     findings.append(remark(cause, "warning" if is_bad else "info", delay=late, delay_std=std,
                            assumed=assumed, more=more))
     # A second time constant: the camera's, or the wire's own?
-    believed, std = _lag(parameters)
+    stated, std = _lag(parameters)
     own_std = lag.std / math.sqrt(max(lag.informed, _LEAST))  # by the ramps alone
-    if abs(lag.value - believed) >= max(_SIGNIFICANT * max(lag.std, std), _SMALL * tau):
+    if abs(lag.value - stated) >= max(_SIGNIFICANT * max(lag.std, std), _SMALL * tau):
         findings.append(remark("two time constants", tau=tau, lag=lag.value, lag_std=lag.std,
                                swapped=lag.value / tau * cp.value))
-        # Where the two differ clearly, a lag is the smaller one; near each other they trade places.
+        # A lag is usually the smaller one; the closer the two, the likelier they are swapped.
         doubts.append(min(lag.value / tau, tau / lag.value) ** 2)
     elif own_std >= _KNOWN_LAG * tau:
-        findings.append(remark("lag not told", believed=believed, std=std, lag_std=own_std,
+        findings.append(remark("lag unresolved", stated=stated, std=std, lag_std=own_std,
                                time_constant=tau))
-    # The largest mean of residuals over a time constant in K, over its scatter, and over the rise.
+    # Largest mean residual over a time constant: in K, in standard errors, and over the rise.
     means: list[tuple[float, float, float]] = []
     for block in fitted.problem.blocks:
         left, model, signal = fitted.left[block.rows], fitted.predicted[block.rows], block.signal
@@ -319,7 +320,7 @@ def _checks(result: Result, blind: Result | None, tau: float, parameters: Parame
         factor = errors / _SIGNIFICANT
         findings.append(remark("heat equation misses", misfit=misfit, standard_errors=errors,
                                share=share))
-    # Do the ramps by themselves ask for the steady rise that E2 measured?
+    # Do the ramps alone agree with the steady rise by the known R and h?
     if blind is not None:
         alone = {number.name: number for number in blind.numbers}
         known, free = numbers[COEFFICIENT], alone[COEFFICIENT]
@@ -355,7 +356,7 @@ def slope_of_rates(windows: Sequence[Window], ambient: Sequence[float], resistan
     slope = float(force @ rate) / float(force @ force) if len(rate) else 0.0
     if slope == 0.0:
         raise InputError("the ramps do not heat the wire for longer than the filter's time")
-    effective = max(len(rate) * period / (2.0 * _FILTER_TIME), 2.0)  # samples that do not repeat
+    effective = max(len(rate) * period / (2.0 * _FILTER_TIME), 2.0)  # independent samples
     scatter = float(np.std(rate - slope * force)) / float(np.sqrt(np.mean(force**2)))
     std = scatter / math.sqrt(effective) / slope**2
     method = "slope of filtered dT/dt over f(T, V) as in the paper; biased by noise"

@@ -1,6 +1,6 @@
-"""What staircases tell: those of voltage the resistance (E1: eq. 3, Fig. 2) and, by the steady
-temperature, the heat transfer coefficient (E2: eq. 4, Fig. 3); those of a clamped wire's
-temperature below A_s the thermal expansion factor (E8: eq. 8, Fig. 10).
+"""Staircases of voltage give the resistance (E1: eq. 3, Fig. 2) and, from steady temperatures, the
+heat transfer coefficient (E2: eq. 4, Fig. 3); staircases of a clamped wire's temperature below A_s
+give the thermal expansion factor (E8: eq. 8, Fig. 10).
 
     V = V_0 + R_channel I   R = count (R_channel - R_leads)   sigma - sigma_0 = Theta_T (T - T_0)
 
@@ -33,21 +33,23 @@ ZERO, _ROOM = "sensor.voltage.offset", "ambient.temperature"
 _SIGNIFICANT = 3.0  # standard errors from which a remark becomes a warning
 _SIGNIFICANT_BEND = 4.0  # a quiet converter bends a line a little by itself
 _LARGE_DIFFERENCE, _LARGE_BEND_OF_R = 0.002, 0.005  # shares of R below which it does not matter
-# Of a plateau that had not settled: standard errors, share of the rise, K.
-_DRIFTS, _LARGE_DRIFT, _SMALLEST_DRIFT = 4.0, 0.01, 0.1
+_DRIFTS = 4.0  # standard errors; a plateau that drifts by more, and by more than these,
+_LARGE_DRIFT, _SMALLEST_DRIFT = 0.01, 0.1  # of the rise; K, has not settled
 _LARGE_BEND_OF_H = 0.02  # of the slope
-_DRIFT_STD, _DRIFT_TIME = 1.0, 600.0  # K to either side in so many s, and slower than that
-_SMALL_DRIFT, _FEWEST_TO_DRIFT = 2e-3, 8  # of the rise; plateaus
-# Of E8: s, K over a window of s, K that tell levels apart, the part of a plateau that counts.
-_SHORTEST_PLATEAU, _FEWEST_LEVELS = 5.0, 3
-_STEADY, _WINDOW, _SAME_LEVEL, _TAIL = 0.3, 2.0, 1.0, 0.6
-_SLACK, _BAD_MISFIT = 5.0, 9.0  # errors of the stress, chi square per degree of freedom
+_DRIFT_STD, _DRIFT_TIME = 1.0, 600.0  # K, of a room that nobody recorded; s in which it gets there
+_SMALL_DRIFT, _FEWEST_TO_DRIFT = 2e-3, 8  # of the rise, least reported; plateaus to fit it
+_SHORTEST_PLATEAU, _FEWEST_LEVELS = 5.0, 3  # of E8, as those below: s; temperatures
+_STEADY, _WINDOW = 0.3, 2.0  # K of change within s that count as steady
+_SAME_LEVEL = 1.0  # K: closer temperatures are one level
+_TAIL = 0.6  # of a plateau: its last part, which is averaged
+_SLACK = 5.0  # standard errors of the stress: below, a wire is slack
+_BAD_MISFIT = 9.0  # chi square per degree of freedom
 
 
 def identify_resistance(record: Record, staircase: Staircase, parameters: Parameters) -> Experiment:
     """Fit V over I through the plateaus of a staircase. Where heating and cooling differ by two
     standard errors the heating slope counts, as in the paper, and half the difference is added to
-    the error. InputError: current that does not follow, too few samples, or all of it is leads."""
+    the error. InputError: current that does not follow, too few samples, or ohms of leads alone."""
     staircase = staircase.read(record, "voltage", "current")
     v, i = (staircase.means(record, name) for name in ("voltage", "current"))
     volts, amps, n, findings = v.value, i.value, len(v.value), list[Finding]()
@@ -58,7 +60,7 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
     up = np.array([p.direction == "up" for p in staircase.plateaus])
 
     def covariance(ohm: float) -> Array:
-        """(n, n) V^2 of V - ohm I; plateaus at one voltage share converters' errors."""
+        """(n, n) of V - ohm I in V^2; plateaus at one voltage share converters' errors."""
         noise = np.diag(v.noise**2 + (ohm * i.noise) ** 2)
         return np.asarray(noise + (v.hidden**2 + (ohm * i.hidden) ** 2) * same)
 
@@ -90,16 +92,16 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
     curved = fit_slope(columns, volts, covariance)
     bend, error = (4.0 / half_range * float(x[2]) for x in (curved.beta, curved.std))
     if abs(bend) > max(_SIGNIFICANT_BEND * error, _LARGE_BEND_OF_R * ohm):
-        std = math.hypot(std, bend / math.sqrt(12.0))  # of a slope uniform over its range
+        std = math.hypot(std, bend / math.sqrt(12.0))  # as if the slope were uniform over its range
         findings.append(remark("bent line", slope_change=bend, slope_change_std=error,
                                share=bend / ohm))
     offset, offset_std = -intercept / ohm, zero_std / ohm
     if abs(offset) > _SIGNIFICANT * offset_std:
         findings.append(remark("current offset", offset=offset, offset_std=offset_std))
-    # From the channel to one of its wires, and the errors that no record shows.
+    # From the channel to one of its wires; systematic errors, which no record shows.
     count, leads = parameters["wire.count"], parameters[LEADS]
     if ohm <= leads:
-        raise refusal("all of it is leads", path=record.path, ohm=ohm, name=LEADS, leads=leads)
+        raise refusal("no more than leads", path=record.path, ohm=ohm, name=LEADS, leads=leads)
     systematic = {VOLTAGE: count * ohm * parameters.std(VOLTAGE),
                   CURRENT: -count * ohm * parameters.std(CURRENT)}
     if leads or count > 1:
@@ -116,13 +118,13 @@ def identify_resistance(record: Record, staircase: Staircase, parameters: Parame
 
 
 def lead_std(parameters: Parameters) -> float:
-    """Standard deviation of the leads' resistance [ohm]; 0 ohm not stated is exact."""
+    """Standard deviation of the leads' resistance [ohm]; a default of 0 is exact."""
     stated = parameters[LEADS] > 0.0 or LEADS in parameters.given
     return parameters.std(LEADS) if stated else 0.0
 
 
 def heated(resistance: Estimate, parameters: Parameters, measured: bool) -> Estimate:
-    """V^2 over a wire's heat, V before the leads; `measured`: by E1, less the same leads."""
+    """V^2/P of a wire, V before the leads, P its heat; `measured`: by E1, less the same leads."""
     count, ohm = parameters["wire.count"], resistance.value
     leads, error = count * parameters[LEADS], count * lead_std(parameters)
     if leads == 0.0:
@@ -139,8 +141,8 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
                            resistance: Estimate) -> Experiment:
     """Heat transfer coefficient and ambient temperature from a voltage staircase: T = T_inf +
     V^2/(R h A_c) with free T_inf, which may drift where the room was not recorded; A_c is taken as
-    exact. `details` holds the thermal gain 1/(R h A_c) in K/V^2. `resistance`: V^2 over the heat of
-    a wire. InputError: temperature that does not follow the voltage, or free convection."""
+    exact. `details` holds the thermal gain 1/(R h A_c) in K/V^2. `resistance`: of V^2/P, from
+    `heated`. InputError: temperature that does not follow the voltage, or free convection."""
     if parameters["wire.convection"] != "constant":
         raise refusal("free convection", path=record.path)
     also = ["current"] if has_samples(record, f"{staircase.channel}.current") else []
@@ -150,7 +152,7 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
     volts, kelvin, square = v.value, t.value, v.value**2
     shared = staircase.same_level(volts)  # plateaus that share a converter error
     ones, rise_of_square = np.ones(n), float(np.ptp(square))
-    # What the room did from plateau to plateau, or one standard deviation of what it may have done.
+    # The room: subtract what was recorded, else allow for a drift of this standard deviation.
     middle = staircase.windows.mean(axis=1)
     duration, size = float(np.ptp(middle)), 0.0
     if has_samples(record, _ROOM):
@@ -164,7 +166,7 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
                       rise=np.ptp(kelvin), volts=np.ptp(volts))
 
     def covariance(gain: float, size: float = size) -> Array:
-        """(n, n) of T - gain V^2 in K^2: effective variance, converters' share at equal levels."""
+        """(n, n) of T - gain V^2 in K^2: plateaus at one voltage share converters' errors."""
         sensitivity = 2.0 * gain * volts
         noise = t.noise**2 + (sensitivity * v.noise) ** 2 + t.hidden**2
         hidden = np.outer(sensitivity, sensitivity) * v.hidden**2 * shared
@@ -172,14 +174,14 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
 
     fit = fit_slope([ones, square], kelvin, covariance)
     (ambient, gain), (ambient_std, gain_std) = fit.beta.tolist(), fit.std.tolist()
-    went = 0.0  # K, by which the room went to either side of its mean, as the staircase shows it
+    drifted = 0.0  # K, to either side of the mean, if the staircase shows that the room drifts
     if size and n >= _FEWEST_TO_DRIFT:
         design = np.column_stack([ones, square, drift * size / np.max(np.abs(size * drift))])
         drifting = fit_linear(design, kelvin, covariance(gain, size=0.0))
         far, error = float(drifting.beta[2]), float(drifting.std[2])
         if abs(far) >= max(_SIGNIFICANT * error, _SMALL_DRIFT * gain * rise_of_square):
-            went = far
-            remarks.append(remark("room drifts", drift=2.0 * went, std=2.0 * error))
+            drifted = far
+            remarks.append(remark("room drifts", drift=2.0 * drifted, std=2.0 * error))
     # Plateaus whose temperature still changed while it was averaged; a straight line's rise over
     # its window has 12 times the variance of the mean.
     limit = max(_SMALLEST_DRIFT, _LARGE_DRIFT * float(np.ptp(kelvin)))
@@ -191,11 +193,11 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         worst = int(np.argmax(np.where(moving, np.abs(t.drift), 0.0)))
         remarks.append(remark("plateaus not settled", plateaus=moving.sum(), of=n,
                               largest_drift=t.drift[worst], volts=volts[worst]))
-    # Straight over V^2, or over R times a wire's power where there is a current, as R may vary?
+    # Is T straight over V^2, or, with a current, over R times a wire's power, as R may vary?
     heating, errors, what = square, covariance(gain), "squared voltage"
     if has_samples(record, f"{channel}.current"):
         current = staircase.means(record, "current")
-        # The sensor's zero: a plateau at 0 V tells it better than a line that may not be straight.
+        # The current's zero: a plateau at 0 V is better than a line that may not be straight.
         if (undriven := np.abs(volts) < staircase.tolerance).any():
             offset = float(np.mean(current.value[undriven]))
             common = float(np.mean(current.noise[undriven])) / math.sqrt(float(undriven.sum()))
@@ -228,15 +230,15 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
         off = ambient - value
         if abs(off) > _SIGNIFICANT * math.hypot(ambient_std, std):
             remarks.append(remark("ambient", how=how, ambient=ambient, value=value, difference=off))
-    # What no record shows: the converter's zero, the camera's, its scale, and the drift. Nobody
-    # calibrates a camera's zero better than to its own step.
+    # Systematic: zeros of voltage and camera, the camera's scale, the drift. A camera's zero is
+    # calibrated to its step at best.
     shifted = (volts + parameters.std(ZERO)) ** 2
     off = float(fit_slope([ones, shifted], kelvin, covariance).beta[1] - gain)
     method = "steady temperature over squared voltage"
     thermal_gain = Estimate(gain, gain_std, "K/V2", method, n).with_shares({ZERO: off})
     ambient_std = math.hypot(ambient_std, t.step / math.sqrt(12.0))
     zero, of_scale = "sensor.temperature.offset", parameters.std(CAMERA[0])
-    shares = {zero: parameters.std(zero), "drift of the room": abs(went),
+    shares = {zero: parameters.std(zero), "drift of the room": abs(drifted),
               CAMERA[0]: of_scale * (ambient - CELSIUS_ZERO)}
     cold = Estimate(ambient, ambient_std, "K", "steady temperature at zero voltage", n)
     estimates = {COEFFICIENT: coefficient(thermal_gain, resistance, parameters),
@@ -250,7 +252,7 @@ def identify_heat_transfer(record: Record, staircase: Staircase, parameters: Par
 
 
 def coefficient(gain: Estimate, resistance: Estimate, parameters: Parameters) -> Estimate:
-    """h = 1/(gain R A_c) from a thermal gain in K/V^2, independent of R but for the sensors."""
+    """h = 1/(gain R A_c) from a thermal gain in K/V^2, independent of R but for sensor errors."""
     area = parameters["wire.surface_area"]
     value = 1.0 / (gain.value * resistance.value * area)
     std = math.hypot(gain.statistical / gain.value, resistance.statistical / resistance.value)
@@ -264,8 +266,8 @@ def coefficient(gain: Estimate, resistance: Estimate, parameters: Parameters) ->
 
 
 def scale_of_gain(parameters: Parameters) -> dict[str, float]:
-    """Systematic errors of a rise in temperature over a squared voltage, relative."""
-    # The excess over the room goes with what the camera makes of it, the heat with V^2.
+    """Relative systematic errors of a temperature rise over a squared voltage, by source."""
+    # The measured rise scales with the camera's factors, the heat with V^2.
     powers = dict.fromkeys(CAMERA, 1.0) | {VOLTAGE: -2.0}
     return {n: power * (parameters.std(n) / parameters[n]) for n, power in powers.items()}
 
@@ -275,7 +277,7 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
     InputError: a signal is absent, or fewer than three temperatures remain below A_s."""
     findings, points, used, total = list[Finding](), [], [], 0
     area, a_s, stated = channel_section(parameters), parameters[_START], _START in parameters.given
-    doubt = parameters.std(_START) if stated else BY_NAME[_START].uncertainty or 0.0
+    a_s_std = parameters.std(_START) if stated else BY_NAME[_START].uncertainty or 0.0
     for index, record in enumerate(records):
         path, name = record.path, f"{record.channels[0]}.temperature"
         read, (time, newton) = samples(record, name), samples(record, "force")
@@ -289,18 +291,18 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
         total += f.n
         warm_std, of_record = np.hypot(warm.noise, warm.hidden), np.full(len(here), float(index))
         points.append(np.column_stack([warm.value, warm_std, here, error, of_record]))
-        # Below A_s, shifted by the stress before it: a transforming wire pulls itself up.
+        # A_s, shifted by the stress below it: transformation would raise the stress itself.
         cold = here[warm.value < a_s]
         shift = max(float(cold.min()), 0.0) if len(cold) else 0.0
-        limit = a_s + shift / parameters[SYMBOLS["C_A"]] - 2.0 * doubt
+        limit = a_s + shift / parameters[SYMBOLS["C_A"]] - 2.0 * a_s_std
         if not stated:
-            findings.append(remark("nobody stated A_s", start=a_s, limit=limit))
+            findings.append(remark("A_s not stated", start=a_s, limit=limit))
         below = warm.value < limit
         if not below.all():
             hot = warm.value[~below]
             findings.append(remark("plateaus too hot", path=path, count=len(hot), low=hot.min(),
                                    high=hot.max(), limit=limit))
-        # Once slack, the wire tells nothing; all plateaus below 0 N mean another zero or sign.
+        # A slack wire shows nothing; if all are below 0 N, the force has another zero or sign.
         tight = here > max(float(np.max(np.abs(here))) * 0.02, _SLACK * error.max())
         if tight.any() and not tight[below].all():
             findings.append(remark("slack wire", path=path, count=np.sum(~tight & below)))
@@ -315,7 +317,7 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
     own = stress_std[chosen] ** 2 + (1e-6 * float(np.ptp(stress[chosen])) + 1.0) ** 2
     fit = fit_slope(design[chosen].T, stress[chosen], slope=-1, covariance=lambda slope: np.diag(
         own + (slope * t_std[chosen]) ** 2))
-    slope = float(fit.beta[-1])  # of which area and the camera's scale have errors of their own
+    slope = float(fit.beta[-1])  # with systematic errors of section and camera scale
     shares = {name: -slope * parameters.std(name) / parameters[name] for name in CAMERA}
     shares[_DIAMETER] = -2.0 * slope * parameters.std(_DIAMETER) / parameters[_DIAMETER]
     method = f"line through {int(chosen.sum())} plateaus at {levels} temperatures below A_s"
@@ -343,7 +345,7 @@ def identify_thermal_expansion(records: Sequence[Record], parameters: Parameters
 
 
 def steady_windows(time: Array, temperature: Array) -> Array:
-    """(p, 2) s, later parts of stretches in which temperature (n,) K is still over time (n,) s."""
+    """(p, 2) s, last parts of the stretches of steady temperature (n,) K over time (n,) s."""
     period = float(np.median(np.diff(time))) if len(time) > 1 else _WINDOW
     half = max(round(0.5 * _WINDOW / period), 2)
     if len(time) < 4 * half:
@@ -351,7 +353,7 @@ def steady_windows(time: Array, temperature: Array) -> Array:
     smooth = np.convolve(temperature, np.ones(half) / half, mode="valid")
     change = np.abs(smooth[half:] - smooth[:-half])
     centre = time[half : half + len(change)]
-    # Noise of two means of `half` samples sets the limit where it is larger.
+    # The limit is at least the noise of a difference of two means of `half` samples.
     steady = change < max(_STEADY, 5.0 * scatter(temperature) * math.sqrt(2.0 / half))
     edges = np.flatnonzero(np.diff(np.concatenate([[False], steady, [False]]).astype(int)))
     first, last = centre[edges[::2]], centre[edges[1::2] - 1]

@@ -35,20 +35,21 @@ SYMBOL = {"martensite": "E_M", "austenite": "E_A"}
 # Pa: martensite after detwinning 20 to 50 GPa, austenite 40 to 90 GPa in the literature.
 _NITI_MODULUS = {"martensite": (17e9, 60e9), "austenite": (35e9, 100e9)}
 _FINISH = {"martensite": SYMBOLS["M_f"], "austenite": SYMBOLS["A_f"]}
-_PLATEAU_SLOPE, _PLATEAU_STRAIN = 0.35, 0.004  # of the steepest, least length
-_GRID = 240
-_MOST_PIECES, _SHORTEST_PIECE, _STRAIGHT = 9, 4, 0.004  # points, share of the stress
-_TRIM = 0.1  # of a rise, at either end
-_SAME_SLOPE = 0.8
-_SHORTEST_RISE, _SHORTEST_AFTER = 0.0008, 0.003  # strain
-_REVERSAL = 0.03  # of the ranges of strain and stress, which both fall
-_ROWS = 60  # of a pull in a bag, each a mean
-_PARTS = 5
-_NOISE_OF_PARTS = 4.0 * 1.25 * _PARTS  # the median of their slopes, in standard errors of the whole
+_PLATEAU_SLOPE, _PLATEAU_STRAIN = 0.35, 0.004  # at most, of the steepest; at least, in strain
+_GRID = 240  # bins of strain
+_MOST_PIECES, _SHORTEST_PIECE = 9, 4  # straight pieces of a curve; points of each
+_STRAIGHT = 0.004  # rms distance from them, over the range of stress
+_TRIM = 0.1  # of a rise is left out at either end
+_SAME_SLOPE = 0.8  # of the steepest: neighbours above that belong to the same rise
+_SHORTEST_RISE, _SHORTEST_AFTER = 0.0008, 0.003  # strain: of a piece; of a rise after a plateau
+_REVERSAL = 0.03  # of the ranges: a fall of both strain and stress by that ends the loading
+_ROWS = 60  # means that a pull in a bag is reduced to
+_PARTS = 5  # of a rise, to detect slips
+_NOISE_OF_PARTS = 4.0 * 1.25 * _PARTS  # 4 standard errors of their median slope, over the whole's
 
 
 class Rise(NamedTuple):
-    """An elastic part: modulus and its error in Pa, from n readings."""
+    """An elastic rise: modulus and its error in Pa, from n readings."""
 
     modulus: float
     std: float
@@ -56,7 +57,7 @@ class Rise(NamedTuple):
 
 
 class TensileReading(NamedTuple):
-    """What one curve shows."""
+    """Features of one stress-strain curve."""
 
     initial: Rise  # before the plateau
     after: Rise | None  # the plateau
@@ -150,16 +151,16 @@ def _straight_pieces(x: Array, y: Array, tolerance: float) -> list[tuple[int, in
 
 
 def _modulus(strain: Array, stress: Array) -> Rise:
-    """Slope, its error from coloured scatter, and from the curvature that halves would show."""
+    """Slope; its error from correlated scatter, and from curvature or slips that parts show."""
     line, n, bend = straight_line(strain, stress), len(strain), 0.0
     variance = line.slope_variance * inflation(autocorrelation([stress - line(strain)]))
     lower = strain <= 0.5 * (strain.min() + strain.max())
     if min(np.sum(lower), np.sum(~lower)) >= 8:
         low, high = (straight_line(strain[h], stress[h]).slope for h in (lower, ~lower))
-        # Halves of noise alone differ by 4 sqrt(2) standard errors of the whole.
+        # Noise alone makes halves differ by 4 standard errors of the whole: allow for twice that.
         bend = max(abs(high - low) - 8.0 * math.sqrt(variance), 0.0) / 4.0
     if n >= 8 * _PARTS:
-        # A slip is in one or two of the parts, and in the slope of the whole.
+        # A slip changes the slopes of one or two parts and of the whole, not the median of parts.
         order = np.argsort(strain, kind="stable")
         parts = np.array_split(order, _PARTS)
         median = float(np.median([straight_line(strain[k], stress[k]).slope for k in parts]))
@@ -173,7 +174,7 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters,
     """Evaluate tensile tests of one material; tests of one phase are repeats. `details` holds
     plateau stresses, toe, other rises; `curves` `<phase>/<file>/strain`, `/stress` and `/pieces`
     (m, 2). `parameters`: M_f and A_f of this wire, its length and diameter where a file has
-    elongation and force; `phases`: phase by pattern of file names, before all else. Raises
+    elongation and force; `phases`: phase by pattern of file names, overriding all else. Raises
     InputError: a test of unknown phase, or a curve without elastic part."""
     records = [_of_specimen(record, parameters) for record in records]
     findings = [finding for record in records for finding in record.findings]
@@ -203,7 +204,7 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters,
         estimates[SYMBOLS[symbol]] = modulus.with_shares(shares)
         low, high = _NITI_MODULUS[phase]
         if not low <= value <= high:
-            findings.append(remark("no NiTi's modulus", symbol=symbol, modulus=value, low=low,
+            findings.append(remark("implausible modulus", symbol=symbol, modulus=value, low=low,
                                    high=high))
         every = [reading for _, reading in group]
         plateaus = [r.plateau for r in every if r.plateau]
@@ -226,7 +227,7 @@ def identify_tensile(records: Sequence[TensileRecord], parameters: Parameters,
 
 
 def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord:
-    """Strain and stress, of elongation and force by the length and section of one wire."""
+    """The record with elongation and force converted to strain and stress of one wire."""
     if record.is_extension and not {"wire.length", "wire.mass"} & parameters.given:
         raise InputError(f"{record.path}: elongation instead of strain, give wire.length")
     if record.is_force and "wire.diameter" not in parameters.given:
@@ -240,11 +241,11 @@ def _of_specimen(record: TensileRecord, parameters: Parameters) -> TensileRecord
 
 
 def _phase(record: TensileRecord, phases: Mapping[str, Phase], parameters: Parameters) -> Phase:
-    """What was asked for, what the file says, or what the wire's own temperatures tell."""
+    """Phase of a test: as asked for, as its file says, or by M_f and A_f of the wire."""
     path, kelvin = record.path, record.temperature
     asked = dict.fromkeys(phase for name, phase in phases.items() if fnmatch(path.name, name))
     if len(asked) > 1:
-        raise InputError(f"{path}: said to be {' and to be '.join(asked)}")
+        raise InputError(f"{path}: two phases given, {' and '.join(asked)}, expected one")
     if known := next(iter(asked), record.phase):
         return known
     give = f"give --phase {path.name}=martensite or =austenite"
@@ -261,7 +262,7 @@ def _phase(record: TensileRecord, phases: Mapping[str, Phase], parameters: Param
 
 def _chosen(phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]],
             findings: list[Finding]) -> tuple[str, list[Rise]]:
-    """Which part of the curves is the modulus, and that part of every test that shows it."""
+    """The part of the curves whose slope is the modulus, and its rise in each test that has it."""
     initial = [reading.initial for _, reading in group]
     if phase == "austenite":
         return "loading before the plateau", initial
@@ -278,8 +279,8 @@ def _chosen(phase: Phase, group: Sequence[tuple[TensileRecord, TensileReading]],
 
 def tensile_tests(record: Record, parameters: Parameters) -> tuple[TensileRecord, ...]:
     """The pulls of a load-frame bag at steady temperature as tensile tests; rows are means of parts
-    of a pull, as an extensometer's scatter would make the wire look softer."""
-    # The temperature is the wire's own, else the room's where nothing heats it, None without.
+    of a pull, as scatter of the extensometer makes a wire look softer."""
+    # The temperature is the wire's own, else the room's if nothing heats the wire, else None.
     wires = record.channels
     heated = any(has_samples(record, f"{c}.{q}") for c in wires for q in ("voltage", "current"))
     names = [*(f"{c}.temperature" for c in wires), *([] if heated else ["ambient.temperature"])]

@@ -1,6 +1,6 @@
-"""E5, transition temperatures by calorimetry: tangents on every scan (Fig. 7), cycles and heating
-rates (Table II), of which a straight line gives the onset at rate zero (Hoehne et al.,
-Thermochimica Acta 160, 1990). The first heating of a prestrained sample alone starts later."""
+"""E5, transition temperatures by calorimetry: tangents on every scan (Fig. 7) of several
+cycles and rates (Table II); a line over the rates gives the onset at rate zero (Hoehne et al.,
+Thermochimica Acta 160, 1990). Prestrain delays the first heating, no other scan."""
 
 import math
 from collections.abc import Sequence
@@ -18,34 +18,34 @@ from sma_bench.parameters.parameter import TRANSITIONS
 from sma_bench.records import DscRecord, DscSegment
 
 _ENDS = {"heating": ("A_s", "A_f"), "cooling": ("M_s", "M_f")}  # start and finish
-# A calorimeter is calibrated with indium to some tenths of a kelvin; a wire follows within seconds.
+# Systematic: calibration with indium, to some tenths of a kelvin; the sample lags by seconds.
 _CALORIMETER_STD, _LAG_STD = 0.5, 5.0  # K, s
-_SAME_RATE = 0.05  # share of a rate
+_SAME_RATE = 0.05  # share by which equal rates may differ
 _SIGNIFICANT = 3.0  # standard errors
-_SMALLEST_SHIFT = 2.0  # K
-_STAYS = 0.25  # of the largest shift: cooling that moves by less stays
+_SMALLEST_SHIFT = 2.0  # K, from cycle 1 to 2, least reported
+_STAYS = 0.25  # of the largest shift: on cooling, less than that counts as none
 _GRID = 0.05  # K
-# A ruler follows the flank over some kelvins; the first choices count, the others tell the error.
-_SMOOTHINGS = (4.0, 2.0, 6.0)  # K
-_ON_BASELINE, _FACTORS = 0.003, (1.0, 0.3, 3.0)  # of the scan's height
-_BASELINE = 5.0  # K, at least
-_LONGEST_START_UP, _STRAIGHT = 180.0, 0.0015  # s, of the scan's height
-_LARGEST_NOISE = 4.0  # standard deviations, of a hundred readings
-_FLANK_HEIGHT, _FLANK_PROMINENCE = 0.05, 0.05  # of the peak, of the steepest slope
-_PEAK_PROMINENCE = 0.002
-_SMALLEST_PEAK = 20.0  # of the noise
+# The first choices give the result, the others its error.
+_SMOOTHINGS = (4.0, 2.0, 6.0)  # K, over which the slope of a flank is taken
+_ON_BASELINE, _FACTORS = 0.003, (1.0, 0.3, 3.0)  # of the scan's height, by which a baseline misses
+_BASELINE = 5.0  # K, least length
+_LONGEST_START_UP, _STRAIGHT = 180.0, 0.0015  # s; of the scan's height: deviation of a settled scan
+_LARGEST_NOISE = 4.0  # standard deviations, which hardly one of a hundred readings exceeds
+_FLANK_HEIGHT, _FLANK_PROMINENCE = 0.05, 0.05  # of the peak; of the steepest slope
+_PEAK_PROMINENCE = 0.002  # of the scan's height
+_SMALLEST_PEAK = 20.0  # times the noise
 _SIGMOID_PASSES = 8
 
 
 class Scan(NamedTuple):
     """One scan with a whole peak."""
 
-    run: int  # its place among the records
+    run: int  # index of its record
     segment: DscSegment
     cycle: int  # from 1, among the scans of its kind
     rate: float  # K/s, positive
     per_minute: float  # K/min
-    values: dict[str, tuple[float, float]]  # K and standard error, of those of A_s ... M_f in it
+    values: dict[str, tuple[float, float]]  # K and standard error, by A_s ... M_f
     details: dict[str, Estimate]
     curves: dict[str, Array]
     peaks: tuple[float, ...]  # K, the largest first
@@ -54,14 +54,14 @@ class Scan(NamedTuple):
 def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> Scan:
     """Onset and finish by tangents to the outermost flanks (a transformation may go in steps),
     peaks, and the area over a baseline. InputError: too short, never straight, or no peak."""
-    # Heating takes the latent heat up, cooling gives it back: the peak shall point upward.
+    # Make the peak point upward: heating absorbs latent heat, cooling releases it.
     upward = (segment.kind == "heating") == (record.endothermic_up is not False)
     flow = (1.0 if upward else -1.0) * record.specific_heat_flow(segment)
     time, temperature = segment.time, segment.temperature
     span, least = np.ptp(temperature), 4.0 * _BASELINE
     if len(time) < 100 or span < least:
         raise refusal("short scan", n=len(time), span=span, least=least)
-    # An even grid of the furthest temperature so far: an instrument's start and noise turn back.
+    # An even grid of the furthest temperature so far: at the start and with noise it goes back.
     spread = _LARGEST_NOISE * scatter(flow)
     sign = 1.0 if temperature[-1] > temperature[0] else -1.0
     reached = np.maximum.accumulate(sign * temperature)
@@ -69,7 +69,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     steps = np.arange(reached[0], reached[-1], _GRID)
     stamps, flow = (np.interp(steps, reached[keep], v[keep]) for v in (time, flow))
     measured_rate = float((reached[-1] - reached[0]) / (time[-1] - time[0]))
-    # From where the next kelvins are straight, as only a settled instrument draws, but for noise.
+    # Begin where the next kelvins are straight within the noise: the instrument has settled.
     width = round(_BASELINE / _GRID)
     limit = max(_STRAIGHT * float(np.ptp(flow[len(flow) // 10 : -len(flow) // 10])), spread)
     last = min(int(np.searchsorted(stamps, stamps[0] + _LONGEST_START_UP)), len(flow) - width)
@@ -87,7 +87,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
     (begin, _, before, _, head), (end, _, after, _, tail) = ends.values()
     if (end - begin) * sign <= 0.0:
         raise refusal("tangents in the wrong order", begin=begin, end=end)
-    # Base under the peak, by share of the area done (sigmoid) and a straight chord; outside, flow.
+    # Baselines under the peak: a sigmoid, by the share of the area so far, and a straight chord.
     n = len(flow)
     first = min(round(head / _GRID), n - 2)
     last = max(n - 1 - round(tail / _GRID), first + 1)
@@ -129,7 +129,7 @@ def _read_scan(run: int, record: DscRecord, segment: DscSegment, cycle: int) -> 
 
 def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Line, float]:
     """Where the outermost flank's tangent meets the baseline at the beginning of a scan with noise
-    within `spread`: K, its error from other choices, baseline, tangent, and K of the baseline."""
+    within `spread`: K, its error from other choices, baseline, tangent, K of baseline."""
     from scipy.signal import find_peaks, savgol_filter  # half a second to load
     # Lines through the scan's beginning, extended while the scan stays on them.
     height, shortest, baselines = float(np.ptp(flow)), round(_BASELINE / _GRID), []
@@ -169,8 +169,8 @@ def _onset(t: Array, flow: Array, spread: float) -> tuple[float, float, Line, Li
 
 def identify_transition_temperatures(runs: Sequence[DscRecord]) -> Experiment:
     """A_s, A_f, M_s and M_f, stress free, from DSC runs of one material: from the cycles after the
-    first, extrapolated to zero rate where several runs have two rates or more. In one run whose
-    rates differ its slowest scan counts, and the others are in the error. `details` holds "cycle 1,
+    first, extrapolated to zero rate where several runs have two rates or more. If one run has
+    several rates, its slowest scan counts, the others enter the error. `details` holds "cycle 1,
     5 K/min: A_s" (Table II), "A_s at zero rate", "A_s lag" [s], and of every scan
     "<file>/segment_N/..." (no file in one run of several rates) start, finish, peak [K] and
     latent_heat [J/kg]; `curves` its heat flow [W/kg, upward] over temperature [K] with baselines
@@ -237,7 +237,7 @@ def identify_transition_temperatures(runs: Sequence[DscRecord]) -> Experiment:
 
 
 def _instrument(rate: float) -> dict[str, float]:
-    """K, what no scan at this rate (K/s) shows; at rate zero nothing lags."""
+    """Systematic errors [K] of a scan at this rate [K/s]; at rate zero nothing lags."""
     return {"calorimeter": _CALORIMETER_STD, "lag of the sample": _LAG_STD * rate}
 
 
@@ -265,7 +265,7 @@ def _at_zero_rate(name: str, seen: Sequence[Scan],
 
 
 def _prestrain(run: DscRecord, scans: Sequence[Scan]) -> list[Finding]:
-    """What moved from the first to the second cycle of a run, at one rate."""
+    """Finding on temperatures that shifted from cycle 1 to 2 of a run at the same rate."""
     shifts: dict[str, tuple[float, float]] = {}
     for name in TRANSITIONS:
         mine = {s.cycle: s for s in scans if name in s.values}

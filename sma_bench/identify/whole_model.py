@@ -1,5 +1,5 @@
 """E0, E9, E10 and E12: the whole model fitted to any set of a bench's records, as an experiment.
-It is the fit that the diagnosis calls recalibration, from more starts."""
+The diagnosis calls this fit recalibration and runs it from fewer starts."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
@@ -29,21 +29,21 @@ from sma_bench.progress import Report, silent
 from sma_bench.records.record import Record
 
 _NUISANCES = (*priors.SHAPES, *priors.UNMODELLED)
-_UNINFORMED = 0.2  # share of information
-_FAR, _FAR_TOO = 3.5, 2.0  # prior deviations
-_LAGS, _RARE = 20, 1e-6
-_FLOOR = 1.3
-_BETTER = 3.0  # nats, by which a lag must tell the records better
+_UNINFORMED = 0.2  # share of information from the records: below, the prior decides
+_FAR, _FAR_TOO = 3.5, 2.0  # prior deviations that contradict a prior; once one is, another
+_LAGS, _RARE = 20, 1e-6  # of the test for white residuals: lags, probability
+_FLOOR = 1.3  # rms residual over the noise above which the model misses a signal
+_BETTER = 3.0  # nats by which a lag of the thermometer must improve the fit
 _UNITS = {"wire.heat_transfer_coefficient": ("heat_loss", "W/K", "h A_c"),
           "wire.specific_heat": ("heat_capacity", "J/K", "m c_p")}
 
 
 def identify_moving_bench(records: Sequence[Record], parameters: Parameters,
                           report: Report = silent) -> Experiment:
-    """What the wires pull against (of the composite alpha and beta of each side, else the numbers
-    of `load`), and their own parameters: the baseline model (contract, section 4) on the measured
-    voltages, held to every other signal. Records of one wire in a load frame may join. Raises
-    InputError: no voltage of some channel, or no motion in any record."""
+    """Parameters of the wires and of what they pull against (alpha and beta of each side of the
+    composite, else those of `load`): the baseline model (contract, section 4) on the measured
+    voltages, fitted to every other signal. Records of one wire in a load frame may be among them.
+    Raises InputError: no voltage of some channel, or no motion in any record."""
     observations = observe_all(records, parameters)
     if not any(set(MOVED) & set(one.quantities) for one in observations):
         raise refusal("no motion", where=", ".join(str(r.path) for r in records))
@@ -54,7 +54,7 @@ def identify_moving_bench(records: Sequence[Record], parameters: Parameters,
 def identify_load_frame(records: Sequence[Record], parameters: Parameters,
                         report: Report = silent) -> Experiment:
     """Thermal and constitutive parameters of one wire in a load frame, simulated under the loads
-    that were held, or between the clamps, and held to elongation or force, temperature and current.
+    that were held, or between the clamps, and fitted to elongation or force, temperature, current.
     Raises InputError: no load frame in any record, no voltage, or neither held loads nor clamps."""
     observations = observe_all(records, parameters)
     if not any(one.holds for one in observations):
@@ -66,14 +66,14 @@ def identify_load_frame(records: Sequence[Record], parameters: Parameters,
 
 def identify_driven_wires(records: Sequence[Record], parameters: Parameters,
                           report: Report = silent) -> Experiment:
-    """R, h and c_p from whatever drive excites them, as far as the records tell them better than
-    was known. InputError without a voltage of some channel, or where the drive tells nothing."""
+    """R, h and c_p from any drive that excites them, where the records add to what was known.
+    InputError: no voltage of some channel, or a drive that determines none of them."""
     observations = observe_all(records, parameters, ("current", "temperature"))
-    title = "Joint fit of a drive that was made for something else"
+    title = "Joint fit to a drive made for another purpose"
     fitted = fit_experiment("E0", title, observations, parameters, report, most_starts=2)
     found = {n: e for n, e in fitted.estimates.items()
              if n in (*priors.HEAT, CAMERA_LAG) and e.informed >= _UNINFORMED}
-    # A product of which nobody knows a factor is found with the default of the other one.
+    # Where only a product is determined and its other factor was not given, that keeps its default.
     for name, (what, _, symbol) in _UNITS.items():
         partner, product = priors.PRODUCTS[name], fitted.details.get(what)
         if product and product.informed >= _UNINFORMED and partner not in parameters.given:
@@ -83,7 +83,7 @@ def identify_driven_wires(records: Sequence[Record], parameters: Parameters,
             found[name] = replace(product, value=value, std=product.std / factor, unit=own.unit,
                                   method=f"{symbol}, {words}").with_shares(shares)
     if not found.keys() - {"environment.ambient_temperature"}:
-        raise InputError(f"{fitted.source}: the drive excites nothing that R, h or c_p show in")
+        raise InputError(f"{fitted.source}: the drive does not determine R, h or c_p")
     remarks = (remark("one fit of all", names=", ".join(found)), *fitted.findings)
     return replace(fitted, estimates=found, findings=remarks)
 
@@ -91,7 +91,7 @@ def identify_driven_wires(records: Sequence[Record], parameters: Parameters,
 def fit_experiment(name: str, title: str, observations: Sequence[Observation],
                    parameters: Parameters, report: Report = silent,
                    most_starts: int | None = None) -> Experiment:
-    """Fit everything that the records can depend on, and report it."""
+    """Fit all parameters that the records can depend on."""
     quantities = tuple(dict.fromkeys(q for one in observations for q in one.quantities))
     held = any(one.holds for one in observations)
     moving = any(not one.holds for one in observations)
@@ -111,7 +111,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
     numbers = tuple(replace(n, name=CAMERA_LAG) if n.name == LAG else n for n in result.numbers)
     result = replace(result, numbers=numbers)
     method, samples = f"simulation fitted to {', '.join(quantities)}", result.samples
-    # A shape of the kinetics that is the cosine's is not worth a line.
+    # Parameters of the shape of the kinetics are left out at their default, the cosine.
     which = [k for k, n in enumerate(numbers)
              if n.name not in _NUISANCES or n.value != BY_NAME[n.name].default]
     estimates = {}
@@ -121,7 +121,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
         if n.name == RESISTANCE:
             shares[LEADS] = -parameters["wire.count"] * lead_std(parameters)
         shares |= priors.shares_of_factor(n.name, n.value, parameters)
-        # Sensors' scales are in what was known; numbers that bound each other are as one fit had.
+        # Prior errors include the sensors' scales: cap at them. Temperatures: as the fit has them.
         bound = n.name in (*priors.TEMPERATURES, priors.SPREAD)
         own = Estimate(fitted.parameters[n.name] if bound else n.value, n.std,
                        BY_NAME[n.name].unit, method + mostly_prior, samples, informed=n.informed)
@@ -151,7 +151,7 @@ def fit_experiment(name: str, title: str, observations: Sequence[Observation],
 
 
 def _of_laws(laws: Sequence[weighing.LawFit]) -> Iterator[Finding]:
-    """Which law, the runner-up and what it predicts differently; how the bench repeats."""
+    """Findings: the best law, the second and how it differs; repeatability of the bench."""
     for first, second in pairwise(laws[:2]):
         apart = first.fit.predicted - second.fit.predicted
         shares = [float(np.std(apart[block.rows]) / np.ptp(block.signal.value))
@@ -163,13 +163,13 @@ def _of_laws(laws: Sequence[weighing.LawFit]) -> Iterator[Finding]:
 
 
 def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fit, list[Fit]]:
-    """The fit again with the thermometer's lag, if missed or stated, where that tells it better."""
+    """Refit with the thermometer's lag if temperatures misfit or one is given; the better fit."""
     mean, std = float(parameters[CAMERA_LAG]), parameters.std(CAMERA_LAG)
     missed = any(float(np.std(fitted.left[block.rows])) > _FLOOR * block.signal.noise
                  for block in fitted.problem.blocks if block.signal.quantity == "temperature")
     if parameters[LAG] or std == 0.0 or not (missed or mean):
         return fitted, tried
-    if CAMERA_LAG not in parameters.given_uncertainty:  # nobody has measured this thermometer's
+    if CAMERA_LAG not in parameters.given_uncertainty:  # not measured on this thermometer
         std = max(std, float(BY_NAME[LAG].uncertainty or 0.0))
     own, before = fitted.unknowns, fitted.problem
     item = priors.Unknown(LAG, mean, std, 0.0, float(BY_NAME[LAG].high or np.inf))
@@ -189,19 +189,19 @@ def _with_lag(fitted: Fit, tried: list[Fit], parameters: Parameters) -> tuple[Fi
 
 
 def _findings(result: Result) -> Iterator[Finding]:
-    """What cannot be known, contradicted priors, ends of ranges, starts, residuals above noise."""
-    told = [n for n in result.numbers if n.name not in _NUISANCES]
-    if which := [n.name for n in told if n.informed < _UNINFORMED]:
+    """Findings: priors that decide or are contradicted, ends of ranges, starts, residuals."""
+    shown = [n for n in result.numbers if n.name not in _NUISANCES]
+    if which := [n.name for n in shown if n.informed < _UNINFORMED]:
         yield remark("mostly the prior", names=", ".join(which), parameters=len(which))
     for first in (number.name.split(" x ")[0] for number in result.products):
         product, factor = _UNITS[first][2], priors.PRODUCTS[first]
         yield remark("only the product", subject=first, product=product, factor=factor)
-    # Where one statement is contradicted, what drags it along drags others too.
+    # If one prior is contradicted, the same cause is likely to shift others.
     limit = _FAR_TOO if any(abs(n.moved) > _FAR for n in result.numbers) else _FAR
     for n in (n for n in result.numbers if abs(n.moved) > limit):
         away, unit = (n.value - n.believed) / n.prior_std, BY_NAME[n.name].unit
         yield remark("contradicted", subject=n.name, n=n, unit=unit, deviations=away)
-    for n in (n for n in told if n.at_end):
+    for n in (n for n in shown if n.at_end):
         yield remark("end of a range", subject=n.name, value=n.value)
     severity: Severity = "info" if result.agreed > 1 else "warning"
     yield remark("starts", severity, agreed=result.agreed, starts=result.starts)

@@ -1,4 +1,4 @@
-"""What the paper is redrawn from: synthetic records, and the user's sorted by what they feed."""
+"""Records for redrawing the paper: the user's, sorted by figure, and synthetic ones."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -24,7 +24,7 @@ from sma_bench.report.page import Picture
 from sma_bench.synthetic.paper_specimens import composite_rig, papers_records, wire_rig
 
 LabRecords = Mapping[str, tuple[Any, ...]]
-"""Records by group: one of KINDS, "validation" (E4, voltages that nothing is fitted to) or
+"""Records by group: one of KINDS, "validation" (E4, a record that nothing is fitted to) or
 "composite" (E12)"""
 THERMAL = ("E1", "E2", "E3")
 # Kinds of experiment by the group of records that feeds them: "thermal" are staircases and ramps
@@ -33,15 +33,14 @@ KINDS = {"thermal": THERMAL, "dsc": ("E5",), "upfr": ("E6",), "isobaric": ("E6 s
          "tensile": ("E7",), "clamped": ("E8",)}  # fmt: skip
 _INSTRUMENTS = {DscRecord: "dsc", IsobaricRecord: "isobaric", TensileRecord: "tensile"}
 _SAME_STRESS = 5e6  # Pa
-# Shares of the time, about: the records given done, the synthetic ones done.
-_MEASURED, _SYNTHESISED = 0.1, 0.9
+_MEASURED, _SYNTHESISED = 0.1, 0.9  # of the progress: after the records given, the synthetic ones
 
 
 def paper_page(records: Sequence[AnyRecord], parameters: Parameters,
                report: Report = silent) -> PaperPage:
-    """Identify the user's records, if any, simulate the paper's for what they do not hold, compare.
-    `parameters`: what is known of their bench; synthetic data next to records are made of the
-    paper's own numbers. Raises InputError: none of the records given can be used."""
+    """Identify the user's records, if any, and synthetic ones where those lack data; compare with
+    the paper. `parameters`: of the user's bench; synthetic data beside records use the paper's own
+    numbers. Raises InputError: none of the records given can be used."""
     report(0.0, "experiments")
     measured, notes = sort_records(records, parameters)
     outcomes, reasons = identify_lab(measured, parameters, synthetic=False)
@@ -51,7 +50,7 @@ def paper_page(records: Sequence[AnyRecord], parameters: Parameters,
     runs = _runs(measured, parameters if several else composite_rig(parameters), notes)
     if records and not (outcomes or validation or runs):
         raise InputError("; ".join(f"{note.subject}: {note.text}" for note in notes))
-    # What they do not give is synthetic: what a file does not state is the paper's.
+    # All else is synthetic: with stated parameters if there are no records, else the paper's.
     paper = Parameters.of_paper()
     if parameters.given and not records:
         stated = {name: parameters[name] for name in parameters.given}
@@ -73,7 +72,7 @@ def paper_page(records: Sequence[AnyRecord], parameters: Parameters,
 
 def sort_records(records: Sequence[AnyRecord],
                  parameters: Parameters) -> tuple[LabRecords, list[Finding]]:
-    """A laboratory's records by the figures that they feed; a warning for each that feeds nothing.
+    """A laboratory's records by the figures that they feed; a warning for each that feeds none.
     Isobaric tests at one stress are repeats (Fig. 8); of several, the lowest stress is drawn there,
     all in the stress-temperature diagram."""
     found, notes = dict[str, list[Any]](), list[Finding]()
@@ -93,7 +92,7 @@ def sort_records(records: Sequence[AnyRecord],
 
 
 def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, object]]:
-    """Groups that a bag belongs to, and what it is there."""
+    """Groups that a bag belongs to, each with the record in the form that is used there."""
     driven = [c for c in record.channels if has_samples(record, f"{c}.voltage")]
     if moves(record, parameters):
         return [("composite", record)] if len(driven) > 1 else []
@@ -120,8 +119,8 @@ def _uses_of_bag(record: Record, parameters: Parameters) -> list[tuple[str, obje
 
 def identify_lab(records: LabRecords, parameters: Parameters, *,
                  synthetic: bool) -> tuple[dict[str, ExperimentResults], list[Finding]]:
-    """Run all experiments that records, `synthetic` or not, allow: outcomes by kind (of KINDS), and
-    why others are missing."""
+    """Run all experiments that these records allow. Returns outcomes by kind (of KINDS), and why
+    others are missing."""
     found, notes = dict[str, ExperimentResults](), list[Finding]()
     for group, kinds in KINDS.items():
         if not records.get(group):
@@ -145,7 +144,7 @@ def identify_lab(records: LabRecords, parameters: Parameters, *,
 
 
 def _identified(parameters: Parameters, outcomes: Iterable[ExperimentResults]) -> Parameters:
-    """The given parameters with what the outcomes identified put in."""
+    """The given parameters updated with the estimates of the outcomes."""
     estimates = {name: e for outcome in outcomes for name, e in outcome.estimates.items()}
     values = {name: e.value for name, e in estimates.items()}
     return parameters.replace(values, {n: e.std for n, e in estimates.items()}, "identified")
@@ -153,7 +152,7 @@ def _identified(parameters: Parameters, outcomes: Iterable[ExperimentResults]) -
 
 def _synthetic_outcomes(paper: Parameters, measured: Mapping[str, ExperimentResults],
                         report: Report) -> dict[str, ExperimentResults]:
-    """Outcomes of the kinds of experiment that no measured record gave."""
+    """Outcomes of the kinds of experiment that measured records did not give."""
     groups = [g for g, kinds in KINDS.items() if not measured.keys() >= {*kinds}]
     found: dict[str, ExperimentResults] = {}
     for group in in_turn(groups, report, lambda name: f"{name} experiments"):
@@ -164,7 +163,7 @@ def _synthetic_outcomes(paper: Parameters, measured: Mapping[str, ExperimentResu
 def _validation(records: LabRecords, parameters: Parameters,
                 outcomes: Mapping[str, ExperimentResults], notes: list[Finding], *,
                 synthetic: bool = False) -> Picture | None:
-    """Fig. 6, simulated with what was identified from data of the same origin."""
+    """Fig. 6, simulated with parameters identified from data of the same origin."""
     if not records.get("validation"):
         return None
     alike = [outcomes[k] for k in THERMAL if k in outcomes and outcomes[k].synthetic == synthetic]

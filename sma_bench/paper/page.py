@@ -1,4 +1,4 @@
-"""The paper redrawn as one page: figures, tables and numbers against identified ones, errata."""
+"""The paper redrawn as one page: figures, tables beside identified numbers, errata."""
 
 import math
 from collections.abc import Collection, Mapping, Sequence
@@ -29,7 +29,7 @@ EXPERIMENT_FIGURES = {
     5: ("E3", draw.slope_picture), 7: ("E5", draw.dsc_picture), 8: ("E6", draw.upfr_picture),
     9: ("E7", draw.tensile_picture), 10: ("E8", draw.thermal_expansion_picture),
 }  # fmt: skip
-_OFF, _REST = 0.02, 1.0  # of the largest voltage, s: of the composite's rests
+_OFF, _REST = 0.02, 1.0  # a rest of the composite: at most, of the largest voltage; at least, s
 _PAGE: dict[str, Any] = read_yaml(Path(__file__).with_name("page.yaml"))
 
 
@@ -38,21 +38,21 @@ class Erratum(NamedTuple):
 
     number: int  # 1 to 19
     place: str  # in the paper
-    printed: str  # the form, in words or as a formula
+    printed: str  # in words or as a formula
     corrected: str
     lines: tuple[tuple[str, ...], ...]  # quantity, printed, corrected and independently checked
-    remark: str  # what follows
+    remark: str  # consequences
 
 
 def paper_errata() -> list[Erratum]:
-    """All items, printed and corrected forms next to each other."""
+    """All errata of errata.yaml."""
     items = read_yaml(Path(__file__).with_name("errata.yaml")).items()
-    return [Erratum(number, **said | {"lines": tuple(map(tuple, said.get("lines", ())))})
-            for number, said in items]
+    return [Erratum(number, **item | {"lines": tuple(map(tuple, item.get("lines", ())))})
+            for number, item in items]
 
 
 class ExperimentResults(NamedTuple):
-    """Of one kind of experiment: one a record, estimates joined over all, whether synthetic."""
+    """Results of one kind of experiment: per record, and estimates combined over all records."""
 
     experiments: tuple[Experiment, ...]
     estimates: dict[str, Estimate]
@@ -71,14 +71,14 @@ class Row:
     kind: str
     name: str
     scale: float = 1.0
-    reason: str = ""  # why synthetic data give another one
+    reason: str = ""  # why synthetic data give another number
     estimate: Estimate | None = None  # None where it was not identified
-    synthetic: bool = False  # whether of synthetic data
-    source: str = ""  # of which records, or why there is none
+    synthetic: bool = False  # identified from synthetic data
+    source: str = ""  # its records, or why it was not identified
 
     @property
     def value(self) -> float:
-        """Identified, in the unit of the table; NaN if there is none; `std` its error."""
+        """The identified number in the unit of the table, NaN if none; `std`: its error."""
         return self.estimate.value * self.scale if self.estimate else math.nan
 
     @property
@@ -97,7 +97,7 @@ class Row:
 
     @property
     def origin(self) -> str:
-        """Experiment, and whether its data are synthetic; why they differ then."""
+        """Experiment and origin of its data; for synthetic data, why the number differs."""
         if self.estimate is None:
             return self.source
         data = "synthetic" if self.synthetic else "record given"
@@ -110,7 +110,7 @@ def _tables() -> dict[str, tuple[str, list[Row]]]:
     for table, content in read_yaml(Path(__file__).with_name("tables.yaml")).items():
         found[table] = content["title"], []
         for row in content["rows"]:
-            # What does not stand in the row is the parameter's.
+            # A row without a printed value shows the default of its parameter.
             value, std = row.pop("printed", None), row.pop("std", math.nan)
             if value is None:
                 known, scale = BY_NAME[row["name"]], row.get("scale", 1.0)
@@ -128,7 +128,7 @@ TABLES = _tables()  # title and rows by name, in the order of tables.yaml
 
 
 def table_rows(name: str, outcomes: Mapping[str, ExperimentResults]) -> list[Row]:
-    """Rows of one of TABLES with what was identified, estimate or first detail of that name."""
+    """Rows of one of TABLES with identified numbers: estimate or first detail of that name."""
     rows = []
     for row in TABLES[name][1]:
         outcome = outcomes.get(row.kind)
@@ -154,7 +154,7 @@ def html_table(name: str, rows: Sequence[Row]) -> Table:
 class CompositeRun(NamedTuple):
     """One record of the composite and its simulation."""
 
-    record: Record  # where it comes from
+    record: Record  # its source
     time: Array  # (n,) s
     voltage: Array  # (n,) V, front positive and back negative
     simulated: Array  # (n,) m
@@ -170,7 +170,7 @@ class CompositeRun(NamedTuple):
 
 
 def composite_run(record: Record, parameters: Parameters) -> CompositeRun:
-    """Simulate the voltages of a record next to what it measured. `parameters`: of the rig.
+    """Simulate a record's voltages for comparison with its deflection. `parameters`: of the rig.
     Raises InputError: a channel without voltage, or no deflection."""
     measured = next(m for m in find_rig(record, parameters).measured if m.quantity == "deflection")
     driven, time, voltage, _ = drive_of(record, parameters)
@@ -203,20 +203,20 @@ def composite_pictures(runs: Sequence[CompositeRun]) -> tuple[Picture, Picture]:
             ax.set(xlabel="time [s]", ylabel=label)
             ax.set_title(f"({chr(ord('a') + k)})", loc="left", fontsize=10)
     below[0].legend(loc="upper right", fontsize=8)
-    left, said = [pair for run in runs for pair in run.left_over()], ""
+    left, text = [pair for run in runs for pair in run.left_over()], ""
     if left:
         measured, simulated = 1e3 * np.max(np.abs(left), axis=0)
-        said = captions()["figure_16_deflection"]["left_over"].format(
+        text = captions()["figure_16_deflection"]["left_over"].format(
             measured=measured, simulated=simulated)
     return (pictured("figure_15_voltage", volts, source=source),
-            pictured("figure_16_deflection", bent, left_over=said, source=source))
+            pictured("figure_16_deflection", bent, left_over=text, source=source))
 
 
 def paper_pictures(outcomes: Mapping[str, ExperimentResults], validation: Picture,
                    runs: Sequence[CompositeRun],
                    synthetic: Collection[int]) -> dict[int, list[Picture | Drawing]]:
-    """Pictures by figure number of the paper, captions with equation and data source; `validation`
-    is Fig. 6, `synthetic` says which of figures 6, 15 and 16 are of synthetic data."""
+    """Pictures by figure number of the paper, captions with equation and data source. `validation`:
+    Fig. 6; `synthetic`: which of figures 6, 15 and 16 show synthetic data."""
     voltage, deflection = composite_pictures(runs)
     found: dict[int, list[Picture | Drawing]] = {
         number: [_captioned(picture, number in synthetic, number)]
@@ -237,7 +237,7 @@ def paper_pictures(outcomes: Mapping[str, ExperimentResults], validation: Pictur
 
 
 def _captioned(picture: Picture, synthetic: bool, number: int = 0) -> Picture:
-    """With its number, if any, and its data's source, in the picture too: the PNG may go alone."""
+    """Add figure number, if any, and data source, which is also drawn into the picture."""
     text = "synthetic data" if synthetic else "data: record given"
     picture.figure.axes[0].set_title(text, loc="right", fontsize=8, color=FAINT, style="italic")
     origin = captions()[picture.name]["synthetic"]
@@ -258,7 +258,7 @@ class PaperPage:
     notes: Sequence[Finding] = ()
 
     def sections(self) -> list[Section]:
-        """In the paper's order, with warnings of the experiments behind figures and tables."""
+        """Sections in the paper's order, with the warnings of the experiments shown."""
         sections = [Section("", [_PAGE["head"]], [str(note) for note in self.notes])]
         for title, numbers, name in _PAGE["sections"]:
             kinds = {EXPERIMENT_FIGURES[n][0] for n in numbers if n in EXPERIMENT_FIGURES}
@@ -271,7 +271,7 @@ class PaperPage:
             tables = [html_table(name, self.tables[name])] if name else []
             pictures = [picture for number in numbers for picture in self.pictures[number]]
             sections.append(Section(title, notes=[*findings], tables=tables, pictures=pictures))
-        # C_A and C_M, which the paper uses and does not give; the errata.
+        # C_A and C_M, which the paper uses but does not give; the errata.
         stresses = self.outcomes["E6 stresses"]
         pictures = [_captioned(draw.stress_temperature_picture(experiment), stresses.synthetic)
                     for experiment in stresses.experiments if draw.has_diagram(experiment)]

@@ -1,5 +1,5 @@
-"""Equations as the paper prints them, where they are wrong, and the coefficients of eqs. (18) to
-(23) printed beside corrected; from rest (sigma_0 = 0, xi_0 = 1, T_0 = T_inf) and about a point *:
+"""Wrong equations as the paper prints them, and the coefficients of eqs. (18) to (23), printed and
+corrected, linearised from rest (sigma_0 = 0, xi_0 = 1, T_0 = T_inf) about a point *:
 
     sigma = E(xi)(eps - eps_0) + Theta_T (T - T_0) - eps_L E(xi)(xi - xi_0)           (6), (7), (9)
     dsigma/deps = E(xi*) = a_1,    dsigma/dT = Theta_T,    dsigma/dxi = -eps_L E_A + a_2,
@@ -21,7 +21,7 @@ from sma_bench.physics.material import heated_resistance
 
 
 def as_printed(beam: Beam) -> Beam:
-    """The beam of eqs. (14) to (17) as printed: one width, so that its wires are a sheet."""
+    """The beam of eqs. (14) to (17) as printed: one width, as if its wires were a sheet."""
     return replace(beam, layer_width=beam.width)
 
 
@@ -60,8 +60,8 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
     modulus = float(material.modulus(xi, parameters))
     a2, a3 = ([change * factor * (limit * of_xi + sign * strain) for sign in signs]
               for factor, of_xi, signs in ((1.0, 1.0 - 2.0 * xi, (-1, 1)), (xi, xi, (1, -1))))
-    # Eq. (19), of the heating V^2/R: as printed it cools and adds a number to a voltage. Corrected
-    # it is that of the drive, of a duty V V_supply/R.
+    # Eq. (19), heating V^2/R: as printed it cools and adds a number to a voltage. The corrected one
+    # is that of the drive: for a duty, V V_supply/R.
     ohm = heated_resistance(parameters)
     heat = float(material.heating_voltage(volt, parameters)) ** 2 / ohm
     per_volt = float(material.power_per_volt(volt, parameters))
@@ -92,7 +92,7 @@ def coefficient_table(point: OperatingPoint, wire: int = 0) -> list[Coefficient]
         ("b_3 of stress", "(21)", "1/Pa", b3, b3_pascal, "sigma needs 1/C_M"),
         ("b_4", "(21)", "1", b4, b4, "right"),
     ]
-    # Eqs. (22), (23), of a beam, and what all of them give together, for one wire.
+    # Eqs. (22), (23), of a beam, and the gain of all equations together, for one wire.
     if point.boundary.contraction is None and load_kind(parameters) == "beam":
         alpha, *betas = bending.bending_coefficients(parameters)
         beta = betas[parameters["bench.channel_sides"][wire] == "back"]

@@ -1,4 +1,4 @@
-"""Records of a simulated bench: exact, or as the simulator node's instruments read them."""
+"""Records of a simulated bench: exact, or with the noise of the simulator node's instruments."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -29,18 +29,17 @@ from sma_bench.records.record import Record, Signal
 # The sensors of a synthetic record: the simulator node's noise, resolution and rates.
 _SETTINGS = {p.name: float(p.default) for p in SIMULATOR if isinstance(p.default, float)}
 _STANDOFF = _SETTINGS["sensor.range_standoff"]
-COMMAND_PERIOD, REST = 0.05, 3.0  # s, the latter at 0 V before and after a protocol
-PRETENSION = 0.002  # strain under which the wire of E8 is clamped: it must not become slack
+COMMAND_PERIOD, REST = 0.05, 3.0  # s; s at 0 V before and after a protocol
+PRETENSION = 0.002  # strain at which the wire of E8 is clamped, so that it does not get slack
 _ROUNDING = 1e-6  # of a period
-# s: effects, latent heat above all, need short steps; in which a frame's force stands still.
-_FINE_STEP, _PULL_STEP = 0.0025, 0.1
+_FINE_STEP, _PULL_STEP = 0.0025, 0.1  # s: with effects; of a held force
 _OF_SAMPLES = ("time", "voltage", "temperature", "martensite_fraction", "stress", "contraction",
                "bending", "temperature_reading", "mount", "sag")
 
 
 def simulate_finely(parameters: Parameters, time: ArrayLike, voltage: ArrayLike,
                     elongation: ArrayLike | None = None) -> Simulation:
-    """`simulate` at the samples, in steps between them short enough for effects."""
+    """`simulate` at the samples, with steps between them that are short enough for effects."""
     fine, volts, first = _refined(parameters, time, voltage)
     if elongation is not None and len(fine) > np.size(time) == np.size(elongation):
         elongation = np.interp(fine, np.asarray(time), np.asarray(elongation))
@@ -52,7 +51,7 @@ def _refined(parameters: Parameters, time: ArrayLike,
              voltage: ArrayLike) -> tuple[Array, Array, IntArray]:
     seconds, volts = np.asarray(time, dtype=np.float64), np.asarray(voltage, dtype=np.float64)
     gaps = np.diff(seconds) if seconds.ndim == 1 else np.zeros(1)
-    if not active_effects(parameters) or not np.all(gaps > 0.0):  # as the simulation will say
+    if not active_effects(parameters) or not np.all(gaps > 0.0):  # `simulate` will refuse
         return seconds, volts, np.arange(seconds.size)
     parts = np.append(np.maximum(np.ceil(gaps / _FINE_STEP), 1.0), 1.0).astype(int)
     first = np.cumsum(parts) - parts
@@ -62,8 +61,8 @@ def _refined(parameters: Parameters, time: ArrayLike,
 
 
 def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float) -> Simulation:
-    """A protocol on the bench that runs it, read every `period` s. InputError: its steps hold
-    forces, and the load is no held force."""
+    """Simulate a protocol on its bench, sampled every `period` s. InputError: its steps hold forces
+    but the load is no held force."""
     bench = protocol.bench(parameters)
     time, voltage = played(protocol, bench, period)
     if not protocol.pulls:
@@ -90,7 +89,7 @@ def simulate_protocol(protocol: Protocol, parameters: Parameters, period: float)
 
 
 def played(protocol: Protocol, parameters: Parameters, period: float) -> tuple[Array, Array]:
-    """`protocol.sample`, each step as long as the simulated bench makes it."""
+    """`protocol.sample`, with steps that wait for the simulated bench."""
     if not protocol.waits:
         return protocol.sample(period)
     bench, waiting = Bench(parameters), Waiting(protocol)
@@ -113,7 +112,7 @@ def played(protocol: Protocol, parameters: Parameters, period: float) -> tuple[A
 
 
 def limits_passed(simulation: Simulation, parameters: Parameters) -> list[Finding]:
-    """Where a real bench of these parameters would have gone to 0 V."""
+    """Warnings of where a real bench with these parameters would have gone to 0 V."""
     limits = Limits.from_parameters(parameters)
     volts = np.abs(direct_reading(simulation.parameters, simulation.voltage, simulation.current)[0])
     findings = []
@@ -134,7 +133,7 @@ def limits_passed(simulation: Simulation, parameters: Parameters) -> list[Findin
 
 
 def signals_of(simulation: Simulation) -> list[Signal]:
-    """Signals of the contract that a bench would have measured."""
+    """Signals of the contract that a bench would measure, without noise."""
     time, signals = simulation.time, []
     volts, amperes = direct_reading(simulation.parameters, simulation.voltage, simulation.current)
     measured = (("voltage", "V", volts), ("current", "A", amperes),
@@ -150,14 +149,14 @@ def signals_of(simulation: Simulation) -> list[Signal]:
 
 
 def read_signals(signals: Sequence[Signal], seed: int, report: Report = silent) -> list[Signal]:
-    """The same signals as the simulator node's instruments would read them."""
+    """These signals as the simulator node's instruments would read them."""
     seeds = np.random.SeedSequence(seed)
     return [_read(seeds, s)[-1] for s in in_turn(signals, report, lambda s: f"reading {s.name}")]
 
 
 def _read(seeds: np.random.SeedSequence, signal: Signal, celsius: float = 0.0) -> list[Signal]:
-    """A signal as noisy instruments read it, a deflection behind the two distances that it is of;
-    `celsius` [K]: a reading's 0."""
+    """A signal as noisy instruments read it; of a deflection, first the two distances that give it.
+    `celsius`: K at which the thermometer reads 0."""
     quantity, true = signal.name.rpartition(".")[2], np.asarray(signal.values)
 
     def read(sensor: str, values: Array, zero: float = 0.0) -> Array:
@@ -184,8 +183,8 @@ def protocol_record(name: str, parameters: Parameters, seed: int = 1) -> Record:
 
 
 def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
-    """E8: the wire clamped under tension, its temperature led up and down by the PI controller."""
-    from sma_bench.control import TemperatureController  # with the linear model, which takes long
+    """E8: the wire clamped under tension, heated and cooled in steps by the PI controller."""
+    from sma_bench.control import TemperatureController  # slow: imports the linear model
 
     name = "temperature_staircase"
     course = load_protocol(name, parameters, TEMPERATURE)
@@ -205,8 +204,8 @@ def clamped_staircase_record(parameters: Parameters, seed: int = 1) -> Record:
 
 def _record(title: str, parameters: Parameters, voltage: Callable[[Array], Array], duration: float,
             seed: int, clamped: Boundary | None = None) -> Record:
-    """Simulated at every command and every reading, so that nothing is interpolated, and read."""
-    # Whole nanoseconds, as ROS has them: clocks of several rates meet exactly where they meet.
+    """Simulate at every command and reading, so that nothing is interpolated; add noise."""
+    # Whole nanoseconds, as in ROS: equal times of clocks with different rates are exactly equal.
     rates = [_SETTINGS[f"rate.{kind}"] for kind in ("power", "temperature", "mechanics")]
     ticks: list[Any] = [np.arange(int(duration / COMMAND_PERIOD) + 1) * COMMAND_PERIOD]
     ticks += [np.arange(int(duration * rate)) / rate for rate in rates]
@@ -214,7 +213,7 @@ def _record(title: str, parameters: Parameters, voltage: Callable[[Array], Array
     time, (_, power, camera, mechanics) = np.unique(np.concatenate(ticks)), ticks
     commanded = np.floor(time / COMMAND_PERIOD + _ROUNDING) * COMMAND_PERIOD
     signals = signals_of(simulate(parameters, time, voltage(commanded), boundary=clamped))
-    if clamped:  # the force's noise is drawn first
+    if clamped:  # noise of the force is drawn first
         signals = [signals[-1], *signals[:-2]]
     elif load_kind(parameters) == "clamped":  # without a load frame
         signals = signals[:-2]
@@ -226,7 +225,7 @@ def _record(title: str, parameters: Parameters, voltage: Callable[[Array], Array
         for read in _read(seeds, replace(signal, time=at, values=true), CELSIUS_ZERO):
             found[read.name] = read
     if clamped:
-        found["force"] = found.pop("force")  # and shown last
+        found["force"] = found.pop("force")  # but shown last
     return Record(Path(title), 0, found)
 
 
@@ -247,7 +246,7 @@ def run_loop(parameters: Parameters, observe: Callable[[Bench], Array],
              resolution: float = 0.0, seed: int = 1) -> ClosedLoopRun:
     """Run a controller on a simulated bench, whose `parameters` it may not know.
 
-    `observe`: what is controlled, of the bench; `reference`: at a time in s; `control`: voltages
+    `observe`: the controlled quantity of a bench; `reference`: at a time in s; `control`: voltages
     (w,) for the reference, a reading, and the reference a `period` [s] later; `late`: periods from
     a reading to its command; `noise`, `resolution`: of a reading, in its unit, 0 for none."""
     plant, random = Bench(parameters), np.random.default_rng(seed)

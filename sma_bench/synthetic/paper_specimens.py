@@ -1,4 +1,4 @@
-"""The paper's experiments on synthetic specimens, as its instruments would write them down."""
+"""The paper's experiments on synthetic specimens, as its instruments would record them."""
 
 import math
 from pathlib import Path
@@ -19,10 +19,10 @@ from sma_bench.synthetic.bench_records import clamped_staircase_record, protocol
 # Table II, heat cycles 1 and 2 [K]; the table holds cycle 2.
 DSC_CYCLES = ({"A_s": 351.29, "A_f": 371.05, "M_s": 355.49, "M_f": 324.93},
               {"A_s": 331.81, "A_f": 353.61, "M_s": 353.39, "M_f": 325.09})
-# Below Fig. 8, mean and deviation [K] under a holding force of 1 N.
+# Text below Fig. 8: mean and deviation [K] under a holding force of 1 N.
 UPFR_START, UPFR_FINISH = (350.65, 1.06), (361.35, 1.49)
 HOLDING_FORCE = 1.0  # N
-_COLD_TEST, _HOT_TEST = 293.15, 403.15  # K, Table III, of martensite and of austenite
+_COLD_TEST, _HOT_TEST = 293.15, 403.15  # K, tests of martensite and of austenite, Table III
 _DETWINNED_AT = 0.04  # strain up to which martensite detwins, section III.B.2
 
 # --- E5, Fig. 7: heat into the sample is m (c_p dT/dt - L dxi/dt), eq. (1) with xi of eqs. (10),
@@ -38,7 +38,7 @@ _DRIFT = (25e-6, 12e-6)  # W, linear and quadratic over a scan
 
 
 def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
-    """A heating and a cooling for each cycle of Table II; of another wire twice its own."""
+    """A heating and a cooling for each cycle of Table II; two equal cycles of any other wire."""
     cycles = [parameters, parameters]
     if _is_papers_wire(parameters):
         cycles = [parameters.replace({TRANSITIONS[end]: kelvin for end, kelvin in cycle.items()})
@@ -64,13 +64,12 @@ def dsc_run(parameters: Parameters, seed: int = 5) -> instruments.DscRecord:
     return instruments.DscRecord(path, SAMPLE_MASS, header, tuple(segments), instrument="synthetic")
 
 
-# --- E6, Fig. 8: the simulated wire led through a slow triangle of temperature under a held force.
+# --- E6, Fig. 8: the simulated wire in a slow triangle of temperature under a held force.
 
-_RATE, _ABOVE_FINISH, _FRAME_PERIOD = 0.5, 25.0, 0.2  # K/s, K, s
+_RATE, _ABOVE_FINISH, _FRAME_PERIOD = 0.5, 25.0, 0.2  # K/s; K, of the peak above A_f; s
 _TEMPERATURE_NOISE = 0.05  # K, a thermocouple in a chamber
 _STRAIN_NOISE = 2e-5  # 4 micrometres of traverse on 0.2 m of wire
-# Of a cosine ramp the steepest tangent takes 2/pi of its width.
-_COSINE_WIDTH = 0.5 * math.pi
+_COSINE_WIDTH = 0.5 * math.pi  # width of a cosine ramp over that of its steepest tangent
 
 
 def isobaric_test(parameters: Parameters, stress: float, name: str,
@@ -95,8 +94,8 @@ def isobaric_test(parameters: Parameters, stress: float, name: str,
 
 
 # --- E7, Fig. 9: austenite follows the package's law, eps = sigma/E(xi) + eps_L xi, eq. (11) under
-# load. Martensite, whose detwinning the law does not know, is a test curve: a rise E_M, a plateau
-# up to 4 % of strain, a rise E_M again, corners rounded. Both begin with a toe.
+# load. Martensite, whose detwinning is outside the law, is a test curve: a rise with E_M, a plateau
+# up to 4 % of strain, again a rise with E_M, rounded corners. Both begin with a toe.
 
 _DETWINNING_STRESS = 130e6  # Pa, assumed: 100 to 200 MPa on NiTi
 _DETWINNING_SLOPE = 0.6e9  # Pa, assumed
@@ -106,7 +105,7 @@ _STRESS_NOISE = 0.6e6  # Pa, 0.04 N of a 500 N load cell on a 0.3 mm wire
 
 def tensile_test(parameters: Parameters, temperature: float, name: str,
                  seed: int) -> instruments.TensileRecord:
-    """One test of a wire at K (`temperature`): martensite below M_f, austenite above A_f."""
+    """One test of a wire at a temperature [K]: of martensite below M_f, else of austenite."""
     phase: instruments.Phase = "austenite"
     if temperature <= parameters["wire.martensite_finish_temperature"]:
         phase, e_m = "martensite", parameters["wire.martensite_modulus"]
@@ -130,9 +129,9 @@ def tensile_test(parameters: Parameters, temperature: float, name: str,
 
 COMPOSITE = {"bench.channels": ("front_1", "front_2", "back_1", "back_2"),
              "bench.channel_sides": ("front", "front", "back", "back")}  # fmt: skip
-# The paper says that its specimen is stiffer on one side, not by how much.
+# The paper says that its specimen is stiffer on one side, but not by how much.
 BACK_STIFFNESS = 3.0
-REPEATS = (-1.0, 0.0, 1.0)  # in standard deviations: their sample deviation is 1
+REPEATS = (-1.0, 0.0, 1.0)  # specimens, in standard deviations: their sample deviation is 1
 _WELL_INSIDE = 15.0  # K beyond M_f or A_f
 STRESSES = (10e6, 50e6, 100e6, 150e6, 200e6)
 _PLAYED = {"thermal": (("staircase", 1), ("ramp", 2)), "validation": (("triangle", 3),),
@@ -151,7 +150,7 @@ def wire_rig(parameters: Parameters) -> Parameters:
 
 
 def composite_rig(parameters: Parameters) -> Parameters:
-    """Four wires, two a side (Figs. 11, 12); the back stiffer unless both are given."""
+    """Four wires, two per side (Figs. 11, 12); the back stiffer unless it is given."""
     rig = parameters.replace({**COMPOSITE, "load.kind": "beam"})
     if "composite.stress_per_deflection_back" in parameters.given:
         return rig
@@ -160,10 +159,9 @@ def composite_rig(parameters: Parameters) -> Parameters:
 
 
 def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
-    """Of the wire of `parameters`: "thermal" (E1 to E3: staircase, ramps), "validation" (E4:
-    triangle), "dsc" (E5), "upfr" (E6), "isobaric" (E9: several stresses), "tensile" (E7: two
-    phases), "clamped" (E8: temperature staircase below A_s) or "composite" (E12: triangle and
-    step)."""
+    """Records of this wire: "thermal" (E1 to E3: staircase, ramps), "validation" (E4: triangle),
+    "dsc" (E5), "upfr" (E6), "isobaric" (E9: several stresses), "tensile" (E7: two phases),
+    "clamped" (E8: temperature staircase below A_s) or "composite" (E12: triangle and step)."""
     wire = wire_rig(parameters)
     if group == "dsc":
         return (dsc_run(parameters),)
@@ -181,8 +179,8 @@ def papers_records(group: str, parameters: Parameters) -> tuple[Any, ...]:
 
 
 def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
-    """E6, first cycle: specimens with the paper's mean and deviation of where tangents meet under
-    the holding force; another wire's deviate as much from its own."""
+    """E6, first cycle: specimens with the paper's mean and deviation of the tangents' crossings
+    under the holding force; for another wire, with the same deviation about its own."""
     stress = HOLDING_FORCE / wire_section(wire)
     shift = stress / wire["wire.stress_influence_austenite"]
     start, finish = UPFR_START[0], UPFR_FINISH[0]
@@ -194,7 +192,7 @@ def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
         start, finish = float(start + inward + shift), float(finish - inward + shift)
     tests = []
     for k, deviation in enumerate(REPEATS):
-        # The cosine of eq. (10) with these tangents reaches further out at both ends.
+        # The cosine of eq. (10) with these tangents is wider at both ends.
         a_s, a_f = start + UPFR_START[1] * deviation, finish + UPFR_FINISH[1] * deviation
         middle, half = 0.5 * (a_s + a_f) - shift, 0.5 * (a_f - a_s) * _COSINE_WIDTH
         ends = {TRANSITIONS["A_s"]: middle - half, TRANSITIONS["A_f"]: middle + half}
@@ -204,7 +202,7 @@ def _upfr_tests(wire: Parameters) -> tuple[instruments.IsobaricRecord, ...]:
 
 
 def _tensile_tests(parameters: Parameters) -> tuple[instruments.TensileRecord, ...]:
-    """E7: specimens that deviate as Table III says, at its temperatures or well in the phase."""
+    """E7: specimens with the deviations of Table III, at its temperatures or well in the phase."""
     cold = float(parameters["wire.martensite_finish_temperature"]) - _WELL_INSIDE
     hot = float(parameters["wire.austenite_finish_temperature"]) + _WELL_INSIDE
     temperatures = {"martensite": min(_COLD_TEST, cold), "austenite": max(_HOT_TEST, hot)}

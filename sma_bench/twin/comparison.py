@@ -1,4 +1,4 @@
-"""The bench's model on the measured voltages, and measured against predicted in bins of time."""
+"""The model run on the measured voltages, and measured minus predicted signals in bins of time."""
 
 import math
 from collections import defaultdict, deque
@@ -22,17 +22,17 @@ from sma_bench.physics.kernel import State
 from sma_bench.physics.material import current, time_constant
 from sma_bench.physics.simulate import TemperatureDriven, warmed_from_rest
 
-_BACK = 0.5  # s; a stamp further back than that is a clock set back, or a record that begins anew
-_QUEUE = 5000  # readings of a channel that wait for the others'
-_LONGEST_STEP, _OFF = 0.01, 0.1  # s, V
-_RECENT, _MEMORY = 4.0, 60.0  # s that can be looked up; simulated again for other parameters
+_BACK = 0.5  # s: a stamp further back means that a clock was set back or a record started again
+_QUEUE = 5000  # readings of a channel that wait for those of the others
+_LONGEST_STEP, _OFF = 0.01, 0.1  # s; V below which a channel does not heat
+_RECENT, _MEMORY = 4.0, 60.0  # s of trajectory that are kept; re-simulated with other parameters
 
 
 class Voltages:
-    """Readings of each channel until every channel has one as late: only then is it known what
-    drove the bench up to there. A voltage is held until the channel's next reading."""
+    """Readings of each channel, released up to the time that all channels have reached: only up to
+    there are the model's inputs known. A voltage is held until the channel's next reading."""
 
-    timeout: float  # s; a longer hole between two readings of a channel hides what drove it
+    timeout: float  # s; after a longer gap between readings of a channel, the input is unknown
 
     def __init__(self, wires: int) -> None:
         self._wires = wires
@@ -44,7 +44,7 @@ class Voltages:
         self._latest, self._held = [-math.inf] * self._wires, [math.nan] * self._wires
 
     def take(self, wire: int, time: float, volt: float) -> str:
-        """A reading at `time` s; why the twin must begin anew, or ""."""
+        """Add a reading at `time` s. Returns why the twin must start again, or ""."""
         passed, reason = time - self._latest[wire], ""
         if not math.isfinite(volt):
             self.dropped["not a number"] += 1
@@ -63,13 +63,13 @@ class Voltages:
         return reason
 
     def missing(self) -> list[int]:
-        """Channels that have not been heard."""
+        """Channels without any reading yet."""
         return [k for k, latest in enumerate(self._latest) if latest == -math.inf]
 
     def changes(self) -> tuple[Array, Array]:
         """Times (n,) s of the readings, as far as all channels are known, and the voltages (n, w) V
-        held from each on; NaN for a wire whose first reading is yet to come."""
-        until = min(self._latest)  # -inf until every channel has been heard
+        held from each on; NaN before the first reading of a wire."""
+        until = min(self._latest)  # -inf until every channel has a reading
         times, volts = list[float](), list[list[float]]()
         while (time := min((w[0][0] for w in self._waiting if w), default=math.inf)) <= until:
             for k, waiting in enumerate(self._waiting):
@@ -82,14 +82,14 @@ class Voltages:
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What the model did, a row a step."""
+    """What the model did, one row per step."""
 
     time: Array  # (n,) s
     temperature: Array  # (n, w) K
     reading: Array  # (n, w) K, of the sensors
     conductance: Array  # (n, w) A/V of the electrical readings
     mechanics: Array  # (n,) deflection [m], or force [N] of a clamped wire
-    driven: IntArray  # wire with the highest voltage, of the last one in a rest
+    driven: IntArray  # wire with the highest voltage; at rest, the one before the rest
 
     def rows(self, start: float, stop: float) -> slice:
         """Rows in (start, stop], and the one before them."""
@@ -104,19 +104,19 @@ class Trajectory:
 
 
 class FreeRun:
-    """The model from the moment at which the twin joined."""
+    """The model, simulated from the moment at which the twin started."""
 
     def __init__(self, parameters: Parameters, time: float, temperature: Array,
                  voltage: Array) -> None:
         """Begin at `time` s with measured temperatures (w,) K or NaN; voltages (w,) V are held."""
         self._measured = temperature
         self.time = self._joined = time  # s, up to which it has run
-        self.spacing = 0.0  # s, the longest between two of the newest readings of a voltage
-        # s, when every wire's martensite was known: a warm one may have been heated or cooled.
+        self.spacing = 0.0  # s, longest time between the newest voltage readings
+        # s, from when every wire's phase is known: that of a warm wire depends on its past.
         self.known_since = np.inf
         self._known = np.zeros(len(temperature), dtype=bool)
         self._volts, self._driven = voltage, 0
-        # Of each advance: the state before, None for that at which the twin joined; times, volts.
+        # Each advance: the state before it (None for the first one), times, voltages.
         self._log: deque[tuple[State | None, Array, Array]] = deque()
         self._begin(parameters, None)
         self.trajectory = self._followed(np.array([time]), voltage[np.newaxis])
@@ -126,7 +126,7 @@ class FreeRun:
         return self._bench.state
 
     def advance(self, time: Array, voltage: Array) -> None:
-        """Go on to times (n,) s; voltage (n, w) V is held from each of them on."""
+        """Simulate on to times (n,) s; voltage (n, w) V is held from each of them on."""
         begins = np.concatenate([[self.time], time])
         held = np.vstack([self._volts, voltage])
         self.spacing = float(np.max(np.diff(begins)))
@@ -142,7 +142,7 @@ class FreeRun:
                 self.known_since = self.time
 
     def change(self, parameters: Parameters) -> None:
-        """Simulate the last minute again with other parameters, and go on with them."""
+        """Re-simulate the last minute with other parameters, and go on with them."""
         state = self._log[0][0] if self._log else None
         self._begin(parameters, state)
         if self._log:
@@ -153,7 +153,7 @@ class FreeRun:
             self.trajectory = self._followed(begins, held)
 
     def of_another(self, parameters: Parameters) -> Self:
-        """The same run of a bench with other parameters, its last minute simulated again."""
+        """A copy of this run with other parameters, its last minute re-simulated."""
         other = copy(self)
         other._known, other._log = self._known.copy(), deque(self._log)
         other.change(parameters)
@@ -168,7 +168,7 @@ class FreeRun:
         self._bench = Bench(parameters, initial=state)
 
     def _followed(self, time: Array, voltage: Array) -> Trajectory:
-        """What the bench does, voltages (n, w) V held from each time (n,) s, in short steps."""
+        """Trajectory in short steps, voltages (n, w) V held from each time (n,) s."""
         counts = np.maximum(np.ceil(np.diff(time) / _LONGEST_STEP - 1e-6), 1.0).astype(int)
         if np.any(counts > 1):
             which = np.repeat(np.arange(len(counts)), counts)
@@ -180,7 +180,7 @@ class FreeRun:
         cold = kelvin < float(p["wire.martensite_finish_temperature"])
         self._surely = (xi < 1e-6) | ((xi > 1.0 - 1e-6) & cold)
         mechanics = run.deflection_reading if load_kind(p) != "clamped" else run.force[:, 0]
-        # Voltages noise around 0 in a rest: what counts is what heats.
+        # At rest, measured voltages are noise around 0: only one that heats counts.
         drives = run.voltage.max(axis=1) > _OFF
         newest = np.maximum.accumulate(np.where(drives, np.arange(len(time)), -1))
         driven = np.where(newest < 0, self._driven, np.argmax(run.voltage, axis=1)[newest])
@@ -188,18 +188,17 @@ class FreeRun:
         return Trajectory(time, kelvin, run.temperature_reading, conductance, mechanics, driven)
 
 
-class Doubt:
-    """How far a sound bench may be from the prediction, its sensors' noise not counted: benches
-    within what is open of the parameters run along, each by itself (estimation/laws.py)."""
+class Band:
+    """How far a healthy bench may be from the prediction, without sensor noise: the spread of
+    models with parameters drawn within their uncertainty (estimation/laws.py)."""
 
     def __init__(self, run: FreeRun, benches: Sequence[Parameters], probability: float) -> None:
         self._run, self._reach = run, reach_of(probability)
         self._others = [run.of_another(bench) for bench in benches]
         self._least, self._most = (self._columns(run, slice(-1, None))[0] for _ in range(2))
-        self._least[: run.trajectory.conductance.shape[1]] = 0.0  # a current spans from none
+        self._least[: run.trajectory.conductance.shape[1]] = 0.0  # a current's range starts at 0
 
     def advance(self, time: Array, voltage: Array) -> None:
-        """Go on as the run itself has done."""
         for other in self._others:
             other.advance(time, voltage)
         new = self._columns(self._run, slice(-len(time), None))
@@ -207,8 +206,8 @@ class Doubt:
         self._most = np.maximum(self._most, new.max(axis=0))
 
     def off(self, row: int) -> Array:
-        """(2 w + 1,) how far the conductances, temperatures and the mechanics may be off there, in
-        their units; a band has a floor of a share of what each has spanned."""
+        """(2 w + 1,) half-width of the band of conductances, temperatures and mechanics there, in
+        their units; at least a share of the range of each so far."""
         rows = slice(row, row + 1)
         mean = self._columns(self._run, rows)[0]
         drawn = np.vstack([self._columns(other, rows) for other in self._others])
@@ -220,20 +219,20 @@ class Doubt:
         at = run.trajectory
         return np.column_stack([at.conductance[rows], at.reading[rows], at.mechanics[rows]])
 
-# --- How far the residuals may be off, as noise.
+# --- Noise of the residuals.
 
-BIN = 0.2  # s, as the diagnosis has it
-MEMORY = 350  # bins from which noise is learned, and which are judged by it
-_SLOW = 30.0  # s that noise must be known for; a drift slower than that is not seen in less
-_FAST = 3.0  # s; no faster one is granted unseen
-_CHANCE = 0.01
+BIN = 0.2  # s, as in the diagnosis
+MEMORY = 350  # bins: from the older ones the noise is learned, by which the newest are judged
+_SLOW = 30.0  # s, least time constant of a drift that is assumed for judging a mean
+_FAST = 3.0  # s, time constant of a drift while few bins show it
+_CHANCE = 0.01  # that so few bins show a drift too slow
 _FEWEST_SAMPLES, _SAMPLES = 20, 400  # samples from which the scatter of neighbours is taken
-# Of a sample: no bench is simulated, and no voltage known, to less.
+# Least noise of a sample: no simulation and no voltage reading is more accurate.
 _LEAST = {"current": 2e-3, "temperature": 0.02, "deflection": 5e-6, "force": 5e-3}
 # Standard deviations; `./bench check twin_alarms` shows how often noise is as surprising.
 SURPRISING = 5.5
-STAYS = 0.75  # of the threshold: a gap is over below that
-_MOST_WHITE = 2.0  # of the scatter of neighbours: a residual that scatters more is a gap
+STAYS = 0.75  # of the threshold: below that a gap has ended
+_MOST_WHITE = 2.0  # times the scatter of neighbours: more than that is a gap, not noise
 
 
 class Bin(NamedTuple):
@@ -242,32 +241,32 @@ class Bin(NamedTuple):
     time: float
     residual: float
     samples: int
-    off: float  # what moments and zeros that are not known may add to it, one standard deviation
-    cause: float  # what the residual is compared with, the signal's own prediction
+    off: float  # its standard deviation from unknown timing and zeros
+    cause: float  # the predicted signal, to which the residual may be proportional
     side: int  # number of the side it belongs to
 
 
 class BinStatistics(NamedTuple):
-    """What the last bins of a signal say."""
+    """Statistics of the last bins of a signal."""
 
     energy: float  # mean square of the whitened residual, 1 for noise
     surprise: float  # standard deviations of energy or level beyond the noise before the window
-    gap: Array  # rms of the residual over a sample's noise, a side; NaN where no signal was there
+    gap: Array  # rms of the residual over a sample's noise, by side; NaN where there was no signal
     residual: Array  # (n,) of the bins, in the signal's unit
     cause: Array  # (n,)
     tolerance: Array  # (n,)
-    share: float  # residual over cause of all bins, NaN where causes are below the tolerance
+    share: float  # slope of residual over cause, all bins; NaN if causes are within the tolerance
 
 
 class SignalBins:
-    """One signal: residuals come in as samples for their noise, and as `bins` to be judged."""
+    """Residuals of one signal: samples, which give their noise, and `bins`, which are judged."""
 
     def __init__(self, quantity: str) -> None:
         """`quantity` is current, temperature, deflection or force."""
         self.quantity, self.bins = quantity, deque[Bin](maxlen=MEMORY)
         self._values, self._residuals = (deque[float](maxlen=_SAMPLES) for _ in range(2))
         self._learned: Noise | None = None
-        self._scatter: float | None = None  # None where samples came since
+        self._scatter: float | None = None  # None: samples have come since it was computed
 
     def samples(self, value: Array, residual: Array) -> None:
         """Measured values (n,), and measured less predicted."""
@@ -277,7 +276,7 @@ class SignalBins:
 
     @property
     def play(self) -> float:
-        """Within which a difference that is smoothed over the newest bins is noise."""
+        """Largest smoothed difference of the newest bins that is still noise."""
         known = len(self.bins) > 0 and not np.isnan(self.scatter)
         return float(_PLAY * self.scatter / np.sqrt(self.bins[-1].samples)) if known else 0.0
 
@@ -294,14 +293,14 @@ class SignalBins:
 
     def read(self, allowed: float, sides: int, fewest: int, window: float,
              threshold: float = np.inf) -> BinStatistics | None:
-        """What the bins of the last `window` s say, None while there are less than `fewest`. The
-        sensor may drift by `allowed`; a surprising gap beyond the `threshold` is no noise."""
+        """Statistics of the bins of the last `window` s, None below `fewest` bins. `allowed`: drift
+        granted to the sensor; a surprising gap near the `threshold` is not learned as noise."""
         scatter = self.scatter
         if len(self.bins) < fewest or np.isnan(scatter):
             return None
         time, residual, count, off, cause, side = np.array(self.bins).T
         last = slice(min(int(np.searchsorted(time, time[-1] - window)), len(time) - fewest), None)
-        # The gap: against what a sample may be off by, of each side.
+        # The gap of each side, over the error of a sample.
         steady = np.hypot(scatter, allowed)
         tolerance = np.hypot(steady, off)
         squares = (residual / tolerance)[last] ** 2
@@ -309,14 +308,14 @@ class SignalBins:
         gap = np.sqrt((squares * there).sum(axis=1) / len(squares))
         gap[~there.any(axis=1)] = np.nan
         size = float(np.sqrt(np.mean(squares)))
-        # How surprising it is as noise. Bins where a reading's moment matters count as they inform.
+        # How surprising it is as noise. Bins with uncertain timing are scaled down.
         level = residual * steady / tolerance
         noise = self._learned
         if noise is None or noise.usual != allowed:
             noise = _noise_before(level, time, count, last.start, scatter, allowed)
         energy, surprise = judge(noise, level[last])
         if self._learned is not None and size >= STAYS * threshold:
-            surprise = max(surprise, SURPRISING)  # once it has come, it is there until it goes
+            surprise = max(surprise, SURPRISING)  # a gap stays until it falls below
         self._learned = noise if size >= threshold * STAYS and surprise >= SURPRISING else None
         power = float(cause @ cause)
         informative = power > 0.1 * float(tolerance @ tolerance)
@@ -326,15 +325,15 @@ class SignalBins:
 
 def _noise_before(level: Array, time: Array, count: Array, stop: int, scatter: float,
                   allowed: float) -> Noise:
-    """Noise that the bins up to `stop` show, or may have while they are too few; no more."""
+    """Noise that the bins before `stop` show, or, with few bins, could have at most."""
     white = scatter / float(np.sqrt(np.median(count)))
     period = max(round(float(np.median(np.diff(time))), 2), 0.01)
     if stop < 2:
         return Noise(white, allowed, _FAST, period, allowed)
     found = estimate_noise([level[:stop]], white, period, allowed)
-    # As fast as it was seen to go, and as far as it may: nobody has seen that within a minute.
+    # A drift at the speed that was seen, but up to `allowed`: a minute does not show its full size.
     seen = max((allowed / max(found.drift, 1e-3 * allowed)) ** 2 * found.time, period)
-    # So few bins may have shown a slower one by chance.
+    # Few bins may show a drift too slow by chance: a lower bound of its time constant.
     surely = seen * float(chdtri(stop, 1.0 - _CHANCE)) / stop
     white = min(found.white, _MOST_WHITE * white)
     return Noise(white, allowed, min(seen, max(surely, _FAST)), period, allowed)
@@ -347,7 +346,7 @@ def judge(noise: Noise, level: Array) -> tuple[float, float]:
     # Wilson and Hilferty's cube root: the tail of chi squared is not that of a Gaussian.
     spread = 2.0 / (9.0 * len(level))
     from_energy = (float(np.cbrt(energy)) - 1.0 + spread) / float(np.sqrt(spread))
-    # That a drift goes to and fro about zero, half a minute does not show.
+    # Half a minute does not show that a drift returns to zero: judge the mean with a slower one.
     if noise.time < _SLOW:
         white, ones = _whitened(replace(noise, time=_SLOW), level)
     return energy, max(from_energy, abs(float(ones @ white)) / float(np.sqrt(ones @ ones)))
@@ -362,34 +361,34 @@ def _whitened(noise: Noise, level: Array) -> Array:
     return np.asarray(solve_triangular(cholesky(covariance, lower=True), both, lower=True).T)
 
 
-# --- Measured against predicted, bin by bin, with the chain broken at the measured temperatures.
+# --- Measured against predicted, bin by bin, also with measured temperatures as the input.
 #
 #     V -> I, V -> T         the free run's readings
-#     T -> deflection        the model led through the measured temperatures
+#     T -> deflection        the model with the measured temperatures as its input
 #     V -> deflection        the free run's reading
 #
-# The measured temperature is the model's plus the smoothed difference, which moves only when it
-# has changed by more than its noise: so the mechanical bins come a second after the others.
+# That input is the model's temperature plus the smoothed difference to the measured one, which is
+# updated only beyond its noise. Smoothing needs later bins, so mechanical bins come a second late.
 
-_LATE = 0.2  # s that a reading may come after the voltages of its moment
+_LATE = 0.2  # s that a reading may arrive after the voltages of its time
 _AHEAD = 5  # bins on either side that smooth a bin's temperatures
 _SMOOTHING = 2.0  # bins, standard deviation
 _WEIGHTS = np.exp(-0.5 * (np.arange(-_AHEAD, _AHEAD + 1) / _SMOOTHING) ** 2)
-_PLAY = 3.0 / np.sqrt(2.0 * np.sqrt(np.pi) * _SMOOTHING)  # of a bin's noise, thrice what is left
-_CLOCK_STD = 0.02  # s, of one instrument's stamps behind the voltages'
-_SURELY = 1.0  # s after a wire has been found martensite or austenite; the bench may be later
+_PLAY = 3.0 / np.sqrt(2.0 * np.sqrt(np.pi) * _SMOOTHING)  # of a bin's noise: 3 x what is left
+_CLOCK_STD = 0.02  # s, between the stamps of an instrument and of the voltages
+_SURELY = 1.0  # s after the model has one phase in every wire: the bench may get there later
 _ZERO_STD = 0.2  # K, of a camera's zero
 
 
 class Comparison:
-    """Bins of all signals since a moment of the free run."""
+    """Bins of all signals from some time of the free run on."""
 
     def __init__(self, run: FreeRun, drift: float) -> None:
-        """Begin where the run is now; `drift` K that a thermometer may have."""
+        """Begin at the run's present time; `drift`: K, granted to a thermometer."""
         parameters, wires = run.parameters, len(run.parameters["bench.channels"])
         self._moves = load_kind(parameters) != "clamped"
         mechanics = "deflection" if self._moves else "force"
-        # One a wire; the mechanics against the model led by temperatures, and against the free run.
+        # One per wire; mechanics with measured temperatures as input, and of the free run.
         self.currents = [SignalBins("current") for _ in range(wires)]
         self.temperatures = [SignalBins("temperature") for _ in range(wires)]
         self.driven, self.free = SignalBins(mechanics), SignalBins(mechanics)
@@ -400,14 +399,14 @@ class Comparison:
         # By kind and wire, of bins that are open: time, value, prediction, own error.
         self._open: dict[tuple[str, int], Array] = defaultdict(lambda: np.empty((4, 0)))
         self._led = TemperatureDriven(parameters, run.state)
-        # The same a little warmer here and cooler there: what a camera's zero and drift do.
+        # The same with one side warmer and the other cooler, as a camera's zero and drift could do.
         self._warmer = TemperatureDriven(parameters, run.state)
         self._last_led = run.trajectory.mechanics[-1]
-        self._doubt = float(np.hypot(_ZERO_STD, drift))
+        self._camera_std = float(np.hypot(_ZERO_STD, drift))
         self._sign = np.where(self._side == 0, 1.0, -1.0)
         self._correction = np.zeros(wires)
         # Of the last bins: measured less predicted temperatures (w,), and their own errors.
-        self._differences, self._doubts = (deque[Array](maxlen=2 * _AHEAD + 1) for _ in range(2))
+        self._differences, self._stds = (deque[Array](maxlen=2 * _AHEAD + 1) for _ in range(2))
 
     def take(self, kind: str, wire: int, time: Array, value: Array, predicted: Array,
              std: Array) -> None:
@@ -422,14 +421,14 @@ class Comparison:
             signal.samples(value, value - predicted)
 
     def _samples(self, kind: str, wire: int, stop: float) -> Array:
-        """(4, n) of the rows of `_open` before `stop`, which are taken out."""
+        """Take the rows (4, n) before `stop` out of `_open`."""
         rows = self._open[kind, wire]
         before = rows[0] < stop
         self._open[kind, wire] = rows[:, ~before]
         return rows[:, before]
 
     def close(self, run: FreeRun) -> int:
-        """Close the bins that are complete; how many."""
+        """Close the bins that are complete. Returns how many."""
         before = self._closed
         while run.time >= self._start + (self._closed + 1) * BIN + _LATE:
             self._close_temperatures(run, self._closed)
@@ -442,7 +441,7 @@ class Comparison:
         start, stop = self._start + number * BIN, self._start + (number + 1) * BIN
         reading = run.trajectory.reading[run.trajectory.rows(start, stop)]
         moments = np.abs(reading[-1] - reading[0]) / BIN * _moment(run)
-        differences, doubts = np.full(len(moments), np.nan), np.zeros(len(moments))
+        differences, stds = np.full(len(moments), np.nan), np.zeros(len(moments))
         for k, side in enumerate(self._side.tolist()):
             for signal in (self.currents[k], self.temperatures[k]):
                 rows = self._samples(signal.quantity, k, stop)
@@ -451,13 +450,13 @@ class Comparison:
                 _, value, predicted, own = rows.mean(axis=1).tolist()
                 off, cause = 0.0, predicted
                 if signal.quantity == "temperature":
-                    differences[k], doubts[k] = value - predicted, own
+                    differences[k], stds[k] = value - predicted, own
                     cause -= self._ambient
-                    # Of pixels, emissivity and background: much the same in every picture.
+                    # own: of pixels, emissivity and background, much the same in every image.
                     off = float(np.hypot(moments[k], own))
                 signal.bins.append(Bin(stop, value - predicted, rows.shape[1], off, cause, side))
         self._differences.append(differences)
-        self._doubts.append(doubts)
+        self._stds.append(stds)
 
     def _close_mechanics(self, run: FreeRun, number: int) -> None:
         start, stop = self._start + number * BIN, self._start + (number + 1) * BIN
@@ -474,12 +473,12 @@ class Comparison:
         play = np.array([signal.play for signal in self.temperatures])
         before, after = self._correction, np.clip(self._correction, smooth - play, smooth + play)
         self._correction = after
-        # The model led through these, and a little warmer.
+        # The model with these as input, and with one side warmer.
         share = np.clip((time[1:] - start) / BIN, 0.0, 1.0)[:, np.newaxis]
         kelvin = trajectory.temperature[rows][1:] + before + share * (after - before)
         rough = np.nan_to_num(np.abs(self._differences[-1 - _AHEAD] - after))
-        doubt = np.sqrt(self._doubt**2 + rough**2 + self._doubts[-1 - _AHEAD] ** 2)
-        runs = self._led.run(time, kelvin), self._warmer.run(time, kelvin + self._sign * doubt)
+        std = np.sqrt(self._camera_std**2 + rough**2 + self._stds[-1 - _AHEAD] ** 2)
+        runs = self._led.run(time, kelvin), self._warmer.run(time, kelvin + self._sign * std)
         led, warmer = (deflection if self._moves else force[:, 0] for deflection, force in runs)
         spread = float(np.mean(np.abs(warmer - led)))
         led, self._last_led = np.insert(led, 0, self._last_led), float(led[-1])
@@ -496,5 +495,5 @@ class Comparison:
 
 
 def _moment(run: FreeRun) -> float:
-    """How well the moment of a reading, and of a jump between two voltages, is known [s]."""
+    """Uncertainty [s] of the time of a reading and of a jump between two voltages."""
     return float(np.hypot(_CLOCK_STD, run.spacing / np.sqrt(3.0)))

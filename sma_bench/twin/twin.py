@@ -1,8 +1,8 @@
 """The twin: measured readings in, predictions, residuals and a verdict out. No ROS, no clock.
 
-The verdict says where along the chain the model has stopped following, from what the signals' bins
-say: a stage is named where its signal is off by more than a threshold times the noise, and where
-that is no coloured noise. What an earlier stage explains is not held against a later one."""
+The verdict says at which stage the model no longer follows the bench, from the bins of all signals:
+a stage is named if its residual exceeds a threshold times the noise and is no correlated noise. A
+gap that an earlier stage explains is not counted for a later one."""
 
 import math
 from collections import deque
@@ -18,38 +18,40 @@ from sma_bench.estimation.noise_model import estimate_noise
 from sma_bench.parameters import Parameters
 from sma_bench.parameters.parameters import as_recorded, load_kind
 from sma_bench.physics.boundary import side_names
-from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, Comparison, Doubt, FreeRun, Voltages
+from sma_bench.twin.comparison import BIN, STAYS, SURPRISING, Band, Comparison, FreeRun, Voltages
 
 Settings = Mapping[str, Any]
 
 NANOSECONDS = 1_000_000_000
 CURRENT, TEMPERATURE, MECHANICS = "current", "temperature", "mechanics"
-_WAIT_FOR_TEMPERATURES, _FRESH = 1.0, 0.5  # s
-_FAR_AHEAD = 2.0  # s; readings of a record's last round
-_QUEUE = 4000  # readings that wait for the voltages of their moment
+_WAIT_FOR_TEMPERATURES, _FRESH = 1.0, 0.5  # s at the start; s that a temperature holds there
+_FAR_AHEAD = 2.0  # s: readings further ahead are from an earlier playback
+_QUEUE = 4000  # readings that wait for the voltages of their time
 _EVERY = 5  # bins between two verdicts
-_BENCHES = 12  # drawn for a band
-_CLAMPED = 1e-4  # m; a wire whose end has moved further is not the one that is modelled
+_BENCHES = 12  # models drawn for a band
+_CLAMPED = 1e-4  # m; a wire elongated by more is not clamped as in the model
 
 ELECTRICAL, THERMAL, MECHANICAL, SENSOR = "electrical", "thermal", "mechanical", "sensor"
 MEASURED_STAGES = (ELECTRICAL, THERMAL, MECHANICAL)
 LEARNING, QUIET, GAP, GREW = "learning", "quiet", "gap", "grew"
-_ACQUAINTANCE = 60  # verdicts, one a second
-_GROWN, _ALIKE, _MUCH = 1.5, 0.5, 2.0  # times what was known; of the larger side; times
+_FIRST_VERDICTS = 60  # one a second, in which the size of an initial gap becomes known
+_GROWN = 1.5  # times the known size of a gap: it has grown
+_ALIKE = 0.5  # of the gap on the worse side: the other side is named, too
+_MUCH = 2.0  # times the gap with measured temperatures: the free run's has an earlier cause
 
 
 class Prediction(NamedTuple):
-    """What the model says at a time."""
+    """Prediction of the model at one time."""
 
     stamp: int  # ns
     voltage: Array  # (w,) V
     current: Array  # (w,) A
     temperature: Array  # (w,) K
     mechanics: float  # deflection [m] or force [N]
-    off: "Prediction | None" = None  # how far a sound bench may be from it, where asked for
+    off: "Prediction | None" = None  # half-width of the band, if asked for
 
     def moved(self, share: float) -> "Prediction":
-        """A limit: what is `share` times `off` away."""
+        """Limit of the band: the prediction plus `share` times `off`."""
         assert self.off is not None
         return Prediction(self.stamp, self.voltage, self.current + share * self.off.current,
                           self.temperature + share * self.off.temperature,
@@ -66,16 +68,16 @@ class Residual(NamedTuple):
 
 
 class StageState(NamedTuple):
-    """What one stage shows."""
+    """State of one stage."""
 
     stage: str
     energy: float  # mean square of its whitened residuals, 1 for noise, NaN while learning
     gap: float  # rms of its residuals over the noise of a sample, of the worse side
-    counted: Array  # the part of it, a side, that is this stage's own and no noise
+    counted: Array  # by side, the part of it that is neither noise nor explained by other stages
 
 
 class Verdict(NamedTuple):
-    """`state`: learning, quiet, gap (as it was known), grew; `stages`, `sides`: in the message."""
+    """`state`: learning, quiet, gap (known), grew; `stages`, `sides`: in the message."""
 
     state: str
     message: str
@@ -85,21 +87,21 @@ class Verdict(NamedTuple):
 
 
 class Twin:
-    """Runs the model on measured voltages and compares what else is measured; counts what cannot be
-    used (NaN, late, out of order). Stamps are ns, readings SI."""
+    """Runs the model on measured voltages and compares it with all other signals; counts readings
+    that cannot be used (NaN, late, out of order). Stamps are ns, readings SI."""
 
     def __init__(self, parameters: Parameters, settings: Settings,
                  on_prediction: Callable[[Prediction], None],
                  on_residual: Callable[[Residual], None]) -> None:
         """`settings` are the twin node's own parameters; the callbacks get the output. InputError:
-        a bench whose motion is imposed, which the twin does not hear in time."""
+        a bench with imposed motion, which the twin does not get in time."""
         if (kind := load_kind(parameters)) == "displacement":
             raise InputError(f"twin: load.kind is {kind}, expected a load that follows the wires")
-        self._parameters = as_recorded(parameters)  # readings are direct volts, whatever switches
+        self._parameters = as_recorded(parameters)  # voltages are read as direct ones
         self._on_prediction, self._on_residual = on_prediction, on_residual
         self._channels = parameters["bench.channels"]
         self._voltages = Voltages(len(self._channels))
-        self._share = math.nan  # of readings, between the limits that are asked for
+        self._share = math.nan  # of readings within the band that is asked for
         self.tune(settings)
         self._judge, self._ignored = Judge(side_names(parameters)), 0
         self._origin: int | None = None
@@ -114,9 +116,9 @@ class Twin:
             self._draw()
 
     def _draw(self) -> None:
-        """Draw the benches of a band, if one is asked for."""
+        """Draw the models of a band, if one is asked for."""
         self._benches: list[Parameters] = []
-        self._doubt: Doubt | None = None
+        self._band: Band | None = None
         self.no_band = ""  # why there is none
         if self._share:
             try:
@@ -126,11 +128,11 @@ class Twin:
 
     def _begin_anew(self) -> None:
         self._run: FreeRun | None = None
-        self._doubt = None
+        self._band = None
         self._comparison: Comparison | None = None
         self._waited_since: float | None = None
         self._kelvin: dict[int, tuple[float, float]] = {}
-        # By kind and wire: time, stamp, value, what to multiply the prediction by, own error.
+        # By kind and wire: time, stamp, value, factor of the prediction, own error.
         self._pending: dict[tuple[str, int], deque[tuple[float, int, float, float, float]]] = {}
         self._next_due, self._unjudged = dict[tuple[str, int], float](), 0
         self._judge.forget()
@@ -161,7 +163,7 @@ class Twin:
         self._queue(MECHANICS, 0, stamp, value)
 
     def change(self, parameters: Parameters) -> None:
-        """Go on with other parameters of the same channels; the last minute is simulated again."""
+        """Go on with other parameters of the same channels; the last minute is re-simulated."""
         self._parameters = as_recorded(parameters)
         self._draw()
         if self._run is not None:
@@ -209,17 +211,17 @@ class Twin:
             return
         if not len(time):
             return
-        if self._benches and self._doubt is None:
-            self._doubt = Doubt(run, self._benches, self._share)
+        if self._benches and self._band is None:
+            self._band = Band(run, self._benches, self._share)
         run.advance(time, volts)
-        if (doubt := self._doubt) is not None:
-            doubt.advance(time, volts)
+        if (band := self._band) is not None:
+            band.advance(time, volts)
         trajectory = run.trajectory
         rows = np.minimum(np.searchsorted(trajectory.time, time), len(trajectory.time) - 1)
         for k in self._due("prediction", 0, time):
             row, stamp, off = int(rows[k]), self._stamp(float(time[k])), None
-            if doubt is not None:
-                w, away = len(volts[k]), doubt.off(row)
+            if band is not None:
+                w, away = len(volts[k]), band.off(row)
                 off = Prediction(stamp, volts[k], volts[k] * away[:w], away[w:-1], float(away[-1]))
             self._on_prediction(Prediction(stamp, volts[k], volts[k] * trajectory.conductance[row],
                                            trajectory.reading[row],
@@ -247,10 +249,10 @@ class Twin:
             self.verdict = self._judge.judge(comparison, self._settings)
 
     def _join(self, time: Array, volts: Array) -> None:
-        """Begin where temperatures are known, or a second later without those that never came."""
+        """Start once all temperatures are known, or a second later without the missing ones."""
         missing = [self._channels[k] for k in self._voltages.missing()]
-        said = f"voltage of {', '.join(missing)}" if missing else "temperatures to begin with"
-        self.verdict = Verdict(LEARNING, f"learning: waiting for {said}")
+        awaited = f"voltage of {', '.join(missing)}" if missing else "temperatures to begin with"
+        self.verdict = Verdict(LEARNING, f"learning: waiting for {awaited}")
         known = np.flatnonzero(~np.isnan(volts).any(axis=1))
         if not len(known):
             return
@@ -262,7 +264,7 @@ class Twin:
             kelvin[wire] = value if abs(then - now) < _FRESH else math.nan
         if np.isnan(kelvin).any() and now - self._waited_since < _WAIT_FOR_TEMPERATURES:
             return
-        # At the newest moment: a wire may be heating by the time its temperature is heard.
+        # At the newest time: a wire may already be heating when its temperature arrives.
         self._run = FreeRun(self._parameters, now, kelvin, volts[-1])
         self._comparison = Comparison(self._run, self._settings["allowed.temperature"])
         self.verdict = Verdict(LEARNING, "learning the noise")
@@ -287,29 +289,28 @@ def compile_model(parameters: Parameters) -> None:
 
 
 class Judge:
-    """Remembers which gaps are known, to say what grew."""
+    """Remembers known gaps, to detect growth."""
 
     def __init__(self, sides: Sequence[str]) -> None:
         self._sides = tuple(sides)
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: the first verdict of a stage becomes what is known of it."""
+        """Start again: the gap in the first verdict of a stage will count as known."""
         self._known, self._unknown = dict[str, float](), dict[str, int]()
         self._open, self._latest = set[str](), dict[str, Array]()
 
     def accept(self) -> None:
-        """What was last seen is known."""
         self._known |= {stage: float(counted.max()) for stage, counted in self._latest.items()}
 
     def judge(self, comparison: Comparison, settings: Settings) -> Verdict:
-        """What the bins say now, and what of it has grown."""
-        measured, doubted = stage_states(comparison, settings, len(self._sides))
+        """Verdict on the present bins: which stages have a gap, and which gaps have grown."""
+        measured, sensor_suspect = stage_states(comparison, settings, len(self._sides))
         waiting = [s.stage for s in measured if np.isnan(s.energy)]
         named = {s.stage: s.counted for s in measured if s.stage not in waiting}
         if not named:
             return Verdict(LEARNING, "learning the noise", measured=measured)
-        if doubted:
+        if sensor_suspect:
             none = 0.0 * named[THERMAL]
             named = {**named, SENSOR: named[THERMAL], THERMAL: none, MECHANICAL: none}
         self._latest = named
@@ -319,12 +320,12 @@ class Judge:
             size = float(counted.max())
             least = settings["threshold"] * (STAYS if stage in self._open else 1.0)
             self._open = self._open | {stage} if size >= least else self._open - {stage}
-            # A gap that was there from the first verdict on is known at its largest of a minute.
+            # A gap present from the first verdict on is known: its largest size in a minute.
             if stage not in self._known:
-                first = stage != SENSOR  # which shows only once the mechanics contradict it
+                first = stage != SENSOR  # a sensor gap shows only once the mechanics contradict it
                 wide = seen.get(stage, 0.0) >= settings["threshold"]
                 self._known[stage] = size if first else 0.0
-                self._unknown[stage] = _ACQUAINTANCE if first and wide else 0
+                self._unknown[stage] = _FIRST_VERDICTS if first and wide else 0
             elif self._unknown.get(stage, 0) > 0:
                 self._known[stage] = max(self._known[stage], size)
                 self._unknown[stage] -= 1
@@ -335,7 +336,7 @@ class Judge:
         if not gaps:
             apart = f"; not judged: {', '.join(waiting)}" if waiting else ""
             return Verdict(QUIET, f"no gap beyond the noise{apart}", measured=measured)
-        # Where it is: the stages, and of each the sides that are alike.
+        # Name the stages, and the sides of each with a similar gap.
         stages, sides, places = tuple(grown or gaps), [], []
         for stage in stages:
             there = named[stage] >= _ALIKE * named[stage].max()
@@ -346,14 +347,14 @@ class Judge:
                 what = "thermal or mechanical stage (wires without temperatures)"
             where = "both sides" if len(here) > 1 else f"{here[0]} side"
             places.append(what if len(self._sides) == 1 else f"{what}, {where}")
-        said = f"{'gap grew' if grown else 'gap, as it was known'}: {'; '.join(places)}"
-        return Verdict(GREW if grown else GAP, said, stages, tuple(dict.fromkeys(sides)), measured)
+        text = f"{'gap grew' if grown else 'known gap'}: {'; '.join(places)}"
+        return Verdict(GREW if grown else GAP, text, stages, tuple(dict.fromkeys(sides)), measured)
 
 
 def stage_states(comparison: Comparison, settings: Settings,
                  sides: int) -> tuple[tuple[StageState, ...], bool]:
-    """Every stage that has a signal, in the order of the chain; and whether the thermometer is to
-    be doubted: what follows from the voltages is right, what follows from its readings is not."""
+    """Every stage that has a signal, in the order of the chain; and whether the thermometer is
+    suspect: the mechanics agree with the voltages but not with its readings."""
     threshold, fewest = settings["threshold"], round(settings["learning"] / BIN)
     signals = {ELECTRICAL: comparison.currents, THERMAL: comparison.temperatures,
                MECHANICAL: [comparison.driven], "free": [comparison.free]}
@@ -368,18 +369,18 @@ def stage_states(comparison: Comparison, settings: Settings,
             continue
         energy = float(np.mean([reading.energy for reading in known]))
         gap = float(max(np.nanmax(reading.gap) for reading in known))
-        # (signals, sides) their gaps, as far as they are no noise.
+        # (signals, sides) gaps that are not noise.
         counted = np.array([np.nan_to_num(r.gap) if r and r.surprise >= SURPRISING
                             else np.zeros(sides) for r in readings[stage]])
-        # The thermal gap that is left when a wire is heated in proportion to its current error:
-        # once where the resistance is wrong, twice where the voltage is; the smaller rest counts.
+        # Take off the thermal gap in proportion to an error of the current: once if the resistance
+        # is wrong, twice if the voltage is; the smallest rest counts.
         for k, heat in enumerate(readings[stage] if stage == THERMAL else ()):
             current = readings[ELECTRICAL][k]
             if heat and current and counted[k].any() and not np.isnan(current.share):
                 rest = [heat.residual - n * current.share * heat.cause for n in (0.0, 1.0, 2.0)]
                 powers = [float(np.mean((left / heat.tolerance) ** 2)) for left in rest]
                 counted[k] *= np.sqrt(min(powers) / powers[0])
-        # Of the mechanical one: what is missing acts before the temperature, whoever is to blame.
+        # A mechanical gap that measured temperatures remove has a cause before the temperature.
         hot = stage == MECHANICAL and states[-1].gap >= threshold
         if hot and driven and free and np.nanmax(free.gap) > _MUCH * np.nanmax(driven.gap):
             counted[:] = 0.0

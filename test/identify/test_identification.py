@@ -70,7 +70,7 @@ def test_missing_current_is_said_and_the_rest_identified_with_the_given_resistan
 @pytest.mark.compiled
 def test_a_default_that_nobody_measured_and_samples_left_out_are_warned_of():
     found = identify([ramp()], WEIGHED)
-    assert any(R in w and "nobody measured it" in w for w in found.warnings)
+    assert any(R in w and "not measured on this wire" in w for w in found.warnings)
     # A ramp is not meant for a staircase's experiment: that it gives none is no warning.
     assert any("not identified" in note.text for note in found.notes if note.subject == "E1")
     assert not any("E1: not identified" in warning for warning in found.warnings)
@@ -230,13 +230,13 @@ def test_a_measurement_is_joined_with_what_was_known_better(
     known, error, systematic = measured
     found, notes = weighed(R, (known, error, "ohm", "measured", 9, systematic), 4.0, **{R: 100.0})
     assert (found.value, found.std, found.informed) == pytest.approx((value, std, informed))
-    assert any("stated to be surer" in note.text for note in notes) == contradicted
+    assert any("stated more accurately" in note.text for note in notes) == contradicted
 
 
 def test_a_default_that_nobody_stated_is_never_averaged_with_a_measurement():
     found, notes = weighed(START, (356.0, 6.0, "K", "", 3))
     assert (found.value, found.std) == (356.0, 6.0)
-    assert any("another alloy" in note.text for note in notes)
+    assert any("not the paper's alloy" in note.text for note in notes)
     assert weighed(START, (356.0, 6.0, "K", "", 3), **{START: 331.0})[0].value < 335.0
     # One that says less than is known of every wire stands, and is warned of.
     found, notes = weighed(START, (356.0, 40.0, "K", "", 3))
@@ -317,7 +317,7 @@ def test_a_noisy_test_of_another_alloy_gives_that_alloy_with_a_template_or_the_o
     alone = four(result.parameters)
     for name, (value, std) in alone.items():
         assert 2.0 < std < 9.0 and abs(value - TRUTH[name]) < 2.0 * std
-    assert any("another alloy" in note.text for note in result.notes)
+    assert any("not the paper's alloy" in note.text for note in result.notes)
     assert main(["parameters", "--out", "template.yaml"]) == 0
     template = read_parameters("template.yaml")
     assert four(identify([noisy], template).parameters) == alone

@@ -203,7 +203,7 @@ def test_ramps_alone_give_specific_heat_and_coefficient_together():
 @pytest.mark.compiled
 def test_ramps_that_contradict_the_known_heat_loss_or_do_not_warm_are_noticed():
     found = ramps(ramp(Wire(coefficient=380.0)))
-    assert any("ask for a steady rise +7." in w for w in found.warnings) and is_right(found, CP)
+    assert any("fit a steady rise +7." in w for w in found.warnings) and is_right(found, CP)
     with pytest.raises(InputError, match="temperature rises by .* expected 10 times"):
         ramps(ramp(top=0.2))
 
@@ -265,7 +265,7 @@ def test_staircases_in_different_air_are_not_pooled_without_a_word():
     assert result(still, staircase(seed=8, dwell=12.0)).warnings == ()
     # A doubt about the heat loss is one about the specific heat.
     bent = identify([staircase(Wire(bend=2e-3), dwell=12.0), ramp()], PARAMETERS)
-    assert about(bent, CP, "of which E2 says")
+    assert about(bent, CP, "about which E2 warns")
 
 
 @pytest.mark.compiled

@@ -220,7 +220,7 @@ def test_a_gap_that_was_there_at_first_is_known():
     stream = Stream(COUPLED, drive=lambda _: (1.5, 0.0))
     stream.run(30.0)
     assert GREW not in stream.states()
-    assert stream.said[-1].message.startswith("gap, as it was known: thermal stage")
+    assert stream.said[-1].message.startswith("known gap: thermal stage")
 
 
 def test_holes_jumps_and_records_that_begin_again_are_judged_anew():
